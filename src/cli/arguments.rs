@@ -1,0 +1,111 @@
+//! Values as people type them.
+
+use crate::scene::{Deformation, Size};
+use crate::{Error, Result};
+
+/// `512x512`.
+pub fn picture_size(text: &str) -> Result<[u32; 2], String> {
+    let parsed = text.split_once('x').and_then(|(w, h)| Some([w.trim().parse().ok()?, h.trim().parse().ok()?]));
+    parsed.ok_or_else(|| format!("\"{text}\" is not a size; write WIDTHxHEIGHT, e.g. 512x512"))
+}
+
+/// `R,G,B[,A]`: shares of 1, or of 255 if any is above 1; `#rrggbb[aa]`; `transparent`.
+pub fn background(text: &str) -> Result<[f32; 4], String> {
+    if text == "transparent" {
+        return Ok([0.0; 4]);
+    }
+    if let Some(hex) = text.strip_prefix('#').filter(|h| (h.len() == 6 || h.len() == 8) && h.is_ascii()) {
+        let byte = |n: usize| u8::from_str_radix(hex.get(2 * n..2 * n + 2).unwrap_or("ff"), 16).map(|b| f32::from(b) / 255.0);
+        if let (Ok(r), Ok(g), Ok(b), Ok(a)) = (byte(0), byte(1), byte(2), byte(3)) {
+            return Ok([r, g, b, a]);
+        }
+    }
+    let parts: Vec<f32> = text.split(',').map_while(|p| p.trim().parse().ok()).filter(|v: &f32| *v >= 0.0 && *v <= 255.0).collect();
+    if parts.len() == text.split(',').count() && (3..=4).contains(&parts.len()) {
+        let scale = if parts.iter().any(|&v| v > 1.0) { 255.0 } else { 1.0 };
+        return Ok([parts[0] / scale, parts[1] / scale, parts[2] / scale, parts.get(3).map_or(1.0, |a| a / scale)]);
+    }
+    Err(format!("\"{text}\" is not a colour; write R,G,B or R,G,B,A (each 0..1, or each 0..255), #rrggbb, or transparent"))
+}
+
+/// `KIND[:name=value,...]`, a value being one number or several separated by commas.
+///
+/// # Errors
+/// An unknown kind or name, a value that is not a number, too many or too few of them.
+pub fn deformation(text: &str) -> Result<Deformation> {
+    let option = |problem: String| Error::value(format!("--deform {text}"), problem);
+    let (kind, rest) = text.split_once(':').unwrap_or((text, ""));
+    if matches!(kind, "field" | "map") {
+        return Err(option("displacement fields and maps from files cannot be read yet; name a kind (see incise list)".into()));
+    }
+    crate::deform::kinds::kind(kind)?;
+    let mut deformation = Deformation::new(kind);
+    // A part without "=" continues the value before it: center=90,110,160.
+    let mut entries: Vec<(&str, Vec<&str>)> = Vec::new();
+    for part in rest.split(',').filter(|_| !rest.is_empty()) {
+        match (part.split_once('='), entries.last_mut()) {
+            (Some((name, value)), _) => entries.push((name.trim(), vec![value.trim()])),
+            (None, Some(last)) => last.1.push(part.trim()),
+            (None, None) => return Err(option(format!("\"{part}\" has no name; write name=value"))),
+        }
+    }
+    for (name, values) in entries {
+        if name == "storage" {
+            deformation.storage = match values[..] {
+                ["f16"] => crate::deform::Storage::F16,
+                ["snorm16"] => crate::deform::Storage::Snorm16,
+                ["snorm8"] => crate::deform::Storage::Snorm8,
+                _ => return Err(option("storage is one of f16, snorm16, snorm8".into())),
+            };
+            continue;
+        }
+        let numbers: Vec<f32> = values.iter().map_while(|v| v.parse().ok()).filter(|v: &f32| v.is_finite()).collect();
+        if numbers.len() != values.len() {
+            return Err(option(format!("{name}={} is not a number", values.join(","))));
+        }
+        let three = || <[f32; 3]>::try_from(&numbers[..]).map_err(|_| option(format!("{name} needs three numbers, x,y,z")));
+        let one = || if numbers.len() == 1 { Ok(numbers[0]) } else { Err(option(format!("{name} needs one number"))) };
+        match name {
+            "center" => deformation.center = Some(three()?),
+            "rotate" => deformation.rotate = Some(three()?),
+            "size" if numbers.len() == 1 => deformation.size = Some(Size::Cube(numbers[0])),
+            "size" => deformation.size = Some(Size::Box(three()?)),
+            "progress" => deformation.progress = Some(one()?),
+            "resolution" => deformation.resolution = Some(one()? as usize),
+            _ => {
+                deformation.parameters.insert(name.to_owned(), one()?);
+            }
+        }
+    }
+    Ok(deformation)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn deformations_as_in_the_manual() {
+        let d = deformation("peel:center=90,110,160,size=80,progress=0.7,depth=9").unwrap_or_else(|e| panic!("{e}"));
+        assert_eq!(d.center, Some([90.0, 110.0, 160.0]));
+        assert_eq!((d.size, d.progress), (Some(Size::Cube(80.0)), Some(0.7)));
+        assert_eq!(d.parameters.get("depth"), Some(&9.0));
+        assert!(deformation("pull").is_ok());
+        for bad in ["peal", "peel:3", "peel:center=1,2", "peel:depth=a", "peel:size=1,2", "field:path=x.nii", "peel:storage=u8"] {
+            assert!(deformation(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn colours_and_sizes() {
+        assert_eq!(background("255,255,255"), Ok([1.0; 4]));
+        assert_eq!(background("1,1,1,0"), Ok([1.0, 1.0, 1.0, 0.0]));
+        assert_eq!(background("#ff0000"), Ok([1.0, 0.0, 0.0, 1.0]));
+        assert_eq!(background("transparent"), Ok([0.0; 4]));
+        for bad in ["", "1,2", "red", "#12", "1,2,3,4,5", "-1,0,0"] {
+            assert!(background(bad).is_err(), "{bad}");
+        }
+        assert_eq!(picture_size("640x480"), Ok([640, 480]));
+        assert!(picture_size("640").is_err() && picture_size("-1x3").is_err());
+    }
+}

@@ -1,0 +1,125 @@
+//! `incise info`: what a file holds. `incise list`: what there is to choose from.
+
+use crate::deform::kinds::{self, Unit};
+use crate::scene::Scene;
+use crate::transfer;
+use crate::volume::{Volume, load, phantom};
+use crate::{Error, Result};
+use clap::Args;
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+
+/// Options as typed.
+#[derive(Args)]
+pub struct Arguments {
+    /// A volume, a scene or phantom:NAME.
+    file: PathBuf,
+    /// Machine-readable output.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Prints what the file holds.
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let path = &arguments.file;
+    let report = match path.extension().and_then(|e| e.to_str()) {
+        Some("toml") => scene_report(path)?,
+        Some("stl" | "obj" | "ply" | "off" | "gltf" | "glb" | "gii") => {
+            return Err(Error::file(path, "is a mesh, and meshes cannot be read yet"));
+        }
+        _ => volume_report(&load::volume(path, &mut |_, _| ())?),
+    };
+    super::print(&if arguments.json { format!("{report:#}") } else { plain(&report) });
+    Ok(())
+}
+
+fn volume_report(volume: &Volume) -> Value {
+    let direction = volume.direction();
+    let rows: Vec<[f64; 3]> = (0..3).map(|r| direction.row(r).to_array()).collect();
+    let voxels = volume.voxels.len();
+    let stored = voxels * volume.voxels.bytes_per_voxel();
+    let spacing = volume.spacing_mm();
+    let mut report = json!({
+        "kind": "volume",
+        "size": volume.size,
+        "type": volume.voxels.type_name(),
+        "range": volume.range,
+        "spacing_mm": spacing.to_array(),
+        "extent_mm": (0..3).map(|a| spacing[a] * volume.size[a] as f64).collect::<Vec<_>>(),
+        "origin_mm": volume.world_from_voxel.translation.to_array(),
+        "direction": rows,
+        "orientation": volume.orientation(),
+        "determinant": volume.world_from_voxel.matrix3.determinant(),
+        "components": 1,
+        "voxels": voxels,
+        "non_finite": volume.non_finite,
+        "rescale": { "slope": volume.rescale.slope, "intercept": volume.rescale.intercept },
+        "memory_bytes": stored,
+        "warnings": volume.warnings,
+    });
+    if let (Some(labels), Some(entries)) = (volume.labels(), report.as_object_mut()) {
+        entries.insert("labels".into(), json!(labels));
+    }
+    report
+}
+
+fn scene_report(path: &Path) -> Result<Value> {
+    let scene = Scene::load(path)?;
+    let volume = load::volume(&scene.volume_path(), &mut |_, _| ())?;
+    Ok(json!({
+        "kind": "scene",
+        "volume": { "path": scene.volume.path, "report": volume_report(&volume) },
+        "deformations": scene.deformation.iter().map(|d| d.kind.as_str()).collect::<Vec<_>>(),
+        "picture": scene.render.size,
+        "warnings": [],
+    }))
+}
+
+/// `name: value` lines.
+fn plain(report: &Value) -> String {
+    fn lines(value: &Value, indent: usize, out: &mut String) {
+        let Some(entries) = value.as_object() else { return };
+        for (name, value) in entries {
+            let text = match value {
+                Value::Object(_) => {
+                    out.push_str(&format!("{:indent$}{name}:\n", ""));
+                    lines(value, indent + 2, out);
+                    continue;
+                }
+                Value::String(s) => s.clone(),
+                Value::Array(a) if a.is_empty() => "none".into(),
+                Value::Array(a) if a.iter().all(Value::is_string) => a.iter().filter_map(Value::as_str).collect::<Vec<_>>().join("; "),
+                other => other.to_string(),
+            };
+            out.push_str(&format!("{:indent$}{name:<14} {text}\n", ""));
+        }
+    }
+    let mut out = String::new();
+    lines(report, 0, &mut out);
+    out.trim_end().to_owned()
+}
+
+/// Presets, kinds and phantoms as text.
+pub fn catalogue() -> String {
+    let mut out = String::from("Presets (--preset)\n");
+    for p in transfer::list() {
+        out.push_str(&format!("  {:<22} {}\n", p.name, p.about));
+    }
+    out.push_str("\nDeformations (--deform KIND:name=value,...); every kind takes center, size, rotate, storage, resolution\n");
+    for k in kinds::list() {
+        out.push_str(&format!("  {:<22} {}{}\n", k.name, k.about, if k.progressive { "; progress=0..1" } else { "" }));
+        for p in k.parameters {
+            let unit = match p.unit {
+                Unit::Mm => "mm",
+                Unit::Degrees => "degrees",
+                Unit::None => "",
+            };
+            out.push_str(&format!("    {:<20} {} ({:?} .. {:?}, default {:?}) {unit}\n", p.name, p.about, p.min, p.max, p.default));
+        }
+    }
+    out.push_str("\nPhantoms (phantom:NAME[:size=N][:spacing=AxBxC])\n");
+    for (name, about) in phantom::list() {
+        out.push_str(&format!("  {name:<22} {about}\n"));
+    }
+    out.trim_end().to_owned()
+}

@@ -1,0 +1,66 @@
+//! The command line: arguments as typed, resolved into a scene, then one file per command.
+
+mod arguments;
+mod info;
+mod render;
+
+use crate::scene::file::schema;
+use clap::{Parser, Subcommand};
+use std::io::Write;
+use std::process::ExitCode;
+
+/// What the program was called with.
+#[derive(Parser)]
+#[command(name = "incise", version, about, args_conflicts_with_subcommands = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Option<Command>,
+    /// A scene or a volume to open in the workstation.
+    file: Option<std::path::PathBuf>,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Render one picture of a scene, a volume or a phantom.
+    Render(Box<render::Arguments>),
+    /// Say what a file holds.
+    Info(info::Arguments),
+    /// Print the JSON schema of scene files.
+    Schema,
+    /// List presets, kinds of deformation with their parameters, and phantoms.
+    List,
+}
+
+/// Runs the program. Exit code 0: done; 1: failed, with one message; 2: wrong usage.
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let result = match cli.command {
+        Some(Command::Render(arguments)) => render::run(&arguments),
+        Some(Command::Info(arguments)) => info::run(&arguments),
+        Some(Command::Schema) => {
+            print(&format!("{:#}", schema()));
+            Ok(())
+        }
+        Some(Command::List) => {
+            print(&info::catalogue());
+            Ok(())
+        }
+        None => {
+            let what = cli.file.map_or_else(|| "FILE".to_owned(), |f| f.display().to_string());
+            eprintln!("incise: this version has no workstation yet; render a picture with: incise render {what} -o picture.png (see incise --help)");
+            return ExitCode::from(2);
+        }
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("incise: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Writes a line to standard output; a reader that has gone away is not an error.
+fn print(text: &str) {
+    let _gone = writeln!(std::io::stdout(), "{text}");
+}

@@ -1,0 +1,317 @@
+//! `incise render`: one picture.
+
+use super::arguments;
+use crate::export::{Output, png};
+use crate::scene::{Assets, Camera, Mode, Picture, Prepared, Projection, RenderStats, Rendered, Scene, Stages, View};
+use crate::{Error, Result, cpu};
+use clap::{Args, ValueEnum};
+use indicatif::{ProgressBar, ProgressStyle};
+use serde_json::{Value, json};
+use std::io::IsTerminal;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// Where the picture is computed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Backend {
+    /// A hardware GPU if there is one, else the CPU.
+    Auto,
+    /// A GPU, a software one included; an error if there is none.
+    Gpu,
+    /// The CPU.
+    Cpu,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum ModeName {
+    /// The volume by slices.
+    Slice,
+    /// The volume by rays.
+    Raycast,
+    /// The surface of a signed distance field.
+    Surface,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum ProjectionName {
+    Perspective,
+    Orthographic,
+}
+
+/// Options as typed.
+#[derive(Args)]
+pub struct Arguments {
+    /// A scene (.toml), a volume (.nii, .nii.gz) or phantom:NAME[:size=N].
+    input: PathBuf,
+    /// The picture to write (.png).
+    #[arg(short, long, value_name = "OUT.png")]
+    output: PathBuf,
+    /// Where to compute.
+    #[arg(long, value_enum, default_value = "auto")]
+    backend: Backend,
+    /// Slices or rays.
+    #[arg(long, value_enum)]
+    mode: Option<ModeName>,
+    /// Size of the picture.
+    #[arg(long, value_name = "WxH", value_parser = arguments::picture_size)]
+    size: Option<[u32; 2]>,
+    /// Sampling distance in voxels (of the smallest spacing).
+    #[arg(long)]
+    step: Option<f32>,
+    /// anterior, posterior, left, right, superior, inferior or AZ,EL in degrees.
+    #[arg(long, allow_hyphen_values = true, value_parser = |t: &str| t.parse::<View>())]
+    camera: Option<View>,
+    /// 1 shows the whole volume.
+    #[arg(long)]
+    zoom: Option<f32>,
+    /// Kind of camera.
+    #[arg(long, value_enum)]
+    projection: Option<ProjectionName>,
+    /// Transfer function by name (see incise list).
+    #[arg(long)]
+    preset: Option<String>,
+    /// Width of the value range that the transfer function spans.
+    #[arg(long)]
+    window: Option<f64>,
+    /// Middle of that range.
+    #[arg(long, allow_hyphen_values = true)]
+    level: Option<f64>,
+    /// A deformation, applied after those of the scene; repeatable, in order.
+    #[arg(long, value_name = "KIND[:name=value,...]")]
+    deform: Vec<String>,
+    /// R,G,B[,A] (0..1 or 0..255), #rrggbb or transparent.
+    #[arg(long, value_parser = arguments::background)]
+    background: Option<[f32; 4]>,
+    /// Write a JSON report of what was done to a file, or to standard output (-).
+    #[arg(long, value_name = "FILE|-")]
+    stats: Option<PathBuf>,
+    /// The same report on standard output.
+    #[arg(long)]
+    json: bool,
+    /// Threads of the CPU renderer; all cores by default.
+    #[arg(long)]
+    threads: Option<usize>,
+    /// No notices, no progress.
+    #[arg(short, long)]
+    quiet: bool,
+    /// Say what was done.
+    #[arg(short, long)]
+    verbose: bool,
+}
+
+impl Arguments {
+    /// The scene that the input names, with the options laid over it.
+    fn scene(&self) -> Result<Scene> {
+        let input = self.input.to_str().unwrap_or_default();
+        let mut scene = match self.input.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
+            Some("toml") => Scene::load(&self.input)?,
+            Some("stl" | "obj" | "ply" | "off" | "gltf" | "glb" | "gii") => {
+                return Err(Error::file(&self.input, "is a mesh, and meshes cannot be rendered yet; give a volume, a scene or a phantom"));
+            }
+            _ => Scene::of_volume(input),
+        };
+        let render = &mut scene.render;
+        match self.mode {
+            Some(ModeName::Slice) => render.mode = Mode::Slice,
+            Some(ModeName::Raycast) => render.mode = Mode::Raycast,
+            Some(ModeName::Surface) => return Err(Error::value("--mode surface", "surfaces cannot be rendered yet; use slice or raycast")),
+            None => {}
+        }
+        render.size = self.size.unwrap_or(render.size);
+        render.step = self.step.unwrap_or(render.step);
+        render.background = self.background.unwrap_or(render.background);
+        let camera = &mut scene.camera;
+        if let Some(view) = self.camera {
+            // Another direction, not the scene's framing of its own.
+            *camera = Camera { view, projection: camera.projection, field_of_view: camera.field_of_view, ..Camera::default() };
+        }
+        camera.zoom = self.zoom.unwrap_or(camera.zoom);
+        match self.projection {
+            Some(ProjectionName::Perspective) => camera.projection = Projection::Perspective,
+            Some(ProjectionName::Orthographic) => camera.projection = Projection::Orthographic,
+            None => {}
+        }
+        let transfer = &mut scene.transfer;
+        if let Some(preset) = &self.preset {
+            transfer.preset = Some(preset.clone());
+            transfer.points.clear();
+        }
+        transfer.window = self.window.or(transfer.window);
+        transfer.level = self.level.or(transfer.level);
+        for text in &self.deform {
+            scene.deformation.push(arguments::deformation(text)?);
+        }
+        Ok(scene)
+    }
+}
+
+/// Renders and writes the picture.
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let start = Instant::now();
+    if arguments.output.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() != Some("png") {
+        return Err(Error::value(format!("--output {}", arguments.output.display()), "pictures are written as PNG; give a name that ends in .png"));
+    }
+    let scene = arguments.scene()?;
+    let output = Output::create(&arguments.output)?;
+    let stats_file = arguments.stats.as_deref().filter(|p| *p != Path::new("-")).map(Output::create).transpose()?;
+    if let Some(threads) = arguments.threads {
+        if !(1..=1024).contains(&threads) {
+            return Err(Error::value("--threads", format!("{threads} is outside 1 to 1024")));
+        }
+        // The pool exists once per process; this is the first use.
+        rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().map_err(|e| Error::value("--threads", e.to_string()))?;
+    }
+    let bar = Progress::new(arguments.quiet);
+    let assets = Assets::load(&scene, &mut |done, all| bar.set("reading", done as f32 / all.max(1) as f32))?;
+    if !arguments.quiet {
+        for warning in &assets.volume.warnings {
+            eprintln!("incise: {}: {warning}", scene.volume.path);
+        }
+    }
+    let prepared = Prepared::new(&scene, &assets)?;
+    let wants_stats = arguments.stats.is_some() || arguments.json;
+    let done = render_on(arguments, &prepared, wants_stats, &bar)?;
+    bar.finish();
+    let mut stages = assets.stages.clone();
+    stages.0.extend(prepared.stages.0.iter().copied());
+    stages.0.extend(done.rendered.stages.0.iter().copied());
+    let bytes = stages.time("encode", || png(&done.rendered.picture, scene.render.background))?;
+    stages.time("write", || output.finish(&bytes))?;
+    let total = start.elapsed().as_secs_f64() * 1e3;
+    if wants_stats {
+        let report = report(&done, &prepared, &stages, total, arguments.backend);
+        let text = format!("{report:#}");
+        match stats_file {
+            Some(file) => file.finish(text.as_bytes())?,
+            None => super::print(&text),
+        }
+    }
+    if arguments.verbose {
+        eprintln!("incise: {} on {} in {total:.0} ms", arguments.output.display(), done.adapter);
+    }
+    Ok(())
+}
+
+/// A picture and where it was made.
+struct Done {
+    rendered: Rendered,
+    backend: &'static str,
+    adapter: String,
+    details: Value,
+}
+
+fn on_cpu(prepared: &Prepared, bar: &Progress) -> Done {
+    let rendered = cpu::render(prepared, &|share| bar.set("rendering", share));
+    Done { rendered, backend: "cpu", adapter: format!("CPU, {} threads", rayon::current_num_threads()), details: Value::Null }
+}
+
+#[cfg(feature = "gpu")]
+fn render_on(arguments: &Arguments, prepared: &Prepared, wants_stats: bool, bar: &Progress) -> Result<Done> {
+    use crate::gpu::{Device, Want};
+    use crate::render::Renderer;
+    let want = match arguments.backend {
+        Backend::Cpu => return Ok(on_cpu(prepared, bar)),
+        Backend::Auto => Want::Hardware,
+        Backend::Gpu => Want::Any,
+    };
+    let mut setup = Stages::default();
+    let attempt = setup.time("gpu setup", || Device::open(want)).and_then(|device| {
+        let info = device.info();
+        let details = device.report();
+        let mut renderer = Renderer::new(device);
+        let mut rendered = renderer.render(prepared, wants_stats, &|share| bar.set("rendering", share))?;
+        rendered.stages.0.splice(0..0, setup.0);
+        Ok(Done { rendered, backend: "gpu", adapter: info, details })
+    });
+    match attempt {
+        Err(error) if arguments.backend == Backend::Auto => {
+            if !arguments.quiet {
+                eprintln!("incise: {error}; rendering on the CPU");
+            }
+            Ok(on_cpu(prepared, bar))
+        }
+        other => other,
+    }
+}
+
+#[cfg(not(feature = "gpu"))]
+fn render_on(arguments: &Arguments, prepared: &Prepared, _wants_stats: bool, bar: &Progress) -> Result<Done> {
+    if arguments.backend == Backend::Gpu {
+        return Err(Error::Gpu("this build has no GPU renderer; use --backend cpu, or build with the feature `gpu`".into()));
+    }
+    Ok(on_cpu(prepared, bar))
+}
+
+fn report(done: &Done, prepared: &Prepared, stages: &Stages, total: f64, asked: Backend) -> Value {
+    let Picture { width, height, .. } = done.rendered.picture;
+    let stage_entries: serde_json::Map<String, Value> = stages.0.iter().map(|(name, ms)| ((*name).to_owned(), json!(ms))).collect();
+    let samples = done.rendered.stats.map(|RenderStats { samples_taken, samples_skipped, samples_terminated }| {
+        json!({ "taken": samples_taken, "skipped": samples_skipped, "terminated": samples_terminated })
+    });
+    let maps: Vec<Value> = prepared
+        .stack
+        .maps()
+        .iter()
+        .map(|m| json!({ "size": m.map.size, "storage": m.map.storage, "bytes": m.map.gpu_bytes() }))
+        .collect();
+    json!({
+        "backend": done.backend,
+        "requested_backend": format!("{asked:?}").to_lowercase(),
+        "adapter": done.adapter,
+        "gpu": done.details,
+        "mode": prepared.settings.mode,
+        "size": [width, height],
+        "step_voxels": prepared.settings.step,
+        "step_mm": prepared.frame.step_mm,
+        "samples": samples,
+        "maps": maps,
+        "macrocells": prepared.macrocells.size.to_array(),
+        "milliseconds": stage_entries,
+        "total_milliseconds": total,
+        "peak_memory_bytes": peak_memory_bytes(),
+    })
+}
+
+/// The process's largest resident size, where the system tells.
+fn peak_memory_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
+    line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib * 1024)
+}
+
+/// A progress bar on a terminal for what takes longer than a second.
+struct Progress {
+    bar: Option<ProgressBar>,
+    start: Instant,
+}
+
+impl Progress {
+    fn new(quiet: bool) -> Self {
+        let bar = (!quiet && std::io::stderr().is_terminal()).then(|| {
+            let bar = ProgressBar::hidden();
+            if let Ok(style) = ProgressStyle::with_template("{msg:10} {bar:40} {percent:>3} %") {
+                bar.set_style(style);
+            }
+            bar.set_length(1000);
+            bar
+        });
+        Self { bar, start: Instant::now() }
+    }
+
+    fn set(&self, what: &'static str, share: f32) {
+        let Some(bar) = &self.bar else { return };
+        if self.start.elapsed() > Duration::from_secs(1) {
+            if bar.is_hidden() {
+                bar.set_draw_target(indicatif::ProgressDrawTarget::stderr());
+            }
+            bar.set_message(what);
+            bar.set_position((share * 1000.0) as u64);
+        }
+    }
+
+    fn finish(&self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+        }
+    }
+}

@@ -1,0 +1,161 @@
+//! The CPU renderer: the truth for tests, and the backend wherever there is no GPU.
+//!
+//! *Theory*: both modes are one march along each pixel's ray. Ray casting puts samples at t = (i + 1/2) Δ from the eye; a
+//! view-aligned slice lies at depth (i + 1/2) Δ, so a ray meets it at t = (i + 1/2) Δ / cos θ, θ being the angle to the view direction. On a
+//! CPU slices are therefore rays with the step Δ / cos θ, and need no polygons; compositing front to back instead of back to front gives
+//! the same colour and can stop early. Samples are anchored at the eye, not at the box, so that a different box (a map more or less,
+//! skipping on or off) samples the same points.
+//!
+//! Per sample, cheapest question first: macrocell, mask and source point, value, opacity; only what is visible pays for a gradient,
+//! a Jacobian and light ([`shading`]). Pixels are independent and rows are the unit of work, so the number of threads changes nothing.
+//!
+//! `shaders/raycast.wgsl` and `shaders/lib` say the same in the same words.
+
+pub mod shading;
+
+use crate::scene::{Mode, Picture, Prepared, RenderStats, Rendered, Stages};
+use crate::transfer::Blend;
+use crate::volume::{GridVoxels, Sampler, Voxel};
+use glam::Vec3;
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// A ray whose remaining transmittance is below this is finished: less than half an 8-bit step can follow.
+const OPAQUE: f32 = 1.0 / 512.0;
+
+/// Renders a prepared scene. `progress` is told the share that is done, from several threads.
+pub fn render(scene: &Prepared, progress: &(dyn Fn(f32) + Sync)) -> Rendered {
+    let mut stages = Stages::default();
+    let (picture, stats) = stages.time("render", || match &scene.grid.voxels {
+        GridVoxels::U8(v) => rows(scene, &Sampler::new(scene.grid, v), progress),
+        GridVoxels::U16(v) => rows(scene, &Sampler::new(scene.grid, v), progress),
+        GridVoxels::I16(v) => rows(scene, &Sampler::new(scene.grid, v), progress),
+        GridVoxels::F32(v) => rows(scene, &Sampler::new(scene.grid, v), progress),
+    });
+    Rendered { picture, stats: Some(stats), stages }
+}
+
+fn rows<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, progress: &(dyn Fn(f32) + Sync)) -> (Picture, RenderStats) {
+    let [width, height] = scene.frame.size;
+    let mut pixels = vec![[0.0f32; 4]; width as usize * height as usize];
+    let done = AtomicUsize::new(0);
+    let stats = pixels
+        .par_chunks_mut(width as usize)
+        .enumerate()
+        .map(|(y, row)| {
+            let mut stats = RenderStats::default();
+            for (x, pixel) in row.iter_mut().enumerate() {
+                let u = (x as f32 + 0.5) / width as f32 * 2.0 - 1.0;
+                let v = 1.0 - (y as f32 + 0.5) / height as f32 * 2.0;
+                *pixel = march(scene, sampler, u, v, &mut stats);
+            }
+            progress((done.fetch_add(1, Ordering::Relaxed) + 1) as f32 / height as f32);
+            stats
+        })
+        .reduce(RenderStats::default, |a, b| RenderStats {
+            samples_taken: a.samples_taken + b.samples_taken,
+            samples_skipped: a.samples_skipped + b.samples_skipped,
+            samples_terminated: a.samples_terminated + b.samples_terminated,
+        });
+    (Picture { width, height, pixels }, stats)
+}
+
+/// Index of the first sample at or after `t`.
+fn first_sample_after(t: f32, step: f32) -> i32 {
+    (t / step - 0.5).ceil().max(0.0) as i32
+}
+
+/// One pixel: premultiplied colour.
+fn march<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, u: f32, v: f32, stats: &mut RenderStats) -> [f32; 4] {
+    let frame = &scene.frame;
+    let (origin, direction) = frame.view.ray(u, v);
+    let Some((near, far)) = frame.proxy.intersect_ray(origin, direction) else { return [0.0; 4] };
+    let step = match scene.settings.mode {
+        Mode::Raycast => frame.step_mm,
+        Mode::Slice => frame.step_mm / direction.dot(frame.view.forward),
+    };
+    let (mut i, end) = (first_sample_after(near, step), first_sample_after(far, step));
+    let length = step / frame.reference_mm;
+    let inverse_direction = direction.recip();
+    let mut projection = Projection::new(scene.blend);
+    let mut color = Vec3::ZERO;
+    let mut transmittance = 1.0f32;
+    while i < end {
+        let deformed = origin + direction * ((i as f32 + 0.5) * step);
+        if let Some(t) = scene.macrocells.empty_until(deformed, origin, inverse_direction) {
+            let next = first_sample_after(t, step).max(i + 1).min(end);
+            stats.samples_skipped += (next - i) as u64;
+            i = next;
+            continue;
+        }
+        i += 1;
+        stats.samples_taken += 1;
+        let Some(source) = scene.stack.source_from_deformed(deformed) else { continue };
+        let in_voxel = frame.voxel_from_world.transform_point3(source);
+        if in_voxel.cmplt(Vec3::splat(-0.5)).any() || in_voxel.cmpgt(frame.grid_size - 0.5).any() {
+            continue;
+        }
+        let value = sampler.sample(in_voxel);
+        if scene.grid.has_holes && value < -1e-4 {
+            continue;
+        }
+        if scene.blend != Blend::Composite {
+            projection.insert(value);
+            continue;
+        }
+        let [r, g, b, depth] = scene.table.lookup(value);
+        if depth <= 0.0 {
+            continue;
+        }
+        let shaded = shading::shade(scene, sampler, deformed, in_voxel, direction, step, Vec3::new(r, g, b));
+        let pass = (-depth * shaded.depth_factor * length).exp2();
+        color += shaded.color * (transmittance * (1.0 - pass));
+        transmittance *= pass;
+        if transmittance < OPAQUE && scene.settings.early_termination {
+            stats.samples_terminated += (end - i).max(0) as u64;
+            break;
+        }
+    }
+    if scene.blend == Blend::Composite {
+        return color.extend(1.0 - transmittance).to_array();
+    }
+    projection.color(scene)
+}
+
+/// The samples of a projection along one ray.
+struct Projection {
+    blend: Blend,
+    value: f32,
+    count: u32,
+}
+
+impl Projection {
+    fn new(blend: Blend) -> Self {
+        let value = match blend {
+            Blend::Minip => f32::INFINITY,
+            Blend::Mip => f32::NEG_INFINITY,
+            _ => 0.0,
+        };
+        Self { blend, value, count: 0 }
+    }
+
+    fn insert(&mut self, value: f32) {
+        self.count += 1;
+        self.value = match self.blend {
+            Blend::Mip => self.value.max(value),
+            Blend::Minip => self.value.min(value),
+            _ => self.value + value,
+        };
+    }
+
+    /// The projected value through the transfer function, premultiplied; nothing where the ray met nothing.
+    fn color(&self, scene: &Prepared) -> [f32; 4] {
+        if self.count == 0 {
+            return [0.0; 4];
+        }
+        let value = if self.blend == Blend::Average { self.value / self.count as f32 } else { self.value };
+        let [r, g, b, depth] = scene.table.lookup(value);
+        let alpha = 1.0 - (-depth).exp2();
+        [r * alpha, g * alpha, b * alpha, alpha]
+    }
+}

@@ -1,0 +1,124 @@
+//! Light on one visible sample: normals under deformation and at cuts, and how much of the sample's length is matter.
+//!
+//! *Theory*: with J = d source / d deformed, a gradient of the deformed scene is Jᵀ times the source's ([DDM06] eq 6 and 10). Near a
+//! cut the normal is blended into the cut's own ([DDM06] eq 7).
+//!
+//! *What we changed against the paper*:
+//! - The blend runs over distance to the cut in samples, not over the mask's value, so that it does not depend on a map's
+//!   resolution: the cut's normal alone within one sample (the first one a ray finds behind a cut), none of it after 2.5.
+//! - The faces of the volume's own box are cuts too: matter that a scan's edge cuts off is lit like any other cut.
+//! - A sample next to a cut stands for the part of its length that is matter: (1/2 + d/ℓ) of it, ℓ being the step's share along the
+//!   cut's normal. The sum over a ray is then the exact path through a planar cut, wherever the samples fall: no rings on cuts.
+//! - Where the volume is uniform its gradient is noise. Its share fades with its size, and what has no normal is lit evenly.
+//!
+//! `shaders/lib/shading.wgsl` says the same.
+
+use crate::deform::{Cut, Jet};
+use crate::math::{normalize_or, smoothstep};
+use crate::scene::{Normals, Prepared};
+use crate::volume::{Sampler, Voxel};
+use glam::{Mat3, Vec3};
+
+/// A sample's colour under light, and the factor on its optical depth.
+pub struct Shaded {
+    /// Red, green, blue, not premultiplied.
+    pub color: Vec3,
+    /// Share of the sample's length that is matter, times the gradient opacity.
+    pub depth_factor: f32,
+}
+
+/// The normal of a sample and how much it can be trusted.
+#[derive(Clone, Copy, Debug)]
+pub struct Normal {
+    /// Unit vector out of the matter.
+    pub normal: Vec3,
+    /// 0 where there is no surface, 1 where there is one.
+    pub confidence: f32,
+}
+
+/// Change of the table coordinate per Δ₀ below which a gradient is noise, and above which it is a surface.
+const SURFACE: [f32; 2] = [0.004, 0.04];
+/// Share of the diffuse light that a sample without a normal gets.
+const EVEN_LIGHT: f32 = 0.6;
+
+/// Shades a visible sample at `deformed` (mm), whose source lies at `in_voxel`, seen along `direction` with samples every `step_mm`.
+pub fn shade<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, deformed: Vec3, in_voxel: Vec3, direction: Vec3, step_mm: f32, color: Vec3) -> Shaded {
+    let jet = if scene.stack.is_empty() {
+        Jet { source: deformed, d_source_d_deformed: Mat3::IDENTITY, cut: Cut::NONE, alpha: 1.0 }
+    } else {
+        scene.stack.jet(deformed)
+    };
+    let cut = nearest_cut(scene, &jet, in_voxel);
+    let mut depth_factor = path_share(&cut, direction, step_mm);
+    if !scene.is_lit() && !scene.uses_gradient_opacity() {
+        return Shaded { color, depth_factor };
+    }
+    let gradient_in_source = voxel_covector(scene, sampler.gradient(in_voxel, scene.gradient_filter()));
+    if scene.uses_gradient_opacity() {
+        depth_factor *= scene.table.gradient_factor(gradient_in_source.length());
+    }
+    if !scene.is_lit() {
+        return Shaded { color, depth_factor };
+    }
+    let normal = normal(scene, &jet.d_source_d_deformed, gradient_in_source, &cut, direction);
+    Shaded { color: light(scene, normal, direction, color), depth_factor }
+}
+
+/// A covector per voxel (a gradient along i, j, k) as one per millimetre of the source.
+pub fn voxel_covector(scene: &Prepared, per_voxel: Vec3) -> Vec3 {
+    Mat3::from(scene.frame.voxel_from_world.matrix3).transpose() * per_voxel
+}
+
+/// The nearest of the masks' cuts and the six faces of the volume's box.
+pub fn nearest_cut(scene: &Prepared, jet: &Jet, in_voxel: Vec3) -> Cut {
+    let low = in_voxel + 0.5;
+    let high = scene.frame.grid_size - 0.5 - in_voxel;
+    let mut cut = jet.cut;
+    for axis in 0..3 {
+        let (inside, inward) = if low[axis] < high[axis] { (low[axis], 1.0) } else { (high[axis], -1.0) };
+        let per_mm = voxel_covector(scene, Vec3::AXES[axis] * inward);
+        cut = cut.or_nearer(inside, jet.d_source_d_deformed.transpose() * per_mm);
+    }
+    cut
+}
+
+/// Share of a sample's length that lies in matter.
+fn path_share(cut: &Cut, direction: Vec3, step_mm: f32) -> f32 {
+    let across = step_mm * cut.normal.dot(direction).abs();
+    if cut.distance_mm < across { (0.5 + cut.distance_mm / across).clamp(0.5, 1.5) } else { 1.0 }
+}
+
+/// The normal of [DDM06] eq 7 in the deformed scene, from a source gradient per mm.
+pub fn normal(scene: &Prepared, d_source_d_deformed: &Mat3, gradient_in_source: Vec3, cut: &Cut, direction: Vec3) -> Normal {
+    let gradient = match scene.settings.normals {
+        Normals::Source | Normals::None => gradient_in_source,
+        Normals::Transformed | Normals::Blended => d_source_d_deformed.transpose() * gradient_in_source,
+    };
+    let per_reference = gradient_in_source.length() * scene.table.scale.abs() * scene.frame.reference_mm;
+    let mut confidence = smoothstep(SURFACE[0], SURFACE[1], per_reference);
+    // Out of the matter: towards lower values.
+    let mut normal = normalize_or(-gradient, Vec3::ZERO);
+    if scene.light.two_sided && normal.dot(direction) > 0.0 {
+        normal = -normal;
+    }
+    if scene.settings.normals == Normals::Blended {
+        let [near, far] = scene.frame.blend_mm;
+        let own = smoothstep(near, far, cut.distance_mm);
+        normal = normalize_or(normal * (own * confidence) + cut.normal * (1.0 - own), cut.normal);
+        confidence = (own * confidence).max(1.0 - own);
+    }
+    Normal { normal, confidence }
+}
+
+/// Blinn-Phong under one directional light.
+fn light(scene: &Prepared, n: Normal, direction: Vec3, color: Vec3) -> Vec3 {
+    let light = &scene.light;
+    let to_light = scene.frame.to_light;
+    let even = light.ambient + EVEN_LIGHT * light.diffuse;
+    let facing = n.normal.dot(to_light);
+    let diffuse = light.ambient + light.diffuse * facing.max(0.0);
+    let half = normalize_or(to_light - direction, to_light);
+    let highlight = if facing > 0.0 { light.specular * n.normal.dot(half).max(0.0).powf(light.shininess) } else { 0.0 };
+    let lit = color * diffuse + highlight;
+    (color * even + (lit - color * even) * n.confidence).clamp(Vec3::ZERO, Vec3::ONE)
+}

@@ -1,0 +1,71 @@
+//! Knife incision with retraction: a straight cut along y from above, its lips drawn apart along x.
+//!
+//! The half opening o(y, z) is a lens along the cut, widest in the middle, growing from nothing at the cut's floor to `opening`/2 at
+//! the box's upper part. Matter from the plane x = 0 to the box's side is compressed linearly into what is left: x = X (|x'| - o)/(X - o).
+
+use super::{Amount, Backward, Context, DefaultSize, Field, Kind, Parameter, Unit};
+use glam::Vec3;
+
+pub(super) const KIND: Kind = Kind {
+    name: "knife",
+    about: "an incision along the box's y axis, held open",
+    parameters: &[
+        Parameter { name: "length", unit: Unit::Mm, default: Amount::OfY(0.8), min: Amount::OfY(0.02), max: Amount::OfY(0.95), about: "of the cut" },
+        Parameter { name: "depth", unit: Unit::Mm, default: Amount::OfZ(0.6), min: Amount::OfZ(0.02), max: Amount::OfZ(0.95), about: "of the cut below the box's upper face" },
+        Parameter { name: "opening", unit: Unit::Mm, default: Amount::OfX(0.25), min: Amount::Fixed(0.0), max: Amount::OfX(0.7), about: "between the lips at the widest place" },
+    ],
+    progressive: true,
+    size: DefaultSize::Share([0.5, 0.6, 0.4]),
+    inflate: 1.0,
+    varies: [true; 3],
+    resolution: 96,
+    leaks: [false, false, false, false, false, true],
+    build: |c| {
+        let half = c.half();
+        Box::new(Knife {
+            half_length: c.values[0] / 2.0,
+            depth: c.values[1],
+            half_opening: c.values[2] * c.progress / 2.0,
+            half_x: half.x,
+            top: half.z,
+            ramp: c.ramp_mm,
+            texel: c.texel_mm,
+        })
+    },
+};
+
+struct Knife {
+    half_length: f32,
+    depth: f32,
+    half_opening: f32,
+    half_x: f32,
+    top: f32,
+    ramp: f32,
+    texel: f32,
+}
+
+impl Knife {
+    fn opening(&self, y: f32, z: f32) -> f32 {
+        let along = (1.0 - (y / self.half_length).powi(2)).max(0.0);
+        let above_floor = ((z - self.top) / self.depth + 1.0).clamp(0.0, 1.0);
+        // A rounded floor: lips part quickly, then stand nearly upright.
+        self.half_opening * along * (1.0 - (1.0 - above_floor).powi(2)).max(0.0).sqrt() * above_floor.min(1.0)
+    }
+}
+
+impl Field for Knife {
+    fn backward(&self, q: Vec3) -> Backward {
+        let open = self.opening(q.y, q.z);
+        let x = q.x.abs();
+        let source_x = if x >= self.half_x { x } else { self.half_x * (x - open).max(0.0) / (self.half_x - open) };
+        let context = Context { values: &[], progress: 1.0, size_mm: Vec3::ZERO, texel_mm: self.texel, ramp_mm: self.ramp };
+        Backward { source: Vec3::new(source_x.copysign(q.x), q.y, q.z), cut_mm: context.gap(x - open, open) }
+    }
+
+    fn forward(&self, q: Vec3) -> Option<Vec3> {
+        let open = self.opening(q.y, q.z);
+        let x = q.x.abs();
+        let to = if x >= self.half_x { x } else { open + x * (self.half_x - open) / self.half_x };
+        Some(Vec3::new(to.copysign(q.x), q.y, q.z))
+    }
+}

@@ -1,0 +1,290 @@
+//! The kinds of deformation, one file each.
+//!
+//! A kind is a formula in its own *local* space: millimetres from the centre of its cube, axes along the cube's. Given the resolved
+//! parameters it makes a [`Field`], which answers, for a deformed point, where its matter came from and how far the nearest cut is;
+//! and, where an exact forward map exists, where a source point goes. [`Kind::map`] samples the field into a
+//! [`DisplacementMap`].
+//!
+//! *Contract* (held by `tests/contract.rs` for every kind): no strength is the identity; Jacobians agree with central differences;
+//! forward then backward is the identity; D vanishes on every face that the kind does not list in `leaks`; D is continuous; odd
+//! input gives finite values.
+
+mod knife;
+mod peel;
+mod pull;
+mod removal;
+mod seam;
+mod slab;
+mod twist;
+mod wave;
+
+use super::{DisplacementMap, Storage, TexelSample};
+use crate::error::suggestion;
+use crate::math::Bounds;
+use crate::{Error, Result};
+use glam::Vec3;
+
+/// A kind's answer for one deformed point, in local millimetres.
+#[derive(Clone, Copy, Debug)]
+pub struct Backward {
+    /// Where the matter seen here came from. Continuous everywhere, also where nothing is seen (the pseudo-inverse).
+    pub source: Vec3,
+    /// Signed distance to the nearest cut, mm, positive where matter is: exact on the cut, at least of the right sign elsewhere.
+    pub cut_mm: f32,
+}
+
+/// A kind with its parameters filled in.
+pub trait Field: Send + Sync {
+    /// Where the matter at a deformed point came from.
+    fn backward(&self, deformed: Vec3) -> Backward;
+
+    /// Where a source point goes; none if it is removed or another one covers it.
+    fn forward(&self, source: Vec3) -> Option<Vec3>;
+}
+
+/// A parameter's unit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unit {
+    /// Millimetres.
+    Mm,
+    /// Degrees.
+    Degrees,
+    /// A pure number.
+    None,
+}
+
+/// A length that may depend on the size of the deformation's box.
+#[derive(Clone, Copy, Debug)]
+pub enum Amount {
+    /// As it stands.
+    Fixed(f32),
+    /// A share of the box along x.
+    OfX(f32),
+    /// A share of the box along y.
+    OfY(f32),
+    /// A share of the box along z.
+    OfZ(f32),
+    /// A share of the box's smaller extent across its z axis.
+    OfRadius(f32),
+}
+
+impl Amount {
+    fn resolve(self, size_mm: Vec3) -> f32 {
+        match self {
+            Self::Fixed(v) => v,
+            Self::OfX(s) => s * size_mm.x,
+            Self::OfY(s) => s * size_mm.y,
+            Self::OfZ(s) => s * size_mm.z,
+            Self::OfRadius(s) => s * size_mm.x.min(size_mm.y) / 2.0,
+        }
+    }
+}
+
+/// A named parameter.
+pub struct Parameter {
+    /// What people type.
+    pub name: &'static str,
+    /// Its unit.
+    pub unit: Unit,
+    /// Used when none is given.
+    pub default: Amount,
+    /// Lowest value allowed.
+    pub min: Amount,
+    /// Highest value allowed.
+    pub max: Amount,
+    /// One line for lists.
+    pub about: &'static str,
+}
+
+/// Size of the box when none is given.
+#[derive(Clone, Copy, Debug)]
+pub enum DefaultSize {
+    /// Shares of the scene's extent along the world's axes.
+    Share([f32; 3]),
+    /// A cube as long as this share of the scene's diagonal: for cuts that must reach across everything at any angle.
+    Across(f32),
+}
+
+/// A kind of deformation.
+pub struct Kind {
+    /// What people type.
+    pub name: &'static str,
+    /// One line for lists.
+    pub about: &'static str,
+    /// Its parameters, in the order that `build` takes them.
+    pub parameters: &'static [Parameter],
+    /// Whether `progress` scales it from nothing (0) to full (1).
+    pub progressive: bool,
+    /// Size when none is given.
+    pub size: DefaultSize,
+    /// The map's cube is this much larger than the box that the user sizes, so that a cut along the box's faces lies inside the map.
+    pub inflate: f32,
+    /// Along which local axes the map varies; the others need a single texel.
+    pub varies: [bool; 3],
+    /// Texels along the longest axis, by default.
+    pub resolution: usize,
+    /// Faces (-x, +x, -y, +y, -z, +z) on which D does not vanish: there the box should end in empty space.
+    pub leaks: [bool; 6],
+    build: fn(&Context) -> Box<dyn Field>,
+}
+
+/// What a kind's constructor gets.
+pub struct Context<'a> {
+    /// Values by the order of the kind's parameters.
+    pub values: &'a [f32],
+    /// 0 to 1.
+    pub progress: f32,
+    /// Extent of the box, mm.
+    pub size_mm: Vec3,
+    /// Largest texel edge along the axes that vary, mm.
+    pub texel_mm: f32,
+    /// Half width of the mask's ramp, mm.
+    pub ramp_mm: f32,
+}
+
+impl Context<'_> {
+    fn half(&self) -> Vec3 {
+        self.size_mm / 2.0
+    }
+
+    /// Signed distance to a gap from the signed distance to its wall and its half width: a gap that narrows below a texel closes, and
+    /// what has closed is far from any cut.
+    fn gap(&self, to_wall: f32, half_width: f32) -> f32 {
+        to_wall + 2.0 * self.ramp_mm * (1.0 - half_width / self.texel_mm).clamp(0.0, 1.0)
+    }
+}
+
+/// Nothing is cut anywhere.
+const UNCUT: f32 = 1e6;
+
+const KINDS: &[&Kind] = &[
+    &pull::KIND,
+    &wave::KIND,
+    &twist::KIND,
+    &peel::KIND,
+    &slab::KIND,
+    &seam::KIND,
+    &knife::KIND,
+    &removal::BOX,
+    &removal::SPHERE,
+    &removal::CYLINDER,
+    &removal::WEDGE,
+    &removal::HALF_SPACE,
+];
+
+/// All kinds.
+pub fn list() -> impl Iterator<Item = &'static Kind> {
+    KINDS.iter().copied()
+}
+
+/// The kind of a name.
+///
+/// # Errors
+/// An unknown name, with the closest known one.
+pub fn kind(name: &str) -> Result<&'static Kind> {
+    list()
+        .find(|k| k.name == name)
+        .ok_or_else(|| Error::value(format!("deformation \"{name}\""), format!("there is no such kind; {}", suggestion(name, list().map(|k| k.name)))))
+}
+
+/// How finely and in what format a map is made.
+#[derive(Clone, Copy, Debug)]
+pub struct Sampling {
+    /// Texels along the longest axis; the kind's own if none.
+    pub resolution: Option<usize>,
+    /// Texel format.
+    pub storage: Storage,
+    /// The mask's ramp is at least this wide to either side, mm: a few voxels, so that shading has room to blend.
+    pub least_ramp_mm: f32,
+}
+
+impl Kind {
+    /// The size of the box in a scene of the given bounds when the user gives none, mm.
+    pub fn default_size(&self, scene: &Bounds) -> Vec3 {
+        match self.size {
+            DefaultSize::Share(s) => scene.size() * Vec3::from(s),
+            DefaultSize::Across(s) => Vec3::splat(scene.size().length() * s),
+        }
+    }
+
+    /// Fills in defaults and checks ranges; `given` by name.
+    ///
+    /// # Errors
+    /// A parameter that the kind does not have (with the closest one), or a value outside its range.
+    pub fn values<'a>(&self, given: impl IntoIterator<Item = (&'a str, f32)>, size_mm: Vec3) -> Result<Vec<f32>> {
+        let mut values: Vec<f32> = self.parameters.iter().map(|p| p.default.resolve(size_mm)).collect();
+        for (name, value) in given {
+            let Some(n) = self.parameters.iter().position(|p| p.name == name) else {
+                let common = ["center", "size", "rotate", "progress", "storage", "resolution"];
+                let known = self.parameters.iter().map(|p| p.name).chain(common);
+                return Err(Error::value(format!("{}: {name}", self.name), format!("there is no such parameter; {}", suggestion(name, known))));
+            };
+            let p = &self.parameters[n];
+            let (min, max) = (p.min.resolve(size_mm), p.max.resolve(size_mm));
+            if !(min..=max).contains(&value) {
+                let unit = match p.unit {
+                    Unit::Mm => " mm",
+                    Unit::Degrees => " degrees",
+                    Unit::None => "",
+                };
+                return Err(Error::value(format!("{}: {name}", self.name), format!("{value} is outside {min} to {max}{unit}")));
+            }
+            values[n] = value;
+        }
+        Ok(values)
+    }
+
+    /// The texels of the map's cube for a box of the given size.
+    fn grid(&self, size_mm: Vec3, resolution: Option<usize>) -> [usize; 3] {
+        let longest = (0..3).filter(|&a| self.varies[a]).map(|a| size_mm[a]).fold(0.0, f32::max);
+        let texels = resolution.unwrap_or(self.resolution) as f32;
+        std::array::from_fn(|a| if self.varies[a] { ((texels * size_mm[a] / longest).round() as usize).clamp(8, 512) } else { 1 })
+    }
+
+    /// The field of a box of the given size, and the grid and ramp that its map would have.
+    fn field_and_grid(&self, values: &[f32], progress: f32, size_mm: Vec3, sampling: &Sampling) -> (Box<dyn Field>, [usize; 3], f32) {
+        let grid = self.grid(size_mm, sampling.resolution);
+        let cube_mm = size_mm * self.inflate;
+        let texel_mm = (0..3).filter(|&a| grid[a] > 1).map(|a| cube_mm[a] / (grid[a] - 1) as f32).fold(0.0, f32::max);
+        let ramp_mm = sampling.least_ramp_mm.max(2.0 * texel_mm);
+        let field = (self.build)(&Context { values, progress, size_mm, texel_mm, ramp_mm });
+        (field, grid, ramp_mm)
+    }
+
+    /// The field itself, for tests and for tools that need the formula rather than its samples.
+    pub fn field(&self, values: &[f32], progress: f32, size_mm: Vec3, sampling: &Sampling) -> Box<dyn Field> {
+        self.field_and_grid(values, progress, size_mm, sampling).0
+    }
+
+    /// Samples the kind into a map over a cube `inflate` times the box.
+    ///
+    /// `values` as [`Self::values`] returns them.
+    pub fn map(&self, values: &[f32], progress: f32, size_mm: Vec3, sampling: &Sampling) -> DisplacementMap {
+        let (field, grid, ramp_mm) = self.field_and_grid(values, progress, size_mm, sampling);
+        let cube_mm = size_mm * self.inflate;
+        DisplacementMap::from_fn(grid, sampling.storage, |x| {
+            let local = (x - 0.5) * cube_mm;
+            let b = field.backward(local);
+            TexelSample { displacement: (b.source - local) / cube_mm, alpha: (0.5 + 0.5 * b.cut_mm / ramp_mm).clamp(0.0, 1.0) }
+        })
+    }
+}
+
+/// A smooth window that is 1 in the middle and 0 at ±`half`, falling over the outer `share` of the way.
+fn window(x: f32, half: f32, share: f32) -> f32 {
+    crate::math::smoothstep(0.0, share, 1.0 - x.abs() / half)
+}
+
+/// Solves `g(x) = target` for a rising function on `[low, high]` by bisection, to single precision.
+fn solve_rising(target: f32, low: f32, high: f32, g: impl Fn(f32) -> f32) -> f32 {
+    let (mut low, mut high) = (low, high);
+    for _ in 0..48 {
+        let middle = 0.5 * (low + high);
+        if g(middle) < target {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    0.5 * (low + high)
+}

@@ -1,0 +1,157 @@
+//! Peel: a layer of the box is cut free on three sides and rolled back about a hinge (`model.md` section 7; [DDM06] fig 1).
+//!
+//! In local x, z: the layer z in [z0, z0+h] from the hinge x_h on is rolled into an arc of outer radius R about c = (x_h, z0+R),
+//! its outer side facing inwards; `progress` moves the hinge from the flap's free end inwards. The flap is narrower than the box, so
+//! that the whole cut lies inside the map and D vanishes on every face.
+//!
+//! The mask is a distance: matter is where the *strip* (the roll, and the layer up to the hinge that it grows out of) is, or what is
+//! neither in the *slot* (where the layer used to lie) nor within a thin band around the roll above the layer. The band keeps rolled
+//! and undisplaced matter from touching: between them D must run from the roll's value to zero, and that may only happen unseen.
+
+use super::{Amount, Backward, DefaultSize, Field, Kind, Parameter, UNCUT, Unit};
+use glam::{Vec2, Vec3};
+use std::f32::consts::{FRAC_PI_2, TAU};
+
+/// The layer's lower side above the box's lower face, share of the box.
+const FLOOR: f32 = 0.1;
+/// Share of the box between the flap's free end, or its sides, and the box's faces.
+const MARGIN: f32 = 0.06;
+/// The roll never turns further than this, so that its end stays clear of the hinge.
+const MOST_TURN: f32 = 4.8;
+
+pub(super) const KIND: Kind = Kind {
+    name: "peel",
+    about: "cuts a flap free and rolls it back about a hinge, towards the box's -x",
+    parameters: &[
+        Parameter { name: "depth", unit: Unit::Mm, default: Amount::OfZ(0.25), min: Amount::OfZ(0.01), max: Amount::OfZ(0.4), about: "thickness of the layer" },
+        Parameter { name: "radius", unit: Unit::Mm, default: Amount::OfZ(0.38), min: Amount::OfZ(0.05), max: Amount::OfZ(0.44), about: "of the roll's outer side; more than the depth" },
+    ],
+    progressive: true,
+    size: DefaultSize::Share([0.8, 0.6, 0.5]),
+    inflate: 1.0,
+    varies: [true; 3],
+    resolution: 128,
+    leaks: [false; 6],
+    build: |c| {
+        let half = c.half();
+        let depth = c.values[0];
+        let radius = c.values[1].max(1.2 * depth);
+        let end = half.x - MARGIN * c.size_mm.x;
+        // The roll must stay inside the box behind the hinge, and within its turn.
+        let length = (end + half.x - radius - MARGIN * c.size_mm.x).min(MOST_TURN * radius).max(0.0);
+        let flap = length * c.progress;
+        Box::new(Peel {
+            floor: -half.z + FLOOR * c.size_mm.z,
+            depth,
+            radius,
+            hinge: end - flap,
+            end,
+            flap,
+            slot_half_y: half.y - MARGIN * c.size_mm.y,
+            texel: c.texel_mm,
+            clearance: 4.0 * c.texel_mm,
+        })
+    },
+};
+
+struct Peel {
+    /// z of the layer's lower side.
+    floor: f32,
+    /// Thickness of the layer.
+    depth: f32,
+    /// Outer radius of the roll.
+    radius: f32,
+    /// x of the hinge.
+    hinge: f32,
+    /// x of the flap's free end before it was rolled.
+    end: f32,
+    /// Length rolled.
+    flap: f32,
+    slot_half_y: f32,
+    texel: f32,
+    /// Width of the band around the roll.
+    clearance: f32,
+}
+
+/// A point in the roll's coordinates: arc length from the hinge, height in the layer, and signed distance to the roll.
+struct Rolled {
+    along: f32,
+    height: f32,
+    distance: f32,
+}
+
+impl Peel {
+    fn most_angle(&self) -> f32 {
+        self.flap / self.radius
+    }
+
+    fn rolled(&self, q: Vec3) -> Rolled {
+        let v = Vec2::new(q.x - self.hinge, self.floor + self.radius - q.z);
+        let rho = v.length();
+        let last = self.most_angle();
+        let mut theta = v.x.atan2(v.y);
+        if theta < 0.0 {
+            theta += TAU;
+        }
+        // Angles beyond the roll count from whichever of its ends is nearer.
+        if theta > (last + TAU) / 2.0 {
+            theta -= TAU;
+        }
+        let height = self.radius - rho;
+        let side = |angle: f32| if angle.abs() < FRAC_PI_2 { rho * angle.sin() } else { rho * angle.signum() };
+        let distance = height.min(self.depth - height).min(side(theta)).min(side(last - theta));
+        Rolled { along: (theta * self.radius).clamp(0.0, self.flap), height: height.clamp(0.0, self.depth), distance }
+    }
+
+    /// Half width of the flap: narrower than its slot, so that the flap's sides do not touch the slot's walls.
+    fn flap_half_y(&self) -> f32 {
+        self.slot_half_y - 2.5 * self.texel
+    }
+}
+
+impl Field for Peel {
+    fn backward(&self, q: Vec3) -> Backward {
+        if self.flap < self.texel {
+            return Backward { source: q, cut_mm: UNCUT };
+        }
+        let roll = self.rolled(q);
+        let above_floor = q.z - self.floor;
+        let inside_flap_y = self.flap_half_y() - q.y.abs();
+        let in_roll = roll.distance.min(inside_flap_y);
+        // The layer behind the hinge, which the roll grows out of.
+        let in_layer = if q.x <= self.hinge { above_floor.min(self.depth - above_floor) } else { -UNCUT };
+        let in_strip = in_roll.max(in_layer);
+        let in_slot = (q.x - self.hinge).min(self.end - q.x).min(above_floor).min(self.depth - above_floor).min(self.slot_half_y - q.y.abs());
+        let in_band = (in_roll + self.clearance).min(above_floor - self.depth);
+        let undisplaced = -in_slot.max(in_band);
+        // D of the roll, continued; it fades to zero between the roll and what is not displaced.
+        let continued = Vec3::new(self.hinge + roll.along, q.y, self.floor + roll.height) - q;
+        let (to_roll, to_undisplaced) = ((-in_roll).max(0.0), (-undisplaced).max(0.0));
+        let between = to_roll + to_undisplaced;
+        let weight = if in_roll >= 0.0 {
+            1.0
+        } else if undisplaced >= 0.0 {
+            0.0
+        } else {
+            // A texel beside either side already mixes into what is seen: the fade keeps away from both.
+            let margin = (self.texel * 1.5 / between).min(0.45);
+            ((to_undisplaced / between - margin) / (1.0 - 2.0 * margin)).clamp(0.0, 1.0)
+        };
+        Backward { source: q + continued * weight, cut_mm: in_strip.max(undisplaced) }
+    }
+
+    fn forward(&self, q: Vec3) -> Option<Vec3> {
+        let height = q.z - self.floor;
+        let along = q.x - self.hinge;
+        if self.flap < self.texel || along <= 0.0 || along > self.flap || !(0.0..=self.depth).contains(&height) || q.y.abs() > self.slot_half_y {
+            let covered = self.flap >= self.texel && self.rolled(q).distance.min(self.flap_half_y() - q.y.abs()) > -self.clearance && height > self.depth;
+            return (!covered).then_some(q);
+        }
+        if q.y.abs() > self.flap_half_y() {
+            return None;
+        }
+        let theta = along / self.radius;
+        let rho = self.radius - height;
+        Some(Vec3::new(self.hinge + rho * theta.sin(), q.y, self.floor + self.radius - rho * theta.cos()))
+    }
+}

@@ -1,0 +1,50 @@
+//! Gaussian pull, [DDM06] eq 8: D = (0, 0, -z exp(-((x-1/2)² + (y-1/2)²)/σ²)) with z counted from the box's lower face.
+//!
+//! The paper's amplitude (the whole box on the axis) maps the axis to one point; here it is the length `amount` by which matter at
+//! the upper face has been pulled, so that the pull stays invertible while `amount` is less than the box is high. σ is a length.
+
+use super::{Amount, Backward, DefaultSize, Field, Kind, Parameter, UNCUT, Unit};
+use glam::{Vec3, Vec3Swizzles};
+
+pub(super) const KIND: Kind = Kind {
+    name: "pull",
+    about: "pulls matter out along the box's z axis in a Gaussian bump",
+    parameters: &[
+        Parameter { name: "amount", unit: Unit::Mm, default: Amount::OfZ(0.5), min: Amount::OfZ(-1.0), max: Amount::OfZ(1.0), about: "pull at the upper face, on the axis" },
+        Parameter { name: "sigma", unit: Unit::Mm, default: Amount::OfRadius(0.4), min: Amount::OfRadius(0.05), max: Amount::OfRadius(0.5), about: "width of the Gaussian" },
+    ],
+    progressive: true,
+    size: DefaultSize::Share([0.6; 3]),
+    inflate: 1.0,
+    varies: [true; 3],
+    resolution: 64,
+    leaks: [false, false, false, false, false, true],
+    build: |c| {
+        let [amount, sigma] = [c.values[0], c.values[1]];
+        Box::new(Pull { half_z: c.half().z, strength: amount * c.progress / c.size_mm.z, sigma })
+    },
+};
+
+struct Pull {
+    half_z: f32,
+    /// Pull at the upper face as a share of the box's height.
+    strength: f32,
+    sigma: f32,
+}
+
+impl Pull {
+    fn factor(&self, q: Vec3) -> f32 {
+        1.0 - self.strength * (-q.xy().length_squared() / (self.sigma * self.sigma)).exp()
+    }
+}
+
+impl Field for Pull {
+    fn backward(&self, q: Vec3) -> Backward {
+        Backward { source: Vec3::new(q.x, q.y, (q.z + self.half_z) * self.factor(q) - self.half_z), cut_mm: UNCUT }
+    }
+
+    fn forward(&self, q: Vec3) -> Option<Vec3> {
+        let factor = self.factor(q);
+        (factor > 1e-4).then(|| Vec3::new(q.x, q.y, (q.z + self.half_z) / factor - self.half_z))
+    }
+}

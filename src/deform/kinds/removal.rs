@@ -1,0 +1,113 @@
+//! Removal of a box, sphere, cylinder, wedge or half-space: mask only, no displacement.
+//!
+//! The map's cube is larger than the shape (`inflate`), so that the cut lies inside the map; the half-space's is as large as the scene
+//! at any angle. `progress` grows the shape from nothing (for the half-space: moves the plane down from the box's top).
+
+use super::{Amount, Backward, Context, DefaultSize, Field, Kind, Parameter, Unit};
+use glam::{Vec2, Vec3, Vec3Swizzles};
+
+struct Removal<F> {
+    /// Distance from the shape, mm, positive outside it.
+    outside: F,
+}
+
+impl<F: Fn(Vec3) -> f32 + Send + Sync> Field for Removal<F> {
+    fn backward(&self, q: Vec3) -> Backward {
+        Backward { source: q, cut_mm: (self.outside)(q) }
+    }
+
+    fn forward(&self, q: Vec3) -> Option<Vec3> {
+        ((self.outside)(q) >= 0.0).then_some(q)
+    }
+}
+
+/// Distance from an axis-aligned box around the origin.
+fn cuboid(q: Vec3, half: Vec3) -> f32 {
+    let d = q.abs() - half;
+    d.max(Vec3::ZERO).length() + d.max_element().min(0.0)
+}
+
+/// The shape at `progress` 0 is gone, not a point: distances move out by the ramp as it vanishes.
+fn vanish(c: &Context, distance: f32) -> f32 {
+    distance + if c.progress <= 0.0 { 1e6 } else { 0.0 }
+}
+
+const fn removal(name: &'static str, about: &'static str, build: fn(&Context) -> Box<dyn Field>) -> Kind {
+    Kind {
+        name,
+        about,
+        parameters: &[],
+        progressive: true,
+        size: DefaultSize::Share([0.5; 3]),
+        inflate: 1.25,
+        varies: [true; 3],
+        resolution: 96,
+        leaks: [false; 6],
+        build,
+    }
+}
+
+pub(super) const BOX: Kind = removal("box", "removes a box", |c| {
+    let (half, gone) = (c.half() * c.progress, vanish(c, 0.0));
+    Box::new(Removal { outside: move |q: Vec3| cuboid(q, half) + gone })
+});
+
+pub(super) const SPHERE: Kind = removal("sphere", "removes a sphere (an ellipsoid, in a box of unequal sides)", |c| {
+    let (radii, gone) = ((c.half() * c.progress).max(Vec3::splat(1e-3)), vanish(c, 0.0));
+    Box::new(Removal {
+        outside: move |q: Vec3| {
+            let k0 = (q / radii).length();
+            let k1 = (q / (radii * radii)).length();
+            gone + if k1 < 1e-9 { -radii.min_element() } else { k0 * (k0 - 1.0) / k1 }
+        },
+    })
+});
+
+pub(super) const CYLINDER: Kind = removal("cylinder", "removes a cylinder along the box's z axis", |c| {
+    let (half, gone) = (c.half() * Vec3::new(c.progress, c.progress, 1.0), vanish(c, 0.0));
+    let radius = half.x.min(half.y);
+    Box::new(Removal {
+        outside: move |q: Vec3| {
+            let d = Vec2::new(q.xy().length() - radius, q.z.abs() - half.z);
+            gone + d.max(Vec2::ZERO).length() + d.max_element().min(0.0)
+        },
+    })
+});
+
+pub(super) const WEDGE: Kind = Kind {
+    parameters: &[Parameter {
+        name: "angle",
+        unit: Unit::Degrees,
+        default: Amount::Fixed(90.0),
+        min: Amount::Fixed(1.0),
+        max: Amount::Fixed(359.0),
+        about: "of the wedge, about the box's z axis, centred on +x",
+    }],
+    ..removal("wedge", "removes a slice of cake about the box's z axis", |c| {
+        let (half, gone) = (c.half(), vanish(c, 0.0));
+        let half_angle = (c.values[0] * c.progress).to_radians() / 2.0;
+        let radius = half.x.min(half.y);
+        Box::new(Removal {
+            outside: move |q: Vec3| {
+                let r = q.xy().length();
+                let beyond = q.y.abs().atan2(q.x) - half_angle;
+                // Distance to the nearer side plane; from more than a right angle away, to the edge.
+                let side = if beyond.abs() < std::f32::consts::FRAC_PI_2 { r * beyond.sin() } else { r * beyond.signum() };
+                gone + side.max(r - radius).max(q.z.abs() - half.z)
+            },
+        })
+    })
+};
+
+pub(super) const HALF_SPACE: Kind = Kind {
+    size: DefaultSize::Across(2.2),
+    inflate: 1.0,
+    varies: [false, false, true],
+    resolution: 512,
+    leaks: [false; 6],
+    ..removal("half-space", "removes everything above the plane through the box's centre, across its z axis", |c| {
+        let plane = c.half().z * (1.0 - c.progress);
+        let gone = vanish(c, 0.0);
+        Box::new(Removal { outside: move |q: Vec3| plane - q.z + gone })
+    })
+};

@@ -1,0 +1,89 @@
+//! Seam opening: matter is split along the plane x = 0 from above and its halves swing open about a hinge line along y
+//! ([DDM06] fig 7).
+//!
+//! In the polar coordinates (r, β) about the hinge, β from +z, the opening by φ to each side maps β in [0, β_e] to [φ, β_e]
+//! linearly: matter swings aside and is compressed towards β_e, below which nothing moves. φ fades with the radius and towards the
+//! ends of the seam; r and y stay, so the inverse is exact.
+
+use super::{Amount, Backward, Context, DefaultSize, Field, Kind, Parameter, Unit, window};
+use crate::math::smoothstep;
+use glam::{Vec2, Vec3};
+
+/// Angle from +z below which matter stays, radians.
+const LAST_ANGLE: f32 = 1.9;
+/// Height of the hinge above the lower face, share of the box.
+const HINGE: f32 = 0.15;
+/// Share of the radius inside which the opening does not fade.
+const RIGID: f32 = 0.75;
+
+pub(super) const KIND: Kind = Kind {
+    name: "seam",
+    about: "splits along a seam (the box's y axis) and swings the halves open",
+    parameters: &[Parameter {
+        name: "angle",
+        unit: Unit::Degrees,
+        default: Amount::Fixed(40.0),
+        min: Amount::Fixed(0.0),
+        max: Amount::Fixed(75.0),
+        about: "swing of each half",
+    }],
+    progressive: true,
+    size: DefaultSize::Share([0.9, 0.7, 0.6]),
+    inflate: 1.0,
+    varies: [true; 3],
+    resolution: 96,
+    leaks: [false; 6],
+    build: |c| {
+        let half = c.half();
+        Box::new(Seam {
+            angle: (c.values[0] * c.progress).to_radians(),
+            half_y: half.y,
+            hinge_z: -half.z + HINGE * c.size_mm.z,
+            radius: half.x.min((1.0 - HINGE) * c.size_mm.z),
+            ramp: c.ramp_mm,
+            texel: c.texel_mm,
+        })
+    },
+};
+
+struct Seam {
+    angle: f32,
+    half_y: f32,
+    hinge_z: f32,
+    radius: f32,
+    ramp: f32,
+    texel: f32,
+}
+
+impl Seam {
+    /// Opening to each side at a radius and a place along the seam, radians.
+    fn opening(&self, r: f32, y: f32) -> f32 {
+        self.angle * (1.0 - smoothstep(RIGID * self.radius, self.radius, r)) * window(y, self.half_y, 0.8)
+    }
+
+    fn at_angle(&self, q: Vec3, r: f32, signed: f32) -> Vec3 {
+        let v = Vec2::new(r * signed.sin(), r * signed.cos());
+        Vec3::new(v.x, q.y, v.y + self.hinge_z)
+    }
+}
+
+impl Field for Seam {
+    fn backward(&self, q: Vec3) -> Backward {
+        let v = Vec2::new(q.x, q.z - self.hinge_z);
+        let r = v.length();
+        let beta = v.x.abs().atan2(v.y);
+        let open = self.opening(r, q.y);
+        let source_beta = if beta >= LAST_ANGLE { beta } else { LAST_ANGLE * (beta - open).max(0.0) / (LAST_ANGLE - open) };
+        let context = Context { values: &[], progress: 1.0, size_mm: Vec3::ZERO, texel_mm: self.texel, ramp_mm: self.ramp };
+        Backward { source: self.at_angle(q, r, source_beta.copysign(v.x)), cut_mm: context.gap(r * (beta - open), r * open) }
+    }
+
+    fn forward(&self, q: Vec3) -> Option<Vec3> {
+        let v = Vec2::new(q.x, q.z - self.hinge_z);
+        let r = v.length();
+        let beta = v.x.abs().atan2(v.y);
+        let open = self.opening(r, q.y);
+        let to = if beta >= LAST_ANGLE { beta } else { open + beta * (LAST_ANGLE - open) / LAST_ANGLE };
+        Some(self.at_angle(q, r, to.copysign(v.x)))
+    }
+}

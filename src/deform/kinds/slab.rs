@@ -1,0 +1,62 @@
+//! Slab separation: matter is cut across z into slabs of equal thickness that spread apart, periodically ([DDM06] fig 6).
+//!
+//! The slabs keep their shape; in a gap, D continues from the slab below to the one above without a jump (both end at the same
+//! source plane), so the map is continuous and the mask alone says where the gaps are. What lies beyond the last gap moves with it:
+//! the box should enclose the matter, with room for the spread.
+
+use super::{Amount, Backward, DefaultSize, Field, Kind, Parameter, Unit};
+use glam::Vec3;
+
+pub(super) const KIND: Kind = Kind {
+    name: "slab",
+    about: "cuts into slabs across the box's z axis and spreads them apart",
+    parameters: &[
+        Parameter { name: "thickness", unit: Unit::Mm, default: Amount::OfZ(0.12), min: Amount::OfZ(0.01), max: Amount::OfZ(1.0), about: "of one slab" },
+        Parameter { name: "gap", unit: Unit::Mm, default: Amount::OfZ(0.05), min: Amount::Fixed(0.0), max: Amount::OfZ(1.0), about: "between two slabs" },
+        Parameter { name: "anchor", unit: Unit::None, default: Amount::Fixed(0.5), min: Amount::Fixed(0.0), max: Amount::Fixed(1.0), about: "height that stays in place: 0 the lower face, 1 the upper" },
+    ],
+    progressive: true,
+    size: DefaultSize::Share([1.05, 1.05, 1.6]),
+    inflate: 1.0,
+    varies: [false, false, true],
+    resolution: 512,
+    leaks: [true; 6],
+    build: |c| {
+        Box::new(Slab {
+            thickness: c.values[0],
+            gap: c.values[1] * c.progress,
+            fixed_z: (c.values[2] - 0.5) * c.size_mm.z,
+            widen: 2.0 * c.ramp_mm,
+            texel: c.texel_mm,
+        })
+    },
+};
+
+struct Slab {
+    thickness: f32,
+    gap: f32,
+    fixed_z: f32,
+    widen: f32,
+    texel: f32,
+}
+
+impl Field for Slab {
+    fn backward(&self, q: Vec3) -> Backward {
+        let (t, g) = (self.thickness, self.gap);
+        // The anchor is in the middle of a slab; gaps lie above and below it alternately.
+        let z = q.z - self.fixed_z + t / 2.0;
+        let n = (z / (t + g)).floor();
+        let within = z - n * (t + g);
+        let source_z = n * t + within.min(t) - t / 2.0 + self.fixed_z;
+        // Positive in a slab: distance to the nearer of its two gaps; negative in a gap.
+        let cut = if within <= t { within.min(t - within) } else { -(within - t).min(t + g - within) };
+        let closed = self.widen * (1.0 - g / 2.0 / self.texel).clamp(0.0, 1.0);
+        Backward { source: Vec3::new(q.x, q.y, source_z), cut_mm: cut + closed }
+    }
+
+    fn forward(&self, q: Vec3) -> Option<Vec3> {
+        let z = q.z - self.fixed_z + self.thickness / 2.0;
+        let n = (z / self.thickness).floor();
+        Some(Vec3::new(q.x, q.y, q.z + n * self.gap))
+    }
+}

@@ -1,0 +1,55 @@
+//! Twist about the box's z axis: nothing at the lower face, the full angle at the upper one, fading out towards the rim.
+//!
+//! Height and radius do not change, so the inverse is the twist by the opposite angle, exactly (not the negated displacement that
+//! [DS07] prints), and volume is preserved: det J = 1.
+
+use super::{Amount, Backward, DefaultSize, Field, Kind, Parameter, UNCUT, Unit, window};
+use glam::{Vec2, Vec3, Vec3Swizzles};
+
+pub(super) const KIND: Kind = Kind {
+    name: "twist",
+    about: "turns the upper end of the box against the lower one",
+    parameters: &[
+        Parameter { name: "angle", unit: Unit::Degrees, default: Amount::Fixed(60.0), min: Amount::Fixed(-720.0), max: Amount::Fixed(720.0), about: "turn of the upper face" },
+        Parameter { name: "falloff", unit: Unit::None, default: Amount::Fixed(0.25), min: Amount::Fixed(0.02), max: Amount::Fixed(1.0), about: "share of the radius over which the turn fades" },
+    ],
+    progressive: true,
+    size: DefaultSize::Share([1.5, 1.5, 1.1]),
+    inflate: 1.0,
+    varies: [true; 3],
+    resolution: 96,
+    leaks: [false, false, false, false, false, true],
+    build: |c| {
+        Box::new(Twist {
+            angle: (c.values[0] * c.progress).to_radians(),
+            falloff: c.values[1],
+            size_z: c.size_mm.z,
+            radius: c.half().x.min(c.half().y),
+        })
+    },
+};
+
+struct Twist {
+    angle: f32,
+    falloff: f32,
+    size_z: f32,
+    radius: f32,
+}
+
+impl Twist {
+    fn turned(&self, q: Vec3, sense: f32) -> Vec3 {
+        let height = (q.z / self.size_z + 0.5).clamp(0.0, 1.0);
+        let turn = sense * self.angle * height * window(q.xy().length(), self.radius, self.falloff);
+        Vec2::from_angle(turn).rotate(q.xy()).extend(q.z)
+    }
+}
+
+impl Field for Twist {
+    fn backward(&self, q: Vec3) -> Backward {
+        Backward { source: self.turned(q, -1.0), cut_mm: UNCUT }
+    }
+
+    fn forward(&self, q: Vec3) -> Option<Vec3> {
+        Some(self.turned(q, 1.0))
+    }
+}

@@ -1,0 +1,207 @@
+//! One displacement map: a grid of (D, alpha) over the unit cube, in one of three storage formats.
+
+use crate::math::MinMaxPyramid;
+use glam::{Mat3, Vec3, Vec4, Vec4Swizzles};
+use half::f16;
+use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// How a texel is stored. [DDM06] section 8: eight bits show jagged lines.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Storage {
+    /// Four half-precision floats.
+    #[default]
+    F16,
+    /// Four 16-bit signed normalised integers.
+    Snorm16,
+    /// Four 8-bit signed normalised integers.
+    Snorm8,
+}
+
+impl Storage {
+    /// Bytes of one texel.
+    pub fn bytes(self) -> usize {
+        match self {
+            Self::F16 | Self::Snorm16 => 8,
+            Self::Snorm8 => 4,
+        }
+    }
+
+    /// The nearest value that the format can hold.
+    fn quantise(self, v: f32) -> f32 {
+        match self {
+            Self::F16 => f16::from_f32(v).to_f32(),
+            Self::Snorm16 => (v.clamp(-1.0, 1.0) * 32767.0).round() / 32767.0,
+            Self::Snorm8 => (v.clamp(-1.0, 1.0) * 127.0).round() / 127.0,
+        }
+    }
+}
+
+/// D (map units) and alpha at one point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TexelSample {
+    /// Inverse displacement, in units of the map's cube.
+    pub displacement: Vec3,
+    /// 1 where matter is, 0 where nothing is; 1/2 on a cut.
+    pub alpha: f32,
+}
+
+/// A grid of inverse displacement and mask over the unit cube.
+pub struct DisplacementMap {
+    /// Grid points along x, y, z; an axis of 1 does not vary.
+    pub size: [usize; 3],
+    /// Storage format; texels below are already rounded to it.
+    pub storage: Storage,
+    /// Map units per stored unit of D: the largest component of D, so that stored values lie in [-1, 1].
+    pub scale: f32,
+    /// (D / scale, alpha), x fastest.
+    texels: Vec<Vec4>,
+    pyramid: MinMaxPyramid<4>,
+}
+
+impl DisplacementMap {
+    /// Samples a function of map coordinates at the grid points.
+    ///
+    /// A value that is not finite becomes no displacement and no matter.
+    pub fn from_fn(size: [usize; 3], storage: Storage, f: impl Fn(Vec3) -> TexelSample + Sync) -> Self {
+        assert!(size.iter().all(|&n| n >= 1));
+        let coordinate = |i: usize, n: usize| if n > 1 { i as f32 / (n - 1) as f32 } else { 0.5 };
+        let samples: Vec<Vec4> = (0..size[1] * size[2])
+            .into_par_iter()
+            .flat_map_iter(|row| {
+                let f = &f;
+                (0..size[0]).map(move |i| {
+                    let x = Vec3::new(coordinate(i, size[0]), coordinate(row % size[1], size[1]), coordinate(row / size[1], size[2]));
+                    let s = f(x);
+                    if s.displacement.is_finite() && s.alpha.is_finite() { s.displacement.extend(s.alpha.clamp(0.0, 1.0)) } else { Vec4::ZERO }
+                })
+            })
+            .collect();
+        let largest = samples.par_iter().map(|s| s.xyz().abs().max_element()).reduce(|| 0.0, f32::max);
+        let scale = if largest > 0.0 { largest } else { 1.0 };
+        let texels: Vec<Vec4> = samples
+            .par_iter()
+            .map(|s| {
+                let stored = (s.xyz() / scale).extend(s.w);
+                Vec4::from_array(stored.to_array().map(|v| storage.quantise(v)))
+            })
+            .collect();
+        let pyramid = MinMaxPyramid::new(size, 1, |i, j, k| texels[(k * size[1] + j) * size[0] + i].to_array());
+        Self { size, storage, scale, texels, pyramid }
+    }
+
+    /// The identity.
+    pub fn identity(size: [usize; 3]) -> Self {
+        Self::from_fn(size, Storage::F16, |_| TexelSample { displacement: Vec3::ZERO, alpha: 1.0 })
+    }
+
+    /// Bounds of (D / scale, alpha) over a box in map coordinates.
+    pub fn bounds(&self, low: Vec3, high: Vec3) -> crate::math::pyramid::Range<4> {
+        let top = Vec3::from(self.size.map(|n| (n - 1) as f32));
+        self.pyramid.query(low * top, high * top)
+    }
+
+    /// The texels as the GPU takes them, in the storage format.
+    pub fn encode(&self) -> Vec<u8> {
+        let channels = self.texels.iter().flat_map(|t| t.to_array());
+        match self.storage {
+            Storage::F16 => channels.flat_map(|v| f16::from_f32(v).to_le_bytes()).collect(),
+            Storage::Snorm16 => channels.flat_map(|v| ((v * 32767.0).round() as i16).to_le_bytes()).collect(),
+            Storage::Snorm8 => channels.map(|v| (v * 127.0).round() as i8 as u8).collect(),
+        }
+    }
+
+    /// Stored (D / scale, alpha) at map coordinates inside the unit cube, trilinear.
+    #[inline(always)]
+    pub fn fetch(&self, x: Vec3) -> Vec4 {
+        let [nx, ny, nz] = self.size;
+        let top = Vec3::new((nx - 1) as f32, (ny - 1) as f32, (nz - 1) as f32);
+        let p = (x * top).clamp(Vec3::ZERO, top);
+        let (i, j, k) = (p.x as usize, p.y as usize, p.z as usize);
+        let f = p - Vec3::new(i as f32, j as f32, k as f32);
+        let di = usize::from(i + 1 < nx);
+        let dj = if j + 1 < ny { nx } else { 0 };
+        let dk = if k + 1 < nz { nx * ny } else { 0 };
+        let base = (k * ny + j) * nx + i;
+        let row = |offset: usize| {
+            let a = self.texels[base + offset];
+            a + (self.texels[base + offset + di] - a) * f.x
+        };
+        let (a, b) = (row(0), row(dk));
+        let (a, b) = (a + (row(dj) - a) * f.y, b + (row(dj + dk) - b) * f.y);
+        a + (b - a) * f.z
+    }
+
+    /// D and alpha at map coordinates inside the unit cube.
+    #[inline(always)]
+    pub fn sample(&self, x: Vec3) -> TexelSample {
+        let t = self.fetch(x);
+        TexelSample { displacement: t.xyz() * self.scale, alpha: t.w }
+    }
+
+    /// J_D (column a = ∂D/∂x_a) and the mask's gradient, both in map space, by differences over one texel to each side (shortened at
+    /// the cube's faces).
+    pub fn derivatives(&self, x: Vec3) -> (Mat3, Vec3) {
+        let mut columns = [Vec3::ZERO; 3];
+        let mut slope = Vec3::ZERO;
+        for axis in 0..3 {
+            if self.size[axis] == 1 {
+                continue;
+            }
+            let step = 1.0 / (self.size[axis] - 1) as f32;
+            let (mut low, mut high) = (x, x);
+            low[axis] = (x[axis] - step).max(0.0);
+            high[axis] = (x[axis] + step).min(1.0);
+            let d = (self.fetch(high) - self.fetch(low)) / (high[axis] - low[axis]);
+            columns[axis] = d.xyz() * self.scale;
+            slope[axis] = d.w;
+        }
+        (Mat3::from_cols(columns[0], columns[1], columns[2]), slope)
+    }
+
+    /// Bytes that the map takes on a GPU.
+    pub fn gpu_bytes(&self) -> usize {
+        self.texels.len() * self.storage.bytes()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn linear() -> impl Fn(Vec3) -> TexelSample {
+        |x| TexelSample { displacement: Mat3::from_cols_array(&[0.1, 0.2, -0.1, 0.0, 0.3, 0.1, -0.2, 0.0, 0.25]) * x, alpha: x.x }
+    }
+
+    #[test]
+    fn linear_maps_and_their_jacobians_are_exact_within_the_format() {
+        for (storage, tolerance) in [(Storage::F16, 5e-4), (Storage::Snorm16, 5e-5), (Storage::Snorm8, 8e-3)] {
+            let map = DisplacementMap::from_fn([9, 7, 8], storage, linear());
+            let x = Vec3::new(0.31, 0.77, 0.05);
+            let want = linear()(x);
+            let got = map.sample(x);
+            assert!(got.displacement.abs_diff_eq(want.displacement, tolerance) && (got.alpha - want.alpha).abs() < tolerance, "{storage:?}");
+            let (j, slope) = map.derivatives(x);
+            assert!((j * Vec3::X).abs_diff_eq(Vec3::new(0.1, 0.2, -0.1), 16.0 * tolerance), "{storage:?} {j}");
+            assert!(slope.abs_diff_eq(Vec3::X, 16.0 * tolerance));
+        }
+    }
+
+    #[test]
+    fn encoding_has_the_size_it_says_and_keeps_the_values() {
+        for storage in [Storage::F16, Storage::Snorm16, Storage::Snorm8] {
+            let map = DisplacementMap::from_fn([3, 4, 5], storage, linear());
+            assert_eq!(map.encode().len(), map.gpu_bytes());
+        }
+        let map = DisplacementMap::from_fn([2, 2, 2], Storage::Snorm8, linear());
+        assert_eq!(map.encode()[7] as i8, 127, "alpha of the second texel is 1");
+    }
+
+    #[test]
+    fn values_that_are_not_finite_become_empty() {
+        let map = DisplacementMap::from_fn([2, 2, 2], Storage::F16, |_| TexelSample { displacement: Vec3::NAN, alpha: 1.0 });
+        assert_eq!(map.sample(Vec3::splat(0.5)), TexelSample { displacement: Vec3::ZERO, alpha: 0.0 });
+    }
+}

@@ -1,0 +1,259 @@
+//! An ordered stack of placed maps: positions, Jacobians and cuts, on the fly at every sample ([DDM06] section 6).
+//!
+//! Rendering walks from the last applied map to the first: p_n = p', p_(k-1) = G_k(p_k) with G_k(p) = p + A_k D_k(M_k⁻¹ p) inside map
+//! k's cube and p elsewhere. The Jacobian dp_0/dp' = J_1(p_1) ··· J_n(p_n) is gathered on the same walk, so normals (its transpose
+//! times the source gradient, [DDM06] eq 10) and mask gradients need no second one. `shaders/lib/stack.wgsl` says the same.
+
+use super::{DisplacementMap, Placement};
+use crate::math::Bounds;
+use crate::{Error, Result};
+use glam::{Affine3A, Mat3, Vec3, Vec4Swizzles};
+use std::sync::Arc;
+
+/// The most maps that one pass evaluates: a shader stage binds 16 textures at least, and the volume and its tables need some.
+pub const MAX_MAPS: usize = 8;
+
+/// A map in its place.
+#[derive(Clone)]
+pub struct PlacedMap {
+    /// The map.
+    pub map: Arc<DisplacementMap>,
+    /// Its placement.
+    pub placement: Placement,
+    /// `world_from_map`'s linear part times the map's scale: stored displacement to mm.
+    world_from_stored: Mat3,
+}
+
+/// Maps by order of application.
+#[derive(Clone, Default)]
+pub struct Stack {
+    maps: Vec<PlacedMap>,
+}
+
+/// The nearest cut to a point of the deformed scene, by the masks' first order.
+#[derive(Clone, Copy, Debug)]
+pub struct Cut {
+    /// Distance from the cut, mm, positive where matter is; infinite where no mask varies.
+    pub distance_mm: f32,
+    /// Unit normal of the cut in the deformed scene, pointing out of the matter; zero where there is no cut.
+    pub normal: Vec3,
+}
+
+/// Everything that shading needs to know of the deformation at a point.
+#[derive(Clone, Copy, Debug)]
+pub struct Jet {
+    /// The point of the undeformed scene that is seen here, mm.
+    pub source: Vec3,
+    /// d source / d deformed.
+    pub d_source_d_deformed: Mat3,
+    /// The nearest cut.
+    pub cut: Cut,
+    /// Smallest mask value on the way.
+    pub alpha: f32,
+}
+
+impl Cut {
+    /// No cut anywhere near.
+    pub const NONE: Self = Self { distance_mm: f32::INFINITY, normal: Vec3::ZERO };
+
+    /// The nearer of this cut and the surface where `value` (positive inside) falls to zero with the given gradient in the deformed
+    /// scene: at first order, the distance is value / |gradient|.
+    #[inline(always)]
+    pub fn or_nearer(self, value: f32, gradient: Vec3) -> Self {
+        let slope = gradient.length();
+        if slope < 1e-12 || value >= self.distance_mm * slope {
+            return self;
+        }
+        Self { distance_mm: value / slope, normal: gradient / -slope }
+    }
+}
+
+impl PlacedMap {
+    /// Puts a map into the world.
+    pub fn new(map: Arc<DisplacementMap>, placement: Placement) -> Self {
+        let world_from_stored = Mat3::from(placement.world_from_map.matrix3) * map.scale;
+        Self { map, placement, world_from_stored }
+    }
+
+    /// One step of the walk: the point before this map was applied, and the mask.
+    #[inline(always)]
+    pub fn backward(&self, p: Vec3) -> (Vec3, f32) {
+        let x = self.placement.map_from_world.transform_point3(p);
+        if x.cmplt(Vec3::ZERO).any() || x.cmpgt(Vec3::ONE).any() {
+            return (p, 1.0);
+        }
+        let t = self.map.fetch(x);
+        (p + self.world_from_stored * t.xyz(), t.w)
+    }
+
+    /// J_G and the mask's gradient per mm at a point, or none outside the cube. J_G = I + A J_D A⁻¹.
+    pub fn derivatives(&self, p: Vec3) -> Option<(Mat3, Vec3)> {
+        let x = self.placement.map_from_world.transform_point3(p);
+        if x.cmplt(Vec3::ZERO).any() || x.cmpgt(Vec3::ONE).any() {
+            return None;
+        }
+        let (j, slope) = self.map.derivatives(x);
+        let inverse = Mat3::from(self.placement.map_from_world.matrix3);
+        let linear = Mat3::from(self.placement.world_from_map.matrix3);
+        Some((Mat3::IDENTITY + linear * j * inverse, inverse.transpose() * slope))
+    }
+
+    /// The cube in the world.
+    pub fn bounds_in_world(&self) -> Bounds {
+        Bounds::UNIT.transformed(&self.placement.world_from_map)
+    }
+
+    /// Carries a box of deformed points backwards through this map (`model.md` section 9): a box that holds all their images, and the
+    /// highest mask value among them.
+    pub fn backward_bounds(&self, b: &Bounds) -> (Bounds, f32) {
+        let in_map = b.transformed(&self.placement.map_from_world);
+        // The transform of a sample rounds; a hundredth of a texel covers it.
+        let texel = 0.01 / Vec3::from(self.map.size.map(|n| n.max(2) as f32));
+        let in_map = Bounds::new(in_map.min - texel, in_map.max + texel);
+        let inside = in_map.intersection(&Bounds::UNIT);
+        if inside.is_empty() {
+            return (*b, 1.0);
+        }
+        let range = self.map.bounds(inside.min, inside.max);
+        let stays = !Bounds::UNIT.contains(&in_map);
+        let (mut low, mut high) = (Vec3::from_slice(&range.min[..3]), Vec3::from_slice(&range.max[..3]));
+        if stays {
+            // Part of the box is outside the cube, where nothing moves and nothing is cut.
+            (low, high) = (low.min(Vec3::ZERO), high.max(Vec3::ZERO));
+        }
+        let moved = Bounds::new(low, high).transformed(&Affine3A::from_mat3(self.world_from_stored));
+        (Bounds::new(b.min + moved.min, b.max + moved.max), if stays { 1.0 } else { range.max[3] })
+    }
+}
+
+impl Stack {
+    /// A stack of maps, first applied first.
+    ///
+    /// # Errors
+    /// More than [`MAX_MAPS`].
+    pub fn new(maps: Vec<PlacedMap>) -> Result<Self> {
+        if maps.len() > MAX_MAPS {
+            return Err(Error::value("deformation", format!("there are {} deformations; at most {MAX_MAPS} can be evaluated in one pass", maps.len())));
+        }
+        Ok(Self { maps })
+    }
+
+    /// The maps, first applied first.
+    pub fn maps(&self) -> &[PlacedMap] {
+        &self.maps
+    }
+
+    /// Whether nothing is deformed.
+    pub fn is_empty(&self) -> bool {
+        self.maps.is_empty()
+    }
+
+    /// The source point of a deformed point, or none where it is cut away.
+    #[inline(always)]
+    pub fn source_from_deformed(&self, deformed: Vec3) -> Option<Vec3> {
+        let mut p = deformed;
+        for map in self.maps.iter().rev() {
+            let (before, alpha) = map.backward(p);
+            if alpha < 0.5 {
+                return None;
+            }
+            p = before;
+        }
+        Some(p)
+    }
+
+    /// The source point with its Jacobian and the nearest cut. Cut points get a jet too (`alpha` tells).
+    pub fn jet(&self, deformed: Vec3) -> Jet {
+        let mut jet = Jet { source: deformed, d_source_d_deformed: Mat3::IDENTITY, cut: Cut::NONE, alpha: 1.0 };
+        for map in self.maps.iter().rev() {
+            let p = jet.source;
+            let (before, alpha) = map.backward(p);
+            if let Some((j, slope)) = map.derivatives(p) {
+                jet.cut = jet.cut.or_nearer(alpha - 0.5, jet.d_source_d_deformed.transpose() * slope);
+                jet.d_source_d_deformed = j * jet.d_source_d_deformed;
+            }
+            jet.alpha = jet.alpha.min(alpha);
+            jet.source = before;
+        }
+        jet
+    }
+
+    /// Carries a box of deformed points back to the source: a box that holds all their source points, and the highest value that the
+    /// smallest mask can have (below 1/2: everything in the box is cut away).
+    pub fn source_bounds(&self, deformed: &Bounds) -> (Bounds, f32) {
+        let mut b = *deformed;
+        let mut alpha = 1.0f32;
+        for map in self.maps.iter().rev() {
+            let (before, highest) = map.backward_bounds(&b);
+            alpha = alpha.min(highest);
+            b = before;
+        }
+        (b, alpha)
+    }
+
+    /// The box that holds the deformed scene: the source's box and every cube into which a map can bring its matter.
+    pub fn deformed_bounds(&self, source: &Bounds) -> Bounds {
+        let mut all = *source;
+        for map in &self.maps {
+            let cube = map.bounds_in_world();
+            let (reach, _) = map.backward_bounds(&cube);
+            if !reach.intersection(&all).is_empty() {
+                all = all.union(&cube);
+            }
+        }
+        all
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Storage, TexelSample};
+    use super::*;
+    use proptest::prelude::*;
+
+    fn placed(center: Vec3, size: f32, rotate: Vec3, f: impl Fn(Vec3) -> TexelSample + Sync) -> PlacedMap {
+        let placement = Placement::new(center, Vec3::splat(size), rotate).unwrap_or_else(|e| panic!("{e}"));
+        PlacedMap::new(Arc::new(DisplacementMap::from_fn([17, 19, 15], Storage::F16, f)), placement)
+    }
+
+    fn bump(x: Vec3) -> f32 {
+        (x * (Vec3::ONE - x) * 4.0).element_product()
+    }
+
+    fn stack() -> Stack {
+        let swirl = placed(Vec3::new(3.0, 0.0, 0.0), 60.0, Vec3::new(20.0, 40.0, -10.0), |x| TexelSample {
+            displacement: 0.2 * bump(x) * Vec3::new((9.0 * x.y).sin(), x.z, -1.0),
+            alpha: (0.5 + 4.0 * (x.x - 0.4).abs()).min(1.0) - if x.x > 0.35 && x.x < 0.45 { 0.3 } else { 0.0 },
+        });
+        let push = placed(Vec3::new(-10.0, 5.0, 8.0), 45.0, Vec3::new(0.0, 0.0, 30.0), |x| TexelSample {
+            displacement: 0.3 * bump(x) * Vec3::new(1.0, (5.0 * x.x).cos(), 0.2),
+            alpha: 1.0,
+        });
+        Stack::new(vec![swirl, push]).unwrap_or_else(|e| panic!("{e}"))
+    }
+
+    proptest! {
+        /// The box walk is conservative: every source point of a box lies in the box's image, and no mask exceeds the bound.
+        #[test]
+        fn source_bounds_hold(corner in prop::array::uniform3(-50.0f32..50.0), edge in 0.5f32..20.0, at in prop::array::uniform3(0.0f32..1.0)) {
+            let s = stack();
+            let low = Vec3::from(corner);
+            let p = low + Vec3::from(at) * edge;
+            let (b, alpha) = s.source_bounds(&Bounds::new(low, low + edge));
+            let jet = s.jet(p);
+            prop_assert!(b.grown(1e-3).contains(&Bounds::new(jet.source, jet.source)));
+            prop_assert!(jet.alpha <= alpha + 1e-5);
+        }
+    }
+
+    #[test]
+    fn order_matters_and_the_walk_is_the_composition() {
+        let s = stack();
+        let other = Stack::new(s.maps().iter().rev().cloned().collect()).unwrap_or_else(|e| panic!("{e}"));
+        let p = Vec3::new(-4.0, 3.0, 6.0);
+        let (after_push, _) = s.maps()[1].backward(p);
+        let (both, _) = s.maps()[0].backward(after_push);
+        assert_eq!(s.jet(p).source, both);
+        assert!(s.jet(p).source.distance(other.jet(p).source) > 0.5);
+    }
+}

@@ -1,0 +1,75 @@
+//! The one error type: every message names the file or option, says what is wrong and what to do.
+
+use std::path::{Path, PathBuf};
+
+/// What can go wrong between a user's input and a picture.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// A file could not be opened, read or written.
+    #[error("{path}: {doing} failed: {source}{hint}")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What was being done, e.g. `reading`.
+        doing: &'static str,
+        /// The operating system's word.
+        source: std::io::Error,
+        /// What to do, starting with `; ` (or empty).
+        hint: &'static str,
+    },
+    /// A file was read but its content is not usable.
+    #[error("{path}: {problem}")]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it and what to do.
+        problem: String,
+    },
+    /// An option, key or parameter has a value that cannot be used.
+    #[error("{name}: {problem}")]
+    Value {
+        /// The option or key as the user typed it.
+        name: String,
+        /// What is wrong with it and what to do.
+        problem: String,
+    },
+    /// No graphics adapter, or one that cannot do the work.
+    #[error("GPU: {0}")]
+    Gpu(String),
+}
+
+/// A result with this crate's [`Error`].
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+impl Error {
+    /// An [`Error::Io`] with a hint for the commonest causes.
+    pub fn io(path: &Path, doing: &'static str, source: std::io::Error) -> Self {
+        use std::io::ErrorKind as K;
+        let hint = match source.kind() {
+            K::NotFound => "; check the path",
+            K::PermissionDenied | K::ReadOnlyFilesystem => "; choose a place that can be written, or change the permissions",
+            _ => "",
+        };
+        Self::Io { path: path.to_owned(), doing, source, hint }
+    }
+
+    /// An [`Error::File`].
+    pub fn file(path: &Path, problem: impl Into<String>) -> Self {
+        Self::File { path: path.to_owned(), problem: problem.into() }
+    }
+
+    /// An [`Error::Value`].
+    pub fn value(name: impl Into<String>, problem: impl Into<String>) -> Self {
+        Self::Value { name: name.into(), problem: problem.into() }
+    }
+}
+
+/// `; did you mean "peel"?` for the closest of `known`, or the list of them when nothing is close.
+pub(crate) fn suggestion<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> String {
+    let known: Vec<&str> = known.into_iter().collect();
+    let closest = known.iter().map(|k| (strsim::normalized_damerau_levenshtein(word, k), k)).max_by(|a, b| a.0.total_cmp(&b.0));
+    match closest {
+        Some((score, k)) if score >= 0.4 => format!("did you mean \"{k}\"?"),
+        _ => format!("known: {}", known.join(", ")),
+    }
+}

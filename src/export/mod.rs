@@ -1,0 +1,88 @@
+//! Pictures to files. A file appears whole or not at all: written beside its destination, then renamed.
+
+use crate::scene::Picture;
+use crate::{Error, Result};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// A file being made. Opened before the work starts, so that an output that cannot be written is known at once.
+pub struct Output {
+    path: PathBuf,
+    file: tempfile::NamedTempFile,
+}
+
+impl Output {
+    /// Opens a temporary file beside `path`.
+    ///
+    /// # Errors
+    /// A folder that does not exist or cannot be written, a path that is a folder.
+    pub fn create(path: &Path) -> Result<Self> {
+        if path.is_dir() {
+            return Err(Error::file(path, "is a folder; name a file in it"));
+        }
+        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(".incise-").suffix(".part");
+        #[cfg(unix)]
+        {
+            // As any program's new file, less the umask.
+            use std::os::unix::fs::PermissionsExt;
+            builder.permissions(std::fs::Permissions::from_mode(0o666));
+        }
+        let file = builder.tempfile_in(folder).map_err(|e| Error::io(path, "writing", e))?;
+        Ok(Self { path: path.to_owned(), file })
+    }
+
+    /// Writes the content and puts the file in its place.
+    ///
+    /// # Errors
+    /// A full disk, a destination that cannot be replaced.
+    pub fn finish(mut self, content: &[u8]) -> Result<()> {
+        let path = self.path;
+        self.file.write_all(content).and_then(|()| self.file.as_file().sync_all()).map_err(|e| Error::io(&path, "writing", e))?;
+        self.file.persist(&path).map_err(|e| Error::io(&path, "writing", e.error))?;
+        Ok(())
+    }
+}
+
+/// A picture over a background as PNG: 8 bits per channel, RGB if the background is opaque, else RGBA (not premultiplied).
+///
+/// # Errors
+/// The encoder's.
+pub fn png(picture: &Picture, background: [f32; 4]) -> Result<Vec<u8>> {
+    let mut rgba = picture.over(background);
+    let color = if background[3] >= 1.0 {
+        rgba = rgba.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect();
+        image::ExtendedColorType::Rgb8
+    } else {
+        image::ExtendedColorType::Rgba8
+    };
+    let mut bytes = Vec::new();
+    image::ImageEncoder::write_image(image::codecs::png::PngEncoder::new(&mut bytes), &rgba, picture.width, picture.height, color)
+        .map_err(|e| Error::value("output", format!("could not be encoded as PNG: {e}")))?;
+    Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn background_shows_where_the_picture_does_not() {
+        let picture = Picture { width: 2, height: 1, pixels: vec![[0.5, 0.0, 0.0, 0.5], [0.0; 4]] };
+        assert_eq!(picture.over([0.0, 0.0, 1.0, 1.0]), [128, 0, 128, 255, 0, 0, 255, 255]);
+        assert_eq!(picture.over([0.0; 4]), [255, 0, 0, 128, 0, 0, 0, 0]);
+    }
+
+    #[test]
+    fn no_partial_file_is_left() {
+        let folder = tempfile::tempdir().unwrap_or_else(|e| panic!("{e}"));
+        let path = folder.path().join("a.png");
+        drop(Output::create(&path));
+        assert_eq!(std::fs::read_dir(folder.path()).map(Iterator::count).ok(), Some(0));
+        Output::create(&path).and_then(|o| o.finish(b"x")).unwrap_or_else(|e| panic!("{e}"));
+        assert_eq!(std::fs::read(&path).ok().as_deref(), Some(&b"x"[..]));
+        assert!(Output::create(&folder.path().join("no/such/a.png")).is_err());
+        assert!(Output::create(folder.path()).is_err());
+    }
+}

@@ -1,0 +1,5 @@
+//! The `incise` program.
+
+fn main() -> std::process::ExitCode {
+    incise::cli::main()
+}

@@ -1,0 +1,118 @@
+//! Axis-aligned boxes.
+
+use glam::{Affine3A, Vec3, Vec3A};
+
+/// An axis-aligned box; empty where a minimum exceeds a maximum.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bounds {
+    /// Lower corner.
+    pub min: Vec3,
+    /// Upper corner.
+    pub max: Vec3,
+}
+
+impl Bounds {
+    /// The box that holds nothing.
+    pub const EMPTY: Self = Self { min: Vec3::INFINITY, max: Vec3::NEG_INFINITY };
+    /// The unit cube, map space's domain.
+    pub const UNIT: Self = Self { min: Vec3::ZERO, max: Vec3::ONE };
+
+    /// The box between two corners.
+    pub fn new(min: Vec3, max: Vec3) -> Self {
+        Self { min, max }
+    }
+
+    /// Whether nothing is inside.
+    pub fn is_empty(&self) -> bool {
+        !self.min.cmple(self.max).all()
+    }
+
+    /// The eight corners.
+    pub fn corners(&self) -> [Vec3; 8] {
+        std::array::from_fn(|i| {
+            Vec3::new(
+                if i & 1 == 0 { self.min.x } else { self.max.x },
+                if i & 2 == 0 { self.min.y } else { self.max.y },
+                if i & 4 == 0 { self.min.z } else { self.max.z },
+            )
+        })
+    }
+
+    /// Edge lengths.
+    pub fn size(&self) -> Vec3 {
+        self.max - self.min
+    }
+
+    /// The middle.
+    pub fn center(&self) -> Vec3 {
+        (self.min + self.max) * 0.5
+    }
+
+    /// The smallest box around both.
+    pub fn union(&self, other: &Self) -> Self {
+        Self { min: self.min.min(other.min), max: self.max.max(other.max) }
+    }
+
+    /// What both share (possibly empty).
+    pub fn intersection(&self, other: &Self) -> Self {
+        Self { min: self.min.max(other.min), max: self.max.min(other.max) }
+    }
+
+    /// Grown by `margin` on every side.
+    pub fn grown(&self, margin: f32) -> Self {
+        Self { min: self.min - margin, max: self.max + margin }
+    }
+
+    /// Whether `other` lies wholly inside.
+    pub fn contains(&self, other: &Self) -> bool {
+        self.min.cmple(other.min).all() && self.max.cmpge(other.max).all()
+    }
+
+    /// The box around the image of this box under an affine transform (Arvo 1990: centre and absolute extents).
+    pub fn transformed(&self, transform: &Affine3A) -> Self {
+        let center = transform.transform_point3a(Vec3A::from(self.center()));
+        let half = Vec3A::from(self.size() * 0.5);
+        let m = transform.matrix3;
+        let extent = m.x_axis.abs() * half.x + m.y_axis.abs() * half.y + m.z_axis.abs() * half.z;
+        Self { min: (center - extent).into(), max: (center + extent).into() }
+    }
+
+    /// The parameters at which `origin + t * direction` enters and leaves, if it meets the box.
+    ///
+    /// `direction` may have zero components.
+    #[inline(always)]
+    pub fn intersect_ray(&self, origin: Vec3, direction: Vec3) -> Option<(f32, f32)> {
+        let inverse = direction.recip();
+        let a = (self.min - origin) * inverse;
+        let b = (self.max - origin) * inverse;
+        // 0 * inf is NaN for a ray that lies in a face's plane: min/max of the other operand drops it.
+        let (mut near, mut far) = (f32::NEG_INFINITY, f32::INFINITY);
+        for axis in 0..3 {
+            near = near.max(a[axis].min(b[axis]));
+            far = far.min(a[axis].max(b[axis]));
+        }
+        (near <= far).then_some((near, far))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ray_meets_box_where_it_should() {
+        let unit = Bounds::UNIT;
+        assert_eq!(unit.intersect_ray(Vec3::new(-1.0, 0.5, 0.5), Vec3::X), Some((1.0, 2.0)));
+        assert_eq!(unit.intersect_ray(Vec3::new(-1.0, 1.5, 0.5), Vec3::X), None);
+    }
+
+    #[test]
+    fn transformed_box_holds_the_transformed_corners() {
+        let t = Affine3A::from_rotation_z(0.7) * Affine3A::from_scale(Vec3::new(1.0, -2.0, 3.0));
+        let b = Bounds::UNIT.transformed(&t).grown(1e-5);
+        for c in Bounds::UNIT.corners() {
+            let p = t.transform_point3(c);
+            assert!(b.contains(&Bounds::new(p, p)));
+        }
+    }
+}

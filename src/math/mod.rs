@@ -1,0 +1,28 @@
+//! Boxes and intervals in the spaces of the crate, and the min/max pyramid that bounds a grid's interpolated values.
+
+pub mod bounds;
+pub mod pyramid;
+
+pub use bounds::Bounds;
+pub use pyramid::MinMaxPyramid;
+
+use glam::{Affine3A, DAffine3, Vec3};
+
+/// The single-precision copy of a transform, as renderers use it.
+pub fn to_f32(transform: &DAffine3) -> Affine3A {
+    Affine3A::from_mat3_translation(transform.matrix3.as_mat3(), transform.translation.as_vec3())
+}
+
+/// `v / |v|`, or `fallback` where `v` has no direction (zero, NaN or infinite).
+#[inline(always)]
+pub fn normalize_or(v: Vec3, fallback: Vec3) -> Vec3 {
+    let length_squared = v.length_squared();
+    if length_squared > 1e-30 && length_squared < f32::INFINITY { v * length_squared.sqrt().recip() } else { fallback }
+}
+
+/// Hermite interpolation between `edge0` and `edge1`, as in WGSL.
+#[inline(always)]
+pub fn smoothstep(edge0: f32, edge1: f32, x: f32) -> f32 {
+    let t = ((x - edge0) / (edge1 - edge0)).clamp(0.0, 1.0);
+    t * t * (3.0 - 2.0 * t)
+}

@@ -1,0 +1,249 @@
+//! The camera: a named or turned view of the scene, and its frame in world space.
+
+use crate::math::Bounds;
+use crate::{Error, Result};
+use glam::{Affine3A, Mat4, Vec3};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::str::FromStr;
+
+/// A direction of view: azimuth and elevation of the camera as seen from the scene, degrees.
+///
+/// Azimuth 0 is in front of the patient (anterior), 90 at the patient's left; elevation 90 is above the head. Written as one of the
+/// six names or as `AZ,EL`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(try_from = "String", into = "String")]
+#[schemars(with = "String")]
+pub struct View {
+    /// Degrees from anterior towards the patient's left.
+    pub azimuth_deg: f32,
+    /// Degrees above the axial plane, -90..90.
+    pub elevation_deg: f32,
+}
+
+const NAMED: [(&str, f32, f32); 6] = [
+    ("anterior", 0.0, 0.0),
+    ("posterior", 180.0, 0.0),
+    ("left", 90.0, 0.0),
+    ("right", -90.0, 0.0),
+    // With the front of the patient up, as an axial slice is shown.
+    ("superior", 180.0, 90.0),
+    ("inferior", 0.0, -90.0),
+];
+
+impl FromStr for View {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if let Some(&(_, azimuth_deg, elevation_deg)) = NAMED.iter().find(|n| n.0 == text) {
+            return Ok(Self { azimuth_deg, elevation_deg });
+        }
+        let parts: Vec<f32> = text.split(',').map_while(|p| p.trim().parse().ok()).filter(|v: &f32| v.is_finite()).collect();
+        match parts[..] {
+            [azimuth_deg, elevation_deg] if text.split(',').count() == 2 && elevation_deg.abs() <= 90.0 => Ok(Self { azimuth_deg, elevation_deg }),
+            _ => Err(format!(
+                "\"{text}\" is not a view; use {} or AZ,EL in degrees (elevation within -90..90)",
+                NAMED.map(|n| n.0).join(", ")
+            )),
+        }
+    }
+}
+
+impl TryFrom<String> for View {
+    type Error = String;
+    fn try_from(text: String) -> Result<Self, String> {
+        text.parse()
+    }
+}
+
+impl From<View> for String {
+    fn from(view: View) -> Self {
+        match NAMED.iter().find(|n| (n.1, n.2) == (view.azimuth_deg, view.elevation_deg)) {
+            Some(n) => n.0.into(),
+            None => format!("{},{}", view.azimuth_deg, view.elevation_deg),
+        }
+    }
+}
+
+/// How depth becomes size.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Projection {
+    /// Nearer is larger.
+    #[default]
+    Perspective,
+    /// Parallel rays: lengths across the view can be measured.
+    Orthographic,
+}
+
+/// The `[camera]` section.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Camera {
+    /// Direction of view.
+    pub view: View,
+    /// 1 shows the whole volume; larger is nearer.
+    pub zoom: f32,
+    /// Perspective or orthographic.
+    pub projection: Projection,
+    /// Vertical field of view of the perspective camera, degrees.
+    pub field_of_view: f32,
+    /// Turn about the direction of view, degrees, clockwise in the picture.
+    pub roll: f32,
+    /// The point in the middle of the picture, mm; the volume's centre by default.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub target: Option<[f32; 3]>,
+}
+
+impl Default for Camera {
+    fn default() -> Self {
+        Self { view: View { azimuth_deg: 0.0, elevation_deg: 0.0 }, zoom: 1.0, projection: Projection::Perspective, field_of_view: 30.0, roll: 0.0, target: None }
+    }
+}
+
+/// A camera resolved for a scene and a picture: pixel (x, y) looks along `forward + u right + v up` (perspective) or from
+/// `eye + u right + v up` (orthographic), u and v in -1..1 over the picture, v upwards.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ViewFrame {
+    /// The eye; for the orthographic camera a point in front of everything.
+    pub eye: Vec3,
+    /// Unit direction of view.
+    pub forward: Vec3,
+    /// Half the picture's width, as a vector to the right: mm (orthographic) or per unit of depth (perspective).
+    pub right: Vec3,
+    /// Half the picture's height, as a vector upwards.
+    pub up: Vec3,
+    /// Which of the two.
+    pub projection: Projection,
+}
+
+impl Camera {
+    /// Places the camera so that at zoom 1 the box just fits the picture.
+    ///
+    /// # Errors
+    /// A zoom, field of view or target that cannot be used.
+    pub fn frame(&self, bounds: &Bounds, size: [u32; 2]) -> Result<ViewFrame> {
+        if !(self.zoom.is_finite() && (1e-3..=1e3).contains(&self.zoom)) {
+            return Err(Error::value("camera.zoom", format!("{} is outside 0.001 to 1000", self.zoom)));
+        }
+        if !(1.0..=120.0).contains(&self.field_of_view) {
+            return Err(Error::value("camera.field_of_view", format!("{} is outside 1 to 120 degrees", self.field_of_view)));
+        }
+        if !(self.roll.is_finite() && self.target.is_none_or(|t| t.iter().all(|v| v.is_finite()))) {
+            return Err(Error::value("camera", "roll and target must be finite"));
+        }
+        let (sin_az, cos_az) = self.view.azimuth_deg.to_radians().sin_cos();
+        let (sin_el, cos_el) = self.view.elevation_deg.to_radians().sin_cos();
+        let forward = -Vec3::new(sin_az * cos_el, -cos_az * cos_el, sin_el);
+        let up = Vec3::new(-sin_az * sin_el, cos_az * sin_el, cos_el);
+        let right = forward.cross(up);
+        let (sin_roll, cos_roll) = (-self.roll).to_radians().sin_cos();
+        let (right, up) = (right * cos_roll + up * sin_roll, up * cos_roll - right * sin_roll);
+        let target = self.target.map_or_else(|| bounds.center(), Vec3::from);
+        let aspect = size[0] as f32 / size[1] as f32;
+        // A little air around the volume.
+        const MARGIN: f32 = 1.04;
+        let corners = bounds.corners().map(|c| {
+            let d = c - bounds.center();
+            (d.dot(right).abs() * MARGIN, d.dot(up).abs() * MARGIN, d.dot(forward))
+        });
+        let radius = bounds.size().length() / 2.0;
+        Ok(match self.projection {
+            Projection::Orthographic => {
+                let half_height = corners.iter().map(|&(x, y, _)| y.max(x / aspect)).fold(0.0, f32::max) / self.zoom;
+                let away = 2.0 * radius + (target - bounds.center()).length();
+                ViewFrame { eye: target - forward * away, forward, right: right * half_height * aspect, up: up * half_height, projection: self.projection }
+            }
+            Projection::Perspective => {
+                let tan = (self.field_of_view.to_radians() / 2.0).tan();
+                let away = corners.iter().map(|&(x, y, z)| (y / tan).max(x / (tan * aspect)) - z).fold(0.0, f32::max);
+                // Zoom narrows the field of view: the perspective stays, the picture grows.
+                let tan = tan / self.zoom;
+                ViewFrame { eye: target - forward * away, forward, right: right * tan * aspect, up: up * tan, projection: self.projection }
+            }
+        })
+    }
+}
+
+impl ViewFrame {
+    /// Origin and unit direction of the ray through picture coordinates in -1..1.
+    #[inline(always)]
+    pub fn ray(&self, u: f32, v: f32) -> (Vec3, Vec3) {
+        let across = self.right * u + self.up * v;
+        match self.projection {
+            Projection::Perspective => (self.eye, (self.forward + across).normalize()),
+            Projection::Orthographic => (self.eye + across, self.forward),
+        }
+    }
+
+    /// The transform to clip space; every point gets depth 1/2, as slices are drawn in order and never tested.
+    pub fn clip_from_world(&self) -> Mat4 {
+        let basis = |v: Vec3| v / v.length_squared();
+        let (r, u) = (basis(self.right), basis(self.up));
+        let view = Affine3A::from_translation(-self.eye);
+        let rows = match self.projection {
+            Projection::Perspective => [r.extend(0.0), u.extend(0.0), (self.forward * 0.5).extend(0.0), self.forward.extend(0.0)],
+            Projection::Orthographic => [r.extend(0.0), u.extend(0.0), Vec3::ZERO.extend(0.5), Vec3::ZERO.extend(1.0)],
+        };
+        Mat4::from_cols(rows[0], rows[1], rows[2], rows[3]).transpose() * Mat4::from(view)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn frame(view: &str, projection: Projection) -> ViewFrame {
+        let view = view.parse().unwrap_or_else(|e| panic!("{e}"));
+        let camera = Camera { view, projection, ..Camera::default() };
+        camera.frame(&Bounds::new(Vec3::splat(-50.0), Vec3::splat(50.0)), [200, 100]).unwrap_or_else(|e| panic!("{e}"))
+    }
+
+    /// Patient left (+x) is on the right of an anterior and an axial picture, as radiologists see them.
+    #[test]
+    fn named_views_have_the_right_sides() {
+        let (right, up) = (|v: &str| frame(v, Projection::Orthographic).right.normalize(), |v: &str| frame(v, Projection::Orthographic).up.normalize());
+        for (view, r, u) in [
+            ("anterior", Vec3::X, Vec3::Z),
+            ("posterior", Vec3::NEG_X, Vec3::Z),
+            ("left", Vec3::Y, Vec3::Z),
+            ("right", Vec3::NEG_Y, Vec3::Z),
+            ("superior", Vec3::NEG_X, Vec3::NEG_Y),
+            ("inferior", Vec3::X, Vec3::NEG_Y),
+            ("0,0", Vec3::X, Vec3::Z),
+        ] {
+            assert!(right(view).abs_diff_eq(r, 1e-6) && up(view).abs_diff_eq(u, 1e-6), "{view}: {} {}", right(view), up(view));
+        }
+    }
+
+    #[test]
+    fn the_matrix_projects_points_on_their_rays() {
+        for projection in [Projection::Perspective, Projection::Orthographic] {
+            let f = frame("30,20", projection);
+            let (o, d) = f.ray(0.3, -0.6);
+            let clip = f.clip_from_world() * (o + d * 123.0).extend(1.0);
+            let ndc = clip / clip.w;
+            assert!((ndc.x - 0.3).abs() < 1e-5 && (ndc.y + 0.6).abs() < 1e-5 && (ndc.z - 0.5).abs() < 1e-5, "{ndc}");
+        }
+    }
+
+    #[test]
+    fn the_box_fits() {
+        for projection in [Projection::Perspective, Projection::Orthographic] {
+            let f = frame("30,20", projection);
+            let most = Bounds::new(Vec3::splat(-50.0), Vec3::splat(50.0)).corners().map(|c| {
+                let clip = f.clip_from_world() * c.extend(1.0);
+                (clip.y / clip.w).abs().max((clip.x / clip.w).abs())
+            });
+            let most = most.into_iter().fold(0.0, f32::max);
+            assert!((0.9..1.0).contains(&most), "{most}");
+        }
+    }
+
+    #[test]
+    fn views_that_are_none() {
+        for bad in ["above", "1", "1,2,3", "a,b", "0,91", "nan,0"] {
+            assert!(bad.parse::<View>().is_err(), "{bad}");
+        }
+    }
+}

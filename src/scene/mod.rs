@@ -1,0 +1,254 @@
+//! Everything that one picture needs, as plain data: what a scene file says, the command line overrides, a test states.
+//!
+//! A [`Scene`] names a volume and never holds voxels. [`Prepared`] is the scene resolved against a loaded volume: tables, maps,
+//! camera and the empty-space grid, the same for every backend.
+
+mod camera;
+pub mod file;
+mod macrocells;
+mod prepared;
+
+pub use camera::{Camera, Projection, View, ViewFrame};
+pub use macrocells::Macrocells;
+pub use prepared::{Assets, Frame, MAX_PICTURE_EDGE, Picture, Prepared, RenderStats, Rendered, Stages};
+
+use crate::deform::Storage;
+use crate::transfer::TransferSettings;
+use crate::volume::GradientFilter;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+/// The version of the scene format.
+pub const FORMAT_VERSION: u32 = 1;
+
+/// A scene file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Scene {
+    /// Version of the format: 1.
+    pub incise: u32,
+    /// What is shown.
+    pub volume: VolumeSource,
+    /// Colour and opacity.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub transfer: TransferSettings,
+    /// Deformations, first applied first.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub deformation: Vec<Deformation>,
+    /// From where it is seen.
+    #[serde(default)]
+    pub camera: Camera,
+    /// How it is lit.
+    #[serde(default)]
+    pub light: Light,
+    /// How it is rendered.
+    #[serde(default)]
+    pub render: RenderSettings,
+    /// Folder that relative paths start from.
+    #[serde(skip)]
+    pub folder: PathBuf,
+}
+
+fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
+}
+
+/// The `[volume]` section.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct VolumeSource {
+    /// A file, relative to the scene file, or `phantom:NAME[:size=N]`.
+    pub path: String,
+}
+
+/// One length for all axes, or one each.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum Size {
+    /// The same along x, y, z.
+    Cube(f32),
+    /// Along x, y, z.
+    Box([f32; 3]),
+}
+
+impl Size {
+    /// Extent along x, y, z.
+    pub fn xyz(self) -> glam::Vec3 {
+        match self {
+            Self::Cube(s) => glam::Vec3::splat(s),
+            Self::Box(s) => s.into(),
+        }
+    }
+}
+
+/// One `[[deformation]]`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Deformation {
+    /// Name of the kind: peel, pull, twist, ...
+    pub kind: String,
+    /// A name of the user's own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// false leaves it out of the picture.
+    #[serde(default = "yes", skip_serializing_if = "Clone::clone")]
+    pub enabled: bool,
+    /// Centre of its box, mm; the volume's centre by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub center: Option<[f32; 3]>,
+    /// Extent of its box, mm; a share of the volume by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub size: Option<Size>,
+    /// Turn about x, then y, then z, degrees.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rotate: Option<[f32; 3]>,
+    /// Instead of centre, size and rotation: rows of the affine transform from the unit cube to world mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub matrix: Option<[[f32; 4]; 3]>,
+    /// From nothing (0) to full (1, the default).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub progress: Option<f32>,
+    /// Texel format of the map.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub storage: Storage,
+    /// Texels along the map's longest axis.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub resolution: Option<usize>,
+    /// The kind's own parameters, by name.
+    #[serde(flatten)]
+    pub parameters: BTreeMap<String, f32>,
+}
+
+fn yes() -> bool {
+    true
+}
+
+impl Deformation {
+    /// A deformation of a kind with all its defaults.
+    pub fn new(kind: impl Into<String>) -> Self {
+        Self {
+            kind: kind.into(),
+            name: None,
+            enabled: true,
+            center: None,
+            size: None,
+            rotate: None,
+            matrix: None,
+            progress: None,
+            storage: Storage::F16,
+            resolution: None,
+            parameters: BTreeMap::new(),
+        }
+    }
+}
+
+/// The `[light]` section: one directional light, Blinn-Phong.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Light {
+    /// Light from everywhere, 0..1.
+    pub ambient: f32,
+    /// Share of the directional light, 0..1.
+    pub diffuse: f32,
+    /// Strength of the highlight, 0..1.
+    pub specular: f32,
+    /// Exponent of the highlight.
+    pub shininess: f32,
+    /// Direction towards the light: right, up and towards the viewer if it moves with the camera, else L, P, S.
+    pub direction: [f32; 3],
+    /// Whether the light moves with the camera.
+    pub follows_camera: bool,
+    /// Light surfaces from behind as from the front, as scalar volumes (whose gradient has no outside) need.
+    pub two_sided: bool,
+}
+
+impl Default for Light {
+    fn default() -> Self {
+        Self { ambient: 0.25, diffuse: 0.75, specular: 0.2, shininess: 24.0, direction: [-0.4, 0.6, 0.8], follows_camera: true, two_sided: true }
+    }
+}
+
+/// How the volume is sampled.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Mode {
+    /// View-aligned slices, back to front.
+    Slice,
+    /// Rays, front to back.
+    #[default]
+    Raycast,
+}
+
+/// Which normals light the volume: the steps of [DDM06] figure 4.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Normals {
+    /// No lighting.
+    None,
+    /// Gradients of the undeformed volume, as they are.
+    Source,
+    /// Gradients transformed with the deformation.
+    Transformed,
+    /// Transformed gradients, blended into the cut's own normal beside cuts.
+    #[default]
+    Blended,
+}
+
+/// The `[render]` section.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct RenderSettings {
+    /// Slices or rays.
+    pub mode: Mode,
+    /// Width and height, pixels.
+    pub size: [u32; 2],
+    /// Distance between samples in voxels (of the smallest spacing).
+    pub step: f32,
+    /// Behind the volume: red, green, blue, alpha in 0..1.
+    pub background: [f32; 4],
+    /// Which normals light the volume.
+    pub normals: Normals,
+    /// How gradients are estimated.
+    pub gradient: GradientFilter,
+    /// Leave out cells of the scene that show nothing.
+    pub empty_space_skipping: bool,
+    /// Stop a ray where nothing behind can be seen.
+    pub early_termination: bool,
+}
+
+impl Default for RenderSettings {
+    fn default() -> Self {
+        Self {
+            mode: Mode::Raycast,
+            size: [512, 512],
+            step: 1.0,
+            background: [0.08, 0.085, 0.1, 1.0],
+            normals: Normals::Blended,
+            gradient: GradientFilter::Central,
+            empty_space_skipping: true,
+            early_termination: true,
+        }
+    }
+}
+
+impl Scene {
+    /// A scene that shows a volume with all defaults.
+    pub fn of_volume(path: impl Into<String>) -> Self {
+        Self {
+            incise: FORMAT_VERSION,
+            volume: VolumeSource { path: path.into() },
+            transfer: TransferSettings::default(),
+            deformation: Vec::new(),
+            camera: Camera::default(),
+            light: Light::default(),
+            render: RenderSettings::default(),
+            folder: PathBuf::new(),
+        }
+    }
+
+    /// The volume's path as this process finds it.
+    pub fn volume_path(&self) -> PathBuf {
+        if self.volume.path.starts_with("phantom:") { PathBuf::from(&self.volume.path) } else { self.folder.join(&self.volume.path) }
+    }
+}

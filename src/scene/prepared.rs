@@ -1,0 +1,305 @@
+//! A scene resolved for rendering, and the picture that comes out: the same types for every backend.
+
+use super::{Deformation, Light, Macrocells, Normals, RenderSettings, Scene, ViewFrame, macrocells::Contents};
+use crate::deform::kinds::{self, Sampling};
+use crate::deform::{PlacedMap, Placement, Stack};
+use crate::math::{Bounds, MinMaxPyramid, normalize_or, to_f32};
+use crate::transfer::{Blend, Table, default_preset};
+use crate::volume::{Grid, GradientFilter, Volume, load, phantom};
+use crate::{Error, Result};
+use glam::{Affine3A, DVec3, Mat3, Vec3};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Largest edge of a picture, pixels.
+pub const MAX_PICTURE_EDGE: u32 = 16_384;
+/// Most pixels of a picture: its floating-point form takes 16 bytes each.
+const MAX_PIXELS: u64 = 1 << 27;
+/// A cut's normal takes over within one sample of the cut and has faded out after this many.
+const BLEND_SAMPLES: f32 = 2.5;
+
+/// Time spent by stage, milliseconds, in order.
+#[derive(Clone, Debug, Default)]
+pub struct Stages(pub Vec<(&'static str, f64)>);
+
+impl Stages {
+    /// Runs a stage and notes how long it took.
+    pub fn time<T>(&mut self, name: &'static str, stage: impl FnOnce() -> T) -> T {
+        let start = Instant::now();
+        let result = stage();
+        self.0.push((name, start.elapsed().as_secs_f64() * 1e3));
+        result
+    }
+}
+
+/// What a scene refers to, loaded once and shared by any number of pictures.
+pub struct Assets {
+    /// The volume.
+    pub volume: Arc<Volume>,
+    /// Its sampled form.
+    pub grid: Grid,
+    /// Bounds of its normalised values.
+    pub pyramid: MinMaxPyramid<1>,
+    /// Time that loading took.
+    pub stages: Stages,
+}
+
+impl Assets {
+    /// Loads what a scene names.
+    ///
+    /// # Errors
+    /// What the readers report.
+    pub fn load(scene: &Scene, progress: &mut dyn FnMut(u64, u64)) -> Result<Self> {
+        let mut stages = Stages::default();
+        let volume = stages.time("load", || load::volume(&scene.volume_path(), progress))?;
+        Ok(Self::of_volume(volume, stages))
+    }
+
+    /// The assets of a volume that is already in memory.
+    pub fn of_volume(volume: Volume, mut stages: Stages) -> Self {
+        let grid = stages.time("grid", || Grid::new(&volume));
+        let pyramid = stages.time("bricks", || MinMaxPyramid::new(grid.size, 2, |i, j, k| [grid.value(i, j, k)]));
+        Self { volume: Arc::new(volume), grid, pyramid, stages }
+    }
+}
+
+/// The constants of one picture.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    /// Camera.
+    pub view: ViewFrame,
+    /// Width and height, pixels.
+    pub size: [u32; 2],
+    /// Distance between slices, or between samples along a ray, mm.
+    pub step_mm: f32,
+    /// Δ₀, the length that opacities are stated for: the smallest voxel spacing, mm.
+    pub reference_mm: f32,
+    /// World to voxel.
+    pub voxel_from_world: Affine3A,
+    /// Extent of the volume, voxels.
+    pub grid_size: Vec3,
+    /// The part of the deformed scene that can show anything, mm.
+    pub proxy: Bounds,
+    /// Unit vector towards the light, world.
+    pub to_light: Vec3,
+    /// Distances from a cut at which its normal stops to rule alone, and to matter at all, mm.
+    pub blend_mm: [f32; 2],
+}
+
+/// A scene resolved against its assets.
+pub struct Prepared<'a> {
+    /// What is sampled.
+    pub grid: &'a Grid,
+    /// Baked transfer function.
+    pub table: Table,
+    /// How samples blend.
+    pub blend: Blend,
+    /// The deformation.
+    pub stack: Stack,
+    /// Constants.
+    pub frame: Frame,
+    /// Light.
+    pub light: Light,
+    /// Settings as the scene has them.
+    pub settings: RenderSettings,
+    /// Empty space.
+    pub macrocells: Macrocells,
+    /// Time that preparing took.
+    pub stages: Stages,
+}
+
+impl<'a> Prepared<'a> {
+    /// Resolves a scene.
+    ///
+    /// # Errors
+    /// Any setting that cannot be used, by name.
+    pub fn new(scene: &Scene, assets: &'a Assets) -> Result<Self> {
+        let mut stages = Stages::default();
+        let settings = scene.render.clone();
+        check_settings(&settings, &scene.light)?;
+        let volume = &assets.volume;
+        let fallback = scene
+            .volume
+            .path
+            .strip_prefix("phantom:")
+            .and_then(phantom::preset)
+            .unwrap_or_else(|| if scene.transfer.preset.is_none() && scene.transfer.points.is_empty() { default_preset(volume) } else { "grey" });
+        let (function, table) = stages.time("transfer", || -> Result<_> {
+            let function = scene.transfer.resolve(volume, fallback)?;
+            let table = Table::new(&function, volume.range);
+            Ok((function, table))
+        })?;
+        let volume_box = volume.bounds_in_world();
+        let view = scene.camera.frame(&volume_box, settings.size)?;
+        let reference_mm = volume.spacing_mm().min_element() as f32;
+        let step_mm = settings.step * reference_mm;
+        let blend_mm = [step_mm.max(reference_mm), BLEND_SAMPLES * step_mm.max(reference_mm)];
+        let stack = stages.time("maps", || -> Result<_> {
+            let maps = scene.deformation.iter().filter(|d| d.enabled).map(|d| place(d, &volume_box, 1.2 * blend_mm[1])).collect::<Result<Vec<_>>>()?;
+            Stack::new(maps)
+        })?;
+        let grid_size = Vec3::from(assets.grid.size.map(|n| n as f32));
+        let voxel_from_world = to_f32(&volume.world_from_voxel.inverse());
+        if !voxel_from_world.is_finite() {
+            return Err(Error::value("volume", "its voxel axes are singular; the file's geometry cannot be used"));
+        }
+        let deformed = stack.deformed_bounds(&volume_box);
+        let macrocells = stages.time("macrocells", || {
+            if !settings.empty_space_skipping {
+                return Macrocells::solid(deformed);
+            }
+            let contents = Contents {
+                stack: &stack,
+                voxel_from_world: &voxel_from_world,
+                voxel_box: Bounds::new(Vec3::splat(-0.5), grid_size - 0.5),
+                pyramid: &assets.pyramid,
+                table: &table,
+                blend: function.blend,
+            };
+            Macrocells::new(deformed, reference_mm, &contents)
+        });
+        let light = scene.light.clone();
+        let d = Vec3::from(light.direction);
+        let to_light = if light.follows_camera {
+            normalize_or(view.right, Vec3::X) * d.x + normalize_or(view.up, Vec3::Z) * d.y - view.forward * d.z
+        } else {
+            d
+        };
+        let frame = Frame {
+            view,
+            size: settings.size,
+            step_mm,
+            reference_mm,
+            voxel_from_world,
+            grid_size,
+            proxy: macrocells.occupied,
+            to_light: normalize_or(to_light, -view.forward),
+            blend_mm,
+        };
+        Ok(Self { grid: &assets.grid, table, blend: function.blend, stack, frame, light, settings, macrocells, stages })
+    }
+
+    /// Whether samples are lit.
+    pub fn is_lit(&self) -> bool {
+        self.settings.normals != Normals::None && self.blend == Blend::Composite
+    }
+
+    /// Whether the gradient is needed before the opacity.
+    pub fn uses_gradient_opacity(&self) -> bool {
+        !self.table.gradient.is_empty() && self.blend == Blend::Composite
+    }
+
+    /// The gradient filter.
+    pub fn gradient_filter(&self) -> GradientFilter {
+        self.settings.gradient
+    }
+}
+
+fn check_settings(settings: &RenderSettings, light: &Light) -> Result<()> {
+    let [width, height] = settings.size;
+    if !(1..=MAX_PICTURE_EDGE).contains(&width) || !(1..=MAX_PICTURE_EDGE).contains(&height) || u64::from(width) * u64::from(height) > MAX_PIXELS {
+        return Err(Error::value("size", format!("a picture of {width} x {height} pixels cannot be made; each edge is 1 to {MAX_PICTURE_EDGE}, at most {MAX_PIXELS} pixels in all")));
+    }
+    if !(settings.step.is_finite() && (0.01..=100.0).contains(&settings.step)) {
+        return Err(Error::value("step", format!("{} is outside 0.01 to 100 voxels", settings.step)));
+    }
+    if !settings.background.iter().all(|c| (0.0..=1.0).contains(c)) {
+        return Err(Error::value("background", "its components must lie within 0..1"));
+    }
+    let unit = [("ambient", light.ambient), ("diffuse", light.diffuse), ("specular", light.specular)];
+    for (name, value) in unit {
+        if !(0.0..=1.0).contains(&value) {
+            return Err(Error::value(format!("light.{name}"), format!("{value} is outside 0 to 1")));
+        }
+    }
+    if !(0.0..=10_000.0).contains(&light.shininess) {
+        return Err(Error::value("light.shininess", format!("{} is outside 0 to 10000", light.shininess)));
+    }
+    let direction = DVec3::from(light.direction.map(f64::from));
+    if !(direction.is_finite() && direction.length() > 1e-6) {
+        return Err(Error::value("light.direction", "must be a direction: finite and not zero"));
+    }
+    Ok(())
+}
+
+/// Samples one deformation into a map and puts it into the world.
+fn place(deformation: &Deformation, scene_box: &Bounds, least_ramp_mm: f32) -> Result<PlacedMap> {
+    let kind = kinds::kind(&deformation.kind)?;
+    let named = |e: Error| match e {
+        Error::Value { name, problem } if !name.starts_with(kind.name) => Error::value(format!("{}: {name}", kind.name), problem),
+        other => other,
+    };
+    let placement = match deformation.matrix {
+        Some(rows) => {
+            let column = |c: usize| Vec3::new(rows[0][c], rows[1][c], rows[2][c]);
+            Placement::from_affine(Affine3A::from_mat3_translation(Mat3::from_cols(column(0), column(1), column(2)), column(3)))
+        }
+        None => {
+            let center = deformation.center.map_or_else(|| scene_box.center(), Vec3::from);
+            let size = deformation.size.map_or_else(|| kind.default_size(scene_box), |s| s.xyz());
+            Placement::new(center, size, deformation.rotate.map_or(Vec3::ZERO, Vec3::from))
+        }
+    }
+    .map_err(named)?;
+    let size_mm = placement.size_mm();
+    let progress = deformation.progress.unwrap_or(1.0);
+    if !(0.0..=1.0).contains(&progress) {
+        return Err(Error::value(format!("{}: progress", kind.name), format!("{progress} is outside 0 to 1")));
+    }
+    if let Some(n) = deformation.resolution.filter(|n| !(8..=512).contains(n)) {
+        return Err(Error::value(format!("{}: resolution", kind.name), format!("{n} is outside 8 to 512 texels")));
+    }
+    let values = kind.values(deformation.parameters.iter().map(|(k, v)| (k.as_str(), *v)), size_mm)?;
+    let sampling = Sampling { resolution: deformation.resolution, storage: deformation.storage, least_ramp_mm };
+    let map = kind.map(&values, progress, size_mm, &sampling);
+    let placement = placement.scaled(Vec3::splat(kind.inflate)).map_err(named)?;
+    Ok(PlacedMap::new(Arc::new(map), placement))
+}
+
+/// A picture: premultiplied RGBA without background, rows from the top.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Picture {
+    /// Pixels across.
+    pub width: u32,
+    /// Pixels down.
+    pub height: u32,
+    /// Premultiplied red, green, blue, alpha.
+    pub pixels: Vec<[f32; 4]>,
+}
+
+/// Counts that a renderer keeps.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RenderStats {
+    /// Samples for which the deformation and the volume were looked up.
+    pub samples_taken: u64,
+    /// Samples inside the scene's box left out because their cell is empty.
+    pub samples_skipped: u64,
+    /// Samples left out because nothing behind an opaque ray can be seen.
+    pub samples_terminated: u64,
+}
+
+/// A picture with what it cost.
+pub struct Rendered {
+    /// The picture.
+    pub picture: Picture,
+    /// Counts; a GPU keeps them only when asked.
+    pub stats: Option<RenderStats>,
+    /// Time by stage.
+    pub stages: Stages,
+}
+
+impl Picture {
+    /// The picture over a background (red, green, blue, alpha, not premultiplied), as 8-bit RGBA, not premultiplied.
+    pub fn over(&self, background: [f32; 4]) -> Vec<u8> {
+        let [r, g, b, back_alpha] = background;
+        let behind = [r * back_alpha, g * back_alpha, b * back_alpha, back_alpha];
+        let mut bytes = Vec::with_capacity(self.pixels.len() * 4);
+        for p in &self.pixels {
+            let clear = 1.0 - p[3];
+            let all: [f32; 4] = std::array::from_fn(|c| p[c] + behind[c] * clear);
+            let alpha = all[3].max(1e-6);
+            bytes.extend([all[0] / alpha, all[1] / alpha, all[2] / alpha, all[3]].map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8));
+        }
+        bytes
+    }
+}

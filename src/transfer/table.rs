@@ -1,0 +1,163 @@
+//! A transfer function baked for sampling.
+//!
+//! The entries span the curve's own domain, not the data's: between two control points a linear curve is met exactly, and only the
+//! entry around a kink deviates, by at most 1/4096 of the domain. A curve over a 16-bit range thus has one entry per 16 values, and
+//! one over a 400 HU window ten entries per Hounsfield unit. A range-maximum table over the optical depth answers what the highest
+//! opacity within a range of values is, which is what empty-space skipping asks.
+
+use super::TransferFunction;
+
+/// Entries over the curve's domain.
+pub const TABLE_ENTRIES: usize = 4096;
+/// Entries over the gradient magnitudes.
+pub const GRADIENT_ENTRIES: usize = 256;
+/// Opacity 1 would be an infinite optical depth; 2^-16 of the light passes instead.
+const MAX_DEPTH: f32 = 16.0;
+
+/// Colour (not premultiplied) and optical depth by table coordinate, which runs from 0 to 1 over the curve's domain.
+pub struct Table {
+    /// Red, green, blue and τ = -log₂(1 - opacity) per Δ₀.
+    pub entries: Vec<[f32; 4]>,
+    /// Factor on τ by gradient magnitude; empty for none.
+    pub gradient: Vec<f32>,
+    /// Gradient magnitude of the last entry of `gradient`, in normalised values per mm.
+    pub gradient_top: f32,
+    /// Table coordinate = `scale` · normalised value + `offset`.
+    pub scale: f32,
+    /// See `scale`.
+    pub offset: f32,
+    /// `maxima[l][i]` = highest τ in entries `i .. i + 2^l`.
+    maxima: Vec<Vec<f32>>,
+}
+
+impl Table {
+    /// Bakes a function for values normalised over `range` (data units).
+    pub fn new(function: &TransferFunction, range: [f64; 2]) -> Self {
+        let [mut low, mut high] = function.domain();
+        let span = if range[1] > range[0] { range[1] - range[0] } else { 1.0 };
+        if high - low < 1e-6 * span {
+            // A step: one entry's width around it.
+            let middle = (low + high) / 2.0;
+            (low, high) = (middle - 5e-7 * span, middle + 5e-7 * span);
+        }
+        let p = &function.points;
+        let entries: Vec<[f32; 4]> = (0..TABLE_ENTRIES)
+            .map(|n| {
+                let value = low + (high - low) * n as f64 / (TABLE_ENTRIES - 1) as f64;
+                let above = p.partition_point(|q| q.value <= value);
+                let (a, b) = (&p[above.saturating_sub(1)], &p[above.min(p.len() - 1)]);
+                let t = if b.value > a.value { ((value - a.value) / (b.value - a.value)) as f32 } else { 0.0 };
+                let mix = |x: f32, y: f32| x + (y - x) * t;
+                let opacity = mix(a.opacity, b.opacity);
+                let depth = (-(1.0 - opacity).log2()).clamp(0.0, MAX_DEPTH);
+                [mix(a.color[0], b.color[0]), mix(a.color[1], b.color[1]), mix(a.color[2], b.color[2]), depth]
+            })
+            .collect();
+        let g = &function.gradient_opacity;
+        let top = g.last().map_or(1.0, |q| q.magnitude.max(1e-12));
+        let gradient = if g.is_empty() {
+            Vec::new()
+        } else {
+            (0..GRADIENT_ENTRIES)
+                .map(|n| {
+                    let m = top * n as f64 / (GRADIENT_ENTRIES - 1) as f64;
+                    let above = g.partition_point(|q| q.magnitude <= m);
+                    let (a, b) = (&g[above.saturating_sub(1)], &g[above.min(g.len() - 1)]);
+                    let t = if b.magnitude > a.magnitude { ((m - a.magnitude) / (b.magnitude - a.magnitude)).clamp(0.0, 1.0) as f32 } else { 0.0 };
+                    a.factor + (b.factor - a.factor) * t
+                })
+                .collect()
+        };
+        let mut maxima = vec![entries.iter().map(|e| e[3]).collect::<Vec<f32>>()];
+        while 2 << (maxima.len() - 1) <= TABLE_ENTRIES {
+            let half = 1 << (maxima.len() - 1);
+            let last = &maxima[maxima.len() - 1];
+            let next = (0..last.len() - half).map(|i| last[i].max(last[i + half])).collect();
+            maxima.push(next);
+        }
+        Self {
+            entries,
+            gradient,
+            gradient_top: (top / span) as f32,
+            scale: (span / (high - low)) as f32,
+            offset: ((range[0] - low) / (high - low)) as f32,
+            maxima,
+        }
+    }
+
+    /// Colour and optical depth of a normalised value; a hole has none.
+    #[inline(always)]
+    pub fn lookup(&self, value: f32) -> [f32; 4] {
+        let x = (value * self.scale + self.offset).clamp(0.0, 1.0) * (TABLE_ENTRIES - 1) as f32;
+        let i = (x as usize).min(TABLE_ENTRIES - 2);
+        let t = x - i as f32;
+        let (a, b) = (&self.entries[i], &self.entries[i + 1]);
+        std::array::from_fn(|c| a[c] + (b[c] - a[c]) * t)
+    }
+
+    /// Factor on the optical depth at a gradient magnitude (normalised values per mm).
+    #[inline(always)]
+    pub fn gradient_factor(&self, magnitude: f32) -> f32 {
+        if self.gradient.is_empty() {
+            return 1.0;
+        }
+        let x = (magnitude / self.gradient_top).clamp(0.0, 1.0) * (GRADIENT_ENTRIES - 1) as f32;
+        let i = (x as usize).min(GRADIENT_ENTRIES - 2);
+        let (a, b) = (self.gradient[i], self.gradient[i + 1]);
+        a + (b - a) * (x - i as f32)
+    }
+
+    /// The highest optical depth that any normalised value in `[low, high]` can have.
+    pub fn max_depth(&self, low: f32, high: f32) -> f32 {
+        let entry = |v: f32| (v * self.scale + self.offset).clamp(0.0, 1.0) * (TABLE_ENTRIES - 1) as f32;
+        let (a, b) = (entry(low.min(high)).floor() as usize, entry(high.max(low)).ceil() as usize);
+        let (a, b) = (a.min(b), b.min(TABLE_ENTRIES - 1));
+        let level = (b - a + 1).ilog2() as usize;
+        self.maxima[level][a].max(self.maxima[level][b + 1 - (1 << level)])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Blend, ControlPoint};
+    use super::*;
+    use proptest::prelude::*;
+
+    fn function(points: &[(f64, f32)]) -> TransferFunction {
+        let points = points.iter().map(|&(value, opacity)| ControlPoint { value, color: [0.2, 0.4, opacity], opacity }).collect();
+        TransferFunction { points, gradient_opacity: Vec::new(), blend: Blend::Composite }
+    }
+
+    #[test]
+    fn opacity_comes_back_out() {
+        let t = Table::new(&function(&[(-100.0, 0.0), (100.0, 0.8), (300.0, 0.1)]), [-1000.0, 3000.0]);
+        for (value, want) in [(-500.0, 0.0), (0.0, 0.4), (100.0, 0.8), (200.0, 0.45), (2000.0, 0.1)] {
+            let [r, _, b, depth] = t.lookup((value + 1000.0) / 4000.0);
+            assert!((1.0 - (-depth).exp2() - want).abs() < 2e-3, "{value}: {depth}");
+            assert!((b - want).abs() < 2e-3 && r == 0.2);
+        }
+    }
+
+    #[test]
+    fn steps_and_single_points_are_allowed() {
+        let t = Table::new(&function(&[(5.0, 0.0), (5.0, 1.0)]), [0.0, 10.0]);
+        assert_eq!(t.lookup(0.49)[3], 0.0);
+        assert_eq!(t.lookup(0.51)[3], MAX_DEPTH);
+        assert_eq!(Table::new(&function(&[(5.0, 0.5)]), [0.0, 10.0]).lookup(0.1)[3], 1.0);
+    }
+
+    proptest! {
+        #[test]
+        fn maximum_bounds_every_lookup(a in -0.5f32..1.5, width in 0.0f32..1.0, at in 0.0f32..1.0) {
+            let t = Table::new(&function(&[(0.0, 0.0), (2.0, 0.9), (3.0, 0.0), (7.0, 0.0), (7.0, 0.6), (10.0, 0.2)]), [0.0, 10.0]);
+            prop_assert!(t.lookup(a + width * at)[3] <= t.max_depth(a, a + width) + 1e-6);
+        }
+    }
+
+    #[test]
+    fn maximum_of_an_empty_range_is_nothing() {
+        let t = Table::new(&function(&[(0.0, 0.0), (4.0, 0.0), (5.0, 1.0)]), [0.0, 10.0]);
+        assert_eq!(t.max_depth(0.0, 0.39), 0.0);
+        assert!(t.max_depth(0.0, 0.6) > 10.0);
+    }
+}

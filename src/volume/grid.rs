@@ -1,0 +1,198 @@
+//! What renderers sample: a grid of u8, i16, u16 or f32 and the scale to normalised values.
+//!
+//! Normalised: 0 = lowest finite value, 1 = highest. NaN and infinite voxels become [`HOLE`]; every finite voxel is at least 0, so
+//! an interpolated sample below 0 touches a hole and shows nothing. A hole thus reaches at most one voxel into its neighbours and
+//! never lets a made-up value through.
+
+use super::{Rescale, Volume, Voxels};
+use glam::{Vec3, Vec4};
+use std::sync::Arc;
+
+/// The normalised value of a voxel that holds nothing.
+pub const HOLE: f32 = -1.0;
+
+/// Typed voxels shared with the [`Volume`] where the type allows.
+#[derive(Clone, Debug)]
+#[allow(missing_docs, reason = "the variants are the Rust types")]
+pub enum GridVoxels {
+    U8(Arc<Vec<u8>>),
+    U16(Arc<Vec<u16>>),
+    I16(Arc<Vec<i16>>),
+    F32(Arc<Vec<f32>>),
+}
+
+/// A grid ready for rendering.
+#[derive(Clone, Debug)]
+pub struct Grid {
+    /// The voxels.
+    pub voxels: GridVoxels,
+    /// Extent along i, j, k.
+    pub size: [usize; 3],
+    /// Normalised value = `scale` · voxel + `offset`.
+    pub scale: f32,
+    /// See `scale`.
+    pub offset: f32,
+    /// Whether any voxel is a [`HOLE`].
+    pub has_holes: bool,
+}
+
+/// A scalar type that the CPU samples directly.
+pub trait Voxel: Copy + Send + Sync + 'static {
+    /// The value as f32, exact for all four types.
+    fn to_f32(self) -> f32;
+}
+
+macro_rules! voxel {
+    ($($t:ty),*) => {$(impl Voxel for $t {
+        #[inline(always)]
+        fn to_f32(self) -> f32 {
+            self as f32
+        }
+    })*};
+}
+voxel!(u8, u16, i16, f32);
+
+impl Grid {
+    /// The grid of a volume. Shares the voxels of u8, i16, u16 and ordinary f32 volumes; i8 becomes i16, everything else normalised f32.
+    pub fn new(volume: &Volume) -> Self {
+        let Rescale { slope, intercept } = volume.rescale;
+        let [low, high] = volume.range;
+        let span = if high > low { high - low } else { 1.0 };
+        let normalise = |stored: f64| if stored.is_finite() { ((stored * slope + intercept - low) / span) as f32 } else { HOLE };
+        let has_holes = volume.non_finite > 0;
+        let direct = |voxels| {
+            let (scale, offset) = ((slope / span) as f32, ((intercept - low) / span) as f32);
+            // An f32 volume of extreme magnitude has no usable single-precision scale: it is normalised like an f64 one.
+            (scale.is_normal() && offset.abs() < 1e6).then_some(Self { voxels, size: volume.size, scale, offset, has_holes: false })
+        };
+        let shared = match &volume.voxels {
+            Voxels::U8(v) => direct(GridVoxels::U8(v.clone())),
+            Voxels::U16(v) => direct(GridVoxels::U16(v.clone())),
+            Voxels::I16(v) => direct(GridVoxels::I16(v.clone())),
+            Voxels::F32(v) if !has_holes => direct(GridVoxels::F32(v.clone())),
+            Voxels::I8(v) => direct(GridVoxels::I16(Arc::new(v.iter().map(|&x| i16::from(x)).collect()))),
+            _ => None,
+        };
+        shared.unwrap_or_else(|| Self {
+            voxels: GridVoxels::F32(Arc::new(volume.voxels.map(normalise))),
+            size: volume.size,
+            scale: 1.0,
+            offset: 0.0,
+            has_holes,
+        })
+    }
+
+    /// Normalised value at a voxel.
+    pub fn value(&self, i: usize, j: usize, k: usize) -> f32 {
+        let index = (k * self.size[1] + j) * self.size[0] + i;
+        let stored = match &self.voxels {
+            GridVoxels::U8(v) => v[index].to_f32(),
+            GridVoxels::U16(v) => v[index].to_f32(),
+            GridVoxels::I16(v) => v[index].to_f32(),
+            GridVoxels::F32(v) => v[index].to_f32(),
+        };
+        stored * self.scale + self.offset
+    }
+}
+
+/// Trilinear sampling of one typed grid.
+pub struct Sampler<'a, T> {
+    voxels: &'a [T],
+    size: [usize; 3],
+    /// Highest sample coordinate per axis, voxels.
+    top: Vec3,
+    scale: f32,
+    offset: f32,
+}
+
+impl<'a, T: Voxel> Sampler<'a, T> {
+    /// A sampler over the voxels of `grid`, which must be `grid`'s own.
+    pub fn new(grid: &Grid, voxels: &'a [T]) -> Self {
+        assert_eq!(voxels.len(), grid.size.iter().product::<usize>());
+        Self {
+            voxels,
+            size: grid.size,
+            top: Vec3::from(grid.size.map(|n| (n - 1) as f32)),
+            scale: grid.scale,
+            offset: grid.offset,
+        }
+    }
+
+    /// Normalised value at a position in voxels, clamped to the outermost voxel centres as a texture is.
+    #[inline(always)]
+    pub fn sample(&self, point_in_voxel: Vec3) -> f32 {
+        let p = point_in_voxel.clamp(Vec3::ZERO, self.top);
+        // p is not negative: truncation is floor.
+        let (i, j, k) = (p.x as usize, p.y as usize, p.z as usize);
+        let f = p - Vec3::new(i as f32, j as f32, k as f32);
+        let [nx, ny, nz] = self.size;
+        let di = usize::from(i + 1 < nx);
+        let dj = if j + 1 < ny { nx } else { 0 };
+        let dk = if k + 1 < nz { nx * ny } else { 0 };
+        let base = (k * ny + j) * nx + i;
+        let at = |offset: usize| self.voxels[base + offset].to_f32();
+        let low = Vec4::new(at(0), at(dj), at(dk), at(dj + dk));
+        let high = Vec4::new(at(di), at(di + dj), at(di + dk), at(di + dj + dk));
+        let x = low + (high - low) * f.x;
+        let y0 = x.x + (x.y - x.x) * f.y;
+        let y1 = x.z + (x.w - x.z) * f.y;
+        (y0 + (y1 - y0) * f.z) * self.scale + self.offset
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DAffine3;
+
+    #[test]
+    fn every_type_normalises_alike() {
+        let values = [3u8, 7, 11, 19, 23, 31, 43, 47];
+        let rescale = Rescale { slope: 0.5, intercept: -2.0 };
+        let volumes: Vec<Voxels> = vec![
+            values.to_vec().into(),
+            values.map(|v| v as i8).to_vec().into(),
+            values.map(u16::from).to_vec().into(),
+            values.map(i16::from).to_vec().into(),
+            values.map(u32::from).to_vec().into(),
+            values.map(i32::from).to_vec().into(),
+            values.map(u64::from).to_vec().into(),
+            values.map(i64::from).to_vec().into(),
+            values.map(f32::from).to_vec().into(),
+            values.map(f64::from).to_vec().into(),
+        ];
+        for voxels in volumes {
+            let name = voxels.type_name();
+            let grid = Grid::new(&Volume::new(voxels, [2, 2, 2], rescale, DAffine3::IDENTITY));
+            for (n, v) in values.iter().enumerate() {
+                let got = grid.value(n % 2, n / 2 % 2, n / 4);
+                let want = (f32::from(*v) - 3.0) / 44.0;
+                assert!((got - want).abs() < 1e-6, "{name}: {got} for {want}");
+            }
+        }
+    }
+
+    #[test]
+    fn samples_beside_a_hole_are_holes_or_honest() {
+        let volume = Volume::new(vec![1.0f32, f32::NAN, 3.0].into(), [3, 1, 1], Rescale::NONE, DAffine3::IDENTITY);
+        let grid = Grid::new(&volume);
+        let GridVoxels::F32(v) = &grid.voxels else { panic!() };
+        let s = Sampler::new(&grid, v);
+        assert!(grid.has_holes);
+        assert!(s.sample(Vec3::new(1.0, 0.0, 0.0)) < 0.0);
+        assert!(s.sample(Vec3::new(0.1, 0.0, 0.0)) < 0.0);
+        assert_eq!(s.sample(Vec3::new(2.0, 0.0, 0.0)), 1.0);
+    }
+
+    #[test]
+    fn linear_functions_are_sampled_exactly() {
+        let voxels: Vec<f32> = (0..60).map(|n| (n % 3) as f32 + 10.0 * (n / 3 % 4) as f32 - 4.0 * (n / 12) as f32).collect();
+        let volume = Volume::new(voxels.into(), [3, 4, 5], Rescale::NONE, DAffine3::IDENTITY);
+        let grid = Grid::new(&volume);
+        let GridVoxels::F32(v) = &grid.voxels else { panic!() };
+        let s = Sampler::new(&grid, v);
+        let p = Vec3::new(1.25, 2.5, 3.125);
+        let want = (p.x + 10.0 * p.y - 4.0 * p.z + 16.0) / 48.0;
+        assert!((s.sample(p) - want).abs() < 1e-6);
+    }
+}

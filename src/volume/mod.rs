@@ -1,0 +1,234 @@
+//! The scalar grid: typed voxels as they were stored, their geometry in world millimetres (LPS), range and histogram.
+//!
+//! Renderers never see the stored type: they take a [`Grid`], which shares the voxels of the types that both the CPU and a GPU
+//! sample natively (u8, i16, u16, f32) and converts the rest once. A sample is *normalised*: 0 at the lowest finite value of the
+//! volume, 1 at the highest. A voxel that is NaN or infinite holds nothing and normalises below 0 (see [`Grid`]).
+
+mod gradient;
+mod grid;
+pub mod load;
+pub mod phantom;
+mod voxels;
+
+pub use gradient::GradientFilter;
+pub use grid::{Grid, GridVoxels, HOLE, Sampler, Voxel};
+pub use voxels::Voxels;
+
+use glam::{DAffine3, DMat3, DVec3};
+use rayon::prelude::*;
+
+/// A scalar volume.
+#[derive(Clone, Debug)]
+pub struct Volume {
+    /// Stored values, i fastest.
+    pub voxels: Voxels,
+    /// Voxels along i, j, k.
+    pub size: [usize; 3],
+    /// Value in data units = slope · stored + intercept.
+    pub rescale: Rescale,
+    /// Voxel indices (centres at integers) to world millimetres, LPS.
+    pub world_from_voxel: DAffine3,
+    /// Lowest and highest finite value in data units; `[0, 1]` when there is none.
+    pub range: [f64; 2],
+    /// Number of NaN and infinite voxels.
+    pub non_finite: usize,
+    /// Where the volume came from says that it holds labels.
+    pub declared_labels: bool,
+    /// What was odd about the source, one sentence each.
+    pub warnings: Vec<String>,
+}
+
+/// The linear map from stored to data values.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rescale {
+    /// Data units per stored unit; never 0.
+    pub slope: f64,
+    /// Data value of stored 0.
+    pub intercept: f64,
+}
+
+impl Rescale {
+    /// Stored values are data values.
+    pub const NONE: Self = Self { slope: 1.0, intercept: 0.0 };
+}
+
+/// Counts of the finite values in equal bins over the volume's range.
+#[derive(Clone, Debug)]
+pub struct Histogram {
+    /// Data value at the lower edge of the first bin.
+    pub low: f64,
+    /// Data value at the upper edge of the last bin.
+    pub high: f64,
+    /// Voxels per bin.
+    pub counts: Vec<u64>,
+}
+
+impl Volume {
+    /// Wraps voxels, finding their range.
+    ///
+    /// `voxels.len()` must be the product of `size`; the readers and phantoms see to it.
+    pub fn new(voxels: Voxels, size: [usize; 3], rescale: Rescale, world_from_voxel: DAffine3) -> Self {
+        assert_eq!(voxels.len(), size.iter().product::<usize>(), "voxel count and size disagree");
+        let (stored, non_finite) = voxels.finite_range();
+        let range = match stored {
+            Some([a, b]) => {
+                let (a, b) = (a * rescale.slope + rescale.intercept, b * rescale.slope + rescale.intercept);
+                [a.min(b), a.max(b)]
+            }
+            None => [0.0, 1.0],
+        };
+        Self { voxels, size, rescale, world_from_voxel, range, non_finite, declared_labels: false, warnings: Vec::new() }
+    }
+
+    /// Data value of the voxel (i, j, k).
+    pub fn value(&self, i: usize, j: usize, k: usize) -> f64 {
+        self.voxels.get((k * self.size[1] + j) * self.size[0] + i) * self.rescale.slope + self.rescale.intercept
+    }
+
+    /// Distance between voxel centres along each grid axis, mm.
+    pub fn spacing_mm(&self) -> DVec3 {
+        let m = self.world_from_voxel.matrix3;
+        DVec3::new(m.x_axis.length(), m.y_axis.length(), m.z_axis.length())
+    }
+
+    /// Unit vectors of the grid axes in world space, as columns.
+    pub fn direction(&self) -> DMat3 {
+        let m = self.world_from_voxel.matrix3;
+        let s = self.spacing_mm();
+        DMat3::from_cols(m.x_axis / s.x, m.y_axis / s.y, m.z_axis / s.z)
+    }
+
+    /// The letters of the directions in which i, j, k grow, e.g. `LPS`: each axis by its largest component, no letter twice.
+    pub fn orientation(&self) -> String {
+        let direction = self.direction();
+        let mut free = [true; 3];
+        let mut letters = ['?'; 3];
+        // The most clearly aligned axis chooses first.
+        let mut order = [0usize, 1, 2];
+        order.sort_by(|&a, &b| direction.col(b).abs().max_element().total_cmp(&direction.col(a).abs().max_element()));
+        for axis in order {
+            let column = direction.col(axis);
+            let world = (0..3).filter(|&w| free[w]).max_by(|&a, &b| column[a].abs().total_cmp(&column[b].abs())).unwrap_or(0);
+            free[world] = false;
+            letters[axis] = [['L', 'R'], ['P', 'A'], ['S', 'I']][world][usize::from(column[world] < 0.0)];
+        }
+        letters.iter().collect()
+    }
+
+    /// A histogram of the finite values.
+    pub fn histogram(&self, bins: usize) -> Histogram {
+        let [low, high] = self.range;
+        let scale = bins as f64 / (high - low).max(f64::MIN_POSITIVE);
+        let (slope, intercept) = (self.rescale.slope, self.rescale.intercept);
+        let counts = self.voxels.fold(
+            || vec![0u64; bins],
+            |mut counts, stored| {
+                if stored.is_finite() {
+                    let bin = ((stored * slope + intercept - low) * scale) as usize;
+                    counts[bin.min(bins - 1)] += 1;
+                }
+                counts
+            },
+            |mut a, b| {
+                a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
+                a
+            },
+        );
+        Histogram { low, high, counts }
+    }
+
+    /// The number of distinct labels besides 0, if this is a label map: declared so by its file, or an integer volume of at most 1000
+    /// distinct values, none negative, of which at least 90 % equal their neighbour along i.
+    pub fn labels(&self) -> Option<usize> {
+        if self.rescale != Rescale::NONE || !self.voxels.is_integer() || self.range[0] < 0.0 || self.range[1] > 65_535.0 {
+            return None;
+        }
+        let mut seen = vec![false; self.range[1] as usize + 1];
+        let mut like_neighbour = 0usize;
+        let mut inside = 0usize;
+        for row in 0..self.size[1] * self.size[2] {
+            let mut last = f64::NAN;
+            for i in 0..self.size[0] {
+                let v = self.voxels.get(row * self.size[0] + i);
+                seen[v as usize] = true;
+                if v != 0.0 {
+                    inside += 1;
+                    like_neighbour += usize::from(v == last);
+                }
+                last = v;
+            }
+        }
+        let distinct = seen.iter().skip(1).filter(|s| **s).count();
+        let piecewise_constant = distinct <= 1000 && inside > 0 && like_neighbour as f64 >= 0.75 * inside as f64;
+        let label_range = self.range[1] <= 1000.0 || distinct <= 255;
+        (self.declared_labels || (piecewise_constant && label_range && self.flat_share() >= 0.9)).then_some(distinct)
+    }
+
+    /// Share of voxels that equal their successor along i.
+    fn flat_share(&self) -> f64 {
+        let n = self.size[0];
+        let equal: usize = (0..self.size[1] * self.size[2])
+            .into_par_iter()
+            .map(|row| (1..n).filter(|i| self.voxels.get(row * n + i) == self.voxels.get(row * n + i - 1)).count())
+            .sum();
+        equal as f64 / ((n.saturating_sub(1)) * self.size[1] * self.size[2]).max(1) as f64
+    }
+
+    /// The box of the grid's cells (half a voxel around the outermost centres), in world millimetres.
+    pub fn bounds_in_world(&self) -> crate::math::Bounds {
+        let s = self.size.map(|n| n as f32);
+        crate::math::Bounds::new(glam::Vec3::splat(-0.5), glam::Vec3::from(s) - 0.5).transformed(&crate::math::to_f32(&self.world_from_voxel))
+    }
+}
+
+impl Histogram {
+    /// The data value below which `fraction` of the counted voxels lie, `skip_lowest` leaving out the first bin (air).
+    pub fn percentile(&self, fraction: f64, skip_lowest: bool) -> f64 {
+        let counts = &self.counts[usize::from(skip_lowest)..];
+        let total: u64 = counts.iter().sum();
+        if total == 0 {
+            return self.high;
+        }
+        let target = fraction * total as f64;
+        let width = (self.high - self.low) / self.counts.len() as f64;
+        let mut below = 0.0;
+        for (bin, &count) in counts.iter().enumerate() {
+            if below + count as f64 >= target && count > 0 {
+                let within = (target - below) / count as f64;
+                return self.low + (bin as f64 + usize::from(skip_lowest) as f64 + within) * width;
+            }
+            below += count as f64;
+        }
+        self.high
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn volume(direction: DMat3) -> Volume {
+        Volume::new(vec![0u8, 1, 2, 3, 4, 5, 6, 7].into(), [2, 2, 2], Rescale::NONE, DAffine3::from_mat3(direction))
+    }
+
+    #[test]
+    fn orientation_letters() {
+        assert_eq!(volume(DMat3::IDENTITY).orientation(), "LPS");
+        assert_eq!(volume(DMat3::from_diagonal(DVec3::new(-1.0, -1.0, 1.0))).orientation(), "RAS");
+        assert_eq!(volume(DMat3::from_cols(DVec3::Y * 2.0, DVec3::NEG_Z, DVec3::X)).orientation(), "PIL");
+    }
+
+    #[test]
+    fn histogram_and_percentiles() {
+        let v = volume(DMat3::IDENTITY);
+        let h = v.histogram(8);
+        assert_eq!(h.counts, [1; 8]);
+        assert!((h.percentile(0.5, false) - 3.5).abs() < 1e-9);
+    }
+
+    #[test]
+    fn non_finite_voxels_are_counted_and_leave_the_range_alone() {
+        let v = Volume::new(vec![f32::NAN, 1.0, f32::INFINITY, -2.0].into(), [4, 1, 1], Rescale::NONE, DAffine3::IDENTITY);
+        assert_eq!((v.non_finite, v.range), (2, [-2.0, 1.0]));
+    }
+}

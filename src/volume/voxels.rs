@@ -1,0 +1,117 @@
+//! Voxels in the type they were stored in.
+
+use rayon::prelude::*;
+use std::sync::Arc;
+
+/// A flat array of one scalar type, i fastest. Shared, never changed after loading.
+#[derive(Clone, Debug)]
+#[allow(missing_docs, reason = "the variants are the Rust types")]
+pub enum Voxels {
+    U8(Arc<Vec<u8>>),
+    I8(Arc<Vec<i8>>),
+    U16(Arc<Vec<u16>>),
+    I16(Arc<Vec<i16>>),
+    U32(Arc<Vec<u32>>),
+    I32(Arc<Vec<i32>>),
+    U64(Arc<Vec<u64>>),
+    I64(Arc<Vec<i64>>),
+    F32(Arc<Vec<f32>>),
+    F64(Arc<Vec<f64>>),
+}
+
+macro_rules! with_voxels {
+    ($voxels:expr, $v:ident => $body:expr) => {
+        match $voxels {
+            Voxels::U8($v) => $body,
+            Voxels::I8($v) => $body,
+            Voxels::U16($v) => $body,
+            Voxels::I16($v) => $body,
+            Voxels::U32($v) => $body,
+            Voxels::I32($v) => $body,
+            Voxels::U64($v) => $body,
+            Voxels::I64($v) => $body,
+            Voxels::F32($v) => $body,
+            Voxels::F64($v) => $body,
+        }
+    };
+}
+
+macro_rules! from_vec {
+    ($($variant:ident $t:ty),*) => {
+        $(impl From<Vec<$t>> for Voxels {
+            fn from(values: Vec<$t>) -> Self {
+                Self::$variant(Arc::new(values))
+            }
+        })*
+    };
+}
+from_vec!(U8 u8, I8 i8, U16 u16, I16 i16, U32 u32, I32 i32, U64 u64, I64 i64, F32 f32, F64 f64);
+
+/// Voxels handled at once by one task of a parallel pass.
+const CHUNK: usize = 1 << 16;
+
+impl Voxels {
+    /// Number of voxels.
+    pub fn len(&self) -> usize {
+        with_voxels!(self, v => v.len())
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The stored value at a flat index.
+    pub fn get(&self, index: usize) -> f64 {
+        with_voxels!(self, v => v[index] as f64)
+    }
+
+    /// The name of the type, as `info` prints it.
+    pub fn type_name(&self) -> &'static str {
+        match self {
+            Self::U8(_) => "u8",
+            Self::I8(_) => "i8",
+            Self::U16(_) => "u16",
+            Self::I16(_) => "i16",
+            Self::U32(_) => "u32",
+            Self::I32(_) => "i32",
+            Self::U64(_) => "u64",
+            Self::I64(_) => "i64",
+            Self::F32(_) => "f32",
+            Self::F64(_) => "f64",
+        }
+    }
+
+    /// Whether values are integers.
+    pub fn is_integer(&self) -> bool {
+        !matches!(self, Self::F32(_) | Self::F64(_))
+    }
+
+    /// Bytes of one voxel.
+    pub fn bytes_per_voxel(&self) -> usize {
+        with_voxels!(self, v => size_of_val(&v[..]) / v.len().max(1))
+    }
+
+    /// Folds over all stored values in parallel.
+    pub fn fold<A: Send>(&self, start: impl Fn() -> A + Sync + Send, fold: impl Fn(A, f64) -> A + Sync + Send, join: impl Fn(A, A) -> A + Sync + Send) -> A {
+        with_voxels!(self, v => v
+            .par_chunks(CHUNK)
+            .map(|chunk| chunk.iter().fold(start(), |a, &x| fold(a, x as f64)))
+            .reduce(&start, &join))
+    }
+
+    /// Lowest and highest finite value (none if there is no finite one), and how many are not finite.
+    pub fn finite_range(&self) -> (Option<[f64; 2]>, usize) {
+        let (low, high, non_finite) = self.fold(
+            || (f64::INFINITY, f64::NEG_INFINITY, 0usize),
+            |(low, high, bad), x| if x.is_finite() { (low.min(x), high.max(x), bad) } else { (low, high, bad + 1) },
+            |a, b| (a.0.min(b.0), a.1.max(b.1), a.2 + b.2),
+        );
+        ((low <= high).then_some([low, high]), non_finite)
+    }
+
+    /// All values through `convert`, in parallel.
+    pub(super) fn map<T: Send>(&self, convert: impl Fn(f64) -> T + Sync + Send) -> Vec<T> {
+        with_voxels!(self, v => v.par_iter().map(|&x| convert(x as f64)).collect())
+    }
+}
