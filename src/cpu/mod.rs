@@ -60,6 +60,19 @@ fn rows<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, progress: &(dyn Fn(f32
     (Picture { width, height, pixels }, stats)
 }
 
+/// Source position in voxels and normalised value of a point of the deformed scene; none where it is cut away, outside the volume or in
+/// a hole.
+#[inline(always)]
+fn value_at<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, deformed: Vec3) -> Option<(Vec3, f32)> {
+    let source = scene.stack.source_from_deformed(deformed)?;
+    let in_voxel = scene.frame.voxel_from_world.transform_point3(source);
+    if in_voxel.cmplt(Vec3::splat(-0.5)).any() || in_voxel.cmpgt(scene.frame.grid_size - 0.5).any() {
+        return None;
+    }
+    let value = sampler.sample(in_voxel);
+    (!scene.grid.has_holes || value >= -1e-4).then_some((in_voxel, value))
+}
+
 /// Index of the first sample at or after `t`.
 fn first_sample_after(t: f32, step: f32) -> i32 {
     (t / step - 0.5).ceil().max(0.0) as i32
@@ -90,15 +103,7 @@ fn march<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, u: f32, v: f32, stats
         }
         i += 1;
         stats.samples_taken += 1;
-        let Some(source) = scene.stack.source_from_deformed(deformed) else { continue };
-        let in_voxel = frame.voxel_from_world.transform_point3(source);
-        if in_voxel.cmplt(Vec3::splat(-0.5)).any() || in_voxel.cmpgt(frame.grid_size - 0.5).any() {
-            continue;
-        }
-        let value = sampler.sample(in_voxel);
-        if scene.grid.has_holes && value < -1e-4 {
-            continue;
-        }
+        let Some((in_voxel, value)) = value_at(scene, sampler, deformed) else { continue };
         if scene.blend != Blend::Composite {
             projection.insert(value);
             continue;
@@ -107,7 +112,8 @@ fn march<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, u: f32, v: f32, stats
         if depth <= 0.0 {
             continue;
         }
-        let shaded = shading::shade(scene, sampler, deformed, in_voxel, direction, step, Vec3::new(r, g, b));
+        let sample = shading::Sample { deformed, in_voxel, color: Vec3::new(r, g, b), depth };
+        let shaded = shading::shade(scene, sampler, &sample, direction, step);
         let pass = (-depth * shaded.depth_factor * length).exp2();
         color += shaded.color * (transmittance * (1.0 - pass));
         transmittance *= pass;

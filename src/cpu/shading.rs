@@ -9,6 +9,8 @@
 //! - The faces of the volume's own box are cuts too: matter that a scan's edge cuts off is lit like any other cut.
 //! - A sample next to a cut stands for the part of its length that is matter: (1/2 + d/ℓ) of it, ℓ being the step's share along the
 //!   cut's normal. The sum over a ray is then the exact path through a planar cut, wherever the samples fall: no rings on cuts.
+//! - A sample behind which the ray has just entered matter is shaded where it entered (where half its own density is reached, found by
+//!   bisection), not wherever within the step the sample happens to lie: else surfaces show the sampling as rings.
 //! - Where the volume is uniform its gradient is noise. Its share fades with its size, and what has no normal is lit evenly.
 //!
 //! `shaders/lib/shading.wgsl` says the same.
@@ -41,27 +43,73 @@ const SURFACE: [f32; 2] = [0.004, 0.04];
 /// Share of the diffuse light that a sample without a normal gets.
 const EVEN_LIGHT: f32 = 0.6;
 
-/// Shades a visible sample at `deformed` (mm), whose source lies at `in_voxel`, seen along `direction` with samples every `step_mm`.
-pub fn shade<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, deformed: Vec3, in_voxel: Vec3, direction: Vec3, step_mm: f32, color: Vec3) -> Shaded {
-    let jet = if scene.stack.is_empty() {
-        Jet { source: deformed, d_source_d_deformed: Mat3::IDENTITY, cut: Cut::NONE, alpha: 1.0 }
-    } else {
-        scene.stack.jet(deformed)
-    };
-    let cut = nearest_cut(scene, &jet, in_voxel);
+/// A visible sample before light.
+#[derive(Clone, Copy, Debug)]
+pub struct Sample {
+    /// Where it is seen, mm.
+    pub deformed: Vec3,
+    /// Where its matter came from, voxels.
+    pub in_voxel: Vec3,
+    /// Its colour by the transfer function.
+    pub color: Vec3,
+    /// Its optical depth per reference length.
+    pub depth: f32,
+}
+
+/// Bisections of the step in which a ray enters matter.
+const ENTRY_STEPS: u32 = 4;
+
+/// Shades a visible sample, seen along `direction` with samples every `step_mm`.
+pub fn shade<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, sample: &Sample, direction: Vec3, step_mm: f32) -> Shaded {
+    let mut jet = jet(scene, sample.deformed);
+    let mut cut = nearest_cut(scene, &jet, sample.in_voxel);
     let mut depth_factor = path_share(&cut, direction, step_mm);
     if !scene.is_lit() && !scene.uses_gradient_opacity() {
-        return Shaded { color, depth_factor };
+        return Shaded { color: sample.color, depth_factor };
     }
-    let gradient_in_source = voxel_covector(scene, sampler.gradient(in_voxel, scene.gradient_filter()));
+    let entry = entry(scene, sampler, sample, direction, step_mm);
+    if let Some(entry) = &entry {
+        jet = self::jet(scene, entry.deformed);
+        cut = nearest_cut(scene, &jet, entry.in_voxel);
+    }
+    let sample = entry.as_ref().unwrap_or(sample);
+    let gradient_in_source = voxel_covector(scene, sampler.gradient(sample.in_voxel, scene.gradient_filter()));
     if scene.uses_gradient_opacity() {
         depth_factor *= scene.table.gradient_factor(gradient_in_source.length());
     }
     if !scene.is_lit() {
-        return Shaded { color, depth_factor };
+        return Shaded { color: sample.color, depth_factor };
     }
     let normal = normal(scene, &jet.d_source_d_deformed, gradient_in_source, &cut, direction);
-    Shaded { color: light(scene, normal, direction, color), depth_factor }
+    Shaded { color: light(scene, normal, direction, sample.color), depth_factor }
+}
+
+fn jet(scene: &Prepared, deformed: Vec3) -> Jet {
+    if scene.stack.is_empty() {
+        return Jet { source: deformed, d_source_d_deformed: Mat3::IDENTITY, cut: Cut::NONE, alpha: 1.0 };
+    }
+    scene.stack.jet(deformed)
+}
+
+/// If the sample before this one is less than half as dense, the ray has entered matter in between: where it did, by bisection.
+fn entry<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, sample: &Sample, direction: Vec3, step_mm: f32) -> Option<Sample> {
+    let dense = |deformed: Vec3| {
+        let (in_voxel, value) = super::value_at(scene, sampler, deformed)?;
+        let [r, g, b, depth] = scene.table.lookup(value);
+        (depth >= 0.5 * sample.depth).then_some(Sample { deformed, in_voxel, color: Vec3::new(r, g, b), depth })
+    };
+    if dense(sample.deformed - direction * step_mm).is_some() {
+        return None;
+    }
+    let mut first = *sample;
+    let mut width = step_mm;
+    for _ in 0..ENTRY_STEPS {
+        width *= 0.5;
+        if let Some(nearer) = dense(first.deformed - direction * width) {
+            first = nearer;
+        }
+    }
+    Some(first)
 }
 
 /// A covector per voxel (a gradient along i, j, k) as one per millimetre of the source.

@@ -103,10 +103,10 @@ impl DisplacementMap {
         self.pyramid.query(low * top, high * top)
     }
 
-    /// The texels as the GPU takes them, in the storage format.
-    pub fn encode(&self) -> Vec<u8> {
+    /// The texels as the GPU takes them: in the map's own format, or in another where a device lacks it.
+    pub fn encode_as(&self, storage: Storage) -> Vec<u8> {
         let channels = self.texels.iter().flat_map(|t| t.to_array());
-        match self.storage {
+        match storage {
             Storage::F16 => channels.flat_map(|v| f16::from_f32(v).to_le_bytes()).collect(),
             Storage::Snorm16 => channels.flat_map(|v| ((v * 32767.0).round() as i16).to_le_bytes()).collect(),
             Storage::Snorm8 => channels.map(|v| (v * 127.0).round() as i8 as u8).collect(),
@@ -193,10 +193,10 @@ mod tests {
     fn encoding_has_the_size_it_says_and_keeps_the_values() {
         for storage in [Storage::F16, Storage::Snorm16, Storage::Snorm8] {
             let map = DisplacementMap::from_fn([3, 4, 5], storage, linear());
-            assert_eq!(map.encode().len(), map.gpu_bytes());
+            assert_eq!(map.encode_as(storage).len(), map.gpu_bytes());
         }
         let map = DisplacementMap::from_fn([2, 2, 2], Storage::Snorm8, linear());
-        assert_eq!(map.encode()[7] as i8, 127, "alpha of the second texel is 1");
+        assert_eq!(map.encode_as(Storage::Snorm8)[7] as i8, 127, "alpha of the second texel is 1");
     }
 
     #[test]

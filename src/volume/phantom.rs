@@ -1,8 +1,7 @@
 //! Procedural volumes: closed-form test bodies, the objects of [DDM06]'s figures, and a head in Hounsfield units.
 //!
 //! Every phantom is a function of a point in millimetres, evaluated at voxel centres of a grid that is centred on the world's
-//! origin with its axes along L, P, S. Surfaces are one voxel wide ramps of the signed distance, as a scanner's partial volume
-//! makes them. So that the ramp from one material to another does not pass through a third one's values, materials that touch are
+//! origin with its axes along L, P, S. Surfaces are smooth ramps of the signed distance, two voxels wide, as a scanner makes them. So that the ramp from one material to another does not pass through a third one's values, materials that touch are
 //! neighbours on the value scale (which is why the tomato's air is 255 and the piggy bank's 128).
 
 use super::{Rescale, Volume, Voxels};
@@ -114,9 +113,10 @@ pub fn generate(name: &str, size: [usize; 3], spacing_mm: Vec3) -> Result<Volume
     Ok(Volume::new(voxels, size, Rescale::NONE, world_from_voxel))
 }
 
-/// Share of a voxel inside a body at signed distance `d` (positive inside).
+/// Share of matter at signed distance `d` (positive inside): a smooth ramp two voxels wide, about what a scanner's point spread
+/// leaves of an edge, and wide enough for gradients to point straight out of it.
 fn cover(d: f32, voxel: f32) -> f32 {
-    (0.5 + d / voxel).clamp(0.0, 1.0)
+    crate::math::smoothstep(-voxel, voxel, d)
 }
 
 /// Paints a material over what is there.
@@ -262,7 +262,7 @@ fn tomato(p: Vec3, voxel: f32) -> f32 {
 fn teddy(p: Vec3, voxel: f32) -> f32 {
     const CLOTH: f32 = 95.0;
     const STUFFING: f32 = 185.0;
-    const BUTTON: f32 = 255.0;
+    const BUTTON: f32 = 44.0;
     const THREAD: f32 = 30.0;
     // The bear faces anterior (-y) and sits upright (+z).
     let m = Vec3::new(p.x.abs(), p.y, p.z);

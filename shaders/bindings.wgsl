@@ -1,0 +1,54 @@
+// What every entry point binds, and the functions that read it. lib/ calls these and binds nothing itself.
+
+@group(0) @binding(0) var<uniform> frame: Frame;
+@group(0) @binding(1) var<uniform> maps: array<PlacedMap, 8>;
+@group(0) @binding(2) var volume: texture_3d<f32>;
+@group(0) @binding(3) var linear_clamp: sampler;
+@group(0) @binding(4) var table: texture_2d<f32>;
+@group(0) @binding(5) var cells: texture_3d<u32>;
+@group(0) @binding(6) var map_0: texture_3d<f32>;
+@group(0) @binding(7) var map_1: texture_3d<f32>;
+@group(0) @binding(8) var map_2: texture_3d<f32>;
+@group(0) @binding(9) var map_3: texture_3d<f32>;
+@group(0) @binding(10) var map_4: texture_3d<f32>;
+@group(0) @binding(11) var map_5: texture_3d<f32>;
+@group(0) @binding(12) var map_6: texture_3d<f32>;
+@group(0) @binding(13) var map_7: texture_3d<f32>;
+
+// Number of maps in the stack.
+override MAPS: u32 = 8u;
+// 0 none, 1 source, 2 transformed, 3 blended.
+override NORMALS: u32 = 3u;
+// 0 composite, 1 MIP, 2 MinIP, 3 average.
+override BLEND: u32 = 0u;
+// 0 central differences, 1 Sobel.
+override GRADIENT: u32 = 0u;
+
+// Normalised value at a position in voxels.
+fn sample_volume(p: vec3<f32>) -> f32 {
+    return textureSampleLevel(volume, linear_clamp, (p + 0.5) / frame.grid_size, 0.0).r * frame.value_scale + frame.value_offset;
+}
+
+// Stored (D / scale, alpha) of map k; x inside the unit cube. Grid points lie on the cube's faces.
+fn fetch(k: u32, x: vec3<f32>) -> vec4<f32> {
+    let size = maps[k].size;
+    let c = (x * (size - 1.0) + 0.5) / size;
+    switch k {
+        case 0u: { return textureSampleLevel(map_0, linear_clamp, c, 0.0); }
+        case 1u: { return textureSampleLevel(map_1, linear_clamp, c, 0.0); }
+        case 2u: { return textureSampleLevel(map_2, linear_clamp, c, 0.0); }
+        case 3u: { return textureSampleLevel(map_3, linear_clamp, c, 0.0); }
+        case 4u: { return textureSampleLevel(map_4, linear_clamp, c, 0.0); }
+        case 5u: { return textureSampleLevel(map_5, linear_clamp, c, 0.0); }
+        case 6u: { return textureSampleLevel(map_6, linear_clamp, c, 0.0); }
+        default: { return textureSampleLevel(map_7, linear_clamp, c, 0.0); }
+    }
+}
+
+fn table_entry(i: i32, row: i32) -> vec4<f32> {
+    return textureLoad(table, vec2<i32>(i, row), 0);
+}
+
+fn cell_distance(cell: vec3<i32>) -> u32 {
+    return textureLoad(cells, cell, 0).r;
+}

@@ -1,0 +1,46 @@
+// Counterpart of src/scene/camera.rs (ray), src/scene/macrocells.rs (empty_until) and the helpers of src/cpu/mod.rs.
+
+struct Ray {
+    origin: vec3<f32>,
+    direction: vec3<f32>,
+}
+
+// The ray through a pixel's centre; pixel in 0 .. picture, y downwards.
+fn pixel_ray(pixel: vec2<f32>) -> Ray {
+    let u = pixel.x / frame.picture.x * 2.0 - 1.0;
+    let v = 1.0 - pixel.y / frame.picture.y * 2.0;
+    let across = frame.right * u + frame.up * v;
+    if frame.perspective > 0.5 {
+        return Ray(frame.eye, normalize(frame.forward + across));
+    }
+    return Ray(frame.eye + across, frame.forward);
+}
+
+fn first_sample_after(t: f32, step: f32) -> i32 {
+    return i32(max(ceil(t / step - 0.5), 0.0));
+}
+
+// Parameter at which a ray leaves the block of empty cells around p, or a negative number in an occupied cell.
+fn empty_until(p: vec3<f32>, origin: vec3<f32>, inverse_direction: vec3<f32>) -> f32 {
+    let cell = clamp(floor((p - frame.cells_origin) / frame.cell_mm), vec3<f32>(0.0), vec3<f32>(frame.cells) - 1.0);
+    let d = cell_distance(vec3<i32>(cell));
+    if d == 0u {
+        return -1.0;
+    }
+    let reach = f32(d);
+    let low = frame.cells_origin + (cell - (reach - 1.0)) * frame.cell_mm;
+    let high = frame.cells_origin + (cell + reach) * frame.cell_mm;
+    let far = max((low - origin) * inverse_direction, (high - origin) * inverse_direction);
+    return min(far.x, min(far.y, far.z));
+}
+
+// Optical depth and colour of one sample after light: premultiplied by its opacity over `length` reference lengths.
+fn shaded_sample(deformed: vec3<f32>, v: Value, direction: vec3<f32>, step: f32, length: f32) -> vec4<f32> {
+    let t = lookup(v.value);
+    if t.a <= 0.0 {
+        return vec4<f32>(0.0);
+    }
+    let shaded = shade(Sample(deformed, v.in_voxel, t.rgb, t.a), direction, step);
+    let alpha = 1.0 - exp2(-t.a * shaded.depth_factor * length);
+    return vec4<f32>(shaded.color * alpha, alpha);
+}

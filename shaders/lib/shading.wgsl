@@ -1,0 +1,138 @@
+// Counterpart of src/cpu/shading.rs.
+
+const SURFACE_LOW: f32 = 0.004;
+const SURFACE_HIGH: f32 = 0.04;
+const EVEN_LIGHT: f32 = 0.6;
+const ENTRY_STEPS: i32 = 4;
+
+struct Shaded {
+    color: vec3<f32>,
+    depth_factor: f32,
+}
+
+struct Sample {
+    deformed: vec3<f32>,
+    in_voxel: vec3<f32>,
+    color: vec3<f32>,
+    depth: f32,
+}
+
+struct Normal {
+    normal: vec3<f32>,
+    confidence: f32,
+}
+
+fn is_lit() -> bool {
+    return NORMALS != 0u;
+}
+
+fn uses_gradient_opacity() -> bool {
+    return frame.gradient_top > 0.0;
+}
+
+fn voxel_covector(per_voxel: vec3<f32>) -> vec3<f32> {
+    return transpose(linear_part(frame.voxel_from_world)) * per_voxel;
+}
+
+fn nearest_cut(j: Jet, in_voxel: vec3<f32>) -> Cut {
+    let low = in_voxel + 0.5;
+    let high = frame.grid_size - 0.5 - in_voxel;
+    var cut = j.cut;
+    for (var axis = 0; axis < 3; axis += 1) {
+        var inward = vec3<f32>(0.0);
+        inward[axis] = select(-1.0, 1.0, low[axis] < high[axis]);
+        cut = or_nearer(cut, min(low[axis], high[axis]), transpose(j.d_source_d_deformed) * voxel_covector(inward));
+    }
+    return cut;
+}
+
+fn path_share(cut: Cut, direction: vec3<f32>, step_mm: f32) -> f32 {
+    let across = step_mm * abs(dot(cut.normal, direction));
+    if cut.distance_mm < across {
+        return clamp(0.5 + cut.distance_mm / across, 0.5, 1.5);
+    }
+    return 1.0;
+}
+
+fn dense(deformed: vec3<f32>, depth: f32) -> Sample {
+    let v = value_at(deformed);
+    if !v.present {
+        return Sample(deformed, v.in_voxel, vec3<f32>(0.0), -1.0);
+    }
+    let t = lookup(v.value);
+    return Sample(deformed, v.in_voxel, t.rgb, select(-1.0, t.a, t.a >= 0.5 * depth));
+}
+
+// The sample itself, or where the ray entered the matter that it lies in; depth < 0 marks nothing found.
+fn entry(s: Sample, direction: vec3<f32>, step_mm: f32) -> Sample {
+    if dense(s.deformed - direction * step_mm, s.depth).depth >= 0.0 {
+        return Sample(s.deformed, s.in_voxel, s.color, -1.0);
+    }
+    var first = s;
+    var width = step_mm;
+    for (var n = 0; n < ENTRY_STEPS; n += 1) {
+        width *= 0.5;
+        let nearer = dense(first.deformed - direction * width, s.depth);
+        if nearer.depth >= 0.0 {
+            first = nearer;
+        }
+    }
+    return first;
+}
+
+fn shaded_normal(d_source_d_deformed: mat3x3<f32>, gradient_in_source: vec3<f32>, cut: Cut, direction: vec3<f32>) -> Normal {
+    var g = gradient_in_source;
+    if NORMALS >= 2u {
+        g = transpose(d_source_d_deformed) * g;
+    }
+    let per_reference = length(gradient_in_source) * abs(frame.table_scale) * frame.reference_mm;
+    var confidence = smoothstep(SURFACE_LOW, SURFACE_HIGH, per_reference);
+    var normal = normalize_or(-g, vec3<f32>(0.0));
+    if frame.two_sided != 0u && dot(normal, direction) > 0.0 {
+        normal = -normal;
+    }
+    if NORMALS == 3u {
+        let own = smoothstep(frame.blend_near_mm, frame.blend_far_mm, cut.distance_mm);
+        normal = normalize_or(normal * (own * confidence) + cut.normal * (1.0 - own), cut.normal);
+        confidence = max(own * confidence, 1.0 - own);
+    }
+    return Normal(normal, confidence);
+}
+
+fn light(n: Normal, direction: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
+    let even = frame.ambient + EVEN_LIGHT * frame.diffuse;
+    let facing = dot(n.normal, frame.to_light);
+    let diffuse = frame.ambient + frame.diffuse * max(facing, 0.0);
+    let half_way = normalize_or(frame.to_light - direction, frame.to_light);
+    var highlight = 0.0;
+    if facing > 0.0 {
+        highlight = frame.specular * pow(max(dot(n.normal, half_way), 0.0), frame.shininess);
+    }
+    let lit = color * diffuse + highlight;
+    return clamp(mix(color * even, lit, n.confidence), vec3<f32>(0.0), vec3<f32>(1.0));
+}
+
+fn shade(s: Sample, direction: vec3<f32>, step_mm: f32) -> Shaded {
+    var j = jet(s.deformed);
+    var cut = nearest_cut(j, s.in_voxel);
+    var depth_factor = path_share(cut, direction, step_mm);
+    if !is_lit() && !uses_gradient_opacity() {
+        return Shaded(s.color, depth_factor);
+    }
+    var seen = s;
+    let first = entry(s, direction, step_mm);
+    if first.depth >= 0.0 {
+        seen = first;
+        j = jet(seen.deformed);
+        cut = nearest_cut(j, seen.in_voxel);
+    }
+    let gradient_in_source = voxel_covector(gradient(seen.in_voxel));
+    if uses_gradient_opacity() {
+        depth_factor *= gradient_factor(length(gradient_in_source));
+    }
+    if !is_lit() {
+        return Shaded(seen.color, depth_factor);
+    }
+    let n = shaded_normal(j.d_source_d_deformed, gradient_in_source, cut, direction);
+    return Shaded(light(n, direction, seen.color), depth_factor);
+}

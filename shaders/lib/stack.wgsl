@@ -1,0 +1,87 @@
+// Counterpart of src/deform/stack.rs and of the derivatives in src/deform/map.rs.
+
+struct Cut {
+    // mm, positive where matter is.
+    distance_mm: f32,
+    // Unit, out of the matter.
+    normal: vec3<f32>,
+}
+
+struct Jet {
+    source: vec3<f32>,
+    alpha: f32,
+    d_source_d_deformed: mat3x3<f32>,
+    cut: Cut,
+}
+
+fn or_nearer(cut: Cut, value: f32, gradient: vec3<f32>) -> Cut {
+    let slope = length(gradient);
+    if slope < 1e-12 || value >= cut.distance_mm * slope {
+        return cut;
+    }
+    return Cut(value / slope, gradient / -slope);
+}
+
+fn outside(x: vec3<f32>) -> bool {
+    return any(x < vec3<f32>(0.0)) || any(x > vec3<f32>(1.0));
+}
+
+// The point before map k was applied, and the mask.
+fn backward(k: u32, p: vec3<f32>) -> vec4<f32> {
+    let x = transform_point(maps[k].map_from_world, p);
+    if outside(x) {
+        return vec4<f32>(p, 1.0);
+    }
+    let t = fetch(k, x);
+    return vec4<f32>(p + linear_part(maps[k].world_from_stored) * t.xyz, t.w);
+}
+
+// xyz: the source point; w: 1 where matter is, 0 where it is cut away.
+fn source_from_deformed(deformed: vec3<f32>) -> vec4<f32> {
+    var p = deformed;
+    for (var n = MAPS; n > 0u; n -= 1u) {
+        let before = backward(n - 1u, p);
+        if before.w < 0.5 {
+            return vec4<f32>(p, 0.0);
+        }
+        p = before.xyz;
+    }
+    return vec4<f32>(p, 1.0);
+}
+
+fn jet(deformed: vec3<f32>) -> Jet {
+    var j = Jet(deformed, 1.0, mat3x3<f32>(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), Cut(1e30, vec3<f32>(0.0)));
+    for (var n = MAPS; n > 0u; n -= 1u) {
+        let k = n - 1u;
+        let p = j.source;
+        let before = backward(k, p);
+        let x = transform_point(maps[k].map_from_world, p);
+        if !outside(x) {
+            // Differences over one texel to each side, shortened at the cube's faces; columns are d stored / d map axis.
+            let size = maps[k].size;
+            var columns = array<vec3<f32>, 3>(vec3<f32>(0.0), vec3<f32>(0.0), vec3<f32>(0.0));
+            var slope = vec3<f32>(0.0);
+            for (var axis = 0; axis < 3; axis += 1) {
+                if size[axis] < 1.5 {
+                    continue;
+                }
+                let step = 1.0 / (size[axis] - 1.0);
+                var low = x;
+                var high = x;
+                low[axis] = max(x[axis] - step, 0.0);
+                high[axis] = min(x[axis] + step, 1.0);
+                let d = (fetch(k, high) - fetch(k, low)) / (high[axis] - low[axis]);
+                columns[axis] = d.xyz;
+                slope[axis] = d.w;
+            }
+            let inverse = linear_part(maps[k].map_from_world);
+            j.cut = or_nearer(j.cut, before.w - 0.5, transpose(j.d_source_d_deformed) * (transpose(inverse) * slope));
+            // J_G = I + A J_D / A.
+            let moved = linear_part(maps[k].world_from_stored) * mat3x3<f32>(columns[0], columns[1], columns[2]) * inverse;
+            j.d_source_d_deformed = j.d_source_d_deformed + moved * j.d_source_d_deformed;
+        }
+        j.alpha = min(j.alpha, before.w);
+        j.source = before.xyz;
+    }
+    return j;
+}

@@ -1,0 +1,70 @@
+// One fragment, one ray, front to back. Counterpart of march in src/cpu/mod.rs.
+
+const OPAQUE: f32 = 1.0 / 512.0;
+
+@vertex
+fn vertex(@builtin(vertex_index) index: u32) -> @builtin(position) vec4<f32> {
+    // One triangle over the whole picture.
+    return vec4<f32>(f32(index & 1u) * 4.0 - 1.0, f32(index >> 1u) * 4.0 - 1.0, 0.5, 1.0);
+}
+
+@fragment
+fn fragment(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
+    let ray = pixel_ray(position.xy);
+    let inverse_direction = 1.0 / ray.direction;
+    let a = (frame.proxy_min - ray.origin) * inverse_direction;
+    let b = (frame.proxy_max - ray.origin) * inverse_direction;
+    let nears = min(a, b);
+    let fars = max(a, b);
+    let near = max(nears.x, max(nears.y, nears.z));
+    let far = min(fars.x, min(fars.y, fars.z));
+    if near > far {
+        return vec4<f32>(0.0);
+    }
+    let step = frame.step_mm;
+    var i = first_sample_after(near, step);
+    let end = first_sample_after(far, step);
+    let length = step / frame.reference_mm;
+    var color = vec4<f32>(0.0);
+    var projected = select(0.0, select(-1e30, 1e30, BLEND == 2u), BLEND != 3u);
+    var matter = 0.0;
+    var taken = 0u;
+    var skipped = 0u;
+    var terminated = 0u;
+    while i < end {
+        let deformed = ray.origin + ray.direction * ((f32(i) + 0.5) * step);
+        let t = empty_until(deformed, ray.origin, inverse_direction);
+        if t >= 0.0 {
+            let next = min(max(first_sample_after(t, step), i + 1), end);
+            skipped += u32(next - i);
+            i = next;
+            continue;
+        }
+        i += 1;
+        taken += 1u;
+        let v = value_at(deformed);
+        if !v.present {
+            continue;
+        }
+        if BLEND != 0u {
+            matter += 1.0;
+            switch BLEND {
+                case 1u: { projected = max(projected, v.value); }
+                case 2u: { projected = min(projected, v.value); }
+                default: { projected += v.value; }
+            }
+            continue;
+        }
+        let s = shaded_sample(deformed, v, ray.direction, step, length);
+        color += s * (1.0 - color.a);
+        if 1.0 - color.a < OPAQUE && frame.early_termination != 0u {
+            terminated += u32(max(end - i, 0));
+            break;
+        }
+    }
+    count(position.xy, vec3<u32>(taken, skipped, terminated));
+    if BLEND == 0u {
+        return color;
+    }
+    return projection_color(projected, matter);
+}

@@ -1,0 +1,14 @@
+// What the blend unit has gathered for a projection by slices, through the transfer function.
+
+@group(1) @binding(1) var gathered: texture_2d<f32>;
+
+@vertex
+fn vertex(@builtin(vertex_index) index: u32) -> @builtin(position) vec4<f32> {
+    return vec4<f32>(f32(index & 1u) * 4.0 - 1.0, f32(index >> 1u) * 4.0 - 1.0, 0.5, 1.0);
+}
+
+@fragment
+fn fragment(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
+    let g = textureLoad(gathered, vec2<i32>(position.xy), 0);
+    return projection_color(select(g.r, -g.r, BLEND == 2u), g.g);
+}

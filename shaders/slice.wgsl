@@ -1,0 +1,40 @@
+// View-aligned slices: polygons of plane and proxy box, drawn back to front and blended by the hardware ([DDM06] section 4).
+//
+// A fragment takes its position from its pixel's ray and its slice's depth rather than from interpolated vertices: the same arithmetic
+// as a ray's sample, so that the renderers agree on where they look.
+
+struct Slice {
+    @builtin(position) position: vec4<f32>,
+    @location(0) @interpolate(flat) depth_mm: f32,
+}
+
+@vertex
+fn vertex(@location(0) corner: vec4<f32>) -> Slice {
+    return Slice(frame.clip_from_world * vec4<f32>(corner.xyz, 1.0), corner.w);
+}
+
+@fragment
+fn fragment(slice: Slice) -> @location(0) vec4<f32> {
+    let ray = pixel_ray(slice.position.xy);
+    let slant = dot(ray.direction, frame.forward);
+    let step = frame.step_mm / slant;
+    let deformed = ray.origin + ray.direction * (slice.depth_mm / slant);
+    if empty_until(deformed, ray.origin, 1.0 / ray.direction) >= 0.0 {
+        count(slice.position.xy, vec3<u32>(0u, 1u, 0u));
+        discard;
+    }
+    count(slice.position.xy, vec3<u32>(1u, 0u, 0u));
+    let v = value_at(deformed);
+    if !v.present {
+        discard;
+    }
+    if BLEND != 0u {
+        // Red: the value (negated for the minimum), for the blend unit's maximum or sum; green: whether, or how often.
+        return vec4<f32>(select(v.value, -v.value, BLEND == 2u), 1.0, 0.0, 0.0);
+    }
+    let s = shaded_sample(deformed, v, ray.direction, step, step / frame.reference_mm);
+    if s.a <= 0.0 {
+        discard;
+    }
+    return s;
+}

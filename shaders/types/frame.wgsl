@@ -1,0 +1,51 @@
+// Mirrored by src/render/uniforms.rs; a test compares names, offsets and sizes.
+
+struct Frame {
+    clip_from_world: mat4x4<f32>,
+    // Affine; the last row is unused.
+    voxel_from_world: mat4x4<f32>,
+    eye: vec3<f32>,
+    // 1 for the perspective camera, 0 for the orthographic one.
+    perspective: f32,
+    forward: vec3<f32>,
+    step_mm: f32,
+    right: vec3<f32>,
+    reference_mm: f32,
+    up: vec3<f32>,
+    // Distances from a cut at which its normal stops to rule alone, and to matter.
+    blend_near_mm: f32,
+    to_light: vec3<f32>,
+    blend_far_mm: f32,
+    proxy_min: vec3<f32>,
+    ambient: f32,
+    proxy_max: vec3<f32>,
+    diffuse: f32,
+    grid_size: vec3<f32>,
+    specular: f32,
+    cells_origin: vec3<f32>,
+    shininess: f32,
+    cell_mm: vec3<f32>,
+    // Normalised value = value_scale * texel + value_offset.
+    value_scale: f32,
+    cells: vec3<u32>,
+    value_offset: f32,
+    picture: vec2<f32>,
+    // Table coordinate = table_scale * normalised value + table_offset.
+    table_scale: f32,
+    table_offset: f32,
+    // Gradient magnitude of the last entry of the gradient table; 0 for none.
+    gradient_top: f32,
+    two_sided: u32,
+    has_holes: u32,
+    early_termination: u32,
+}
+
+struct PlacedMap {
+    // Affine; the last row is unused.
+    map_from_world: mat4x4<f32>,
+    // Linear part of world_from_map times the map's scale: stored displacement to mm.
+    world_from_stored: mat4x4<f32>,
+    // Texels along x, y, z.
+    size: vec3<f32>,
+    padding: f32,
+}

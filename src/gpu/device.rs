@@ -1,0 +1,90 @@
+//! Choosing an adapter and opening it with the features that the renderers can use.
+
+use crate::{Error, Result};
+use serde_json::{Value, json};
+use wgpu::{DeviceType, Features};
+
+/// Which adapters will do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Want {
+    /// Only a hardware GPU.
+    Hardware,
+    /// Any adapter, hardware preferred.
+    Any,
+}
+
+/// An open device.
+pub struct Device {
+    /// The device.
+    pub device: wgpu::Device,
+    /// Its queue.
+    pub queue: wgpu::Queue,
+    /// What it is.
+    pub adapter: wgpu::AdapterInfo,
+}
+
+/// Used where the adapter has them; each has a fallback.
+const WISHES: [Features; 3] = [Features::TEXTURE_FORMAT_16BIT_NORM, Features::FLOAT32_FILTERABLE, Features::FLOAT32_BLENDABLE];
+
+impl Device {
+    /// Opens the best adapter: discrete, then integrated, then others, then (if wanted) a software one; Vulkan, Metal and DirectX before
+    /// OpenGL.
+    ///
+    /// # Errors
+    /// No such adapter, or one that cannot be opened.
+    pub fn open(want: Want) -> Result<Self> {
+        let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
+        let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
+        adapters.retain(|a| want == Want::Any || a.get_info().device_type != DeviceType::Cpu);
+        adapters.retain(|a| a.get_downlevel_capabilities().flags.contains(wgpu::DownlevelFlags::FRAGMENT_WRITABLE_STORAGE));
+        adapters.sort_by_key(|a| {
+            let info = a.get_info();
+            let kind = match info.device_type {
+                DeviceType::DiscreteGpu => 0,
+                DeviceType::IntegratedGpu => 1,
+                DeviceType::VirtualGpu => 2,
+                DeviceType::Other => 3,
+                DeviceType::Cpu => 4,
+            };
+            (kind, info.backend == wgpu::Backend::Gl)
+        });
+        let adapter = adapters.into_iter().next().ok_or_else(|| {
+            Error::Gpu(match want {
+                Want::Hardware => "no hardware GPU found".into(),
+                Want::Any => "no graphics driver found; install one (on Debian: mesa-vulkan-drivers) or use --backend cpu".into(),
+            })
+        })?;
+        let features = WISHES.into_iter().filter(|f| adapter.features().contains(*f)).fold(Features::empty(), |all, f| all | f);
+        let descriptor = wgpu::DeviceDescriptor {
+            label: Some("incise"),
+            required_features: features,
+            // The defaults cap 3D textures and buffers far below what adapters can do.
+            required_limits: adapter.limits(),
+            ..Default::default()
+        };
+        let (device, queue) =
+            pollster::block_on(adapter.request_device(&descriptor)).map_err(|e| Error::Gpu(format!("{}: {e}", adapter.get_info().name)))?;
+        Ok(Self { device, queue, adapter: adapter.get_info() })
+    }
+
+    /// Whether a software implementation stands behind it.
+    pub fn is_software(&self) -> bool {
+        self.adapter.device_type == DeviceType::Cpu
+    }
+
+    /// Name, for people.
+    pub fn info(&self) -> String {
+        format!("{} ({:?})", self.adapter.name, self.adapter.backend)
+    }
+
+    /// Details, for the report.
+    pub fn report(&self) -> Value {
+        json!({
+            "name": self.adapter.name,
+            "api": format!("{:?}", self.adapter.backend),
+            "type": format!("{:?}", self.adapter.device_type),
+            "driver": self.adapter.driver,
+            "driver_info": self.adapter.driver_info,
+        })
+    }
+}

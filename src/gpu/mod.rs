@@ -1,0 +1,35 @@
+//! wgpu without meaning: opening a device, the table of shaders, uploading and reading back. Knows no volume.
+
+mod device;
+mod readback;
+pub mod shaders;
+
+pub use device::{Device, Want};
+pub use readback::{read_buffer, read_rgba16f};
+
+use crate::{Error, Result};
+
+/// Runs GPU work and turns what wgpu reports about it (validation, memory) into an error of ours.
+///
+/// # Errors
+/// The first thing that wgpu reports, or the work's own.
+pub fn checked<T>(device: &wgpu::Device, work: impl FnOnce() -> Result<T>) -> Result<T> {
+    let memory = device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+    let validation = device.push_error_scope(wgpu::ErrorFilter::Validation);
+    let internal = device.push_error_scope(wgpu::ErrorFilter::Internal);
+    let result = work();
+    let problems = [pollster::block_on(internal.pop()), pollster::block_on(validation.pop()), pollster::block_on(memory.pop())];
+    match problems.into_iter().flatten().next() {
+        Some(problem) => Err(Error::Gpu(problem.to_string())),
+        None => result,
+    }
+}
+
+/// Waits until everything submitted is done.
+///
+/// # Errors
+/// A lost device.
+pub fn wait(device: &wgpu::Device) -> Result<()> {
+    device.poll(wgpu::PollType::wait_indefinitely()).map_err(|e| Error::Gpu(format!("the device stopped answering: {e}")))?;
+    Ok(())
+}

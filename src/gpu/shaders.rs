@@ -1,0 +1,47 @@
+//! The table of shaders: which pieces of WGSL make which program. Pieces are joined as text; WGSL needs no order of declaration.
+
+/// A program of one or two entry points.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Program {
+    /// Rays.
+    Raycast,
+    /// Slices.
+    Slice,
+    /// The second pass of a projection by slices.
+    Resolve,
+    /// Shared functions at given points, for tests.
+    Probe,
+}
+
+macro_rules! piece {
+    ($path:literal) => {
+        include_str!(concat!("../../shaders/", $path))
+    };
+}
+
+const SHARED: [&str; 7] = [
+    piece!("types/frame.wgsl"),
+    piece!("bindings.wgsl"),
+    piece!("lib/math.wgsl"),
+    piece!("lib/stack.wgsl"),
+    piece!("lib/transfer.wgsl"),
+    piece!("lib/volume.wgsl"),
+    piece!("lib/shading.wgsl"),
+];
+
+impl Program {
+    /// All programs.
+    pub const ALL: [Self; 4] = [Self::Raycast, Self::Slice, Self::Resolve, Self::Probe];
+
+    /// The program's whole text; `counting` keeps the sample counts.
+    pub fn source(self, counting: bool) -> String {
+        let count = if counting { piece!("lib/count.wgsl") } else { piece!("lib/count_nothing.wgsl") };
+        let own: &[&str] = match self {
+            Self::Raycast => &[piece!("lib/march.wgsl"), piece!("lib/projection.wgsl"), count, piece!("raycast.wgsl")],
+            Self::Slice => &[piece!("lib/march.wgsl"), count, piece!("slice.wgsl")],
+            Self::Resolve => &[piece!("lib/projection.wgsl"), piece!("resolve.wgsl")],
+            Self::Probe => &[piece!("probe.wgsl")],
+        };
+        SHARED.iter().chain(own).copied().collect::<Vec<_>>().join("\n")
+    }
+}

@@ -1,0 +1,693 @@
+//! Renders a scene on a GPU: view-aligned slices ([DDM06] section 4) or rays, on one library of WGSL functions.
+//!
+//! *Theory*: the shaders in `shaders/` state what `src/cpu` states, function by function. Slices are polygons of plane and proxy box,
+//! rasterised back to front and blended by the hardware into a 16-bit float target, premultiplied. Projections (MIP and its kin) blend by
+//! maximum or sum and pass through the transfer function in a second pass.
+//!
+//! *How to call it*: a [`Renderer`] owns a device and keeps what outlives a picture: pipelines by variant, the volume's texture as long as
+//! the same volume is rendered. Uniforms, maps and tables are per picture.
+//!
+//! Large pictures are drawn in bands and many slices in batches, each its own submission: a driver that watches for hung commands must
+//! not take a long one for it.
+
+mod slices;
+pub mod uniforms;
+
+use crate::deform::{DisplacementMap, MAX_MAPS, Storage};
+use crate::gpu::shaders::Program;
+use crate::gpu::{Device, checked, read_buffer, read_rgba16f, wait};
+use crate::scene::{Mode, Normals, Picture, Prepared, RenderStats, Rendered, Stages};
+use crate::transfer::{Blend, GRADIENT_ENTRIES, TABLE_ENTRIES};
+use crate::volume::{Grid, GradientFilter, GridVoxels};
+use crate::{Error, Result};
+use half::f16;
+use rayon::prelude::*;
+use std::collections::HashMap;
+use std::sync::Arc;
+use uniforms::{FrameUniform, PlacedMapUniform};
+use wgpu::util::DeviceExt;
+use wgpu::{Features, TextureFormat};
+
+/// Pixels per submission of rays.
+const PIXELS_PER_BAND: u32 = 1 << 16;
+/// Fragments per submission of slices, about.
+const FRAGMENTS_PER_BATCH: u64 = 1 << 24;
+/// Counters of `shaders/lib/count.wgsl`.
+const COUNTERS: usize = 3 * 1024;
+
+/// What makes a different pipeline.
+#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+struct Variant {
+    program: Program,
+    counting: bool,
+    maps: usize,
+    normals: Normals,
+    blend: u32,
+    gradient: GradientFilter,
+}
+
+/// A device with what it has compiled and uploaded.
+pub struct Renderer {
+    device: Device,
+    shared_layout: wgpu::BindGroupLayout,
+    sampler: wgpu::Sampler,
+    pipelines: HashMap<Variant, wgpu::RenderPipeline>,
+    volume: Option<VolumeTexture>,
+}
+
+/// A volume on the GPU.
+struct VolumeTexture {
+    /// Identity of the voxels: the pointer is kept alive by `_voxels`.
+    identity: usize,
+    _voxels: GridVoxels,
+    view: wgpu::TextureView,
+    scale: f32,
+    offset: f32,
+}
+
+impl GridVoxels {
+    fn identity(&self) -> usize {
+        match self {
+            Self::U8(v) => Arc::as_ptr(v) as usize,
+            Self::U16(v) => Arc::as_ptr(v) as usize,
+            Self::I16(v) => Arc::as_ptr(v) as usize,
+            Self::F32(v) => Arc::as_ptr(v) as usize,
+        }
+    }
+}
+
+impl Renderer {
+    /// A renderer on an open device.
+    pub fn new(device: Device) -> Self {
+        let sampler = device.device.create_sampler(&wgpu::SamplerDescriptor {
+            label: Some("linear, clamped"),
+            mag_filter: wgpu::FilterMode::Linear,
+            min_filter: wgpu::FilterMode::Linear,
+            ..Default::default()
+        });
+        let shared_layout = shared_layout(&device.device);
+        Self { device, shared_layout, sampler, pipelines: HashMap::new(), volume: None }
+    }
+
+    /// The device.
+    pub fn device(&self) -> &Device {
+        &self.device
+    }
+
+    /// Renders a prepared scene; `counting` keeps sample counts, which costs a little. `progress` is told the share that is done.
+    ///
+    /// # Errors
+    /// A volume or picture that the device cannot hold; whatever the device reports.
+    pub fn render(&mut self, scene: &Prepared, counting: bool, progress: &dyn Fn(f32)) -> Result<Rendered> {
+        let device = self.device.device.clone();
+        checked(&device, || self.render_unchecked(scene, counting, progress))
+    }
+
+    fn render_unchecked(&mut self, scene: &Prepared, counting: bool, progress: &dyn Fn(f32)) -> Result<Rendered> {
+        let mut stages = Stages::default();
+        let [width, height] = scene.frame.size;
+        let limits = self.device.device.limits();
+        if width.max(height) > limits.max_texture_dimension_2d {
+            return Err(Error::Gpu(format!("this device makes pictures up to {} pixels wide or high; use --backend cpu", limits.max_texture_dimension_2d)));
+        }
+        if scene.frame.proxy.is_empty() {
+            let pixels = vec![[0.0; 4]; width as usize * height as usize];
+            return Ok(Rendered { picture: Picture { width, height, pixels }, stats: Some(RenderStats::default()), stages });
+        }
+        stages.time("upload", || -> Result<()> {
+            self.upload_volume(scene.grid)?;
+            wait(&self.device.device)
+        })?;
+        let bindings = stages.time("bind", || self.bind(scene))?;
+        let counter = counting.then(|| Counter::new(&self.device.device));
+        let target = self.target(width, height, TextureFormat::Rgba16Float);
+        stages.time("pipelines", || self.compile(scene, counting));
+        stages.time("draw", || -> Result<()> {
+            match scene.settings.mode {
+                Mode::Raycast => self.draw_rays(scene, counting, &bindings, counter.as_ref(), &target, progress),
+                Mode::Slice => self.draw_slices(scene, counting, &bindings, counter.as_ref(), &target, progress),
+            }
+        })?;
+        let pixels = stages.time("readback", || read_rgba16f(&self.device.device, &self.device.queue, &target))?;
+        let stats = counter.map(|c| c.read(&self.device)).transpose()?;
+        Ok(Rendered { picture: Picture { width, height, pixels }, stats, stages })
+    }
+
+    fn variant(scene: &Prepared, program: Program, counting: bool) -> Variant {
+        Variant {
+            program,
+            counting: counting && program != Program::Resolve,
+            maps: scene.stack.maps().len(),
+            normals: if scene.is_lit() { scene.settings.normals } else { Normals::None },
+            blend: match scene.blend {
+                Blend::Composite => 0,
+                Blend::Mip => 1,
+                Blend::Minip => 2,
+                Blend::Average => 3,
+            },
+            gradient: scene.gradient_filter(),
+        }
+    }
+
+    /// Sums of hundreds of samples need more than 16 bits.
+    fn gather_format(&self) -> TextureFormat {
+        if self.device.device.features().contains(Features::FLOAT32_BLENDABLE) { TextureFormat::Rgba32Float } else { TextureFormat::Rgba16Float }
+    }
+
+    fn compile(&mut self, scene: &Prepared, counting: bool) {
+        let programs: &[Program] = match (scene.settings.mode, scene.blend) {
+            (Mode::Raycast, _) => &[Program::Raycast],
+            (Mode::Slice, Blend::Composite) => &[Program::Slice],
+            (Mode::Slice, _) => &[Program::Slice, Program::Resolve],
+        };
+        for &program in programs {
+            let variant = Self::variant(scene, program, counting);
+            if !self.pipelines.contains_key(&variant) {
+                let pipeline = self.pipeline(variant);
+                self.pipelines.insert(variant, pipeline);
+            }
+        }
+    }
+
+    fn pipeline(&self, variant: Variant) -> wgpu::RenderPipeline {
+        let device = &self.device.device;
+        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: Some(&format!("{:?}", variant.program)),
+            source: wgpu::ShaderSource::Wgsl(variant.program.source(variant.counting).into()),
+        });
+        let constants = overrides(variant.maps, variant.normals, variant.blend, variant.gradient);
+        let options = wgpu::PipelineCompilationOptions { constants: &constants, ..Default::default() };
+        let over = wgpu::BlendState::PREMULTIPLIED_ALPHA_BLENDING;
+        let gather = |operation| {
+            let component = wgpu::BlendComponent { src_factor: wgpu::BlendFactor::One, dst_factor: wgpu::BlendFactor::One, operation };
+            wgpu::BlendState { color: component, alpha: component }
+        };
+        let (format, blend) = match (variant.program, variant.blend) {
+            (Program::Slice, 0) => (TextureFormat::Rgba16Float, Some(over)),
+            (Program::Slice, 3) => (self.gather_format(), Some(gather(wgpu::BlendOperation::Add))),
+            (Program::Slice, _) => (self.gather_format(), Some(gather(wgpu::BlendOperation::Max))),
+            _ => (TextureFormat::Rgba16Float, None),
+        };
+        let own_layout = match variant.program {
+            Program::Resolve => Some(gathered_layout(device)),
+            _ if variant.counting => Some(Counter::layout(device)),
+            _ => None,
+        };
+        let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: None,
+            bind_group_layouts: &[Some(&self.shared_layout), own_layout.as_ref()],
+            immediate_size: 0,
+        });
+        let corner = wgpu::VertexBufferLayout {
+            array_stride: size_of::<slices::Corner>() as u64,
+            step_mode: wgpu::VertexStepMode::Vertex,
+            attributes: &wgpu::vertex_attr_array![0 => Float32x4],
+        };
+        let buffers = [Some(corner)];
+        device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+            label: Some(&format!("{:?}", variant.program)),
+            layout: Some(&layout),
+            vertex: wgpu::VertexState {
+                module: &module,
+                entry_point: Some("vertex"),
+                compilation_options: options.clone(),
+                buffers: if variant.program == Program::Slice { &buffers } else { &[] },
+            },
+            primitive: wgpu::PrimitiveState::default(),
+            depth_stencil: None,
+            multisample: wgpu::MultisampleState::default(),
+            fragment: Some(wgpu::FragmentState {
+                module: &module,
+                entry_point: Some("fragment"),
+                compilation_options: options,
+                targets: &[Some(wgpu::ColorTargetState { format, blend, write_mask: wgpu::ColorWrites::ALL })],
+            }),
+            multiview_mask: None,
+            cache: None,
+        })
+    }
+
+    fn target(&self, width: u32, height: u32, format: TextureFormat) -> wgpu::Texture {
+        self.device.device.create_texture(&wgpu::TextureDescriptor {
+            label: Some("picture"),
+            size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format,
+            usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC | wgpu::TextureUsages::TEXTURE_BINDING,
+            view_formats: &[],
+        })
+    }
+
+    fn draw_rays(&self, scene: &Prepared, counting: bool, bindings: &wgpu::BindGroup, counter: Option<&Counter>, target: &wgpu::Texture, progress: &dyn Fn(f32)) -> Result<()> {
+        let [width, height] = scene.frame.size;
+        let pipeline = &self.pipelines[&Self::variant(scene, Program::Raycast, counting)];
+        let view = target.create_view(&wgpu::TextureViewDescriptor::default());
+        let rows = (PIXELS_PER_BAND / width).clamp(1, height);
+        for top in (0..height).step_by(rows as usize) {
+            let load = if top == 0 { wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT) } else { wgpu::LoadOp::Load };
+            self.pass(&view, load, |pass| {
+                pass.set_scissor_rect(0, top, width, rows.min(height - top));
+                pass.set_pipeline(pipeline);
+                pass.set_bind_group(0, bindings, &[]);
+                if let Some(counter) = counter {
+                    pass.set_bind_group(1, &counter.group, &[]);
+                }
+                pass.draw(0..3, 0..1);
+            });
+            wait(&self.device.device)?;
+            progress((top + rows).min(height) as f32 / height as f32);
+        }
+        Ok(())
+    }
+
+    fn draw_slices(&self, scene: &Prepared, counting: bool, bindings: &wgpu::BindGroup, counter: Option<&Counter>, target: &wgpu::Texture, progress: &dyn Fn(f32)) -> Result<()> {
+        let device = &self.device.device;
+        let [width, height] = scene.frame.size;
+        let composite = scene.blend == Blend::Composite;
+        let pipeline = &self.pipelines[&Self::variant(scene, Program::Slice, counting)];
+        let gathered = (!composite).then(|| self.target(width, height, self.gather_format()));
+        let canvas = gathered.as_ref().unwrap_or(target).create_view(&wgpu::TextureViewDescriptor::default());
+        let empty = match scene.blend {
+            Blend::Composite | Blend::Average => wgpu::Color::TRANSPARENT,
+            // Below every value; green stays 0 where nothing was drawn.
+            Blend::Mip | Blend::Minip => wgpu::Color { r: -1e4, ..wgpu::Color::TRANSPARENT },
+        };
+        let corners = slices::slices(&scene.frame, &scene.macrocells);
+        let batches = batches(&corners, u64::from(width) * u64::from(height));
+        self.pass(&canvas, wgpu::LoadOp::Clear(empty), |_| {});
+        if !corners.is_empty() {
+            let vertices = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+                label: Some("slices"),
+                contents: bytemuck::cast_slice(&corners),
+                usage: wgpu::BufferUsages::VERTEX,
+            });
+            for range in batches {
+                let end = range.end;
+                self.pass(&canvas, wgpu::LoadOp::Load, |pass| {
+                    pass.set_pipeline(pipeline);
+                    pass.set_bind_group(0, bindings, &[]);
+                    if let Some(counter) = counter {
+                        pass.set_bind_group(1, &counter.group, &[]);
+                    }
+                    pass.set_vertex_buffer(0, vertices.slice(..));
+                    pass.draw(range, 0..1);
+                });
+                wait(device)?;
+                progress(end as f32 / corners.len() as f32);
+            }
+        }
+        if composite {
+            return Ok(());
+        }
+        let resolve = &self.pipelines[&Self::variant(scene, Program::Resolve, counting)];
+        let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: None,
+            layout: &gathered_layout(device),
+            entries: &[wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::TextureView(&canvas) }],
+        });
+        let view = target.create_view(&wgpu::TextureViewDescriptor::default());
+        self.pass(&view, wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT), |pass| {
+            pass.set_pipeline(resolve);
+            pass.set_bind_group(0, bindings, &[]);
+            pass.set_bind_group(1, &group, &[]);
+            pass.draw(0..3, 0..1);
+        });
+        wait(device)
+    }
+
+    /// One pass in one submission.
+    fn pass(&self, view: &wgpu::TextureView, load: wgpu::LoadOp<wgpu::Color>, record: impl FnOnce(&mut wgpu::RenderPass)) {
+        let mut encoder = self.device.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        {
+            let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+                label: None,
+                color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                    view,
+                    depth_slice: None,
+                    resolve_target: None,
+                    ops: wgpu::Operations { load, store: wgpu::StoreOp::Store },
+                })],
+                depth_stencil_attachment: None,
+                timestamp_writes: None,
+                occlusion_query_set: None,
+                multiview_mask: None,
+            });
+            record(&mut pass);
+        }
+        self.device.queue.submit([encoder.finish()]);
+    }
+
+    fn texture_3d(&self, label: &str, size: [usize; 3], format: TextureFormat) -> Result<wgpu::Texture> {
+        let most = self.device.device.limits().max_texture_dimension_3d as usize;
+        if size.iter().any(|&n| n > most) {
+            return Err(Error::Gpu(format!("the {label} of {} x {} x {} exceeds this device's {most} per axis; use --backend cpu", size[0], size[1], size[2])));
+        }
+        Ok(self.device.device.create_texture(&wgpu::TextureDescriptor {
+            label: Some(label),
+            size: extent(size),
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D3,
+            format,
+            usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+            view_formats: &[],
+        }))
+    }
+
+    /// Copies whole layers into a 3D texture.
+    fn write_layers(&self, texture: &wgpu::Texture, first_layer: usize, bytes: &[u8], size: [usize; 3]) {
+        let texel = texture.format().block_copy_size(None).unwrap_or(4) as usize;
+        let layers = bytes.len() / (size[0] * size[1] * texel);
+        self.device.queue.write_texture(
+            wgpu::TexelCopyTextureInfo { origin: wgpu::Origin3d { x: 0, y: 0, z: first_layer as u32 }, ..texture.as_image_copy() },
+            bytes,
+            wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some((size[0] * texel) as u32), rows_per_image: Some(size[1] as u32) },
+            extent([size[0], size[1], layers]),
+        );
+    }
+
+    /// Puts the volume on the GPU unless it is there already.
+    fn upload_volume(&mut self, grid: &Grid) -> Result<()> {
+        let identity = grid.voxels.identity();
+        if self.volume.as_ref().is_some_and(|v| v.identity == identity) {
+            return Ok(());
+        }
+        self.volume = None;
+        let features = self.device.device.features();
+        let (unorm16, float32) = (features.contains(Features::TEXTURE_FORMAT_16BIT_NORM), features.contains(Features::FLOAT32_FILTERABLE));
+        // Software drivers filter 8-bit textures in 8-bit arithmetic, which shows as steps: they get 16 bits.
+        let format = match &grid.voxels {
+            GridVoxels::U8(_) if !(self.device.is_software() && unorm16) => TextureFormat::R8Unorm,
+            GridVoxels::F32(_) if float32 => TextureFormat::R32Float,
+            GridVoxels::F32(_) => TextureFormat::R16Float,
+            _ if unorm16 => TextureFormat::R16Unorm,
+            _ => TextureFormat::R16Float,
+        };
+        let texture = self.texture_3d("volume", grid.size, format)?;
+        let layer = grid.size[0] * grid.size[1];
+        let layers_at_once = ((16 << 20) / (layer * 4)).max(1);
+        let normalise = |v: f32| f16::from_f32(v * grid.scale + grid.offset).to_bits();
+        for (n, first) in (0..grid.size[2]).step_by(layers_at_once).enumerate() {
+            let range = first * layer..(first + layers_at_once).min(grid.size[2]) * layer;
+            let bytes: Vec<u8> = match (&grid.voxels, format) {
+                (GridVoxels::U8(v), TextureFormat::R8Unorm) => v[range].to_vec(),
+                (GridVoxels::U8(v), TextureFormat::R16Unorm) => to_bytes(&v[range], |v| u16::from(v) * 257),
+                (GridVoxels::U16(v), TextureFormat::R16Unorm) => to_bytes(&v[range], |v| v),
+                (GridVoxels::I16(v), TextureFormat::R16Unorm) => to_bytes(&v[range], |v| (i32::from(v) + 32768) as u16),
+                (GridVoxels::F32(v), TextureFormat::R32Float) => bytemuck::cast_slice(&v[range]).to_vec(),
+                (GridVoxels::U8(v), _) => to_bytes(&v[range], |v| normalise(f32::from(v))),
+                (GridVoxels::U16(v), _) => to_bytes(&v[range], |v| normalise(f32::from(v))),
+                (GridVoxels::I16(v), _) => to_bytes(&v[range], |v| normalise(f32::from(v))),
+                (GridVoxels::F32(v), _) => to_bytes(&v[range], normalise),
+            };
+            self.write_layers(&texture, first, &bytes, grid.size);
+            if n % 4 == 3 {
+                // Staging memory is given back only when a submission is done.
+                self.device.queue.submit([]);
+                wait(&self.device.device)?;
+            }
+        }
+        let (scale, offset) = match (&grid.voxels, format) {
+            (_, TextureFormat::R16Float) => (1.0, 0.0),
+            (GridVoxels::U8(_), _) => (255.0 * grid.scale, grid.offset),
+            (GridVoxels::U16(_), _) => (65535.0 * grid.scale, grid.offset),
+            (GridVoxels::I16(_), _) => (65535.0 * grid.scale, grid.offset - 32768.0 * grid.scale),
+            (GridVoxels::F32(_), _) => (grid.scale, grid.offset),
+        };
+        let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
+        self.volume = Some(VolumeTexture { identity, _voxels: grid.voxels.clone(), view, scale, offset });
+        Ok(())
+    }
+
+    fn upload_map(&self, map: &DisplacementMap) -> Result<wgpu::TextureView> {
+        let format = match map.storage {
+            Storage::F16 => TextureFormat::Rgba16Float,
+            Storage::Snorm16 if self.device.device.features().contains(Features::TEXTURE_FORMAT_16BIT_NORM) => TextureFormat::Rgba16Snorm,
+            Storage::Snorm16 => TextureFormat::Rgba16Float,
+            Storage::Snorm8 => TextureFormat::Rgba8Snorm,
+        };
+        let texture = self.texture_3d("displacement map", map.size, format)?;
+        let storage = if format == TextureFormat::Rgba16Float { Storage::F16 } else { map.storage };
+        self.write_layers(&texture, 0, &map.encode_as(storage), map.size);
+        Ok(texture.create_view(&wgpu::TextureViewDescriptor::default()))
+    }
+
+    /// Everything that the shared shader functions read.
+    fn bind(&self, scene: &Prepared) -> Result<wgpu::BindGroup> {
+        let device = &self.device.device;
+        let volume = self.volume.as_ref().ok_or_else(|| Error::Gpu("no volume was uploaded".into()))?;
+        let frame = FrameUniform::new(scene, volume.scale, volume.offset);
+        let mut placed = [bytemuck::Zeroable::zeroed(); MAX_MAPS];
+        for (uniform, map) in placed.iter_mut().zip(scene.stack.maps()) {
+            *uniform = PlacedMapUniform::new(map);
+        }
+        let uniform = |bytes: &[u8]| {
+            device.create_buffer_init(&wgpu::util::BufferInitDescriptor { label: None, contents: bytes, usage: wgpu::BufferUsages::UNIFORM })
+        };
+        let (frame, placed) = (uniform(bytemuck::bytes_of(&frame)), uniform(bytemuck::cast_slice::<PlacedMapUniform, u8>(&placed)));
+        let table = self.upload_table(scene);
+        let cells = {
+            let size = scene.macrocells.size.to_array().map(|n| n as usize);
+            let texture = self.texture_3d("macrocells", size, TextureFormat::R8Uint)?;
+            self.write_layers(&texture, 0, &scene.macrocells.distance, size);
+            texture.create_view(&wgpu::TextureViewDescriptor::default())
+        };
+        let unused = DisplacementMap::identity([1; 3]);
+        let maps = (0..MAX_MAPS)
+            .map(|k| self.upload_map(scene.stack.maps().get(k).map_or(&unused, |m| &m.map)))
+            .collect::<Result<Vec<_>>>()?;
+        let mut entries = vec![
+            wgpu::BindGroupEntry { binding: 0, resource: frame.as_entire_binding() },
+            wgpu::BindGroupEntry { binding: 1, resource: placed.as_entire_binding() },
+            wgpu::BindGroupEntry { binding: 2, resource: wgpu::BindingResource::TextureView(&volume.view) },
+            wgpu::BindGroupEntry { binding: 3, resource: wgpu::BindingResource::Sampler(&self.sampler) },
+            wgpu::BindGroupEntry { binding: 4, resource: wgpu::BindingResource::TextureView(&table) },
+            wgpu::BindGroupEntry { binding: 5, resource: wgpu::BindingResource::TextureView(&cells) },
+        ];
+        entries.extend(maps.iter().enumerate().map(|(k, view)| wgpu::BindGroupEntry { binding: 6 + k as u32, resource: wgpu::BindingResource::TextureView(view) }));
+        Ok(device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("scene"), layout: &self.shared_layout, entries: &entries }))
+    }
+
+    /// Row 0: colour and optical depth; row 1: gradient factors.
+    fn upload_table(&self, scene: &Prepared) -> wgpu::TextureView {
+        let mut texels = scene.table.entries.clone();
+        texels.resize(2 * TABLE_ENTRIES, [0.0; 4]);
+        for (n, factor) in scene.table.gradient.iter().take(GRADIENT_ENTRIES).enumerate() {
+            texels[TABLE_ENTRIES + n][0] = *factor;
+        }
+        let descriptor = wgpu::TextureDescriptor {
+            label: Some("transfer function"),
+            size: wgpu::Extent3d { width: TABLE_ENTRIES as u32, height: 2, depth_or_array_layers: 1 },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format: TextureFormat::Rgba32Float,
+            usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+            view_formats: &[],
+        };
+        let texture =
+            self.device.device.create_texture_with_data(&self.device.queue, &descriptor, wgpu::util::TextureDataOrder::LayerMajor, bytemuck::cast_slice(&texels));
+        texture.create_view(&wgpu::TextureViewDescriptor::default())
+    }
+
+    /// Evaluates the shaders' shared functions at points of the deformed scene, 24 floats each as `Probe` in `shaders/probe.wgsl` has them: numbers to
+    /// compare with the CPU's.
+    ///
+    /// # Errors
+    /// Whatever the device reports.
+    pub fn probe(&mut self, scene: &Prepared, points: &[[f32; 3]]) -> Result<Vec<[f32; 24]>> {
+        let device = self.device.device.clone();
+        checked(&device, || {
+            self.upload_volume(scene.grid)?;
+            let bindings = self.bind(scene)?;
+            let padded: Vec<[f32; 4]> = points.iter().map(|p| [p[0], p[1], p[2], 0.0]).collect();
+            let input = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+                label: None,
+                contents: bytemuck::cast_slice(&padded),
+                usage: wgpu::BufferUsages::STORAGE,
+            });
+            let bytes = (points.len() * size_of::<[f32; 24]>()) as u64;
+            let output = device.create_buffer(&wgpu::BufferDescriptor {
+                label: None,
+                size: bytes,
+                usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC,
+                mapped_at_creation: false,
+            });
+            let back = device.create_buffer(&wgpu::BufferDescriptor {
+                label: None,
+                size: bytes,
+                usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
+                mapped_at_creation: false,
+            });
+            let storage = |binding, read_only| wgpu::BindGroupLayoutEntry {
+                binding,
+                visibility: wgpu::ShaderStages::COMPUTE,
+                ty: wgpu::BindingType::Buffer { ty: wgpu::BufferBindingType::Storage { read_only }, has_dynamic_offset: false, min_binding_size: None },
+                count: None,
+            };
+            let own = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: None, entries: &[storage(0, true), storage(1, false)] });
+            let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+                label: None,
+                bind_group_layouts: &[Some(&self.shared_layout), Some(&own)],
+                immediate_size: 0,
+            });
+            let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+                label: Some("probe"),
+                source: wgpu::ShaderSource::Wgsl(Program::Probe.source(false).into()),
+            });
+            let variant = Self::variant(scene, Program::Probe, false);
+            let constants = overrides(variant.maps, variant.normals, variant.blend, variant.gradient);
+            let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+                label: Some("probe"),
+                layout: Some(&layout),
+                module: &module,
+                entry_point: Some("probe"),
+                compilation_options: wgpu::PipelineCompilationOptions { constants: &constants, ..Default::default() },
+                cache: None,
+            });
+            let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: None,
+                layout: &own,
+                entries: &[
+                    wgpu::BindGroupEntry { binding: 0, resource: input.as_entire_binding() },
+                    wgpu::BindGroupEntry { binding: 1, resource: output.as_entire_binding() },
+                ],
+            });
+            let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            {
+                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+                pass.set_pipeline(&pipeline);
+                pass.set_bind_group(0, &bindings, &[]);
+                pass.set_bind_group(1, &group, &[]);
+                pass.dispatch_workgroups((points.len() as u32).div_ceil(64), 1, 1);
+            }
+            encoder.copy_buffer_to_buffer(&output, 0, &back, 0, bytes);
+            self.device.queue.submit([encoder.finish()]);
+            Ok(bytemuck::pod_collect_to_vec(&read_buffer(&device, &back)?))
+        })
+    }
+}
+
+/// Values of the shaders' `override` constants.
+fn overrides(maps: usize, normals: Normals, blend: u32, gradient: GradientFilter) -> [(&'static str, f64); 4] {
+    let normals = match normals {
+        Normals::None => 0.0,
+        Normals::Source => 1.0,
+        Normals::Transformed => 2.0,
+        Normals::Blended => 3.0,
+    };
+    let gradient = if gradient == GradientFilter::Sobel { 1.0 } else { 0.0 };
+    [("MAPS", maps as f64), ("NORMALS", normals), ("BLEND", f64::from(blend)), ("GRADIENT", gradient)]
+}
+
+fn extent(size: [usize; 3]) -> wgpu::Extent3d {
+    wgpu::Extent3d { width: size[0] as u32, height: size[1] as u32, depth_or_array_layers: size[2] as u32 }
+}
+
+fn to_bytes<T: Copy + Send + Sync>(voxels: &[T], convert: impl Fn(T) -> u16 + Sync + Send) -> Vec<u8> {
+    let converted: Vec<u16> = voxels.par_iter().map(|&v| convert(v)).collect();
+    bytemuck::cast_slice(&converted).to_vec()
+}
+
+/// Vertex ranges of whole slices, about [`FRAGMENTS_PER_BATCH`] pixels each if every slice filled the picture.
+fn batches(corners: &[slices::Corner], pixels: u64) -> Vec<std::ops::Range<u32>> {
+    let slices_per_batch = (FRAGMENTS_PER_BATCH / pixels.max(1)).max(1);
+    let mut ranges = Vec::new();
+    let (mut start, mut count) = (0u32, 0u64);
+    for n in 0..corners.len() {
+        let ends_slice = n + 1 == corners.len() || corners[n + 1][3] != corners[n][3];
+        if ends_slice {
+            count += 1;
+            if count == slices_per_batch || n + 1 == corners.len() {
+                ranges.push(start..n as u32 + 1);
+                (start, count) = (n as u32 + 1, 0);
+            }
+        }
+    }
+    ranges
+}
+
+fn shared_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let stages = wgpu::ShaderStages::VERTEX_FRAGMENT | wgpu::ShaderStages::COMPUTE;
+    let entry = |binding, ty| wgpu::BindGroupLayoutEntry { binding, visibility: stages, ty, count: None };
+    let uniform = wgpu::BindingType::Buffer { ty: wgpu::BufferBindingType::Uniform, has_dynamic_offset: false, min_binding_size: None };
+    let texture = |sample_type, view_dimension| wgpu::BindingType::Texture { sample_type, view_dimension, multisampled: false };
+    let filtered = wgpu::TextureSampleType::Float { filterable: true };
+    let mut entries = vec![
+        entry(0, uniform),
+        entry(1, uniform),
+        entry(2, texture(filtered, wgpu::TextureViewDimension::D3)),
+        entry(3, wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering)),
+        entry(4, texture(wgpu::TextureSampleType::Float { filterable: false }, wgpu::TextureViewDimension::D2)),
+        entry(5, texture(wgpu::TextureSampleType::Uint, wgpu::TextureViewDimension::D3)),
+    ];
+    entries.extend((0..MAX_MAPS as u32).map(|k| entry(6 + k, texture(filtered, wgpu::TextureViewDimension::D3))));
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some("scene"), entries: &entries })
+}
+
+fn gathered_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("gathered"),
+        entries: &[wgpu::BindGroupLayoutEntry {
+            binding: 1,
+            visibility: wgpu::ShaderStages::FRAGMENT,
+            ty: wgpu::BindingType::Texture {
+                sample_type: wgpu::TextureSampleType::Float { filterable: false },
+                view_dimension: wgpu::TextureViewDimension::D2,
+                multisampled: false,
+            },
+            count: None,
+        }],
+    })
+}
+
+/// The sample counters.
+struct Counter {
+    buffer: wgpu::Buffer,
+    group: wgpu::BindGroup,
+}
+
+impl Counter {
+    fn layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+        device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some("counts"),
+            entries: &[wgpu::BindGroupLayoutEntry {
+                binding: 0,
+                visibility: wgpu::ShaderStages::FRAGMENT,
+                ty: wgpu::BindingType::Buffer { ty: wgpu::BufferBindingType::Storage { read_only: false }, has_dynamic_offset: false, min_binding_size: None },
+                count: None,
+            }],
+        })
+    }
+
+    fn new(device: &wgpu::Device) -> Self {
+        let buffer = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+            label: Some("counts"),
+            contents: &[0; COUNTERS * 4],
+            usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC,
+        });
+        let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("counts"),
+            layout: &Self::layout(device),
+            entries: &[wgpu::BindGroupEntry { binding: 0, resource: buffer.as_entire_binding() }],
+        });
+        Self { buffer, group }
+    }
+
+    fn read(&self, device: &Device) -> Result<RenderStats> {
+        let back = device.device.create_buffer(&wgpu::BufferDescriptor {
+            label: None,
+            size: self.buffer.size(),
+            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        let mut encoder = device.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        encoder.copy_buffer_to_buffer(&self.buffer, 0, &back, 0, self.buffer.size());
+        device.queue.submit([encoder.finish()]);
+        let counts: Vec<u32> = bytemuck::pod_collect_to_vec(&read_buffer(&device.device, &back)?);
+        let sum = |n: usize| counts.iter().skip(n).step_by(3).map(|&c| u64::from(c)).sum();
+        Ok(RenderStats { samples_taken: sum(0), samples_skipped: sum(1), samples_terminated: sum(2) })
+    }
+}
