@@ -32,34 +32,44 @@ fn fragment(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
     var skipped = 0u;
     var terminated = 0u;
     while i < end {
-        let deformed = ray.origin + ray.direction * ((f32(i) + 0.5) * step);
-        let t = empty_until(deformed, ray.origin, inverse_direction);
-        if t >= 0.0 {
-            let next = min(max(first_sample_after(t, step), i + 1), end);
-            skipped += u32(next - i);
-            i = next;
-            continue;
-        }
-        i += 1;
-        taken += 1u;
-        let v = value_at(deformed);
-        if !v.present {
-            continue;
-        }
-        if BLEND != 0u {
-            matter += 1.0;
-            switch BLEND {
-                case 1u: { projected = max(projected, v.value); }
-                case 2u: { projected = min(projected, v.value); }
-                default: { projected += v.value; }
+        // Two loops instead of a branch: neighbouring rays run in lockstep, and shading costs far more than looking. This way the rays of a
+        // group look until each has something to shade, then shade together.
+        var visible = false;
+        var found: Sample;
+        while i < end && !visible {
+            let deformed = ray.origin + ray.direction * ((f32(i) + 0.5) * step);
+            let t = empty_until(deformed, ray.origin, inverse_direction);
+            if t >= 0.0 {
+                let next = min(max(first_sample_after(t, step), i + 1), end);
+                skipped += u32(next - i);
+                i = next;
+                continue;
             }
-            continue;
+            i += 1;
+            taken += 1u;
+            let v = value_at(deformed);
+            if !v.present {
+                continue;
+            }
+            if BLEND != 0u {
+                matter += 1.0;
+                switch BLEND {
+                    case 1u: { projected = max(projected, v.value); }
+                    case 2u: { projected = min(projected, v.value); }
+                    default: { projected += v.value; }
+                }
+                continue;
+            }
+            let entry = lookup(v.value);
+            found = Sample(deformed, v.in_voxel, entry.rgb, entry.a);
+            visible = entry.a > 0.0;
         }
-        let s = shaded_sample(deformed, v, ray.direction, step, length);
-        color += s * (1.0 - color.a);
-        if 1.0 - color.a < OPAQUE && frame.early_termination != 0u {
-            terminated += u32(max(end - i, 0));
-            break;
+        if visible {
+            color += shaded_sample(found, ray.direction, step, length) * (1.0 - color.a);
+            if 1.0 - color.a < OPAQUE && frame.early_termination != 0u {
+                terminated += u32(max(end - i, 0));
+                break;
+            }
         }
     }
     count(position.xy, vec3<u32>(taken, skipped, terminated));

@@ -32,9 +32,9 @@ fn fragment(slice: Slice) -> @location(0) vec4<f32> {
         // Red: the value (negated for the minimum), for the blend unit's maximum or sum; green: whether, or how often.
         return vec4<f32>(select(v.value, -v.value, BLEND == 2u), 1.0, 0.0, 0.0);
     }
-    let s = shaded_sample(deformed, v, ray.direction, step, step / frame.reference_mm);
-    if s.a <= 0.0 {
+    let t = lookup(v.value);
+    if t.a <= 0.0 {
         discard;
     }
-    return s;
+    return shaded_sample(Sample(deformed, v.in_voxel, t.rgb, t.a), ray.direction, step, step / frame.reference_mm);
 }

@@ -34,13 +34,9 @@ fn empty_until(p: vec3<f32>, origin: vec3<f32>, inverse_direction: vec3<f32>) ->
     return min(far.x, min(far.y, far.z));
 }
 
-// Optical depth and colour of one sample after light: premultiplied by its opacity over `length` reference lengths.
-fn shaded_sample(deformed: vec3<f32>, v: Value, direction: vec3<f32>, step: f32, length: f32) -> vec4<f32> {
-    let t = lookup(v.value);
-    if t.a <= 0.0 {
-        return vec4<f32>(0.0);
-    }
-    let shaded = shade(Sample(deformed, v.in_voxel, t.rgb, t.a), direction, step);
-    let alpha = 1.0 - exp2(-t.a * shaded.depth_factor * length);
+// Colour of a visible sample after light, premultiplied by its opacity over `length` reference lengths.
+fn shaded_sample(s: Sample, direction: vec3<f32>, step: f32, length: f32) -> vec4<f32> {
+    let shaded = shade(s, direction, step);
+    let alpha = 1.0 - exp2(-s.depth * shaded.depth_factor * length);
     return vec4<f32>(shaded.color * alpha, alpha);
 }

@@ -54,20 +54,29 @@ fn path_share(cut: Cut, direction: vec3<f32>, step_mm: f32) -> f32 {
     return 1.0;
 }
 
+// depth: that of the sample there if it is dense enough, -1 if it is thinner, -2 if nothing is there at all.
 fn dense(deformed: vec3<f32>, depth: f32) -> Sample {
     let v = value_at(deformed);
     if !v.present {
-        return Sample(deformed, v.in_voxel, vec3<f32>(0.0), -1.0);
+        return Sample(deformed, v.in_voxel, vec3<f32>(0.0), -2.0);
     }
     let t = lookup(v.value);
     return Sample(deformed, v.in_voxel, t.rgb, select(-1.0, t.a, t.a >= 0.5 * depth));
 }
 
-// The sample itself, or where the ray entered the matter that it lies in; depth < 0 marks nothing found.
-fn entry(s: Sample, direction: vec3<f32>, step_mm: f32) -> Sample {
-    if dense(s.deformed - direction * step_mm, s.depth).depth >= 0.0 {
-        return Sample(s.deformed, s.in_voxel, s.color, -1.0);
+struct Entry {
+    first: Sample,
+    entered: bool,
+    through_cut: bool,
+}
+
+// Where the ray entered the matter that a sample lies in, if it did so within the last step.
+fn entry(s: Sample, direction: vec3<f32>, step_mm: f32) -> Entry {
+    let before = dense(s.deformed - direction * step_mm, s.depth).depth;
+    if before >= 0.0 {
+        return Entry(s, false, false);
     }
+    var through_cut = before < -1.5;
     var first = s;
     var width = step_mm;
     for (var n = 0; n < ENTRY_STEPS; n += 1) {
@@ -75,9 +84,11 @@ fn entry(s: Sample, direction: vec3<f32>, step_mm: f32) -> Sample {
         let nearer = dense(first.deformed - direction * width, s.depth);
         if nearer.depth >= 0.0 {
             first = nearer;
+        } else {
+            through_cut = nearer.depth < -1.5;
         }
     }
-    return first;
+    return Entry(first, true, through_cut);
 }
 
 fn shaded_normal(d_source_d_deformed: mat3x3<f32>, gradient_in_source: vec3<f32>, cut: Cut, direction: vec3<f32>) -> Normal {
@@ -116,15 +127,18 @@ fn shade(s: Sample, direction: vec3<f32>, step_mm: f32) -> Shaded {
     var j = jet(s.deformed);
     var cut = nearest_cut(j, s.in_voxel);
     var depth_factor = path_share(cut, direction, step_mm);
+    let e = entry(s, direction, step_mm);
+    let seen = e.first;
     if !is_lit() && !uses_gradient_opacity() {
-        return Shaded(s.color, depth_factor);
+        return Shaded(seen.color, depth_factor);
     }
-    var seen = s;
-    let first = entry(s, direction, step_mm);
-    if first.depth >= 0.0 {
-        seen = first;
+    if e.entered {
         j = jet(seen.deformed);
-        cut = nearest_cut(j, seen.in_voxel);
+        if e.through_cut {
+            cut = nearest_cut(j, seen.in_voxel);
+        } else {
+            cut = NO_CUT;
+        }
     }
     let gradient_in_source = voxel_covector(gradient(seen.in_voxel));
     if uses_gradient_opacity() {

@@ -7,6 +7,8 @@ struct Cut {
     normal: vec3<f32>,
 }
 
+const NO_CUT = Cut(1e30, vec3<f32>(0.0));
+
 struct Jet {
     source: vec3<f32>,
     alpha: f32,
@@ -50,7 +52,7 @@ fn source_from_deformed(deformed: vec3<f32>) -> vec4<f32> {
 }
 
 fn jet(deformed: vec3<f32>) -> Jet {
-    var j = Jet(deformed, 1.0, mat3x3<f32>(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), Cut(1e30, vec3<f32>(0.0)));
+    var j = Jet(deformed, 1.0, mat3x3<f32>(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), NO_CUT);
     for (var n = MAPS; n > 0u; n -= 1u) {
         let k = n - 1u;
         let p = j.source;

@@ -6,6 +6,8 @@
 //! *What we changed against the paper*:
 //! - The blend runs over distance to the cut in samples, not over the mask's value, so that it does not depend on a map's
 //!   resolution: the cut's normal alone within one sample (the first one a ray finds behind a cut), none of it after 2.5.
+//! - A ray that enters matter through a surface of the volume's own, beside a cut, sees that surface: its normal is not blended. Only
+//!   where the ray comes out of a cut is the cut what is seen. Without this every cut has a dark rim.
 //! - The faces of the volume's own box are cuts too: matter that a scan's edge cuts off is lit like any other cut.
 //! - A sample next to a cut stands for the part of its length that is matter: (1/2 + d/ℓ) of it, ℓ being the step's share along the
 //!   cut's normal. The sum over a ray is then the exact path through a planar cut, wherever the samples fall: no rings on cuts.
@@ -64,15 +66,15 @@ pub fn shade<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, sample: &Sample, 
     let mut jet = jet(scene, sample.deformed);
     let mut cut = nearest_cut(scene, &jet, sample.in_voxel);
     let mut depth_factor = path_share(&cut, direction, step_mm);
+    let entry = entry(scene, sampler, sample, direction, step_mm);
+    let sample = entry.as_ref().map_or(sample, |e| &e.first);
     if !scene.is_lit() && !scene.uses_gradient_opacity() {
         return Shaded { color: sample.color, depth_factor };
     }
-    let entry = entry(scene, sampler, sample, direction, step_mm);
     if let Some(entry) = &entry {
-        jet = self::jet(scene, entry.deformed);
-        cut = nearest_cut(scene, &jet, entry.in_voxel);
+        jet = self::jet(scene, sample.deformed);
+        cut = if entry.through_cut { nearest_cut(scene, &jet, sample.in_voxel) } else { Cut::NONE };
     }
-    let sample = entry.as_ref().unwrap_or(sample);
     let gradient_in_source = voxel_covector(scene, sampler.gradient(sample.in_voxel, scene.gradient_filter()));
     if scene.uses_gradient_opacity() {
         depth_factor *= scene.table.gradient_factor(gradient_in_source.length());
@@ -91,25 +93,32 @@ fn jet(scene: &Prepared, deformed: Vec3) -> Jet {
     scene.stack.jet(deformed)
 }
 
+/// Where a ray entered the matter that a sample lies in.
+struct Entry {
+    first: Sample,
+    /// Nothing was there just before (a cut, the volume's edge), as opposed to something thinner (a surface of the volume's own).
+    through_cut: bool,
+}
+
 /// If the sample before this one is less than half as dense, the ray has entered matter in between: where it did, by bisection.
-fn entry<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, sample: &Sample, direction: Vec3, step_mm: f32) -> Option<Sample> {
+fn entry<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, sample: &Sample, direction: Vec3, step_mm: f32) -> Option<Entry> {
+    // The sample there if it is dense enough, else whether anything is there at all.
     let dense = |deformed: Vec3| {
-        let (in_voxel, value) = super::value_at(scene, sampler, deformed)?;
+        let (in_voxel, value) = super::value_at(scene, sampler, deformed).ok_or(false)?;
         let [r, g, b, depth] = scene.table.lookup(value);
-        (depth >= 0.5 * sample.depth).then_some(Sample { deformed, in_voxel, color: Vec3::new(r, g, b), depth })
+        if depth >= 0.5 * sample.depth { Ok(Sample { deformed, in_voxel, color: Vec3::new(r, g, b), depth }) } else { Err(true) }
     };
-    if dense(sample.deformed - direction * step_mm).is_some() {
-        return None;
-    }
+    let mut through_cut = !dense(sample.deformed - direction * step_mm).err()?;
     let mut first = *sample;
     let mut width = step_mm;
     for _ in 0..ENTRY_STEPS {
         width *= 0.5;
-        if let Some(nearer) = dense(first.deformed - direction * width) {
-            first = nearer;
+        match dense(first.deformed - direction * width) {
+            Ok(nearer) => first = nearer,
+            Err(thin) => through_cut = !thin,
         }
     }
-    Some(first)
+    Some(Entry { first, through_cut })
 }
 
 /// A covector per voxel (a gradient along i, j, k) as one per millimetre of the source.

@@ -32,7 +32,7 @@ const EXTENT_MM: f32 = 160.0;
 const PHANTOMS: &[Phantom] = &[
     Phantom { name: "ball", about: "a uniform ball of radius 60 mm", size: 128, preset: "phantom-solid", kind: Kind::Float(ball) },
     Phantom { name: "shell", about: "a hollow ball, radius 60 mm, wall 8 mm", size: 128, preset: "phantom-solid", kind: Kind::Float(shell) },
-    Phantom { name: "checker", about: "a cube of 16 mm checks in two values", size: 128, preset: "checker", kind: Kind::Bytes(checker) },
+    Phantom { name: "checker", about: "16 mm checks in two values, up to the edges of the volume", size: 128, preset: "checker", kind: Kind::Bytes(checker) },
     Phantom { name: "piggy-bank", about: "a thick-walled piggy bank with coins inside", size: 192, preset: "piggy-bank", kind: Kind::Bytes(piggy_bank) },
     Phantom { name: "tomato", about: "a tomato: skin, flesh, seeds in chambers", size: 192, preset: "tomato", kind: Kind::Bytes(tomato) },
     Phantom { name: "teddy", about: "a teddy bear: cloth, stuffing, a seam", size: 192, preset: "teddy", kind: Kind::Bytes(teddy) },
@@ -188,9 +188,13 @@ fn shell(p: Vec3, voxel: f32) -> f32 {
 }
 
 fn checker(p: Vec3, voxel: f32) -> f32 {
-    let c = (p / 16.0).floor();
-    let odd = (c.x + c.y + c.z).rem_euclid(2.0);
-    cover(cuboid(p, Vec3::ZERO, Vec3::splat(64.0)), voxel) * (120.0 + 100.0 * odd)
+    // The product of three square waves, each with a smooth edge; the cube of checks fills the whole grid.
+    let wave = |x: f32| {
+        let phase = (x / 16.0).rem_euclid(2.0);
+        let to_edge = 16.0 * if phase < 1.0 { phase.min(1.0 - phase) } else { -(phase - 1.0).min(2.0 - phase) };
+        2.0 * cover(to_edge, voxel) - 1.0
+    };
+    150.0 + 70.0 * wave(p.x) * wave(p.y) * wave(p.z)
 }
 
 fn piggy_bank(p: Vec3, voxel: f32) -> f32 {
@@ -209,10 +213,16 @@ fn piggy_bank(p: Vec3, voxel: f32) -> f32 {
     let eye = sphere(mirrored, Vec3::new(16.0, -54.0, 16.0), 4.0);
     let q = p - Vec3::new(0.0, 64.0, 14.0);
     let tail = 3.0 - Vec2::new(q.yz().length() - 9.0, q.x).length();
+    if body < -70.0 {
+        return AIR;
+    }
     let solid = body.max(snout.min(6.0)).max(leg(-26.0).max(leg(28.0)).min(floor)).max(ear).max(eye).max(tail);
     let slot = cuboid(p, Vec3::new(0.0, 2.0, 46.0), Vec3::new(2.5, 18.0, 14.0));
     let mut value = AIR;
     paint(&mut value, CERAMIC, cover(solid.min(-hollow).min(-slot).min(-nostril), voxel));
+    if hollow < 0.0 {
+        return value;
+    }
     for n in 0..26u32 {
         // A heap of coins: golden-angle spiral, layer by layer, tilted this way and that.
         let layer = n / 9;
@@ -284,8 +294,11 @@ fn teddy(p: Vec3, voxel: f32) -> f32 {
     let stitch_z = (p.z / 7.0).round() * 7.0;
     let stitch = (0.9 - (p.z - stitch_z).abs()).min(4.5 - p.x.abs()).min(1.6 - (body + 0.4).abs()).min(if p.y < 0.0 && stitch_z.abs() < 52.0 { 1.0 } else { -1.0 });
     paint(&mut value, THREAD + 25.0, cover(stitch, voxel));
+    if solid < -8.0 {
+        return value;
+    }
     let strands = noise(Vec3::new(p.x * 0.35, p.y * 0.35, p.z * 0.12)) + 0.6 * noise(p * 0.5);
-    paint(&mut value, STUFFING + 22.0 * strands, cover(solid - 3.2, voxel));
+    paint(&mut value, STUFFING + 30.0 * strands, cover(solid - 3.2, voxel));
     let eye = sphere(m, Vec3::new(12.0, -29.0, 48.0), 4.2);
     let nose = ellipsoid(p, Vec3::new(0.0, -41.0, 37.0), Vec3::new(5.5, 3.5, 4.0));
     paint(&mut value, BUTTON, cover(eye.max(nose), voxel));

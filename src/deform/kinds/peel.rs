@@ -23,7 +23,7 @@ pub(super) const KIND: Kind = Kind {
     name: "peel",
     about: "cuts a flap free and rolls it back about a hinge, towards the box's -x",
     parameters: &[
-        Parameter { name: "depth", unit: Unit::Mm, default: Amount::OfZ(0.25), min: Amount::OfZ(0.01), max: Amount::OfZ(0.4), about: "thickness of the layer" },
+        Parameter { name: "depth", unit: Unit::Mm, default: Amount::OfZ(0.25), min: Amount::OfZ(0.01), max: Amount::OfZ(0.45), about: "thickness of the layer" },
         Parameter { name: "radius", unit: Unit::Mm, default: Amount::OfZ(0.38), min: Amount::OfZ(0.05), max: Amount::OfZ(0.44), about: "of the roll's outer side; more than the depth" },
     ],
     progressive: true,
