@@ -165,7 +165,7 @@ pub struct Light {
 
 impl Default for Light {
     fn default() -> Self {
-        Self { ambient: 0.25, diffuse: 0.75, specular: 0.2, shininess: 24.0, direction: [-0.4, 0.6, 0.8], follows_camera: true, two_sided: true }
+        Self { ambient: 0.3, diffuse: 0.7, specular: 0.15, shininess: 24.0, direction: [-0.3, 0.5, 1.0], follows_camera: true, two_sided: true }
     }
 }
 

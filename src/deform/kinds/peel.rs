@@ -121,8 +121,10 @@ impl Field for Peel {
         // The layer behind the hinge, which the roll grows out of.
         let in_layer = if q.x <= self.hinge { above_floor.min(self.depth - above_floor) } else { -UNCUT };
         let in_strip = in_roll.max(in_layer);
-        let in_slot = (q.x - self.hinge).min(self.end - q.x).min(above_floor).min(self.depth - above_floor).min(self.slot_half_y - q.y.abs());
-        let in_band = (in_roll + self.clearance).min(above_floor - self.depth);
+        let over_slot = (q.x - self.hinge).min(self.end - q.x).min(self.slot_half_y - q.y.abs()).min(above_floor);
+        let in_slot = over_slot.min(self.depth - above_floor);
+        // Over the slot the band reaches down into it: where the two only met, a sheet of matter would hang between them.
+        let in_band = (in_roll + self.clearance).min(over_slot.max(above_floor - self.depth));
         let undisplaced = -in_slot.max(in_band);
         // D of the roll, continued; it fades to zero between the roll and what is not displaced.
         let continued = Vec3::new(self.hinge + roll.along, q.y, self.floor + roll.height) - q;
