@@ -1,1 +1,51 @@
-fn main(){}
+//! All tests that need more than one module. One binary; `libtest-mimic` instead of the built-in harness, because tests that need a
+//! graphics adapter must be reported as ignored, not as passed, where there is none. With INCISE_REQUIRE_ADAPTER set (CI) a missing
+//! adapter fails.
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on should panic")]
+#![allow(missing_docs, reason = "tests say what they hold in their names")]
+
+mod architecture;
+mod closed_forms;
+mod command_line;
+mod contract;
+mod metrics;
+mod nifti;
+#[cfg(feature = "gpu")]
+mod parity;
+mod scenes;
+#[cfg(feature = "gpu")]
+mod shaders;
+
+use libtest_mimic::{Arguments, Trial};
+
+/// A test by the name of its function.
+macro_rules! trials {
+    ($module:ident: $($name:ident),* $(,)?) => {
+        vec![$(Trial::test(concat!(stringify!($module), "::", stringify!($name)), || { $module::$name(); Ok(()) })),*]
+    };
+}
+
+fn main() {
+    let arguments = Arguments::from_args();
+    let mut all: Vec<Trial> = Vec::new();
+    all.extend(trials!(architecture: modules_name_only_those_before_them, files_are_of_readable_size));
+    all.extend(trials!(metrics: equal_pictures_are_equal, the_comparer_rejects));
+    all.extend(contract::trials());
+    all.extend(trials!(closed_forms:
+        transmittance_of_a_uniform_ball, identity_map_changes_nothing, translation_as_a_map_is_a_translation,
+        normals_under_linear_maps, normals_under_a_twist, normals_on_cut_faces, anisotropic_ball_is_round,
+        oblique_ball_is_round_and_lit_alike, path_through_a_cut_slab_is_exact, composition_is_the_formula, depth_of_projections, holes_are_empty));
+    all.extend(trials!(scenes:
+        every_scene_loads_and_comes_back, skipping_and_termination_change_nothing, halving_the_step_changes_little,
+        slices_approach_rays, order_of_deformations_matters, left_is_left));
+    all.extend(trials!(nifti:
+        every_type_and_byte_order, rescale_is_sanitised, sform_qform_and_spacing, damaged_files_are_named, the_first_of_a_series_is_taken, the_bundled_head));
+    #[cfg(feature = "gpu")]
+    all.extend(trials!(shaders: every_program_is_valid, uniforms_match_their_structs, counterparts_exist));
+    all.extend(trials!(command_line:
+        bad_input_is_named_and_leaves_no_file, same_bytes_for_any_number_of_threads, cpu_is_used_without_a_driver, stats_are_complete,
+        an_existing_file_is_replaced_whole, info_tells_what_is_needed, usage_errors_exit_with_2));
+    #[cfg(feature = "gpu")]
+    all.extend(parity::trials());
+    libtest_mimic::run(&arguments, all).exit();
+}

@@ -114,6 +114,14 @@ impl<'a> Prepared<'a> {
     /// # Errors
     /// Any setting that cannot be used, by name.
     pub fn new(scene: &Scene, assets: &'a Assets) -> Result<Self> {
+        Self::with_maps(scene, assets, Vec::new())
+    }
+
+    /// Resolves a scene and applies further maps, made by other means than a kind, after its own.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn with_maps(scene: &Scene, assets: &'a Assets, more: Vec<PlacedMap>) -> Result<Self> {
         let mut stages = Stages::default();
         let settings = scene.render.clone();
         check_settings(&settings, &scene.light)?;
@@ -135,8 +143,8 @@ impl<'a> Prepared<'a> {
         let step_mm = settings.step * reference_mm;
         let blend_mm = [step_mm.max(reference_mm), BLEND_SAMPLES * step_mm.max(reference_mm)];
         let stack = stages.time("maps", || -> Result<_> {
-            let maps = scene.deformation.iter().filter(|d| d.enabled).map(|d| place(d, &volume_box, 1.2 * blend_mm[1])).collect::<Result<Vec<_>>>()?;
-            Stack::new(maps)
+            let own = scene.deformation.iter().filter(|d| d.enabled).map(|d| place(d, &volume_box, 1.2 * blend_mm[1]));
+            Stack::new(own.chain(more.into_iter().map(Ok)).collect::<Result<_>>()?)
         })?;
         let grid_size = Vec3::from(assets.grid.size.map(|n| n as f32));
         let voxel_from_world = to_f32(&volume.world_from_voxel.inverse());

@@ -1,0 +1,174 @@
+//! The contract of every kind of deformation (see src/deform/kinds/mod.rs), on the CPU; tests/parity.rs has the shaders' side.
+
+use glam::{Affine3A, Mat3, Quat, Vec3};
+use incise::deform::kinds::{self, Kind, Sampling};
+use incise::deform::{PlacedMap, Placement, Storage};
+use libtest_mimic::Trial;
+use std::sync::Arc;
+
+pub const SIZE: Vec3 = Vec3::new(80.0, 64.0, 72.0);
+pub const SAMPLING: Sampling = Sampling { resolution: None, storage: Storage::F16, least_ramp_mm: 3.0 };
+
+pub fn trials() -> Vec<Trial> {
+    let checks: [(&str, fn(&'static Kind)); 6] = [
+        ("no_strength_is_the_identity", no_strength_is_the_identity),
+        ("jacobian_is_the_derivative", jacobian_is_the_derivative),
+        ("backward_undoes_forward", backward_undoes_forward),
+        ("vanishes_on_the_faces_it_says", vanishes_on_the_faces_it_says),
+        ("odd_input_gives_finite_values", odd_input_gives_finite_values),
+        ("displacement_is_continuous", displacement_is_continuous),
+    ];
+    kinds::list()
+        .flat_map(|kind| {
+            checks.into_iter().map(move |(name, check)| {
+                Trial::test(format!("contract::{}::{name}", kind.name), move || {
+                    check(kind);
+                    Ok(())
+                })
+            })
+        })
+        .collect()
+}
+
+fn defaults(kind: &Kind) -> Vec<f32> {
+    kind.values([], SIZE).unwrap()
+}
+
+/// Points spread evenly over the box (a low-discrepancy sequence: the plastic number's powers).
+pub fn points(n: usize) -> impl Iterator<Item = Vec3> {
+    (0..n).map(|i| {
+        let i = i as f64;
+        let p = [0.819_172_513_396_164_4, 0.671_043_606_703_789_3, 0.549_700_477_901_970_2].map(|a| ((0.5 + a * i).fract()) as f32);
+        Vec3::from(p)
+    })
+}
+
+fn no_strength_is_the_identity(kind: &'static Kind) {
+    assert!(kind.progressive);
+    let map = kind.map(&defaults(kind), 0.0, SIZE, &SAMPLING);
+    for x in points(2000) {
+        let s = map.sample(x);
+        assert!(s.displacement.abs().max_element() <= 1e-6, "{}: {:?} at {x}", kind.name, s);
+        assert_eq!(s.alpha, 1.0, "{} at {x}", kind.name);
+    }
+}
+
+/// In a rotated, anisotropic placement, away from cuts and from the kinks of the trilinear map.
+fn jacobian_is_the_derivative(kind: &'static Kind) {
+    let map = Arc::new(kind.map(&defaults(kind), 0.8, SIZE, &SAMPLING));
+    let rotation = Mat3::from_quat(Quat::from_euler(glam::EulerRot::XYZ, 0.4, -0.7, 1.1));
+    let linear = rotation * Mat3::from_diagonal(SIZE * kind.inflate);
+    let placement = Placement::from_affine(Affine3A::from_mat3_translation(linear, Vec3::new(5.0, -3.0, 11.0))).unwrap();
+    let placed = PlacedMap::new(map.clone(), placement);
+    let texel_mm = (0..3).filter(|&a| map.size[a] > 1).map(|a| SIZE[a] / (map.size[a] - 1) as f32).fold(0.0, f32::max);
+    let (mut compared, mut close) = (0, 0);
+    for x in points(4000) {
+        if map.sample(x).alpha < 1.0 || x.min_element() < 0.05 || x.max_element() > 0.95 {
+            continue;
+        }
+        let p = placement.world_from_map.transform_point3(x);
+        let (j, _) = placed.derivatives(p).unwrap();
+        let h = texel_mm;
+        let numeric = Mat3::from_cols_array_2d(&[Vec3::X, Vec3::Y, Vec3::Z].map(|e| ((placed.backward(p + e * h).0 - placed.backward(p - e * h).0) / (2.0 * h)).to_array()));
+        compared += 1;
+        let error = (0..3).map(|c| (j.col(c) - numeric.col(c)).length()).fold(0.0, f32::max);
+        close += usize::from(error < 0.08);
+    }
+    assert!(compared > 100, "{}: only {compared} points", kind.name);
+    assert!(close as f32 >= 0.95 * compared as f32, "{}: {close} of {compared}", kind.name);
+}
+
+/// Where a source point goes, matter is, and it came from there.
+fn backward_undoes_forward(kind: &'static Kind) {
+    for progress in [0.35, 1.0] {
+        let field = kind.field(&defaults(kind), progress, SIZE, &SAMPLING);
+        let mut seen = 0;
+        for x in points(4000) {
+            let source = (x - 0.5) * SIZE;
+            let Some(deformed) = field.forward(source) else { continue };
+            let inside = (deformed / SIZE).abs().max_element() <= 0.5;
+            let back = field.backward(deformed);
+            if !inside || back.cut_mm < 0.02 {
+                // On the very edge of a cut, or carried out of the box through a face that the kind names.
+                continue;
+            }
+            seen += 1;
+            let error = back.source.distance(source);
+            assert!(error < 2e-3, "{} at progress {progress}: {source} went to {deformed} and came back as {}", kind.name, back.source);
+        }
+        assert!(seen > 400, "{}: only {seen} points", kind.name);
+    }
+}
+
+fn vanishes_on_the_faces_it_says(kind: &'static Kind) {
+    let map = kind.map(&defaults(kind), 1.0, SIZE, &SAMPLING);
+    for (face, leaks) in kind.leaks.into_iter().enumerate() {
+        let mut most = 0.0f32;
+        for x in points(1500) {
+            let mut x = x;
+            x[face / 2] = (face % 2) as f32;
+            most = most.max(map.sample(x).displacement.abs().max_element());
+        }
+        // The Gaussian pull is 0.2 % of its height at the sides.
+        assert!(leaks || most <= 2.5e-3, "{}: {most} of the box on face {face}", kind.name);
+    }
+    if kind.varies == [true; 3] && kind.leaks == [false; 6] {
+        // What does not leak must not cut the box's faces either.
+        for x in points(500) {
+            for face in 0..6 {
+                let mut x = x;
+                x[face / 2] = (face % 2) as f32;
+                assert!(map.sample(x).alpha > 0.5, "{}: cut at {x}", kind.name);
+            }
+        }
+    }
+}
+
+fn odd_input_gives_finite_values(kind: &'static Kind) {
+    let extremes = [0.0, 1.0].into_iter().flat_map(|progress| {
+        kind.parameters.iter().flat_map(move |p| {
+            [p.min, p.max].map(|_| progress).into_iter().zip([true, false]).map(move |(progress, low)| (p.name, low, progress))
+        })
+    });
+    for (name, low, progress) in extremes {
+        let value = {
+            // The range's own ends, found from the message that refuses what lies beyond them.
+            let beyond = if low { -1e9 } else { 1e9 };
+            let message = kind.values([(name, beyond)], SIZE).unwrap_err().to_string();
+            let range = message.split("outside ").nth(1).unwrap();
+            let mut ends = range.split(" to ");
+            let (a, b) = (ends.next().unwrap(), ends.next().unwrap());
+            let end = if low { a } else { b.split(' ').next().unwrap() };
+            end.parse::<f32>().unwrap()
+        };
+        let values = kind.values([(name, value)], SIZE).unwrap();
+        let field = kind.field(&values, progress, SIZE, &SAMPLING);
+        for x in points(300) {
+            let b = field.backward((x - 0.5) * SIZE);
+            assert!(b.source.is_finite() && !b.cut_mm.is_nan(), "{} {name}={value} at {x}: {b:?}", kind.name);
+        }
+    }
+    let field = kind.field(&defaults(kind), 1.0, SIZE, &SAMPLING);
+    for q in [Vec3::ZERO, SIZE / 2.0, -SIZE / 2.0, Vec3::new(0.0, 0.0, -SIZE.z / 2.0), Vec3::splat(1e-20)] {
+        let b = field.backward(q);
+        assert!(b.source.is_finite() && !b.cut_mm.is_nan(), "{} at {q}: {b:?}", kind.name);
+    }
+}
+
+/// D must not jump where matter is or within a texel of it; the mask alone carries the discontinuity.
+fn displacement_is_continuous(kind: &'static Kind) {
+    let field = kind.field(&defaults(kind), 0.8, SIZE, &SAMPLING);
+    let h = 0.01;
+    for x in points(6000) {
+        let q = (x - 0.5) * SIZE * 0.98;
+        let here = field.backward(q);
+        if here.cut_mm < -0.5 {
+            continue;
+        }
+        for e in [Vec3::X, Vec3::Y, Vec3::Z] {
+            let there = field.backward(q + e * h);
+            let jump = (there.source - here.source - e * h).length();
+            assert!(jump < 60.0 * h, "{}: D jumps by {jump} mm at {q} (cut {})", kind.name, here.cut_mm);
+        }
+    }
+}

@@ -1,0 +1,219 @@
+//! GPU against CPU: numbers first (the shaders' functions at thousands of points), then every scene in both modes.
+//!
+//! Without an adapter these are reported as ignored; with INCISE_REQUIRE_ADAPTER set, a missing adapter fails.
+
+use crate::contract::points;
+use crate::metrics::{STEP, difference};
+use crate::scenes;
+use glam::Vec3;
+use incise::cpu;
+use incise::gpu::{Device, Want};
+use incise::render::Renderer;
+use incise::scene::{Deformation, Mode, Prepared, Scene};
+use incise::transfer::{Blend, GradientPoint};
+use incise::volume::{GradientFilter, Grid, GridVoxels, Sampler};
+use libtest_mimic::Trial;
+use std::sync::{LazyLock, Mutex};
+
+static RENDERER: LazyLock<Mutex<Result<Renderer, String>>> =
+    LazyLock::new(|| Mutex::new(Device::open(Want::Any).map(Renderer::new).map_err(|e| e.to_string())));
+
+fn with_renderer<T>(work: impl FnOnce(&mut Renderer) -> T) -> T {
+    // A test that failed before leaves the renderer usable.
+    let mut guard = RENDERER.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    work(guard.as_mut().unwrap())
+}
+
+pub fn trials() -> Vec<Trial> {
+    let required = std::env::var_os("INCISE_REQUIRE_ADAPTER").is_some();
+    let missing = RENDERER.lock().unwrap().as_ref().err().cloned();
+    let mut all = vec![];
+    if required {
+        let missing = missing.clone();
+        all.push(Trial::test("parity::an_adapter_is_present", move || missing.map_or(Ok(()), |e| Err(e.into()))));
+    }
+    let gpu = |name: String, test: Box<dyn FnOnce() + Send>| {
+        Trial::test(name, move || {
+            test();
+            Ok(())
+        })
+        .with_ignored_flag(missing.is_some())
+    };
+    for file in scenes::files() {
+        let name = file.file_stem().unwrap().to_string_lossy().into_owned();
+        for mode in [Mode::Slice, Mode::Raycast] {
+            let scene = name.clone();
+            all.push(gpu(format!("parity::{name}::{mode:?}").to_lowercase(), Box::new(move || scene_agrees(&scene, mode))));
+        }
+    }
+    for kind in incise::deform::kinds::list() {
+        all.push(gpu(format!("parity::numbers::{}", kind.name), Box::new(move || numbers_agree(kind.name))));
+    }
+    all.push(gpu("parity::options_agree".into(), Box::new(options_agree)));
+    all.push(gpu("parity::counts_agree".into(), Box::new(counts_agree)));
+    all.push(gpu("parity::eight_maps_agree".into(), Box::new(eight_maps_agree)));
+    all.push(gpu("parity::voxel_types_agree".into(), Box::new(voxel_types_agree)));
+    all.push(gpu("parity::too_large_is_refused".into(), Box::new(too_large_is_refused)));
+    all
+}
+
+fn agree(what: &str, prepared: &Prepared) {
+    let by_cpu = cpu::render(prepared, &|_| ()).picture;
+    let by_gpu = with_renderer(|r| r.render(prepared, false, &|_| ()).unwrap_or_else(|e| panic!("{what}: {e}"))).picture;
+    let d = difference(&by_cpu, &by_gpu).unwrap_or_else(|e| panic!("{what}: {e}"));
+    println!("{what}: mean {:.4}/255, max {:.2}/255, within 4/255: {:.4} %", d.mean / STEP, d.max / STEP, 100.0 * d.within_4);
+    assert!(d.mean <= 0.5 * STEP && d.within_4 >= 0.999, "{what}: mean {}/255, {} % within 4/255", d.mean / STEP, 100.0 * d.within_4);
+}
+
+fn scene_agrees(name: &str, mode: Mode) {
+    let mut scene = scenes::load(name);
+    scene.render.mode = mode;
+    scene.render.size = [192, 192];
+    let assets = scenes::assets(&scene);
+    agree(&format!("{name} {mode:?}"), &Prepared::new(&scene, &assets).unwrap());
+}
+
+/// Source point, mask, Jacobian, cut, value, opacity and gradient by the shaders are the CPU's, in a rotated, anisotropic placement.
+fn numbers_agree(kind: &str) {
+    let mut scene = Scene::of_volume("phantom:head-ct:size=48");
+    let mut deformation = Deformation::new(kind);
+    deformation.rotate = Some([20.0, -30.0, 40.0]);
+    deformation.center = Some([4.0, 6.0, -8.0]);
+    scene.deformation.push(deformation);
+    let assets = scenes::assets(&scene);
+    let prepared = Prepared::new(&scene, &assets).unwrap();
+    let at: Vec<[f32; 3]> = points(10_000).map(|x| ((x - 0.5) * 150.0).to_array()).collect();
+    let probes = with_renderer(|r| r.probe(&prepared, &at).unwrap());
+    assert_eq!(probes.len(), at.len());
+    let GridVoxels::I16(voxels) = &assets.grid.voxels else { panic!() };
+    let sampler = Sampler::new(&assets.grid, voxels);
+    let (mut worst, mut moved) = ([0.0f32; 5], 0);
+    for (p, probe) in at.iter().zip(&probes) {
+        let p = Vec3::from(*p);
+        let jet = prepared.stack.jet(p);
+        let in_voxel = prepared.frame.voxel_from_world.transform_point3(jet.source);
+        let value = sampler.sample(in_voxel);
+        let gradient = sampler.gradient(in_voxel, GradientFilter::Central);
+        let v = |n: usize| Vec3::new(probe[n], probe[n + 1], probe[n + 2]);
+        moved += usize::from(jet.source.distance(p) > 1.0 || jet.alpha < 1.0);
+        let j = jet.d_source_d_deformed;
+        let jacobian = [(4, j.x_axis), (8, j.y_axis), (12, j.z_axis)].map(|(n, c)| (v(n) - c).length()).into_iter().fold(0.0, f32::max);
+        let steep = 1.0 + j.x_axis.length().max(j.y_axis.length()).max(j.z_axis.length());
+        for (w, e) in worst.iter_mut().zip([
+            v(0).distance(jet.source),
+            (probe[3] - jet.alpha).abs(),
+            jacobian / steep,
+            (probe[11] - value).abs(),
+            (v(19) - gradient).length(),
+        ]) {
+            *w = w.max(e);
+        }
+    }
+    assert!(moved > 100, "{kind} touched only {moved} points");
+    // Hardware that filters with 8-bit weights is coarser than a software driver; both stay far below a voxel.
+    let bound = [0.05, 0.01, 0.02, 0.01, 0.02];
+    assert!(worst.iter().zip(bound).all(|(w, b)| *w <= b), "{kind}: {worst:?} against {bound:?}");
+}
+
+/// Every option that changes the shaders.
+fn options_agree() {
+    let mut base = Scene::of_volume("phantom:head-ct:size=64");
+    base.render.size = [128, 128];
+    base.camera.view = "40,20".parse().unwrap();
+    base.deformation.push(Deformation::new("knife"));
+    let assets = scenes::assets(&base);
+    let mut variants: Vec<(&str, Scene)> = Vec::new();
+    let mut add = |name, change: &dyn Fn(&mut Scene)| {
+        let mut s = base.clone();
+        change(&mut s);
+        variants.push((name, s));
+    };
+    add("orthographic", &|s| s.camera.projection = incise::scene::Projection::Orthographic);
+    add("sobel", &|s| s.render.gradient = GradientFilter::Sobel);
+    add("one-sided", &|s| s.light.two_sided = false);
+    add("normals none", &|s| s.render.normals = incise::scene::Normals::None);
+    add("normals source", &|s| s.render.normals = incise::scene::Normals::Source);
+    add("normals transformed", &|s| s.render.normals = incise::scene::Normals::Transformed);
+    add("soft", &|s| s.transfer.preset = Some("ct-bones-and-muscle".into()));
+    add("gradient opacity", &|s| {
+        s.transfer.gradient_opacity = vec![GradientPoint { magnitude: 0.0, factor: 0.0 }, GradientPoint { magnitude: 300.0, factor: 1.0 }];
+    });
+    add("mip", &|s| s.transfer.preset = Some("ct-mip".into()));
+    add("minip", &|s| s.transfer.preset = Some("ct-minip".into()));
+    add("average", &|s| s.transfer.preset = Some("ct-xray".into()));
+    add("step 0.5", &|s| s.render.step = 0.5);
+    for (name, scene) in variants {
+        for mode in [Mode::Slice, Mode::Raycast] {
+            let mut s = scene.clone();
+            s.render.mode = mode;
+            let prepared = Prepared::new(&s, &assets).unwrap();
+            assert!(name != "mip" || prepared.blend == Blend::Mip);
+            agree(&format!("{name} {mode:?}"), &prepared);
+        }
+    }
+}
+
+/// Rays look where the CPU's look: the counts agree but for rounding.
+fn counts_agree() {
+    let mut scene = scenes::load("tomato-wave-then-peel");
+    scene.render.size = [128, 128];
+    let assets = scenes::assets(&scene);
+    let prepared = Prepared::new(&scene, &assets).unwrap();
+    let by_cpu = cpu::render(&prepared, &|_| ()).stats.unwrap();
+    let by_gpu = with_renderer(|r| r.render(&prepared, true, &|_| ()).unwrap()).stats.unwrap();
+    let close = |a: u64, b: u64| a > 0 && (a as f64 - b as f64).abs() <= 0.005 * a as f64;
+    assert!(close(by_cpu.samples_taken, by_gpu.samples_taken), "{by_cpu:?} {by_gpu:?}");
+    assert!(close(by_cpu.samples_skipped, by_gpu.samples_skipped), "{by_cpu:?} {by_gpu:?}");
+    assert!(close(by_cpu.samples_terminated, by_gpu.samples_terminated), "{by_cpu:?} {by_gpu:?}");
+}
+
+fn eight_maps_agree() {
+    let mut scene = Scene::of_volume("phantom:tomato:size=64");
+    scene.render.size = [96, 96];
+    scene.camera.view = "30,30".parse().unwrap();
+    for kind in ["wave", "twist", "pull", "seam", "knife", "slab", "peel", "wedge"] {
+        scene.deformation.push(Deformation { progress: Some(0.4), resolution: Some(32), ..Deformation::new(kind) });
+    }
+    let assets = scenes::assets(&scene);
+    let prepared = Prepared::new(&scene, &assets).unwrap();
+    assert_eq!(prepared.stack.maps().len(), 8);
+    agree("eight maps", &prepared);
+}
+
+fn voxel_types_agree() {
+    use incise::volume::{Rescale, Volume, Voxels, phantom};
+    let phantom = phantom::generate("tomato", [48; 3], Vec3::splat(160.0 / 48.0)).unwrap();
+    let values: Vec<f64> = (0..phantom.voxels.len()).map(|n| phantom.voxels.get(n)).collect();
+    let types: [Voxels; 5] = [
+        values.iter().map(|v| *v as u8).collect::<Vec<_>>().into(),
+        values.iter().map(|v| (*v * 100.0) as u16).collect::<Vec<_>>().into(),
+        values.iter().map(|v| (*v * 100.0 - 9000.0) as i16).collect::<Vec<_>>().into(),
+        values.iter().map(|v| if *v == 254.0 { f32::NAN } else { *v as f32 }).collect::<Vec<_>>().into(),
+        values.clone().into(),
+    ];
+    for voxels in types {
+        let name = voxels.type_name();
+        let volume = Volume::new(voxels, phantom.size, Rescale::NONE, phantom.world_from_voxel);
+        let mut scene = Scene::of_volume("phantom:tomato");
+        scene.render.size = [96, 96];
+        let factor = (volume.range[1] - volume.range[0]) / 205.0;
+        scene.transfer.window = Some(200.0 * factor);
+        scene.transfer.level = Some(140.0 * factor + volume.range[0] - 50.0 * factor);
+        let assets = incise::scene::Assets::of_volume(volume, incise::scene::Stages::default());
+        assert!(Grid::new(&assets.volume).size == [48; 3]);
+        agree(name, &Prepared::new(&scene, &assets).unwrap());
+    }
+}
+
+/// A device's limits end in a message, not in a black picture.
+fn too_large_is_refused() {
+    use incise::volume::{Rescale, Volume};
+    let most = with_renderer(|r| r.device().device.limits().max_texture_dimension_3d) as usize;
+    let volume = Volume::new(vec![0u8; most + 1].into(), [most + 1, 1, 1], Rescale::NONE, glam::DAffine3::IDENTITY);
+    let assets = incise::scene::Assets::of_volume(volume, incise::scene::Stages::default());
+    let mut scene = Scene::of_volume("phantom:ball");
+    scene.transfer.points = vec![incise::transfer::ControlPoint { value: 0.0, color: [1.0; 3], opacity: 1.0 }];
+    let prepared = Prepared::new(&scene, &assets).unwrap();
+    let message = with_renderer(|r| r.render(&prepared, false, &|_| ()).err().unwrap().to_string());
+    assert!(message.contains("exceeds"), "{message}");
+}

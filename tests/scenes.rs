@@ -1,0 +1,148 @@
+//! The scenes in volumes/, and properties that every scene has.
+
+use crate::closed_forms::picture;
+use crate::metrics::{STEP, difference};
+use incise::scene::{Assets, Mode, Prepared, Projection, Scene};
+use std::path::PathBuf;
+
+/// The scene files, by name.
+pub fn files() -> Vec<PathBuf> {
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("volumes");
+    let mut files: Vec<PathBuf> = std::fs::read_dir(folder).unwrap().flatten().map(|e| e.path()).filter(|p| p.extension().is_some_and(|e| e == "toml")).collect();
+    files.sort();
+    assert!(files.len() >= 20, "{files:?}");
+    files
+}
+
+pub fn load(name: &str) -> Scene {
+    Scene::load(&std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("volumes").join(format!("{name}.toml"))).unwrap()
+}
+
+pub fn assets(scene: &Scene) -> Assets {
+    Assets::load(scene, &mut |_, _| ()).unwrap()
+}
+
+pub fn every_scene_loads_and_comes_back() {
+    for file in files() {
+        let scene = Scene::load(&file).unwrap_or_else(|e| panic!("{e}"));
+        let mut again = Scene::from_toml(&scene.to_toml().unwrap()).unwrap();
+        again.folder.clone_from(&scene.folder);
+        assert_eq!(again, scene, "{}", file.display());
+        assert!(scene.volume.path.starts_with("phantom:") || scene.volume_path().is_file());
+    }
+}
+
+/// Deformed and cut scenes, both modes: skipping and early termination are worth at most one 8-bit step anywhere.
+pub fn skipping_and_termination_change_nothing() {
+    for name in ["head-peel", "head-quadrant", "head-slabs", "piggy-bank-4", "tomato-wave-then-peel", "teddy-seam", "pull"] {
+        let mut scene = load(name);
+        let assets = assets(&scene);
+        scene.render.size = [96, 96];
+        for mode in [Mode::Raycast, Mode::Slice] {
+            scene.render.mode = mode;
+            let render = |skipping: bool, termination: bool| {
+                let mut s = scene.clone();
+                s.render.empty_space_skipping = skipping;
+                s.render.early_termination = termination;
+                let prepared = Prepared::new(&s, &assets).unwrap();
+                incise::cpu::render(&prepared, &|_| ())
+            };
+            let neither = render(false, false);
+            let stats = neither.stats.unwrap();
+            assert_eq!((stats.samples_skipped, stats.samples_terminated), (0, 0));
+            for (skipping, termination) in [(true, false), (false, true), (true, true)] {
+                let r = render(skipping, termination);
+                let d = difference(&neither.picture, &r.picture).unwrap();
+                assert!(d.max <= STEP, "{name} {mode:?} skipping {skipping}, termination {termination}: {d:?}");
+                let (with, without) = (r.stats.unwrap(), stats);
+                assert!(with.samples_taken < without.samples_taken * 9 / 10, "{name}: {with:?} against {without:?}");
+                if skipping && !termination {
+                    assert!(d.max == 0.0, "{name} {mode:?}: skipping changed a sample that shows: {d:?}");
+                }
+            }
+        }
+    }
+}
+
+pub fn halving_the_step_changes_little() {
+    for name in ["head-peel", "piggy-bank-3", "tomato-slices-2", "teddy-seam"] {
+        let mut scene = load(name);
+        let assets = assets(&scene);
+        scene.render.size = [192, 192];
+        for mode in [Mode::Raycast, Mode::Slice] {
+            scene.render.mode = mode;
+            let mut at = |step: f32| {
+                scene.render.step = step;
+                picture(&Prepared::new(&scene, &assets).unwrap())
+            };
+            let d = difference(&at(1.0), &at(0.5)).unwrap();
+            assert!(d.mean > 0.0 && d.mean < 2.0 * STEP, "{name} {mode:?}: {}/255", d.mean / STEP);
+        }
+    }
+}
+
+/// In perspective slices and rays sample different points; both approach the same integral.
+pub fn slices_approach_rays() {
+    for name in ["head-quadrant", "tomato-peel-then-wave"] {
+        let mut scene = load(name);
+        let assets = assets(&scene);
+        scene.render.size = [160, 160];
+        assert_eq!(scene.camera.projection, Projection::Perspective);
+        let differences = [2.0, 1.0, 0.5, 0.25].map(|step| {
+            scene.render.step = step;
+            let mut by = |mode| {
+                scene.render.mode = mode;
+                picture(&Prepared::new(&scene, &assets).unwrap())
+            };
+            difference(&by(Mode::Slice), &by(Mode::Raycast)).unwrap().mean
+        });
+        assert!(differences[3] > 0.0 && differences.windows(2).all(|w| w[1] < w[0]), "{name}: {differences:?}");
+        assert!(differences[3] < 0.5 * differences[0]);
+    }
+}
+
+pub fn order_of_deformations_matters() {
+    let (mut a, mut b) = (load("tomato-wave-then-peel"), load("tomato-peel-then-wave"));
+    a.deformation.reverse();
+    assert_eq!(a.deformation, b.deformation, "the same two, in two orders");
+    a.deformation.reverse();
+    (a.render.size, b.render.size) = ([128, 128], [128, 128]);
+    let assets = assets(&a);
+    let d = difference(&picture(&Prepared::new(&a, &assets).unwrap()), &picture(&Prepared::new(&b, &assets).unwrap())).unwrap();
+    assert!(d.mean > 2.0 * STEP, "{d:?}");
+}
+
+/// The atlas of the bundled head names its regions: 1 is Precentral_L, 2 is Precentral_R. Patient left is +x, and on the right of an
+/// anterior picture.
+pub fn left_is_left() {
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("volumes/colin27-aal-labels.nii.gz");
+    let mut scene = Scene::of_volume(path.to_str().unwrap());
+    let assets = assets(&scene);
+    let volume = &assets.volume;
+    let mean_x = |label: f64| {
+        let (mut sum, mut count) = (0.0, 0usize);
+        for n in (0..volume.voxels.len()).filter(|&n| volume.voxels.get(n) == label) {
+            let [nx, ny, _] = volume.size;
+            let p = glam::DVec3::new((n % nx) as f64, (n / nx % ny) as f64, (n / nx / ny) as f64);
+            sum += volume.world_from_voxel.transform_point3(p).x;
+            count += 1;
+        }
+        assert!(count > 1000);
+        sum / count as f64
+    };
+    let (left, right) = (mean_x(1.0), mean_x(2.0));
+    assert!(left > 20.0 && right < -20.0, "{left} {right}");
+    // Only label 1 opaque.
+    scene.transfer.points = [(0.4, 0.0), (0.6, 0.9), (1.4, 0.9), (1.6, 0.0)]
+        .map(|(value, opacity)| incise::transfer::ControlPoint { value, color: [1.0; 3], opacity })
+        .to_vec();
+    scene.deformation.clear();
+    scene.render.size = [128, 128];
+    let p = picture(&Prepared::new(&scene, &assets).unwrap());
+    // Every label's edge passes through label 1's value: weigh by opacity.
+    let (mut on_left, mut on_right) = (0.0, 0.0);
+    for (n, pixel) in p.pixels.iter().enumerate() {
+        if n % 128 < 64 { on_left += pixel[3] } else { on_right += pixel[3] }
+    }
+    assert!(on_right > 1.1 * on_left, "label Precentral_L shows {on_left} on the left half, {on_right} on the right");
+}

@@ -1,0 +1,67 @@
+//! Shaders without a GPU: every program parses and validates, and the Rust mirrors of its structs have its layout.
+
+use incise::gpu::shaders::Program;
+use incise::render::uniforms::{FrameUniform, PlacedMapUniform};
+
+fn module(program: Program, counting: bool) -> naga::Module {
+    let source = program.source(counting);
+    naga::front::wgsl::parse_str(&source).unwrap_or_else(|e| panic!("{program:?}: {}", e.emit_to_string(&source)))
+}
+
+pub fn every_program_is_valid() {
+    for program in Program::ALL {
+        for counting in [false, true] {
+            let module = module(program, counting);
+            assert!(!module.entry_points.is_empty());
+            let mut validator = naga::valid::Validator::new(naga::valid::ValidationFlags::all(), naga::valid::Capabilities::default());
+            validator.validate(&module).unwrap_or_else(|e| panic!("{program:?}: {e:?}"));
+        }
+    }
+}
+
+/// Members of a WGSL struct: name, offset; and its size.
+fn layout(module: &naga::Module, name: &str) -> (Vec<(String, u32)>, u32) {
+    module
+        .types
+        .iter()
+        .find_map(|(_, t)| match &t.inner {
+            naga::TypeInner::Struct { members, span } if t.name.as_deref() == Some(name) => {
+                Some((members.iter().map(|m| (m.name.clone().unwrap(), m.offset)).collect(), *span))
+            }
+            _ => None,
+        })
+        .unwrap_or_else(|| panic!("no struct {name}"))
+}
+
+macro_rules! same_layout {
+    ($module:expr, $wgsl:literal, $rust:ty: $($field:ident),* $(,)?) => {{
+        let (members, size) = layout($module, $wgsl);
+        let rust: Vec<(String, u32)> = vec![$((stringify!($field).to_owned(), std::mem::offset_of!($rust, $field) as u32)),*];
+        assert_eq!(members, rust);
+        assert_eq!(size as usize, size_of::<$rust>());
+    }};
+}
+
+pub fn uniforms_match_their_structs() {
+    let m = module(Program::Raycast, false);
+    same_layout!(&m, "Frame", FrameUniform: clip_from_world, voxel_from_world, eye, perspective, forward, step_mm, right, reference_mm, up,
+        blend_near_mm, to_light, blend_far_mm, proxy_min, ambient, proxy_max, diffuse, grid_size, specular, cells_origin, shininess, cell_mm,
+        value_scale, cells, value_offset, picture, table_scale, table_offset, gradient_top, two_sided, has_holes, early_termination);
+    same_layout!(&m, "PlacedMap", PlacedMapUniform: map_from_world, world_from_stored, size, padding);
+}
+
+/// A shader's constants are the CPU's.
+pub fn counterparts_exist() {
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    let read = |p: &str| std::fs::read_to_string(folder.join(p)).unwrap();
+    for (shader, rust, pairs) in [
+        ("shaders/lib/shading.wgsl", "src/cpu/shading.rs", &[("EVEN_LIGHT: f32 = 0.6", "EVEN_LIGHT: f32 = 0.6"), ("ENTRY_STEPS: i32 = 4", "ENTRY_STEPS: u32 = 4"), ("SURFACE_LOW: f32 = 0.004", "SURFACE: [f32; 2] = [0.004, 0.04]"), ("SURFACE_HIGH: f32 = 0.04", "SURFACE: [f32; 2] = [0.004, 0.04]")][..]),
+        ("shaders/raycast.wgsl", "src/cpu/mod.rs", &[("OPAQUE: f32 = 1.0 / 512.0", "OPAQUE: f32 = 1.0 / 512.0")][..]),
+        ("shaders/lib/transfer.wgsl", "src/transfer/table.rs", &[("TABLE_ENTRIES: i32 = 4096", "TABLE_ENTRIES: usize = 4096"), ("GRADIENT_ENTRIES: i32 = 256", "GRADIENT_ENTRIES: usize = 256")][..]),
+    ] {
+        for (in_shader, in_rust) in pairs {
+            assert!(read(shader).contains(in_shader), "{shader}: {in_shader}");
+            assert!(read(rust).contains(in_rust), "{rust}: {in_rust}");
+        }
+    }
+}
