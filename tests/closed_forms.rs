@@ -48,7 +48,7 @@ fn angle_deg(a: Vec3, b: Vec3) -> f32 {
 
 /// Opacity a per voxel over a chord of length c voxels lets (1 - a)^c through.
 pub fn transmittance_of_a_uniform_ball() {
-    let assets = ball(128);
+    let assets = ball(160);
     let opacity = 0.02f64;
     for mode in [Mode::Raycast, Mode::Slice] {
         for projection in [Projection::Orthographic, Projection::Perspective] {
@@ -69,7 +69,7 @@ pub fn transmittance_of_a_uniform_ball() {
                     if miss > 0.92 * BALL_RADIUS_MM {
                         continue;
                     }
-                    let chord = 2.0 * f64::from((BALL_RADIUS_MM.powi(2) - miss * miss).sqrt()) / 1.25;
+                    let chord = 2.0 * f64::from((BALL_RADIUS_MM.powi(2) - miss * miss).sqrt());
                     let want = (1.0 - opacity).powf(chord);
                     worst = worst.max(((1.0 - f64::from(pixel[3])) / want - 1.0).abs());
                 }
@@ -131,9 +131,20 @@ fn normal_at(prepared: &Prepared, grid: &Grid, deformed: Vec3, with_cut: bool) -
     Some(shading::normal(prepared, &jet.d_source_d_deformed, gradient, &cut, Vec3::ZERO).normal)
 }
 
+/// A volume of a closed-form field, sampled at 128³ points 1.25 mm apart around the origin. Smooth fields, so that what is tested is the
+/// deformation of normals and not the stencil that finds them.
+fn field_volume(f: impl Fn(Vec3) -> f32) -> Assets {
+    let n = 128;
+    let at = |i: usize| (i as f32 - 63.5) * 1.25;
+    let voxels: Vec<f32> = (0..n * n * n).map(|i| f(Vec3::new(at(i % n), at(i / n % n), at(i / n / n)))).collect();
+    let world_from_voxel = glam::DAffine3 { matrix3: glam::DMat3::from_diagonal(glam::DVec3::splat(1.25)), translation: glam::DVec3::splat(-63.5 * 1.25) };
+    assets(Volume::new(voxels.into(), [n; 3], Rescale::NONE, world_from_voxel))
+}
+
 /// p = p' + A (S - I) A⁻¹ (p' - c): the ball becomes an ellipsoid whose normal is SᵀS-transformed in closed form.
 pub fn normals_under_linear_maps() {
-    let assets = ball(128);
+    // A ball whose edge is six voxels wide.
+    let assets = field_volume(|p| (0.5 + (BALL_RADIUS_MM - p.length()) / 7.5).clamp(0.0, 1.0));
     let cases = [
         ("rotation", Mat3::from_rotation_z(0.5) * Mat3::from_rotation_x(0.3)),
         ("scale", Mat3::from_diagonal(Vec3::new(1.4, 0.8, 1.1))),
@@ -168,30 +179,31 @@ pub fn normals_under_linear_maps() {
 }
 
 pub fn normals_under_a_twist() {
-    let assets = assets(phantom::generate("piggy-bank", [128; 3], Vec3::splat(1.25)).unwrap());
-    let mut s = Scene::of_volume("phantom:piggy-bank");
+    // Blobs some 30 mm across.
+    let assets = field_volume(|p| 0.5 + (p.x * 0.11).sin() * (p.y * 0.09 + 0.4).sin() * (p.z * 0.1 + 0.9).cos() * 0.5);
+    let mut s = scene(&[(0.0, 0.0), (1.0, 0.9)]);
     s.light.two_sided = false;
     s.deformation.push(Deformation { parameters: [("angle".to_owned(), 80.0)].into(), ..deformation("twist", [0.0; 3], [260.0, 260.0, 170.0], [10.0, 0.0, 0.0]) });
     let prepared = Prepared::new(&s, &assets).unwrap();
-    let GridVoxels::U8(voxels) = &assets.grid.voxels else { panic!() };
+    let GridVoxels::F32(voxels) = &assets.grid.voxels else { panic!() };
     let sampler = Sampler::new(&assets.grid, voxels);
     let field = |p: Vec3| {
         let source = prepared.stack.source_from_deformed(p).unwrap();
         sampler.sample(prepared.frame.voxel_from_world.transform_point3(source))
     };
     let (mut seen, mut close) = (0, 0);
-    for x in points(60_000) {
-        let p = (x - 0.5) * 140.0;
+    for x in points(20_000) {
+        let p = (x - 0.5) * 130.0;
         let h = 1.25;
         let central = Vec3::new(field(p + Vec3::X * h) - field(p - Vec3::X * h), field(p + Vec3::Y * h) - field(p - Vec3::Y * h), field(p + Vec3::Z * h) - field(p - Vec3::Z * h));
-        // On surfaces: where there is a normal to speak of.
-        if central.length() < 0.25 {
+        // Where there is a normal to speak of; the steepest slopes are 0.13 over these distances.
+        if central.length() < 0.02 || prepared.stack.jet(p).source.abs().max_element() > 76.0 {
             continue;
         }
         seen += 1;
         close += usize::from(angle_deg(normal_at(&prepared, &assets.grid, p, false).unwrap(), -central) <= 3.0);
     }
-    assert!(seen > 1000 && close as f64 >= 0.95 * seen as f64, "{close} of {seen}");
+    assert!(seen > 5000 && close as f64 >= 0.95 * seen as f64, "{close} of {seen}");
 }
 
 /// In a uniform solid the only normal is the cut's.
@@ -357,6 +369,7 @@ pub fn depth_of_projections() {
             s.render.mode = mode;
             s.render.size = [33, 33];
             s.camera.projection = Projection::Orthographic;
+            s.render.step = 0.1;
             let p = picture(&Prepared::new(&s, &assets).unwrap());
             let got = p.pixels[16 * 33 + 16][3];
             assert!((got - 0.8 * want / 31.0).abs() < 0.005, "{mode:?} {blend:?}: {got}");

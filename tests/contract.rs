@@ -84,9 +84,9 @@ fn backward_undoes_forward(kind: &'static Kind) {
         let field = kind.field(&defaults(kind), progress, SIZE, &SAMPLING);
         let mut seen = 0;
         for x in points(4000) {
-            let source = (x - 0.5) * SIZE;
+            let source = (x - 0.5) * SIZE * kind.inflate;
             let Some(deformed) = field.forward(source) else { continue };
-            let inside = (deformed / SIZE).abs().max_element() <= 0.5;
+            let inside = (deformed / (SIZE * kind.inflate)).abs().max_element() <= 0.5;
             let back = field.backward(deformed);
             if !inside || back.cut_mm < 0.02 {
                 // On the very edge of a cut, or carried out of the box through a face that the kind names.

@@ -46,12 +46,17 @@ fn nearest_cut(j: Jet, in_voxel: vec3<f32>) -> Cut {
     return cut;
 }
 
-fn path_share(cut: Cut, direction: vec3<f32>, step_mm: f32) -> f32 {
-    let across = step_mm * abs(dot(cut.normal, direction));
-    if cut.distance_mm < across {
-        return clamp(0.5 + cut.distance_mm / across, 0.5, 1.5);
+fn path_share(cut: Cut, deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> f32 {
+    let facing = dot(cut.normal, direction);
+    let across = step_mm * abs(facing);
+    if cut.distance_mm >= 1.1 * across {
+        return 1.0;
     }
-    return 1.0;
+    let beyond = deformed + direction * select(step_mm, -step_mm, facing < 0.0);
+    if is_present(beyond) {
+        return 1.0;
+    }
+    return 0.5 + clamp(cut.distance_mm / across, 0.0, 1.0);
 }
 
 // depth: that of the sample there if it is dense enough, -1 if it is thinner, -2 if nothing is there at all.
@@ -126,7 +131,7 @@ fn light(n: Normal, direction: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
 fn shade(s: Sample, direction: vec3<f32>, step_mm: f32) -> Shaded {
     var j = jet(s.deformed);
     var cut = nearest_cut(j, s.in_voxel);
-    var depth_factor = path_share(cut, direction, step_mm);
+    var depth_factor = path_share(cut, s.deformed, direction, step_mm);
     let e = entry(s, direction, step_mm);
     let seen = e.first;
     if !is_lit() && !uses_gradient_opacity() {

@@ -7,14 +7,27 @@ struct Value {
     present: bool,
 }
 
-fn value_at(deformed: vec3<f32>) -> Value {
+// xyz: where a point came from, in voxels; w: 1 unless it is cut away or outside the volume.
+fn voxel_at(deformed: vec3<f32>) -> vec4<f32> {
     let source = source_from_deformed(deformed);
     let in_voxel = transform_point(frame.voxel_from_world, source.xyz);
     if source.w < 0.5 || any(in_voxel < vec3<f32>(-0.5)) || any(in_voxel > frame.grid_size - 0.5) {
-        return Value(in_voxel, 0.0, false);
+        return vec4<f32>(in_voxel, 0.0);
     }
-    let value = sample_volume(in_voxel);
-    return Value(in_voxel, value, frame.has_holes == 0u || value >= -1e-4);
+    return vec4<f32>(in_voxel, 1.0);
+}
+
+fn is_present(deformed: vec3<f32>) -> bool {
+    return voxel_at(deformed).w > 0.5;
+}
+
+fn value_at(deformed: vec3<f32>) -> Value {
+    let at = voxel_at(deformed);
+    if at.w < 0.5 {
+        return Value(at.xyz, 0.0, false);
+    }
+    let value = sample_volume(at.xyz);
+    return Value(at.xyz, value, frame.has_holes == 0u || value >= -1e-4);
 }
 
 fn central(p: vec3<f32>) -> vec3<f32> {

@@ -60,15 +60,25 @@ fn rows<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, progress: &(dyn Fn(f32
     (Picture { width, height, pixels }, stats)
 }
 
+/// Where a point of the deformed scene came from, in voxels; none where it is cut away or outside the volume.
+#[inline(always)]
+fn voxel_at(scene: &Prepared, deformed: Vec3) -> Option<Vec3> {
+    let source = scene.stack.source_from_deformed(deformed)?;
+    let in_voxel = scene.frame.voxel_from_world.transform_point3(source);
+    let outside = in_voxel.cmplt(Vec3::splat(-0.5)).any() || in_voxel.cmpgt(scene.frame.grid_size - 0.5).any();
+    (!outside).then_some(in_voxel)
+}
+
+/// Whether a point of the deformed scene is neither cut away nor outside the volume.
+fn is_present(scene: &Prepared, deformed: Vec3) -> bool {
+    voxel_at(scene, deformed).is_some()
+}
+
 /// Source position in voxels and normalised value of a point of the deformed scene; none where it is cut away, outside the volume or in
 /// a hole.
 #[inline(always)]
 fn value_at<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, deformed: Vec3) -> Option<(Vec3, f32)> {
-    let source = scene.stack.source_from_deformed(deformed)?;
-    let in_voxel = scene.frame.voxel_from_world.transform_point3(source);
-    if in_voxel.cmplt(Vec3::splat(-0.5)).any() || in_voxel.cmpgt(scene.frame.grid_size - 0.5).any() {
-        return None;
-    }
+    let in_voxel = voxel_at(scene, deformed)?;
     let value = sampler.sample(in_voxel);
     (!scene.grid.has_holes || value >= -1e-4).then_some((in_voxel, value))
 }

@@ -65,7 +65,7 @@ const ENTRY_STEPS: u32 = 4;
 pub fn shade<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, sample: &Sample, direction: Vec3, step_mm: f32) -> Shaded {
     let mut jet = jet(scene, sample.deformed);
     let mut cut = nearest_cut(scene, &jet, sample.in_voxel);
-    let mut depth_factor = path_share(&cut, direction, step_mm);
+    let mut depth_factor = path_share(scene, &cut, sample.deformed, direction, step_mm);
     let entry = entry(scene, sampler, sample, direction, step_mm);
     let sample = entry.as_ref().map_or(sample, |e| &e.first);
     if !scene.is_lit() && !scene.uses_gradient_opacity() {
@@ -140,9 +140,18 @@ pub fn nearest_cut(scene: &Prepared, jet: &Jet, in_voxel: Vec3) -> Cut {
 }
 
 /// Share of a sample's length that lies in matter.
-fn path_share(cut: &Cut, direction: Vec3, step_mm: f32) -> f32 {
-    let across = step_mm * cut.normal.dot(direction).abs();
-    if cut.distance_mm < across { (0.5 + cut.distance_mm / across).clamp(0.5, 1.5) } else { 1.0 }
+///
+/// Next to a cut, the neighbouring sample on the cut's other side tells whether this one stands for the rest of the path: it does
+/// if that one was cut away. (Asking the distance alone would count half a sample too much or too little wherever a sample lies
+/// exactly on the cut.)
+fn path_share(scene: &Prepared, cut: &Cut, deformed: Vec3, direction: Vec3, step_mm: f32) -> f32 {
+    let facing = cut.normal.dot(direction);
+    let across = step_mm * facing.abs();
+    if cut.distance_mm >= 1.1 * across {
+        return 1.0;
+    }
+    let beyond = deformed + direction * if facing < 0.0 { -step_mm } else { step_mm };
+    if super::is_present(scene, beyond) { 1.0 } else { 0.5 + (cut.distance_mm / across).clamp(0.0, 1.0) }
 }
 
 /// The normal of [DDM06] eq 7 in the deformed scene, from a source gradient per mm.
