@@ -137,7 +137,8 @@ fn field_volume(f: impl Fn(Vec3) -> f32) -> Assets {
     let n = 128;
     let at = |i: usize| (i as f32 - 63.5) * 1.25;
     let voxels: Vec<f32> = (0..n * n * n).map(|i| f(Vec3::new(at(i % n), at(i / n % n), at(i / n / n)))).collect();
-    let world_from_voxel = glam::DAffine3 { matrix3: glam::DMat3::from_diagonal(glam::DVec3::splat(1.25)), translation: glam::DVec3::splat(-63.5 * 1.25) };
+    let world_from_voxel =
+        glam::DAffine3 { matrix3: glam::DMat3::from_diagonal(glam::DVec3::splat(1.25)), translation: glam::DVec3::splat(-63.5 * 1.25) };
     assets(Volume::new(voxels.into(), [n; 3], Rescale::NONE, world_from_voxel))
 }
 
@@ -156,7 +157,8 @@ pub fn normals_under_linear_maps() {
     let placement = Placement::from_affine(Affine3A::from_mat3_translation(linear, center - linear * Vec3::splat(0.5))).unwrap();
     for (name, in_map) in cases {
         // D(x) = (L - I)(x - 1/2) in map space; its Jacobian in the world is S = A L A⁻¹.
-        let map = DisplacementMap::from_fn([33; 3], Storage::F16, |x| TexelSample { displacement: (in_map - Mat3::IDENTITY) * (x - 0.5), alpha: 1.0 });
+        let map =
+            DisplacementMap::from_fn([33; 3], Storage::F16, |x| TexelSample { displacement: (in_map - Mat3::IDENTITY) * (x - 0.5), alpha: 1.0 });
         let prepared = Prepared::with_maps(&scene(&[(0.0, 0.0), (1.0, 0.9)]), &assets, vec![placed(map, placement)]).unwrap();
         let s = linear * in_map * linear.inverse();
         let backward = |p: Vec3| center + s * (p - center);
@@ -183,7 +185,10 @@ pub fn normals_under_a_twist() {
     let assets = field_volume(|p| 0.5 + (p.x * 0.11).sin() * (p.y * 0.09 + 0.4).sin() * (p.z * 0.1 + 0.9).cos() * 0.5);
     let mut s = scene(&[(0.0, 0.0), (1.0, 0.9)]);
     s.light.two_sided = false;
-    s.deformation.push(Deformation { parameters: [("angle".to_owned(), 80.0)].into(), ..deformation("twist", [0.0; 3], [260.0, 260.0, 170.0], [10.0, 0.0, 0.0]) });
+    s.deformation.push(Deformation {
+        parameters: [("angle".to_owned(), 80.0)].into(),
+        ..deformation("twist", [0.0; 3], [260.0, 260.0, 170.0], [10.0, 0.0, 0.0])
+    });
     let prepared = Prepared::new(&s, &assets).unwrap();
     let GridVoxels::F32(voxels) = &assets.grid.voxels else { panic!() };
     let sampler = Sampler::new(&assets.grid, voxels);
@@ -195,7 +200,11 @@ pub fn normals_under_a_twist() {
     for x in points(20_000) {
         let p = (x - 0.5) * 130.0;
         let h = 1.25;
-        let central = Vec3::new(field(p + Vec3::X * h) - field(p - Vec3::X * h), field(p + Vec3::Y * h) - field(p - Vec3::Y * h), field(p + Vec3::Z * h) - field(p - Vec3::Z * h));
+        let central = Vec3::new(
+            field(p + Vec3::X * h) - field(p - Vec3::X * h),
+            field(p + Vec3::Y * h) - field(p - Vec3::Y * h),
+            field(p + Vec3::Z * h) - field(p - Vec3::Z * h),
+        );
         // Where there is a normal to speak of; the steepest slopes are 0.13 over these distances.
         if central.length() < 0.02 || prepared.stack.jet(p).source.abs().max_element() > 76.0 {
             continue;

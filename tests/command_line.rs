@@ -95,7 +95,19 @@ pub fn bad_input_is_named_and_leaves_no_file() {
     }
     // NaN and infinite voxels render, and are counted.
     let mut file = File::new([6, 6, 6], 16, 32, false);
-    file.voxels((0..216).map(|n| if n % 5 == 0 { f32::NAN } else if n % 7 == 0 { f32::INFINITY } else { n as f32 }).map(f32::to_be_bytes));
+    file.voxels(
+        (0..216)
+            .map(|n| {
+                if n % 5 == 0 {
+                    f32::NAN
+                } else if n % 7 == 0 {
+                    f32::INFINITY
+                } else {
+                    n as f32
+                }
+            })
+            .map(f32::to_be_bytes),
+    );
     file.write(f, "nan.nii");
     assert!(render(f, &["nan.nii"]).status.success());
     let mut file = File::new([4, 4, 4], 16, 32, false);
@@ -113,7 +125,27 @@ pub fn same_bytes_for_any_number_of_threads() {
     for (n, threads) in ["1", "2", "2", "5"].into_iter().enumerate() {
         let out = format!("{n}.png");
         for mode in ["raycast", "slice"] {
-            let o = incise(f, &["render", "phantom:tomato:size=64", "--deform", "peel", "--deform", "wave", "-o", &out, "--threads", threads, "--backend", "cpu", "--size", "96x96", "--mode", mode]);
+            let o = incise(
+                f,
+                &[
+                    "render",
+                    "phantom:tomato:size=64",
+                    "--deform",
+                    "peel",
+                    "--deform",
+                    "wave",
+                    "-o",
+                    &out,
+                    "--threads",
+                    threads,
+                    "--backend",
+                    "cpu",
+                    "--size",
+                    "96x96",
+                    "--mode",
+                    mode,
+                ],
+            );
             assert!(o.status.success(), "{}", stderr(&o));
             pictures.push((mode, std::fs::read(f.join(&out)).unwrap()));
         }
@@ -148,7 +180,24 @@ pub fn cpu_is_used_without_a_driver() {
 pub fn stats_are_complete() {
     let folder = tempfile::tempdir().unwrap();
     let f = folder.path();
-    let o = incise(f, &["render", "phantom:tomato:size=48", "-o", "t.png", "--deform", "slab", "--stats", "s.json", "--json", "--backend", "cpu", "--size", "64x48"]);
+    let o = incise(
+        f,
+        &[
+            "render",
+            "phantom:tomato:size=48",
+            "-o",
+            "t.png",
+            "--deform",
+            "slab",
+            "--stats",
+            "s.json",
+            "--json",
+            "--backend",
+            "cpu",
+            "--size",
+            "64x48",
+        ],
+    );
     assert!(o.status.success(), "{}", stderr(&o));
     let report: serde_json::Value = serde_json::from_slice(&std::fs::read(f.join("s.json")).unwrap()).unwrap();
     for pointer in ["/samples/taken", "/samples/skipped", "/milliseconds/load", "/milliseconds/render", "/total_milliseconds"] {

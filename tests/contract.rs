@@ -69,7 +69,9 @@ fn jacobian_is_the_derivative(kind: &'static Kind) {
         let p = placement.world_from_map.transform_point3(x);
         let (j, _) = placed.derivatives(p).unwrap();
         let h = texel_mm;
-        let numeric = Mat3::from_cols_array_2d(&[Vec3::X, Vec3::Y, Vec3::Z].map(|e| ((placed.backward(p + e * h).0 - placed.backward(p - e * h).0) / (2.0 * h)).to_array()));
+        let numeric = Mat3::from_cols_array_2d(
+            &[Vec3::X, Vec3::Y, Vec3::Z].map(|e| ((placed.backward(p + e * h).0 - placed.backward(p - e * h).0) / (2.0 * h)).to_array()),
+        );
         compared += 1;
         let error = (0..3).map(|c| (j.col(c) - numeric.col(c)).length()).fold(0.0, f32::max);
         close += usize::from(error < 0.08);
@@ -126,9 +128,9 @@ fn vanishes_on_the_faces_it_says(kind: &'static Kind) {
 
 fn odd_input_gives_finite_values(kind: &'static Kind) {
     let extremes = [0.0, 1.0].into_iter().flat_map(|progress| {
-        kind.parameters.iter().flat_map(move |p| {
-            [p.min, p.max].map(|_| progress).into_iter().zip([true, false]).map(move |(progress, low)| (p.name, low, progress))
-        })
+        kind.parameters
+            .iter()
+            .flat_map(move |p| [p.min, p.max].map(|_| progress).into_iter().zip([true, false]).map(move |(progress, low)| (p.name, low, progress)))
     });
     for (name, low, progress) in extremes {
         let value = {

@@ -179,7 +179,17 @@ pub fn damaged_files_are_named() {
     assert!(error(&cut, "cut.nii").contains("truncated"));
     cut.bytes.truncate(200);
     assert!(error(&cut, "header.nii").contains("truncated"));
-    for (at, value, what) in [(40, 0, "0 dimensions"), (40, 9, "9 dimensions"), (42, -3, "-3 voxels"), (44, 0, "0 voxels"), (70, 128, "RGB"), (70, 32, "complex"), (70, 77, "unknown type 77"), (0, 540, "NIfTI-2"), (0, 11, "not a NIfTI-1")] {
+    for (at, value, what) in [
+        (40, 0, "0 dimensions"),
+        (40, 9, "9 dimensions"),
+        (42, -3, "-3 voxels"),
+        (44, 0, "0 voxels"),
+        (70, 128, "RGB"),
+        (70, 32, "complex"),
+        (70, 77, "unknown type 77"),
+        (0, 540, "NIfTI-2"),
+        (0, 11, "not a NIfTI-1"),
+    ] {
         let message = error(&changed(at, value), "bad.nii");
         assert!(message.contains(what) && message.contains("bad.nii"), "{message}");
     }

@@ -55,9 +55,22 @@ pub fn counterparts_exist() {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
     let read = |p: &str| std::fs::read_to_string(folder.join(p)).unwrap();
     for (shader, rust, pairs) in [
-        ("shaders/lib/shading.wgsl", "src/cpu/shading.rs", &[("EVEN_LIGHT: f32 = 0.6", "EVEN_LIGHT: f32 = 0.6"), ("ENTRY_STEPS: i32 = 4", "ENTRY_STEPS: u32 = 4"), ("SURFACE_LOW: f32 = 0.004", "SURFACE: [f32; 2] = [0.004, 0.04]"), ("SURFACE_HIGH: f32 = 0.04", "SURFACE: [f32; 2] = [0.004, 0.04]")][..]),
+        (
+            "shaders/lib/shading.wgsl",
+            "src/cpu/shading.rs",
+            &[
+                ("EVEN_LIGHT: f32 = 0.6", "EVEN_LIGHT: f32 = 0.6"),
+                ("ENTRY_STEPS: i32 = 4", "ENTRY_STEPS: u32 = 4"),
+                ("SURFACE_LOW: f32 = 0.004", "SURFACE: [f32; 2] = [0.004, 0.04]"),
+                ("SURFACE_HIGH: f32 = 0.04", "SURFACE: [f32; 2] = [0.004, 0.04]"),
+            ][..],
+        ),
         ("shaders/raycast.wgsl", "src/cpu/mod.rs", &[("OPAQUE: f32 = 1.0 / 512.0", "OPAQUE: f32 = 1.0 / 512.0")][..]),
-        ("shaders/lib/transfer.wgsl", "src/transfer/table.rs", &[("TABLE_ENTRIES: i32 = 4096", "TABLE_ENTRIES: usize = 4096"), ("GRADIENT_ENTRIES: i32 = 256", "GRADIENT_ENTRIES: usize = 256")][..]),
+        (
+            "shaders/lib/transfer.wgsl",
+            "src/transfer/table.rs",
+            &[("TABLE_ENTRIES: i32 = 4096", "TABLE_ENTRIES: usize = 4096"), ("GRADIENT_ENTRIES: i32 = 256", "GRADIENT_ENTRIES: usize = 256")][..],
+        ),
     ] {
         for (in_shader, in_rust) in pairs {
             assert!(read(shader).contains(in_shader), "{shader}: {in_shader}");

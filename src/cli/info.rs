@@ -110,11 +110,11 @@ pub fn catalogue() -> String {
         out.push_str(&format!("  {:<22} {}{}\n", k.name, k.about, if k.progressive { "; progress=0..1" } else { "" }));
         for p in k.parameters {
             let unit = match p.unit {
-                Unit::Mm => "mm",
-                Unit::Degrees => "degrees",
+                Unit::Mm => ", mm",
+                Unit::Degrees => ", degrees",
                 Unit::None => "",
             };
-            out.push_str(&format!("    {:<20} {} ({:?} .. {:?}, default {:?}) {unit}\n", p.name, p.about, p.min, p.max, p.default));
+out.push_str(&format!("    {:<20} {}{unit}; default {}, from {} to {}\n", p.name, p.about, p.default, p.min, p.max));
         }
     }
     out.push_str("\nPhantoms (phantom:NAME[:size=N][:spacing=AxBxC])\n");

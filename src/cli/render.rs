@@ -248,12 +248,8 @@ fn report(done: &Done, prepared: &Prepared, stages: &Stages, total: f64, asked: 
     let samples = done.rendered.stats.map(|RenderStats { samples_taken, samples_skipped, samples_terminated }| {
         json!({ "taken": samples_taken, "skipped": samples_skipped, "terminated": samples_terminated })
     });
-    let maps: Vec<Value> = prepared
-        .stack
-        .maps()
-        .iter()
-        .map(|m| json!({ "size": m.map.size, "storage": m.map.storage, "bytes": m.map.gpu_bytes() }))
-        .collect();
+    let maps: Vec<Value> =
+        prepared.stack.maps().iter().map(|m| json!({ "size": m.map.size, "storage": m.map.storage, "bytes": m.map.gpu_bytes() })).collect();
     json!({
         "backend": done.backend,
         "requested_backend": format!("{asked:?}").to_lowercase(),

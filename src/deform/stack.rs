@@ -133,7 +133,10 @@ impl Stack {
     /// More than [`MAX_MAPS`].
     pub fn new(maps: Vec<PlacedMap>) -> Result<Self> {
         if maps.len() > MAX_MAPS {
-            return Err(Error::value("deformation", format!("there are {} deformations; at most {MAX_MAPS} can be evaluated in one pass", maps.len())));
+            return Err(Error::value(
+                "deformation",
+                format!("there are {} deformations; at most {MAX_MAPS} can be evaluated in one pass", maps.len()),
+            ));
         }
         Ok(Self { maps })
     }

@@ -82,6 +82,9 @@ impl Bounds {
     /// `direction` may have zero components.
     #[inline(always)]
     pub fn intersect_ray(&self, origin: Vec3, direction: Vec3) -> Option<(f32, f32)> {
+        if self.is_empty() {
+            return None;
+        }
         let inverse = direction.recip();
         let a = (self.min - origin) * inverse;
         let b = (self.max - origin) * inverse;
@@ -104,6 +107,8 @@ mod tests {
         let unit = Bounds::UNIT;
         assert_eq!(unit.intersect_ray(Vec3::new(-1.0, 0.5, 0.5), Vec3::X), Some((1.0, 2.0)));
         assert_eq!(unit.intersect_ray(Vec3::new(-1.0, 1.5, 0.5), Vec3::X), None);
+        // A scene that shows nothing once kept a ray busy for ever.
+        assert_eq!(Bounds::EMPTY.intersect_ray(Vec3::ZERO, Vec3::X), None);
     }
 
     #[test]

@@ -18,7 +18,7 @@ use crate::gpu::shaders::Program;
 use crate::gpu::{Device, checked, read_buffer, read_rgba16f, wait};
 use crate::scene::{Mode, Normals, Picture, Prepared, RenderStats, Rendered, Stages};
 use crate::transfer::{Blend, GRADIENT_ENTRIES, TABLE_ENTRIES};
-use crate::volume::{Grid, GradientFilter, GridVoxels};
+use crate::volume::{GradientFilter, Grid, GridVoxels};
 use crate::{Error, Result};
 use half::f16;
 use rayon::prelude::*;
@@ -108,7 +108,10 @@ impl Renderer {
         let [width, height] = scene.frame.size;
         let limits = self.device.device.limits();
         if width.max(height) > limits.max_texture_dimension_2d {
-            return Err(Error::Gpu(format!("this device makes pictures up to {} pixels wide or high; use --backend cpu", limits.max_texture_dimension_2d)));
+            return Err(Error::Gpu(format!(
+                "this device makes pictures up to {} pixels wide or high; use --backend cpu",
+                limits.max_texture_dimension_2d
+            )));
         }
         if scene.frame.proxy.is_empty() {
             let pixels = vec![[0.0; 4]; width as usize * height as usize];
@@ -240,7 +243,15 @@ impl Renderer {
         })
     }
 
-    fn draw_rays(&self, scene: &Prepared, counting: bool, bindings: &wgpu::BindGroup, counter: Option<&Counter>, target: &wgpu::Texture, progress: &dyn Fn(f32)) -> Result<()> {
+    fn draw_rays(
+        &self,
+        scene: &Prepared,
+        counting: bool,
+        bindings: &wgpu::BindGroup,
+        counter: Option<&Counter>,
+        target: &wgpu::Texture,
+        progress: &dyn Fn(f32),
+    ) -> Result<()> {
         let [width, height] = scene.frame.size;
         let pipeline = &self.pipelines[&Self::variant(scene, Program::Raycast, counting)];
         let view = target.create_view(&wgpu::TextureViewDescriptor::default());
@@ -262,7 +273,15 @@ impl Renderer {
         Ok(())
     }
 
-    fn draw_slices(&self, scene: &Prepared, counting: bool, bindings: &wgpu::BindGroup, counter: Option<&Counter>, target: &wgpu::Texture, progress: &dyn Fn(f32)) -> Result<()> {
+    fn draw_slices(
+        &self,
+        scene: &Prepared,
+        counting: bool,
+        bindings: &wgpu::BindGroup,
+        counter: Option<&Counter>,
+        target: &wgpu::Texture,
+        progress: &dyn Fn(f32),
+    ) -> Result<()> {
         let device = &self.device.device;
         let [width, height] = scene.frame.size;
         let composite = scene.blend == Blend::Composite;
@@ -342,7 +361,10 @@ impl Renderer {
     fn texture_3d(&self, label: &str, size: [usize; 3], format: TextureFormat) -> Result<wgpu::Texture> {
         let most = self.device.device.limits().max_texture_dimension_3d as usize;
         if size.iter().any(|&n| n > most) {
-            return Err(Error::Gpu(format!("the {label} of {} x {} x {} exceeds this device's {most} per axis; use --backend cpu", size[0], size[1], size[2])));
+            return Err(Error::Gpu(format!(
+                "the {label} of {} x {} x {} exceeds this device's {most} per axis; use --backend cpu",
+                size[0], size[1], size[2]
+            )));
         }
         Ok(self.device.device.create_texture(&wgpu::TextureDescriptor {
             label: Some(label),
@@ -455,9 +477,7 @@ impl Renderer {
             texture.create_view(&wgpu::TextureViewDescriptor::default())
         };
         let unused = DisplacementMap::identity([1; 3]);
-        let maps = (0..MAX_MAPS)
-            .map(|k| self.upload_map(scene.stack.maps().get(k).map_or(&unused, |m| &m.map)))
-            .collect::<Result<Vec<_>>>()?;
+        let maps = (0..MAX_MAPS).map(|k| self.upload_map(scene.stack.maps().get(k).map_or(&unused, |m| &m.map))).collect::<Result<Vec<_>>>()?;
         let mut entries = vec![
             wgpu::BindGroupEntry { binding: 0, resource: frame.as_entire_binding() },
             wgpu::BindGroupEntry { binding: 1, resource: placed.as_entire_binding() },
@@ -466,7 +486,11 @@ impl Renderer {
             wgpu::BindGroupEntry { binding: 4, resource: wgpu::BindingResource::TextureView(&table) },
             wgpu::BindGroupEntry { binding: 5, resource: wgpu::BindingResource::TextureView(&cells) },
         ];
-        entries.extend(maps.iter().enumerate().map(|(k, view)| wgpu::BindGroupEntry { binding: 6 + k as u32, resource: wgpu::BindingResource::TextureView(view) }));
+        entries.extend(
+            maps.iter()
+                .enumerate()
+                .map(|(k, view)| wgpu::BindGroupEntry { binding: 6 + k as u32, resource: wgpu::BindingResource::TextureView(view) }),
+        );
         Ok(device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("scene"), layout: &self.shared_layout, entries: &entries }))
     }
 
@@ -487,8 +511,12 @@ impl Renderer {
             usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
             view_formats: &[],
         };
-        let texture =
-            self.device.device.create_texture_with_data(&self.device.queue, &descriptor, wgpu::util::TextureDataOrder::LayerMajor, bytemuck::cast_slice(&texels));
+        let texture = self.device.device.create_texture_with_data(
+            &self.device.queue,
+            &descriptor,
+            wgpu::util::TextureDataOrder::LayerMajor,
+            bytemuck::cast_slice(&texels),
+        );
         texture.create_view(&wgpu::TextureViewDescriptor::default())
     }
 
@@ -524,10 +552,15 @@ impl Renderer {
             let storage = |binding, read_only| wgpu::BindGroupLayoutEntry {
                 binding,
                 visibility: wgpu::ShaderStages::COMPUTE,
-                ty: wgpu::BindingType::Buffer { ty: wgpu::BufferBindingType::Storage { read_only }, has_dynamic_offset: false, min_binding_size: None },
+                ty: wgpu::BindingType::Buffer {
+                    ty: wgpu::BufferBindingType::Storage { read_only },
+                    has_dynamic_offset: false,
+                    min_binding_size: None,
+                },
                 count: None,
             };
-            let own = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: None, entries: &[storage(0, true), storage(1, false)] });
+            let own =
+                device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: None, entries: &[storage(0, true), storage(1, false)] });
             let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
                 label: None,
                 bind_group_layouts: &[Some(&self.shared_layout), Some(&own)],
@@ -656,7 +689,11 @@ impl Counter {
             entries: &[wgpu::BindGroupLayoutEntry {
                 binding: 0,
                 visibility: wgpu::ShaderStages::FRAGMENT,
-                ty: wgpu::BindingType::Buffer { ty: wgpu::BufferBindingType::Storage { read_only: false }, has_dynamic_offset: false, min_binding_size: None },
+                ty: wgpu::BindingType::Buffer {
+                    ty: wgpu::BufferBindingType::Storage { read_only: false },
+                    has_dynamic_offset: false,
+                    min_binding_size: None,
+                },
                 count: None,
             }],
         })

@@ -47,7 +47,8 @@ fn occupied_depths(frame: &Frame, cells: &Macrocells) -> Vec<bool> {
     let mut shown = Vec::new();
     for (index, _) in cells.distance.iter().enumerate().filter(|(_, d)| **d == 0) {
         let index = index as u32;
-        let cell = Vec3::new((index % cells.size.x) as f32, (index / cells.size.x % cells.size.y) as f32, (index / cells.size.x / cells.size.y) as f32);
+        let cell =
+            Vec3::new((index % cells.size.x) as f32, (index / cells.size.x % cells.size.y) as f32, (index / cells.size.x / cells.size.y) as f32);
         let middle = depth(cells.origin + (cell + 0.5) * cells.cell_mm);
         let low = (((middle - reach) / frame.step_mm - 0.5).floor() as i64 - first).max(0) as usize;
         let high = (((middle + reach) / frame.step_mm - 0.5).ceil() as i64 - first).max(0) as usize;

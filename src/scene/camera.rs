@@ -41,10 +41,7 @@ impl FromStr for View {
         let parts: Vec<f32> = text.split(',').map_while(|p| p.trim().parse().ok()).filter(|v: &f32| v.is_finite()).collect();
         match parts[..] {
             [azimuth_deg, elevation_deg] if text.split(',').count() == 2 && elevation_deg.abs() <= 90.0 => Ok(Self { azimuth_deg, elevation_deg }),
-            _ => Err(format!(
-                "\"{text}\" is not a view; use {} or AZ,EL in degrees (elevation within -90..90)",
-                NAMED.map(|n| n.0).join(", ")
-            )),
+            _ => Err(format!("\"{text}\" is not a view; use {} or AZ,EL in degrees (elevation within -90..90)", NAMED.map(|n| n.0).join(", "))),
         }
     }
 }
@@ -97,7 +94,14 @@ pub struct Camera {
 
 impl Default for Camera {
     fn default() -> Self {
-        Self { view: View { azimuth_deg: 0.0, elevation_deg: 0.0 }, zoom: 1.0, projection: Projection::Perspective, field_of_view: 30.0, roll: 0.0, target: None }
+        Self {
+            view: View { azimuth_deg: 0.0, elevation_deg: 0.0 },
+            zoom: 1.0,
+            projection: Projection::Perspective,
+            field_of_view: 30.0,
+            roll: 0.0,
+            target: None,
+        }
     }
 }
 
@@ -152,7 +156,13 @@ impl Camera {
             Projection::Orthographic => {
                 let half_height = corners.iter().map(|&(x, y, _)| y.max(x / aspect)).fold(0.0, f32::max) / self.zoom;
                 let away = 2.0 * radius + (target - bounds.center()).length();
-                ViewFrame { eye: target - forward * away, forward, right: right * half_height * aspect, up: up * half_height, projection: self.projection }
+                ViewFrame {
+                    eye: target - forward * away,
+                    forward,
+                    right: right * half_height * aspect,
+                    up: up * half_height,
+                    projection: self.projection,
+                }
             }
             Projection::Perspective => {
                 let tan = (self.field_of_view.to_radians() / 2.0).tan();
@@ -202,7 +212,8 @@ mod tests {
     /// Patient left (+x) is on the right of an anterior and an axial picture, as radiologists see them.
     #[test]
     fn named_views_have_the_right_sides() {
-        let (right, up) = (|v: &str| frame(v, Projection::Orthographic).right.normalize(), |v: &str| frame(v, Projection::Orthographic).up.normalize());
+        let (right, up) =
+            (|v: &str| frame(v, Projection::Orthographic).right.normalize(), |v: &str| frame(v, Projection::Orthographic).up.normalize());
         for (view, r, u) in [
             ("anterior", Vec3::X, Vec3::Z),
             ("posterior", Vec3::NEG_X, Vec3::Z),

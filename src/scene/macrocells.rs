@@ -130,10 +130,7 @@ fn chessboard_distance(occupied: &[bool], size: UVec3) -> Vec<u8> {
     let mut distance: Vec<u8> = occupied.iter().map(|&o| if o { 0 } else { 255 }).collect();
     let (nx, ny, nz) = (size.x as i32, size.y as i32, size.z as i32);
     let at = |x: i32, y: i32, z: i32| ((z * ny + y) * nx + x) as usize;
-    let earlier: Vec<(i32, i32, i32)> = (-1..=1)
-        .flat_map(|z| (-1..=1).flat_map(move |y| (-1..=1).map(move |x| (x, y, z))))
-        .take(13)
-        .collect();
+    let earlier: Vec<(i32, i32, i32)> = (-1..=1).flat_map(|z| (-1..=1).flat_map(move |y| (-1..=1).map(move |x| (x, y, z)))).take(13).collect();
     for sweep in [1, -1] {
         for n in 0..nx * ny * nz {
             let n = if sweep > 0 { n } else { nx * ny * nz - 1 - n };
@@ -179,13 +176,8 @@ mod tests {
         let mut occupied = vec![false; 10];
         occupied[6] = true;
         let size = UVec3::new(10, 1, 1);
-        let cells = Macrocells {
-            origin: Vec3::ZERO,
-            cell_mm: Vec3::ONE,
-            size,
-            distance: chessboard_distance(&occupied, size),
-            occupied: Bounds::UNIT,
-        };
+        let cells =
+            Macrocells { origin: Vec3::ZERO, cell_mm: Vec3::ONE, size, distance: chessboard_distance(&occupied, size), occupied: Bounds::UNIT };
         let origin = Vec3::new(-1.0, 0.5, 0.5);
         let mut t = 1.5;
         let mut jumps = 0;

@@ -5,7 +5,7 @@ use crate::deform::kinds::{self, Sampling};
 use crate::deform::{PlacedMap, Placement, Stack};
 use crate::math::{Bounds, MinMaxPyramid, normalize_or, to_f32};
 use crate::transfer::{Blend, Table, default_preset};
-use crate::volume::{Grid, GradientFilter, Volume, load, phantom};
+use crate::volume::{GradientFilter, Grid, Volume, load, phantom};
 use crate::{Error, Result};
 use glam::{Affine3A, DVec3, Mat3, Vec3};
 use std::sync::Arc;
@@ -206,7 +206,12 @@ impl<'a> Prepared<'a> {
 fn check_settings(settings: &RenderSettings, light: &Light) -> Result<()> {
     let [width, height] = settings.size;
     if !(1..=MAX_PICTURE_EDGE).contains(&width) || !(1..=MAX_PICTURE_EDGE).contains(&height) || u64::from(width) * u64::from(height) > MAX_PIXELS {
-        return Err(Error::value("size", format!("a picture of {width} x {height} pixels cannot be made; each edge is 1 to {MAX_PICTURE_EDGE}, at most {MAX_PIXELS} pixels in all")));
+        return Err(Error::value(
+            "size",
+            format!(
+                "a picture of {width} x {height} pixels cannot be made; each edge is 1 to {MAX_PICTURE_EDGE}, at most {MAX_PIXELS} pixels in all"
+            ),
+        ));
     }
     if !(settings.step.is_finite() && (0.01..=100.0).contains(&settings.step)) {
         return Err(Error::value("step", format!("{} is outside 0.01 to 100 voxels", settings.step)));

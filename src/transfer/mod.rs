@@ -132,13 +132,19 @@ fn check(function: &TransferFunction) -> Result<()> {
             return Err(Error::value(format!("transfer.points[{n}]"), "values must be finite, colour and opacity within 0..1"));
         }
         if n > 0 && p[n - 1].value > point.value {
-            return Err(Error::value(format!("transfer.points[{n}]"), format!("value {} is lower than the one before it; sort the points by value", point.value)));
+            return Err(Error::value(
+                format!("transfer.points[{n}]"),
+                format!("value {} is lower than the one before it; sort the points by value", point.value),
+            ));
         }
     }
     let g = &function.gradient_opacity;
     for (n, point) in g.iter().enumerate() {
         if !(point.magnitude.is_finite() && point.magnitude >= 0.0 && unit(point.factor)) {
-            return Err(Error::value(format!("transfer.gradient_opacity[{n}]"), "the magnitude must be finite and not negative, the factor within 0..1"));
+            return Err(Error::value(
+                format!("transfer.gradient_opacity[{n}]"),
+                "the magnitude must be finite and not negative, the factor within 0..1",
+            ));
         }
         if n > 0 && g[n - 1].magnitude > point.magnitude {
             return Err(Error::value(format!("transfer.gradient_opacity[{n}]"), "sort the points by magnitude"));

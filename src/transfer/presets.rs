@@ -52,68 +52,272 @@ macro_rules! preset {
 }
 
 const PRESETS: &[Preset] = &[
-    preset!("ct-bone", "bone, opaque, marrow darker than cortex", Absolute, Composite,
-        [(150.0, BONE_DARK, 0.0), (220.0, BONE_DARK, 0.25), (450.0, BONE, 0.75), (1200.0, [252, 248, 238], 0.95), (3000.0, WHITE, 0.95)]),
-    preset!("ct-bones-and-muscle", "bone inside translucent muscle", Absolute, Composite,
-        [(-20.0, MUSCLE, 0.0), (40.0, MUSCLE, 0.06), (130.0, [186, 92, 70], 0.08), (220.0, BONE_DARK, 0.35), (600.0, BONE, 0.85), (2500.0, WHITE, 0.95)]),
-    preset!("ct-skin", "the body's surface", Absolute, Composite,
-        [(-400.0, SKIN, 0.0), (-180.0, SKIN, 0.55), (60.0, [236, 196, 170], 0.9), (1500.0, BONE, 0.95)]),
-    preset!("ct-soft-tissue", "fat, muscle and organs, opaque", Absolute, Composite,
-        [(-160.0, FAT, 0.0), (-90.0, FAT, 0.25), (-20.0, [206, 130, 96], 0.45), (50.0, MUSCLE, 0.7), (140.0, [214, 120, 96], 0.8), (300.0, BONE, 0.9), (1500.0, WHITE, 0.95)]),
-    preset!("ct-muscle", "muscle without fat", Absolute, Composite,
-        [(-10.0, MUSCLE, 0.0), (25.0, MUSCLE, 0.45), (70.0, [196, 88, 74], 0.75), (180.0, [220, 150, 120], 0.7), (350.0, BONE, 0.9)]),
-    preset!("ct-fat", "subcutaneous and visceral fat", Absolute, Composite,
-        [(-190.0, FAT, 0.0), (-120.0, FAT, 0.35), (-70.0, FAT, 0.35), (-30.0, FAT, 0.0)]),
-    preset!("ct-lung", "airways and lung parenchyma", Absolute, Composite,
-        [(-980.0, [94, 128, 170], 0.0), (-900.0, [120, 160, 200], 0.015), (-700.0, [206, 170, 160], 0.05), (-450.0, [220, 150, 130], 0.12), (-200.0, [210, 120, 110], 0.0), (150.0, BONE_DARK, 0.0), (400.0, BONE, 0.3)]),
-    preset!("ct-airways", "the air-filled tree", Absolute, Composite,
-        [(-1000.0, [70, 190, 220], 0.0), (-960.0, [90, 200, 226], 0.12), (-900.0, [150, 220, 236], 0.10), (-820.0, [150, 220, 236], 0.0)]),
-    preset!("ct-vessels", "contrast-filled vessels and bone", Absolute, Composite,
-        [(110.0, VESSEL, 0.0), (170.0, VESSEL, 0.35), (280.0, [224, 88, 60], 0.7), (420.0, BONE, 0.8), (1200.0, WHITE, 0.95)]),
-    preset!("ct-angio", "vessels, translucent soft tissue left out", Absolute, Composite,
-        [(140.0, [150, 20, 24], 0.0), (220.0, VESSEL, 0.5), (340.0, [240, 150, 110], 0.75), (600.0, [250, 226, 196], 0.85)]),
-    preset!("ct-aorta-stent", "contrast, calcium and metal apart", Absolute, Composite,
-        [(130.0, VESSEL, 0.0), (200.0, VESSEL, 0.2), (420.0, [220, 100, 80], 0.35), (650.0, BONE, 0.7), (1400.0, [170, 196, 220], 0.95), (3000.0, [220, 234, 250], 0.98)]),
-    preset!("ct-liver", "parenchyma in portal phase", Absolute, Composite,
-        [(20.0, [140, 70, 56], 0.0), (70.0, [150, 74, 60], 0.25), (130.0, [196, 104, 80], 0.5), (220.0, [232, 170, 130], 0.6), (400.0, BONE, 0.8)]),
-    preset!("ct-teeth", "enamel and dense bone", Absolute, Composite,
-        [(900.0, BONE_DARK, 0.0), (1300.0, BONE, 0.6), (2000.0, WHITE, 0.95)]),
-    preset!("ct-metal", "implants, wires, clips", Absolute, Composite,
-        [(1600.0, [130, 150, 176], 0.0), (2200.0, [168, 190, 214], 0.8), (3000.0, [226, 236, 248], 0.98)]),
-    preset!("ct-mip", "maximum intensity projection", Absolute, Mip,
-        [(-100.0, BLACK, 0.0), (100.0, [64, 64, 64], 0.9), (800.0, WHITE, 1.0)]),
-    preset!("ct-minip", "minimum intensity projection, for airways", Absolute, Minip,
-        [(-1000.0, BLACK, 1.0), (-400.0, WHITE, 1.0)]),
-    preset!("ct-xray", "mean value, like a radiograph", Absolute, Average,
-        [(-900.0, BLACK, 0.0), (-300.0, [120, 120, 120], 0.8), (300.0, WHITE, 1.0)]),
-    preset!("mr-default", "skin to brain, opaque", Relative, Composite,
-        [(0.12, [210, 150, 124], 0.0), (0.22, [210, 150, 124], 0.8), (0.40, [204, 142, 122], 0.95), (0.55, [226, 194, 176], 0.97), (0.75, [246, 236, 224], 0.98), (1.0, [255, 252, 246], 0.98)]),
-    preset!("mr-brain", "grey and white matter of a skull-stripped brain", Relative, Composite,
-        [(0.22, [150, 90, 82], 0.0), (0.36, [196, 138, 124], 0.5), (0.62, [222, 186, 168], 0.85), (0.85, [246, 236, 222], 0.95)]),
-    preset!("mr-t2-brain", "bright fluid, translucent tissue", Relative, Composite,
-        [(0.18, [90, 70, 80], 0.0), (0.35, [170, 130, 120], 0.05), (0.6, [200, 180, 180], 0.12), (0.85, [120, 170, 230], 0.6), (1.0, [190, 220, 255], 0.9)]),
-    preset!("mr-angio", "bright blood, time of flight", Relative, Composite,
-        [(0.38, [140, 20, 20], 0.0), (0.55, VESSEL, 0.35), (0.8, [240, 130, 96], 0.8), (1.0, [255, 226, 200], 0.95)]),
-    preset!("mr-skin", "the head's surface", Relative, Composite,
-        [(0.06, SKIN, 0.0), (0.14, SKIN, 0.6), (0.3, [236, 196, 170], 0.95)]),
-    preset!("mr-translucent", "edges only: opacity by gradient", Relative, Composite,
+    preset!(
+        "ct-bone",
+        "bone, opaque, marrow darker than cortex",
+        Absolute,
+        Composite,
+        [(150.0, BONE_DARK, 0.0), (220.0, BONE_DARK, 0.25), (450.0, BONE, 0.75), (1200.0, [252, 248, 238], 0.95), (3000.0, WHITE, 0.95)]
+    ),
+    preset!(
+        "ct-bones-and-muscle",
+        "bone inside translucent muscle",
+        Absolute,
+        Composite,
+        [
+            (-20.0, MUSCLE, 0.0),
+            (40.0, MUSCLE, 0.06),
+            (130.0, [186, 92, 70], 0.08),
+            (220.0, BONE_DARK, 0.35),
+            (600.0, BONE, 0.85),
+            (2500.0, WHITE, 0.95)
+        ]
+    ),
+    preset!(
+        "ct-skin",
+        "the body's surface",
+        Absolute,
+        Composite,
+        [(-400.0, SKIN, 0.0), (-180.0, SKIN, 0.55), (60.0, [236, 196, 170], 0.9), (1500.0, BONE, 0.95)]
+    ),
+    preset!(
+        "ct-soft-tissue",
+        "fat, muscle and organs, opaque",
+        Absolute,
+        Composite,
+        [
+            (-160.0, FAT, 0.0),
+            (-90.0, FAT, 0.25),
+            (-20.0, [206, 130, 96], 0.45),
+            (50.0, MUSCLE, 0.7),
+            (140.0, [214, 120, 96], 0.8),
+            (300.0, BONE, 0.9),
+            (1500.0, WHITE, 0.95)
+        ]
+    ),
+    preset!(
+        "ct-muscle",
+        "muscle without fat",
+        Absolute,
+        Composite,
+        [(-10.0, MUSCLE, 0.0), (25.0, MUSCLE, 0.45), (70.0, [196, 88, 74], 0.75), (180.0, [220, 150, 120], 0.7), (350.0, BONE, 0.9)]
+    ),
+    preset!(
+        "ct-fat",
+        "subcutaneous and visceral fat",
+        Absolute,
+        Composite,
+        [(-190.0, FAT, 0.0), (-120.0, FAT, 0.35), (-70.0, FAT, 0.35), (-30.0, FAT, 0.0)]
+    ),
+    preset!(
+        "ct-lung",
+        "airways and lung parenchyma",
+        Absolute,
+        Composite,
+        [
+            (-980.0, [94, 128, 170], 0.0),
+            (-900.0, [120, 160, 200], 0.015),
+            (-700.0, [206, 170, 160], 0.05),
+            (-450.0, [220, 150, 130], 0.12),
+            (-200.0, [210, 120, 110], 0.0),
+            (150.0, BONE_DARK, 0.0),
+            (400.0, BONE, 0.3)
+        ]
+    ),
+    preset!(
+        "ct-airways",
+        "the air-filled tree",
+        Absolute,
+        Composite,
+        [(-1000.0, [70, 190, 220], 0.0), (-960.0, [90, 200, 226], 0.12), (-900.0, [150, 220, 236], 0.10), (-820.0, [150, 220, 236], 0.0)]
+    ),
+    preset!(
+        "ct-vessels",
+        "contrast-filled vessels and bone",
+        Absolute,
+        Composite,
+        [(110.0, VESSEL, 0.0), (170.0, VESSEL, 0.35), (280.0, [224, 88, 60], 0.7), (420.0, BONE, 0.8), (1200.0, WHITE, 0.95)]
+    ),
+    preset!(
+        "ct-angio",
+        "vessels, translucent soft tissue left out",
+        Absolute,
+        Composite,
+        [(140.0, [150, 20, 24], 0.0), (220.0, VESSEL, 0.5), (340.0, [240, 150, 110], 0.75), (600.0, [250, 226, 196], 0.85)]
+    ),
+    preset!(
+        "ct-aorta-stent",
+        "contrast, calcium and metal apart",
+        Absolute,
+        Composite,
+        [
+            (130.0, VESSEL, 0.0),
+            (200.0, VESSEL, 0.2),
+            (420.0, [220, 100, 80], 0.35),
+            (650.0, BONE, 0.7),
+            (1400.0, [170, 196, 220], 0.95),
+            (3000.0, [220, 234, 250], 0.98)
+        ]
+    ),
+    preset!(
+        "ct-liver",
+        "parenchyma in portal phase",
+        Absolute,
+        Composite,
+        [(20.0, [140, 70, 56], 0.0), (70.0, [150, 74, 60], 0.25), (130.0, [196, 104, 80], 0.5), (220.0, [232, 170, 130], 0.6), (400.0, BONE, 0.8)]
+    ),
+    preset!("ct-teeth", "enamel and dense bone", Absolute, Composite, [(900.0, BONE_DARK, 0.0), (1300.0, BONE, 0.6), (2000.0, WHITE, 0.95)]),
+    preset!(
+        "ct-metal",
+        "implants, wires, clips",
+        Absolute,
+        Composite,
+        [(1600.0, [130, 150, 176], 0.0), (2200.0, [168, 190, 214], 0.8), (3000.0, [226, 236, 248], 0.98)]
+    ),
+    preset!("ct-mip", "maximum intensity projection", Absolute, Mip, [(-100.0, BLACK, 0.0), (100.0, [64, 64, 64], 0.9), (800.0, WHITE, 1.0)]),
+    preset!("ct-minip", "minimum intensity projection, for airways", Absolute, Minip, [(-1000.0, BLACK, 1.0), (-400.0, WHITE, 1.0)]),
+    preset!(
+        "ct-xray",
+        "mean value, like a radiograph",
+        Absolute,
+        Average,
+        [(-900.0, BLACK, 0.0), (-300.0, [120, 120, 120], 0.8), (300.0, WHITE, 1.0)]
+    ),
+    preset!(
+        "mr-default",
+        "skin to brain, opaque",
+        Relative,
+        Composite,
+        [
+            (0.12, [210, 150, 124], 0.0),
+            (0.22, [210, 150, 124], 0.8),
+            (0.40, [204, 142, 122], 0.95),
+            (0.55, [226, 194, 176], 0.97),
+            (0.75, [246, 236, 224], 0.98),
+            (1.0, [255, 252, 246], 0.98)
+        ]
+    ),
+    preset!(
+        "mr-brain",
+        "grey and white matter of a skull-stripped brain",
+        Relative,
+        Composite,
+        [(0.22, [150, 90, 82], 0.0), (0.36, [196, 138, 124], 0.5), (0.62, [222, 186, 168], 0.85), (0.85, [246, 236, 222], 0.95)]
+    ),
+    preset!(
+        "mr-t2-brain",
+        "bright fluid, translucent tissue",
+        Relative,
+        Composite,
+        [
+            (0.18, [90, 70, 80], 0.0),
+            (0.35, [170, 130, 120], 0.05),
+            (0.6, [200, 180, 180], 0.12),
+            (0.85, [120, 170, 230], 0.6),
+            (1.0, [190, 220, 255], 0.9)
+        ]
+    ),
+    preset!(
+        "mr-angio",
+        "bright blood, time of flight",
+        Relative,
+        Composite,
+        [(0.38, [140, 20, 20], 0.0), (0.55, VESSEL, 0.35), (0.8, [240, 130, 96], 0.8), (1.0, [255, 226, 200], 0.95)]
+    ),
+    preset!("mr-skin", "the head's surface", Relative, Composite, [(0.06, SKIN, 0.0), (0.14, SKIN, 0.6), (0.3, [236, 196, 170], 0.95)]),
+    preset!(
+        "mr-translucent",
+        "edges only: opacity by gradient",
+        Relative,
+        Composite,
         [(0.08, [110, 130, 170], 0.0), (0.25, [180, 160, 150], 0.15), (0.6, [230, 210, 190], 0.3), (1.0, WHITE, 0.4)],
-        [(0.0, 0.0), (0.02, 0.05), (0.10, 1.0)]),
+        [(0.0, 0.0), (0.02, 0.05), (0.10, 1.0)]
+    ),
     preset!("mr-mip", "maximum intensity projection", Relative, Mip, [(0.05, BLACK, 0.0), (0.4, [90, 90, 90], 0.9), (1.0, WHITE, 1.0)]),
-    preset!("pet-hot", "activity on a hot scale", Relative, Composite,
-        [(0.12, BLACK, 0.0), (0.3, [120, 10, 0], 0.05), (0.55, [230, 90, 0], 0.25), (0.8, [255, 200, 40], 0.6), (1.0, WHITE, 0.9)]),
+    preset!(
+        "pet-hot",
+        "activity on a hot scale",
+        Relative,
+        Composite,
+        [(0.12, BLACK, 0.0), (0.3, [120, 10, 0], 0.05), (0.55, [230, 90, 0], 0.25), (0.8, [255, 200, 40], 0.6), (1.0, WHITE, 0.9)]
+    ),
     preset!("grey", "value as brightness", Relative, Composite, [(0.0, BLACK, 0.0), (0.5, [128, 128, 128], 0.25), (1.0, WHITE, 0.5)]),
-    preset!("labels", "a label map, one colour band per share of its range", Relative, Composite,
-        [(0.0, [200, 120, 100], 0.0), (0.002, [226, 126, 98], 0.85), (0.2, [232, 186, 92], 0.85), (0.4, [120, 176, 110], 0.85), (0.6, [88, 164, 190], 0.85), (0.8, [120, 118, 196], 0.85), (1.0, [196, 112, 168], 0.85)]),
-    preset!("checker", "the checker phantom's two values", Absolute, Composite,
-        [(0.0, [60, 92, 140], 0.97), (135.0, [60, 92, 140], 0.97), (165.0, [238, 222, 190], 0.97), (255.0, [238, 222, 190], 0.97)]),
-    preset!("piggy-bank", "the piggy bank phantom: ceramic and coins", Absolute, Composite,
-        [(0.0, [226, 176, 64], 0.98), (60.0, [226, 176, 64], 0.9), (95.0, [226, 176, 64], 0.0), (158.0, [226, 132, 138], 0.0), (190.0, [228, 136, 142], 0.9), (255.0, [236, 146, 152], 0.98)]),
-    preset!("tomato", "the tomato phantom: gel, seeds, flesh, skin", Absolute, Composite,
-        [(40.0, [176, 148, 40], 0.25), (65.0, [190, 158, 48], 0.3), (85.0, [240, 222, 150], 0.95), (108.0, [240, 222, 150], 0.95), (135.0, [232, 104, 70], 0.9), (165.0, [222, 72, 48], 0.95), (192.0, [196, 24, 18], 0.97), (225.0, [204, 28, 22], 0.9), (240.0, [204, 28, 22], 0.0)]),
-    preset!("teddy", "the teddy phantom: cloth, stuffing, buttons", Absolute, Composite,
-        [(22.0, [70, 40, 26], 0.0), (34.0, [84, 50, 32], 0.75), (60.0, [96, 58, 36], 0.9), (80.0, [158, 104, 60], 0.95), (125.0, [168, 112, 66], 0.95), (140.0, [196, 170, 128], 0.92), (175.0, [226, 208, 172], 0.94), (215.0, [252, 246, 232], 0.95)]),
-    preset!("phantom-solid", "value 0 to 1 as opacity", Absolute, Composite, [(0.25, [200, 170, 130], 0.0), (0.75, [226, 206, 172], 0.95), (1.0, [226, 206, 172], 0.95)]),
+    preset!(
+        "labels",
+        "a label map, one colour band per share of its range",
+        Relative,
+        Composite,
+        [
+            (0.0, [200, 120, 100], 0.0),
+            (0.002, [226, 126, 98], 0.85),
+            (0.2, [232, 186, 92], 0.85),
+            (0.4, [120, 176, 110], 0.85),
+            (0.6, [88, 164, 190], 0.85),
+            (0.8, [120, 118, 196], 0.85),
+            (1.0, [196, 112, 168], 0.85)
+        ]
+    ),
+    preset!(
+        "checker",
+        "the checker phantom's two values",
+        Absolute,
+        Composite,
+        [(0.0, [60, 92, 140], 0.97), (135.0, [60, 92, 140], 0.97), (165.0, [238, 222, 190], 0.97), (255.0, [238, 222, 190], 0.97)]
+    ),
+    preset!(
+        "piggy-bank",
+        "the piggy bank phantom: ceramic and coins",
+        Absolute,
+        Composite,
+        [
+            (0.0, [226, 176, 64], 0.98),
+            (60.0, [226, 176, 64], 0.9),
+            (95.0, [226, 176, 64], 0.0),
+            (158.0, [226, 132, 138], 0.0),
+            (190.0, [228, 136, 142], 0.9),
+            (255.0, [236, 146, 152], 0.98)
+        ]
+    ),
+    preset!(
+        "tomato",
+        "the tomato phantom: gel, seeds, flesh, skin",
+        Absolute,
+        Composite,
+        [
+            (40.0, [176, 148, 40], 0.25),
+            (65.0, [190, 158, 48], 0.3),
+            (85.0, [240, 222, 150], 0.95),
+            (108.0, [240, 222, 150], 0.95),
+            (135.0, [232, 104, 70], 0.9),
+            (165.0, [222, 72, 48], 0.95),
+            (192.0, [196, 24, 18], 0.97),
+            (225.0, [204, 28, 22], 0.9),
+            (240.0, [204, 28, 22], 0.0)
+        ]
+    ),
+    preset!(
+        "teddy",
+        "the teddy phantom: cloth, stuffing, buttons",
+        Absolute,
+        Composite,
+        [
+            (22.0, [70, 40, 26], 0.0),
+            (34.0, [84, 50, 32], 0.75),
+            (60.0, [96, 58, 36], 0.9),
+            (80.0, [158, 104, 60], 0.95),
+            (125.0, [168, 112, 66], 0.95),
+            (140.0, [196, 170, 128], 0.92),
+            (175.0, [226, 208, 172], 0.94),
+            (215.0, [252, 246, 232], 0.95)
+        ]
+    ),
+    preset!(
+        "phantom-solid",
+        "value 0 to 1 as opacity",
+        Absolute,
+        Composite,
+        [(0.25, [200, 170, 130], 0.0), (0.75, [226, 206, 172], 0.95), (1.0, [226, 206, 172], 0.95)]
+    ),
 ];
 
 /// All presets.

@@ -25,11 +25,13 @@ impl<T: Voxel> Sampler<'_, T> {
     #[inline(always)]
     pub fn gradient(&self, p: Vec3, filter: GradientFilter) -> Vec3 {
         match filter {
-            GradientFilter::Central => Vec3::new(
-                self.sample(p + Vec3::X) - self.sample(p - Vec3::X),
-                self.sample(p + Vec3::Y) - self.sample(p - Vec3::Y),
-                self.sample(p + Vec3::Z) - self.sample(p - Vec3::Z),
-            ) * 0.5,
+            GradientFilter::Central => {
+                Vec3::new(
+                    self.sample(p + Vec3::X) - self.sample(p - Vec3::X),
+                    self.sample(p + Vec3::Y) - self.sample(p - Vec3::Y),
+                    self.sample(p + Vec3::Z) - self.sample(p - Vec3::Z),
+                ) * 0.5
+            }
             GradientFilter::Sobel => self.sobel(p),
         }
     }

@@ -109,13 +109,7 @@ impl<'a, T: Voxel> Sampler<'a, T> {
     /// A sampler over the voxels of `grid`, which must be `grid`'s own.
     pub fn new(grid: &Grid, voxels: &'a [T]) -> Self {
         assert_eq!(voxels.len(), grid.size.iter().product::<usize>());
-        Self {
-            voxels,
-            size: grid.size,
-            top: Vec3::from(grid.size.map(|n| (n - 1) as f32)),
-            scale: grid.scale,
-            offset: grid.offset,
-        }
+        Self { voxels, size: grid.size, top: Vec3::from(grid.size.map(|n| (n - 1) as f32)), scale: grid.scale, offset: grid.offset }
     }
 
     /// Normalised value at a position in voxels, clamped to the outermost voxel centres as a texture is.

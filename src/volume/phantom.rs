@@ -32,11 +32,29 @@ const EXTENT_MM: f32 = 160.0;
 const PHANTOMS: &[Phantom] = &[
     Phantom { name: "ball", about: "a uniform ball of radius 60 mm", size: 128, preset: "phantom-solid", kind: Kind::Float(ball) },
     Phantom { name: "shell", about: "a hollow ball, radius 60 mm, wall 8 mm", size: 128, preset: "phantom-solid", kind: Kind::Float(shell) },
-    Phantom { name: "checker", about: "16 mm checks in two values, up to the edges of the volume", size: 128, preset: "checker", kind: Kind::Bytes(checker) },
-    Phantom { name: "piggy-bank", about: "a thick-walled piggy bank with coins inside", size: 192, preset: "piggy-bank", kind: Kind::Bytes(piggy_bank) },
+    Phantom {
+        name: "checker",
+        about: "16 mm checks in two values, up to the edges of the volume",
+        size: 128,
+        preset: "checker",
+        kind: Kind::Bytes(checker),
+    },
+    Phantom {
+        name: "piggy-bank",
+        about: "a thick-walled piggy bank with coins inside",
+        size: 192,
+        preset: "piggy-bank",
+        kind: Kind::Bytes(piggy_bank),
+    },
     Phantom { name: "tomato", about: "a tomato: skin, flesh, seeds in chambers", size: 192, preset: "tomato", kind: Kind::Bytes(tomato) },
     Phantom { name: "teddy", about: "a teddy bear: cloth, stuffing, a seam", size: 192, preset: "teddy", kind: Kind::Bytes(teddy) },
-    Phantom { name: "head-ct", about: "a head in Hounsfield units: skin, skull, brain, air", size: 192, preset: "ct-bone", kind: Kind::Hounsfield(head_ct) },
+    Phantom {
+        name: "head-ct",
+        about: "a head in Hounsfield units: skin, skull, brain, air",
+        size: 192,
+        preset: "ct-bone",
+        kind: Kind::Hounsfield(head_ct),
+    },
 ];
 
 /// Names and descriptions of all phantoms.
@@ -292,7 +310,11 @@ fn teddy(p: Vec3, voxel: f32) -> f32 {
     let groove = (1.4 - p.x.abs()).min(2.2 - on_belly.abs()).min(if p.y < 0.0 && p.z < 12.0 && p.z > -58.0 { 2.0 } else { -2.0 });
     paint(&mut value, THREAD, cover(groove, voxel));
     let stitch_z = (p.z / 7.0).round() * 7.0;
-    let stitch = (0.9 - (p.z - stitch_z).abs()).min(4.5 - p.x.abs()).min(1.6 - (body + 0.4).abs()).min(if p.y < 0.0 && stitch_z.abs() < 52.0 { 1.0 } else { -1.0 });
+    let stitch = (0.9 - (p.z - stitch_z).abs()).min(4.5 - p.x.abs()).min(1.6 - (body + 0.4).abs()).min(if p.y < 0.0 && stitch_z.abs() < 52.0 {
+        1.0
+    } else {
+        -1.0
+    });
     paint(&mut value, THREAD + 25.0, cover(stitch, voxel));
     if solid < -8.0 {
         return value;
@@ -319,14 +341,26 @@ fn head_ct(p: Vec3, voxel: f32) -> f32 {
     let face = ellipsoid(p, Vec3::new(0.0, -34.0, -18.0), Vec3::new(36.0, 24.0, 30.0));
     let jaw_curve = Vec2::new(p.x / 34.0, (p.y + 4.0) / 46.0).length();
     let jaw = (5.0 - (jaw_curve - 1.0).abs() * 38.0).min(9.0 - (p.z + 50.0).abs()).min(4.0 - p.y);
-    let teeth = (4.0 - (jaw_curve - 1.0).abs() * 38.0).min(7.0 - (p.z + 36.0).abs()).min(-18.0 - p.y).min(1.6 - ((p.x / 5.5).rem_euclid(1.0) - 0.5).abs() * 0.6);
+    let teeth = (4.0 - (jaw_curve - 1.0).abs() * 38.0)
+        .min(7.0 - (p.z + 36.0).abs())
+        .min(-18.0 - p.y)
+        .min(1.6 - ((p.x / 5.5).rem_euclid(1.0) - 0.5).abs() * 0.6);
     let vertebra = (p.z / 16.0).rem_euclid(1.0) * 16.0 - 8.0;
     let spine = disc(Vec3::new(p.x, p.y, vertebra), Vec3::new(0.0, 18.0, 0.0), Vec3::Z, 12.0, 6.5).min(-38.0 - p.z);
     let orbit = ellipsoid(m, Vec3::new(21.0, -54.0, 4.0), Vec3::new(14.0, 18.0, 12.0));
     let eye = sphere(m, Vec3::new(21.0, -56.0, 4.0), 10.5);
     let lens = sphere(m, Vec3::new(21.0, -64.5, 4.0), 3.2);
-    let sinus = ellipsoid(m, Vec3::new(15.0, -38.0, -20.0), Vec3::new(8.0, 12.0, 12.0)).max(ellipsoid(m, Vec3::new(8.0, -57.0, 24.0), Vec3::new(7.0, 4.0, 7.0)));
-    let airway = capsule(p, Vec3::new(0.0, -60.0, -14.0), Vec3::new(0.0, -10.0, -16.0), 5.0).max(capsule(p, Vec3::new(0.0, -10.0, -16.0), Vec3::new(0.0, -6.0, -100.0), 6.0));
+    let sinus = ellipsoid(m, Vec3::new(15.0, -38.0, -20.0), Vec3::new(8.0, 12.0, 12.0)).max(ellipsoid(
+        m,
+        Vec3::new(8.0, -57.0, 24.0),
+        Vec3::new(7.0, 4.0, 7.0),
+    ));
+    let airway = capsule(p, Vec3::new(0.0, -60.0, -14.0), Vec3::new(0.0, -10.0, -16.0), 5.0).max(capsule(
+        p,
+        Vec3::new(0.0, -10.0, -16.0),
+        Vec3::new(0.0, -6.0, -100.0),
+        6.0,
+    ));
     let ventricle = ellipsoid(m, Vec3::new(9.0, 2.0, 28.0), Vec3::new(5.0, 24.0, 8.0));
     let mut value = -1000.0;
     paint(&mut value, 40.0, cover(skin, voxel));

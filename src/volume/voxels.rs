@@ -93,7 +93,12 @@ impl Voxels {
     }
 
     /// Folds over all stored values in parallel.
-    pub fn fold<A: Send>(&self, start: impl Fn() -> A + Sync + Send, fold: impl Fn(A, f64) -> A + Sync + Send, join: impl Fn(A, A) -> A + Sync + Send) -> A {
+    pub fn fold<A: Send>(
+        &self,
+        start: impl Fn() -> A + Sync + Send,
+        fold: impl Fn(A, f64) -> A + Sync + Send,
+        join: impl Fn(A, A) -> A + Sync + Send,
+    ) -> A {
         with_voxels!(self, v => v
             .par_chunks(CHUNK)
             .map(|chunk| chunk.iter().fold(start(), |a, &x| fold(a, x as f64)))

@@ -68,6 +68,18 @@ pub enum Amount {
     OfRadius(f32),
 }
 
+impl std::fmt::Display for Amount {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        match self {
+            Self::Fixed(v) => write!(f, "{v}"),
+            Self::OfX(s) => write!(f, "{s} of the size along x"),
+            Self::OfY(s) => write!(f, "{s} of the size along y"),
+            Self::OfZ(s) => write!(f, "{s} of the size along z"),
+            Self::OfRadius(s) => write!(f, "{s} of the radius"),
+        }
+    }
+}
+
 impl Amount {
     fn resolve(self, size_mm: Vec3) -> f32 {
         match self {
@@ -182,9 +194,9 @@ pub fn list() -> impl Iterator<Item = &'static Kind> {
 /// # Errors
 /// An unknown name, with the closest known one.
 pub fn kind(name: &str) -> Result<&'static Kind> {
-    list()
-        .find(|k| k.name == name)
-        .ok_or_else(|| Error::value(format!("deformation \"{name}\""), format!("there is no such kind; {}", suggestion(name, list().map(|k| k.name)))))
+    list().find(|k| k.name == name).ok_or_else(|| {
+        Error::value(format!("deformation \"{name}\""), format!("there is no such kind; {}", suggestion(name, list().map(|k| k.name))))
+    })
 }
 
 /// How finely and in what format a map is made.

@@ -23,8 +23,22 @@ pub(super) const KIND: Kind = Kind {
     name: "peel",
     about: "cuts a flap free and rolls it back about a hinge, towards the box's -x",
     parameters: &[
-        Parameter { name: "depth", unit: Unit::Mm, default: Amount::OfZ(0.25), min: Amount::OfZ(0.01), max: Amount::OfZ(0.45), about: "thickness of the layer" },
-        Parameter { name: "radius", unit: Unit::Mm, default: Amount::OfZ(0.38), min: Amount::OfZ(0.05), max: Amount::OfZ(0.44), about: "of the roll's outer side; more than the depth" },
+        Parameter {
+            name: "depth",
+            unit: Unit::Mm,
+            default: Amount::OfZ(0.25),
+            min: Amount::OfZ(0.01),
+            max: Amount::OfZ(0.45),
+            about: "thickness of the layer",
+        },
+        Parameter {
+            name: "radius",
+            unit: Unit::Mm,
+            default: Amount::OfZ(0.38),
+            min: Amount::OfZ(0.05),
+            max: Amount::OfZ(0.44),
+            about: "of the roll's outer side; more than the depth",
+        },
     ],
     progressive: true,
     size: DefaultSize::Share([0.8, 0.6, 0.5]),
@@ -146,7 +160,8 @@ impl Field for Peel {
         let height = q.z - self.floor;
         let along = q.x - self.hinge;
         if self.flap < self.texel || along <= 0.0 || along > self.flap || !(0.0..=self.depth).contains(&height) || q.y.abs() > self.slot_half_y {
-            let covered = self.flap >= self.texel && self.rolled(q).distance.min(self.flap_half_y() - q.y.abs()) > -self.clearance && height > self.depth;
+            let covered =
+                self.flap >= self.texel && self.rolled(q).distance.min(self.flap_half_y() - q.y.abs()) > -self.clearance && height > self.depth;
             return (!covered).then_some(q);
         }
         if q.y.abs() > self.flap_half_y() {

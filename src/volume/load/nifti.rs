@@ -38,9 +38,7 @@ pub fn read(path: &Path, progress: &mut dyn FnMut(u64, u64)) -> Result<Volume> {
 fn read_error(path: &Path, e: std::io::Error) -> Error {
     match e.kind() {
         ErrorKind::UnexpectedEof => Error::file(path, "ends too early: the file is truncated; copy or download it again"),
-        ErrorKind::InvalidInput | ErrorKind::InvalidData => {
-            Error::file(path, format!("its gzip stream is damaged ({e}); copy or download it again"))
-        }
+        ErrorKind::InvalidInput | ErrorKind::InvalidData => Error::file(path, format!("its gzip stream is damaged ({e}); copy or download it again")),
         _ => Error::io(path, "reading", e),
     }
 }
@@ -103,7 +101,10 @@ fn parse(path: &Path, mut reader: impl Read, most_bytes: u64, progress: &mut dyn
     };
     let voxel_bytes = voxel_count.and_then(|n| n.checked_mul(bytes_per_voxel)).filter(|&b| b < isize::MAX as usize);
     let (Some(voxel_count), Some(voxel_bytes)) = (voxel_count, voxel_bytes) else {
-        return Err(fail(format!("declares {} x {} x {} voxels, which is more than can be addressed; its header is damaged", size[0], size[1], size[2])));
+        return Err(fail(format!(
+            "declares {} x {} x {} voxels, which is more than can be addressed; its header is damaged",
+            size[0], size[1], size[2]
+        )));
     };
     let offset = h.f32(108);
     let offset = if offset.is_finite() && (352.0..1e15).contains(&offset) { offset as u64 } else { 352 };
@@ -158,7 +159,8 @@ fn dimensions(h: &Header) -> Result<([usize; 3], usize), String> {
     if dim[4] > 1 {
         return Err(format!("holds {} values per voxel (a vector or displacement field); a scalar volume is needed", dim[4]));
     }
-    let frames = dim[3..].iter().try_fold(1usize, |n, &d| n.checked_mul(d)).ok_or("declares more volumes than can be counted; its header is damaged")?;
+    let frames =
+        dim[3..].iter().try_fold(1usize, |n, &d| n.checked_mul(d)).ok_or("declares more volumes than can be counted; its header is damaged")?;
     Ok(([dim[0], dim[1], dim[2]], frames))
 }
 
@@ -257,9 +259,7 @@ impl<R: Read> Source<'_, R> {
         const PIECE: usize = 1 << 20;
         let all = (self.count * size_of::<T>()) as u64;
         let mut values: Vec<T> = Vec::new();
-        values
-            .try_reserve_exact(self.count)
-            .map_err(|_| Error::file(self.path, format!("needs {} MiB of memory, more than there is", all >> 20)))?;
+        values.try_reserve_exact(self.count).map_err(|_| Error::file(self.path, format!("needs {} MiB of memory, more than there is", all >> 20)))?;
         while values.len() < self.count {
             let from = values.len();
             values.resize((from + PIECE).min(self.count), T::default());
