@@ -1,0 +1,11 @@
+#!/usr/bin/env bash
+# Renders every scene in this folder into pictures/, as the READMEs show them.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+cargo build --release --locked
+for scene in volumes/*.toml; do
+  name=$(basename "$scene" .toml)
+  size=360x360
+  case $name in head-*) size=560x560 ;; esac
+  target/release/incise render "$scene" -o "volumes/pictures/$name.png" --size "$size" --backend cpu --quiet
+done
