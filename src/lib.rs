@@ -12,8 +12,8 @@
 //! Modules, each knowing only those before it: [`math`] ← [`volume`] ← [`transfer`], [`deform`] ← [`scene`] ← [`cpu`],
 //! ([`gpu`] ← [`render`]) ← [`export`] ← [`cli`].
 //!
-//! *Theory*: backward displacement maps with a discontinuity mask, [DDM06] = Correa, Silver, Chen, "Discontinuous Displacement
-//! Mapping for Volume Graphics", Volume Graphics 2006; [DS07] = Correa, Silver, "Programmable Shaders for Deformation Rendering",
+//! *Theory*: backward displacement maps with a discontinuity mask, \[DDM06\] = Correa, Silver, Chen, "Discontinuous Displacement
+//! Mapping for Volume Graphics", Volume Graphics 2006; \[DS07\] = Correa, Silver, "Programmable Shaders for Deformation Rendering",
 //! Graphics Hardware 2007. Where we differ from them, the module that differs says so in its first lines.
 //!
 //! *Spaces*: voxel (indices, centres at integers), world (millimetres, patient LPS), map (the unit cube of one displacement

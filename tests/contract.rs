@@ -9,8 +9,10 @@ use std::sync::Arc;
 pub const SIZE: Vec3 = Vec3::new(80.0, 64.0, 72.0);
 pub const SAMPLING: Sampling = Sampling { resolution: None, storage: Storage::F16, least_ramp_mm: 3.0 };
 
+type Check = (&'static str, fn(&'static Kind));
+
 pub fn trials() -> Vec<Trial> {
-    let checks: [(&str, fn(&'static Kind)); 6] = [
+    let checks: [Check; 6] = [
         ("no_strength_is_the_identity", no_strength_is_the_identity),
         ("jacobian_is_the_derivative", jacobian_is_the_derivative),
         ("backward_undoes_forward", backward_undoes_forward),

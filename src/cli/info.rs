@@ -114,7 +114,7 @@ pub fn catalogue() -> String {
                 Unit::Degrees => ", degrees",
                 Unit::None => "",
             };
-out.push_str(&format!("    {:<20} {}{unit}; default {}, from {} to {}\n", p.name, p.about, p.default, p.min, p.max));
+            out.push_str(&format!("    {:<20} {}{unit}; default {}, from {} to {}\n", p.name, p.about, p.default, p.min, p.max));
         }
     }
     out.push_str("\nPhantoms (phantom:NAME[:size=N][:spacing=AxBxC])\n");

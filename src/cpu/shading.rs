@@ -1,7 +1,7 @@
 //! Light on one visible sample: normals under deformation and at cuts, and how much of the sample's length is matter.
 //!
-//! *Theory*: with J = d source / d deformed, a gradient of the deformed scene is Jᵀ times the source's ([DDM06] eq 6 and 10). Near a
-//! cut the normal is blended into the cut's own ([DDM06] eq 7).
+//! *Theory*: with J = d source / d deformed, a gradient of the deformed scene is Jᵀ times the source's (\[DDM06\] eq 6 and 10). Near a
+//! cut the normal is blended into the cut's own (\[DDM06\] eq 7).
 //!
 //! *What we changed against the paper*:
 //! - The blend runs over distance to the cut in samples, not over the mask's value, so that it does not depend on a map's
@@ -154,7 +154,7 @@ fn path_share(scene: &Prepared, cut: &Cut, deformed: Vec3, direction: Vec3, step
     if super::is_present(scene, beyond) { 1.0 } else { 0.5 + (cut.distance_mm / across).clamp(0.0, 1.0) }
 }
 
-/// The normal of [DDM06] eq 7 in the deformed scene, from a source gradient per mm.
+/// The normal of \[DDM06\] eq 7 in the deformed scene, from a source gradient per mm.
 pub fn normal(scene: &Prepared, d_source_d_deformed: &Mat3, gradient_in_source: Vec3, cut: &Cut, direction: Vec3) -> Normal {
     let gradient = match scene.settings.normals {
         Normals::Source | Normals::None => gradient_in_source,

@@ -1,6 +1,6 @@
 //! Displacement maps and their kinds.
 //!
-//! A [`DisplacementMap`] is a small 3D grid over the unit cube: the inverse displacement D and the mask alpha ([DDM06] section 4). A
+//! A [`DisplacementMap`] is a small 3D grid over the unit cube: the inverse displacement D and the mask alpha (\[DDM06\] section 4). A
 //! *kind* ([`kinds`]) is a formula with named parameters in millimetres and degrees that is sampled into one. A [`Placement`] puts
 //! it into the world; an ordered [`Stack`] of placed maps is what a renderer walks at every sample.
 //!

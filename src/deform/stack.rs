@@ -1,8 +1,8 @@
-//! An ordered stack of placed maps: positions, Jacobians and cuts, on the fly at every sample ([DDM06] section 6).
+//! An ordered stack of placed maps: positions, Jacobians and cuts, on the fly at every sample (\[DDM06\] section 6).
 //!
 //! Rendering walks from the last applied map to the first: p_n = p', p_(k-1) = G_k(p_k) with G_k(p) = p + A_k D_k(M_k⁻¹ p) inside map
 //! k's cube and p elsewhere. The Jacobian dp_0/dp' = J_1(p_1) ··· J_n(p_n) is gathered on the same walk, so normals (its transpose
-//! times the source gradient, [DDM06] eq 10) and mask gradients need no second one. `shaders/lib/stack.wgsl` says the same.
+//! times the source gradient, \[DDM06\] eq 10) and mask gradients need no second one. `shaders/lib/stack.wgsl` says the same.
 
 use super::{DisplacementMap, Placement};
 use crate::math::Bounds;

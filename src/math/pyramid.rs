@@ -33,10 +33,7 @@ impl<const C: usize> Range<C> {
     /// Widens to hold `value`.
     #[inline(always)]
     pub fn insert(&mut self, value: [f32; C]) {
-        for c in 0..C {
-            self.min[c] = self.min[c].min(value[c]);
-            self.max[c] = self.max[c].max(value[c]);
-        }
+        self.merge(&Self { min: value, max: value });
     }
 
     /// Widens to hold another range.

@@ -1,4 +1,4 @@
-//! Renders a scene on a GPU: view-aligned slices ([DDM06] section 4) or rays, on one library of WGSL functions.
+//! Renders a scene on a GPU: view-aligned slices (\[DDM06\] section 4) or rays, on one library of WGSL functions.
 //!
 //! *Theory*: the shaders in `shaders/` state what `src/cpu` states, function by function. Slices are polygons of plane and proxy box,
 //! rasterised back to front and blended by the hardware into a 16-bit float target, premultiplied. Projections (MIP and its kin) blend by

@@ -180,7 +180,7 @@ pub enum Mode {
     Raycast,
 }
 
-/// Which normals light the volume: the steps of [DDM06] figure 4.
+/// Which normals light the volume: the steps of \[DDM06\] figure 4.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Normals {

@@ -1,4 +1,4 @@
-//! Procedural volumes: closed-form test bodies, the objects of [DDM06]'s figures, and a head in Hounsfield units.
+//! Procedural volumes: closed-form test bodies, the objects of \[DDM06\]'s figures, and a head in Hounsfield units.
 //!
 //! Every phantom is a function of a point in millimetres, evaluated at voxel centres of a grid that is centred on the world's
 //! origin with its axes along L, P, S. Surfaces are smooth ramps of the signed distance, two voxels wide, as a scanner makes them. So that the ramp from one material to another does not pass through a third one's values, materials that touch are
@@ -6,7 +6,7 @@
 
 use super::{Rescale, Volume, Voxels};
 use crate::{Error, Result, error::suggestion};
-use glam::{DAffine3, DMat3, DVec3, Quat, Vec2, Vec3, Vec3Swizzles};
+use glam::{DAffine3, DMat3, Quat, Vec2, Vec3, Vec3Swizzles};
 use rayon::prelude::*;
 
 /// A phantom's entry.
@@ -127,7 +127,7 @@ pub fn generate(name: &str, size: [usize; 3], spacing_mm: Vec3) -> Result<Volume
         Kind::Bytes(f) => sample(f).into_iter().map(|v| v.round().clamp(0.0, 255.0) as u8).collect::<Vec<_>>().into(),
         Kind::Hounsfield(f) => sample(f).into_iter().map(|v| v.round() as i16).collect::<Vec<_>>().into(),
     };
-    let world_from_voxel = DAffine3 { matrix3: DMat3::from_diagonal(DVec3::from(spacing_mm.as_dvec3())), translation: origin.as_dvec3() };
+    let world_from_voxel = DAffine3 { matrix3: DMat3::from_diagonal(spacing_mm.as_dvec3()), translation: origin.as_dvec3() };
     Ok(Volume::new(voxels, size, Rescale::NONE, world_from_voxel))
 }
 
@@ -306,7 +306,7 @@ fn teddy(p: Vec3, voxel: f32) -> f32 {
     let mut value = 0.0;
     paint(&mut value, CLOTH, cover(solid + fuzz, voxel));
     // The seam: a shallow groove down the belly, with stitches across it.
-    let on_belly = body.max(-4.0).min(4.0);
+    let on_belly = body.clamp(-4.0, 4.0);
     let groove = (1.4 - p.x.abs()).min(2.2 - on_belly.abs()).min(if p.y < 0.0 && p.z < 12.0 && p.z > -58.0 { 2.0 } else { -2.0 });
     paint(&mut value, THREAD, cover(groove, voxel));
     let stitch_z = (p.z / 7.0).round() * 7.0;

@@ -50,6 +50,7 @@ from_vec!(U8 u8, I8 i8, U16 u16, I16 i16, U32 u32, I32 i32, U64 u64, I64 i64, F3
 /// Voxels handled at once by one task of a parallel pass.
 const CHUNK: usize = 1 << 16;
 
+#[allow(clippy::unnecessary_cast, reason = "one of the ten types is f64 already")]
 impl Voxels {
     /// Number of voxels.
     pub fn len(&self) -> usize {

@@ -1,4 +1,4 @@
-//! Gaussian pull, [DDM06] eq 8: D = (0, 0, -z exp(-((x-1/2)² + (y-1/2)²)/σ²)) with z counted from the box's lower face.
+//! Gaussian pull, \[DDM06\] eq 8: D = (0, 0, -z exp(-((x-1/2)² + (y-1/2)²)/σ²)) with z counted from the box's lower face.
 //!
 //! The paper's amplitude (the whole box on the axis) maps the axis to one point; here it is the length `amount` by which matter at
 //! the upper face has been pulled, so that the pull stays invertible while `amount` is less than the box is high. σ is a length.

@@ -1,5 +1,5 @@
 //! Seam opening: matter is split along the plane x = 0 from above and its halves swing open about a hinge line along y
-//! ([DDM06] fig 7).
+//! (\[DDM06\] fig 7).
 //!
 //! In the polar coordinates (r, β) about the hinge, β from +z, the opening by φ to each side maps β in [0, β_e] to [φ, β_e]
 //! linearly: matter swings aside and is compressed towards β_e, below which nothing moves. φ fades with the radius and towards the

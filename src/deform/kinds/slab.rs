@@ -1,4 +1,4 @@
-//! Slab separation: matter is cut across z into slabs of equal thickness that spread apart, periodically ([DDM06] fig 6).
+//! Slab separation: matter is cut across z into slabs of equal thickness that spread apart, periodically (\[DDM06\] fig 6).
 //!
 //! The slabs keep their shape; in a gap, D continues from the slab below to the one above without a jump (both end at the same
 //! source plane), so the map is continuous and the mask alone says where the gaps are. What lies beyond the last gap moves with it:

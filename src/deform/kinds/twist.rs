@@ -1,7 +1,7 @@
 //! Twist about the box's z axis: nothing at the lower face, the full angle at the upper one, fading out towards the rim.
 //!
 //! Height and radius do not change, so the inverse is the twist by the opposite angle, exactly (not the negated displacement that
-//! [DS07] prints), and volume is preserved: det J = 1.
+//! \[DS07\] prints), and volume is preserved: det J = 1.
 
 use super::{Amount, Backward, DefaultSize, Field, Kind, Parameter, UNCUT, Unit, window};
 use glam::{Vec2, Vec3, Vec3Swizzles};

@@ -1,4 +1,4 @@
-//! Radial wave: matter rises and falls along z with the distance from the box's axis ([GG42]'s radial wave as a volume map).
+//! Radial wave: matter rises and falls along z with the distance from the box's axis (\[GG42\]'s radial wave as a volume map).
 //!
 //! The displacement fades to nothing at the box's faces; along z the fade makes the map z' = z + a(r) w(z'), whose inverse is a
 //! monotone equation in one unknown.
