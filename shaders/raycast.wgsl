@@ -61,7 +61,7 @@ fn fragment(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
                 continue;
             }
             let entry = lookup(v.value);
-            found = Sample(deformed, v.in_voxel, entry.rgb, entry.a);
+            found = Sample(deformed, v.in_voxel, entry.rgb, entry.a, v.value);
             visible = entry.a > 0.0;
         }
         if visible {

@@ -36,5 +36,5 @@ fn fragment(slice: Slice) -> @location(0) vec4<f32> {
     if t.a <= 0.0 {
         discard;
     }
-    return shaded_sample(Sample(deformed, v.in_voxel, t.rgb, t.a), ray.direction, step, step / frame.reference_mm);
+    return shaded_sample(Sample(deformed, v.in_voxel, t.rgb, t.a, v.value), ray.direction, step, step / frame.reference_mm);
 }

@@ -69,7 +69,11 @@ pub fn counterparts_exist() {
         (
             "shaders/lib/transfer.wgsl",
             "src/transfer/table.rs",
-            &[("TABLE_ENTRIES: i32 = 4096", "TABLE_ENTRIES: usize = 4096"), ("GRADIENT_ENTRIES: i32 = 256", "GRADIENT_ENTRIES: usize = 256")][..],
+            &[
+                ("TABLE_ENTRIES: i32 = 4096", "TABLE_ENTRIES: usize = 4096"),
+                ("GRADIENT_ENTRIES: i32 = 256", "GRADIENT_ENTRIES: usize = 256"),
+                ("SLOPE_STEP: f32 = 0.02", "SLOPE_STEP: f32 = 0.02"),
+            ][..],
         ),
     ] {
         for (in_shader, in_rust) in pairs {

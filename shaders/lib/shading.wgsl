@@ -15,6 +15,7 @@ struct Sample {
     in_voxel: vec3<f32>,
     color: vec3<f32>,
     depth: f32,
+    value: f32,
 }
 
 struct Normal {
@@ -63,10 +64,10 @@ fn path_share(cut: Cut, deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32)
 fn dense(deformed: vec3<f32>, depth: f32) -> Sample {
     let v = value_at(deformed);
     if !v.present {
-        return Sample(deformed, v.in_voxel, vec3<f32>(0.0), -2.0);
+        return Sample(deformed, v.in_voxel, vec3<f32>(0.0), -2.0, 0.0);
     }
     let t = lookup(v.value);
-    return Sample(deformed, v.in_voxel, t.rgb, select(-1.0, t.a, t.a >= 0.5 * depth));
+    return Sample(deformed, v.in_voxel, t.rgb, select(-1.0, t.a, t.a >= 0.5 * depth), v.value);
 }
 
 struct Entry {
@@ -152,6 +153,10 @@ fn shade(s: Sample, direction: vec3<f32>, step_mm: f32) -> Shaded {
     if !is_lit() {
         return Shaded(seen.color, depth_factor);
     }
-    let n = shaded_normal(j.d_source_d_deformed, gradient_in_source, cut, direction);
+    var falling = 1.0;
+    if frame.two_sided == 0u {
+        falling = falling_side(seen.value);
+    }
+    let n = shaded_normal(j.d_source_d_deformed, gradient_in_source * falling, cut, direction);
     return Shaded(light(n, direction, seen.color), depth_factor);
 }

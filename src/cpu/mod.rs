@@ -122,7 +122,7 @@ fn march<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, u: f32, v: f32, stats
         if depth <= 0.0 {
             continue;
         }
-        let sample = shading::Sample { deformed, in_voxel, color: Vec3::new(r, g, b), depth };
+        let sample = shading::Sample { deformed, in_voxel, color: Vec3::new(r, g, b), depth, value };
         let shaded = shading::shade(scene, sampler, &sample, direction, step);
         let pass = (-depth * shaded.depth_factor * length).exp2();
         color += shaded.color * (transmittance * (1.0 - pass));

@@ -13,6 +13,7 @@
 //!   cut's normal. The sum over a ray is then the exact path through a planar cut, wherever the samples fall: no rings on cuts.
 //! - A sample behind which the ray has just entered matter is shaded where it entered (where half its own density is reached, found by
 //!   bisection), not wherever within the step the sample happens to lie: else surfaces show the sampling as rings.
+//! - Which side of a surface is outside is asked of the transfer function: where opacity falls. (Only one-sided light needs to know.)
 //! - Where the volume is uniform its gradient is noise. Its share fades with its size, and what has no normal is lit evenly.
 //!
 //! `shaders/lib/shading.wgsl` says the same.
@@ -56,6 +57,8 @@ pub struct Sample {
     pub color: Vec3,
     /// Its optical depth per reference length.
     pub depth: f32,
+    /// Its normalised value.
+    pub value: f32,
 }
 
 /// Bisections of the step in which a ray enters matter.
@@ -82,7 +85,8 @@ pub fn shade<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, sample: &Sample, 
     if !scene.is_lit() {
         return Shaded { color: sample.color, depth_factor };
     }
-    let normal = normal(scene, &jet.d_source_d_deformed, gradient_in_source, &cut, direction);
+    let falling = if scene.light.two_sided { 1.0 } else { scene.table.falling_side(sample.value) };
+    let normal = normal(scene, &jet.d_source_d_deformed, gradient_in_source * falling, &cut, direction);
     Shaded { color: light(scene, normal, direction, sample.color), depth_factor }
 }
 
@@ -106,7 +110,7 @@ fn entry<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, sample: &Sample, dire
     let dense = |deformed: Vec3| {
         let (in_voxel, value) = super::value_at(scene, sampler, deformed).ok_or(false)?;
         let [r, g, b, depth] = scene.table.lookup(value);
-        if depth >= 0.5 * sample.depth { Ok(Sample { deformed, in_voxel, color: Vec3::new(r, g, b), depth }) } else { Err(true) }
+        if depth >= 0.5 * sample.depth { Ok(Sample { deformed, in_voxel, color: Vec3::new(r, g, b), depth, value }) } else { Err(true) }
     };
     let mut through_cut = !dense(sample.deformed - direction * step_mm).err()?;
     let mut first = *sample;
@@ -154,7 +158,7 @@ fn path_share(scene: &Prepared, cut: &Cut, deformed: Vec3, direction: Vec3, step
     if super::is_present(scene, beyond) { 1.0 } else { 0.5 + (cut.distance_mm / across).clamp(0.0, 1.0) }
 }
 
-/// The normal of \[DDM06\] eq 7 in the deformed scene, from a source gradient per mm.
+/// The normal of \[DDM06\] eq 7 in the deformed scene, from a source gradient per mm that points into the matter.
 pub fn normal(scene: &Prepared, d_source_d_deformed: &Mat3, gradient_in_source: Vec3, cut: &Cut, direction: Vec3) -> Normal {
     let gradient = match scene.settings.normals {
         Normals::Source | Normals::None => gradient_in_source,
@@ -162,7 +166,7 @@ pub fn normal(scene: &Prepared, d_source_d_deformed: &Mat3, gradient_in_source: 
     };
     let per_reference = gradient_in_source.length() * scene.table.scale.abs() * scene.frame.reference_mm;
     let mut confidence = smoothstep(SURFACE[0], SURFACE[1], per_reference);
-    // Out of the matter: towards lower values.
+    // Out of the matter: down the gradient, which the caller has turned to where opacity rises.
     let mut normal = normalize_or(-gradient, Vec3::ZERO);
     if scene.light.two_sided && normal.dot(direction) > 0.0 {
         normal = -normal;
