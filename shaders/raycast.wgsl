@@ -34,9 +34,10 @@ fn fragment(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
     while i < end {
         // Two loops instead of a branch: neighbouring rays run in lockstep, and shading costs far more than looking. This way the rays of a
         // group look until each has something to shade, then shade together.
-        var visible = false;
+        var stop = false;
         var found: Sample;
-        while i < end && !visible {
+        var at: Look;
+        while i < end && !stop {
             let deformed = ray.origin + ray.direction * ((f32(i) + 0.5) * step);
             let t = empty_until(deformed, ray.origin, inverse_direction);
             if t >= 0.0 {
@@ -47,25 +48,23 @@ fn fragment(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
             }
             i += 1;
             taken += 1u;
-            let v = value_at(deformed);
-            if !v.present {
-                continue;
-            }
+            at = look(deformed);
             if BLEND != 0u {
-                matter += 1.0;
-                switch BLEND {
-                    case 1u: { projected = max(projected, v.value); }
-                    case 2u: { projected = min(projected, v.value); }
-                    default: { projected += v.value; }
+                if at.present {
+                    matter += 1.0;
+                    switch BLEND {
+                        case 1u: { projected = max(projected, at.value); }
+                        case 2u: { projected = min(projected, at.value); }
+                        default: { projected += at.value; }
+                    }
                 }
                 continue;
             }
-            let entry = lookup(v.value);
-            found = Sample(deformed, v.in_voxel, entry.rgb, entry.a, v.value);
-            visible = entry.a > 0.0;
+            found = visible(at, deformed);
+            stop = found.depth > 0.0 || near_a_cut(at);
         }
-        if visible {
-            color += shaded_sample(found, ray.direction, step, length) * (1.0 - color.a);
+        if stop {
+            color += shaded_sample(at, found, ray.direction, step, length) * (1.0 - color.a);
             if 1.0 - color.a < OPAQUE && frame.early_termination != 0u {
                 terminated += u32(max(end - i, 0));
                 break;

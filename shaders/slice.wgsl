@@ -24,17 +24,17 @@ fn fragment(slice: Slice) -> @location(0) vec4<f32> {
         discard;
     }
     count(slice.position.xy, vec3<u32>(1u, 0u, 0u));
-    let v = value_at(deformed);
-    if !v.present {
-        discard;
-    }
+    let at = look(deformed);
     if BLEND != 0u {
+        if !at.present {
+            discard;
+        }
         // Red: the value (negated for the minimum), for the blend unit's maximum or sum; green: whether, or how often.
-        return vec4<f32>(select(v.value, -v.value, BLEND == 2u), 1.0, 0.0, 0.0);
+        return vec4<f32>(select(at.value, -at.value, BLEND == 2u), 1.0, 0.0, 0.0);
     }
-    let t = lookup(v.value);
-    if t.a <= 0.0 {
+    let s = visible(at, deformed);
+    if s.depth <= 0.0 && !near_a_cut(at) {
         discard;
     }
-    return shaded_sample(Sample(deformed, v.in_voxel, t.rgb, t.a, v.value), ray.direction, step, step / frame.reference_mm);
+    return shaded_sample(at, s, ray.direction, step, step / frame.reference_mm);
 }

@@ -34,9 +34,25 @@ fn empty_until(p: vec3<f32>, origin: vec3<f32>, inverse_direction: vec3<f32>) ->
     return min(far.x, min(far.y, far.z));
 }
 
-// Colour of a visible sample after light, premultiplied by its opacity over `length` reference lengths.
-fn shaded_sample(s: Sample, direction: vec3<f32>, step: f32, length: f32) -> vec4<f32> {
-    let shaded = shade(s, direction, step);
-    let alpha = 1.0 - exp2(-s.depth * shaded.depth_factor * length);
+// Colour of a sample after light, premultiplied by its opacity over `length` reference lengths. `depth` is its own optical depth, if it
+// shows anything; if not, it is near a cut, and what lies between the cut and it is looked for.
+fn shaded_sample(at: Look, s: Sample, direction: vec3<f32>, step: f32, length: f32) -> vec4<f32> {
+    var depth = s.depth;
+    var seen: Seen;
+    if depth > 0.0 {
+        seen = seen_sample(s, direction, step);
+    } else {
+        seen = sliver(s.deformed, at.present, direction, step);
+        depth = seen.s.depth;
+        if depth <= 0.0 {
+            return vec4<f32>(0.0);
+        }
+    }
+    let shaded = shade_seen(seen, direction);
+    let alpha = 1.0 - exp2(-depth * shaded.depth_factor * length);
     return vec4<f32>(shaded.color * alpha, alpha);
+}
+
+fn near_a_cut(at: Look) -> bool {
+    return at.alpha > 0.0 && at.alpha < 1.0;
 }

@@ -54,7 +54,7 @@ fn path_share(cut: Cut, deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32)
         return 1.0;
     }
     let beyond = deformed + direction * select(step_mm, -step_mm, facing < 0.0);
-    if is_present(beyond) {
+    if look(beyond).present {
         return 1.0;
     }
     return 0.5 + clamp(cut.distance_mm / across, 0.0, 1.0);
@@ -62,7 +62,7 @@ fn path_share(cut: Cut, deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32)
 
 // depth: that of the sample there if it is dense enough, -1 if it is thinner, -2 if nothing is there at all.
 fn dense(deformed: vec3<f32>, depth: f32) -> Sample {
-    let v = value_at(deformed);
+    let v = look(deformed);
     if !v.present {
         return Sample(deformed, v.in_voxel, vec3<f32>(0.0), -2.0, 0.0);
     }
@@ -129,34 +129,102 @@ fn light(n: Normal, direction: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
     return clamp(mix(color * even, lit, n.confidence), vec3<f32>(0.0), vec3<f32>(1.0));
 }
 
-fn shade(s: Sample, direction: vec3<f32>, step_mm: f32) -> Shaded {
-    var j = jet(s.deformed);
-    var cut = nearest_cut(j, s.in_voxel);
-    var depth_factor = path_share(cut, s.deformed, direction, step_mm);
-    let e = entry(s, direction, step_mm);
-    let seen = e.first;
+// The sample at a point that was looked at; depth 0 if it shows nothing.
+fn visible(at: Look, deformed: vec3<f32>) -> Sample {
+    if !at.present {
+        return Sample(deformed, at.in_voxel, vec3<f32>(0.0), 0.0, 0.0);
+    }
+    let t = lookup(at.value);
+    return Sample(deformed, at.in_voxel, t.rgb, t.a, at.value);
+}
+
+fn shade_with(s: Sample, j: Jet, cut: Cut, direction: vec3<f32>) -> Shaded {
     if !is_lit() && !uses_gradient_opacity() {
-        return Shaded(seen.color, depth_factor);
+        return Shaded(s.color, 1.0);
     }
-    if e.entered {
-        j = jet(seen.deformed);
-        if e.through_cut {
-            cut = nearest_cut(j, seen.in_voxel);
-        } else {
-            cut = NO_CUT;
-        }
-    }
-    let gradient_in_source = voxel_covector(gradient(seen.in_voxel));
+    let gradient_in_source = voxel_covector(gradient(s.in_voxel));
+    var depth_factor = 1.0;
     if uses_gradient_opacity() {
-        depth_factor *= gradient_factor(length(gradient_in_source));
+        depth_factor = gradient_factor(length(gradient_in_source));
     }
     if !is_lit() {
-        return Shaded(seen.color, depth_factor);
+        return Shaded(s.color, depth_factor);
     }
     var falling = 1.0;
     if frame.two_sided == 0u {
-        falling = falling_side(seen.value);
+        falling = falling_side(s.value);
     }
     let n = shaded_normal(j.d_source_d_deformed, gradient_in_source * falling, cut, direction);
-    return Shaded(light(n, direction, seen.color), depth_factor);
+    return Shaded(light(n, direction, s.color), depth_factor);
+}
+
+// One call of shade_with serves samples, entries and slivers: what differs is prepared before it.
+struct Seen {
+    s: Sample,
+    entered: bool,
+    through_cut: bool,
+    share: f32,
+}
+
+// Shades what is seen.
+fn shade_seen(e: Seen, direction: vec3<f32>) -> Shaded {
+    let j = jet(e.s.deformed);
+    var cut = NO_CUT;
+    if !e.entered || e.through_cut {
+        cut = nearest_cut(j, e.s.in_voxel);
+    }
+    let shaded = shade_with(e.s, j, cut, direction);
+    return Shaded(shaded.color, shaded.depth_factor * e.share);
+}
+
+// A visible sample.
+fn seen_sample(s: Sample, direction: vec3<f32>, step_mm: f32) -> Seen {
+    let cut = nearest_cut(jet(s.deformed), s.in_voxel);
+    let share = path_share(cut, s.deformed, direction, step_mm);
+    let e = entry(s, direction, step_mm);
+    return Seen(e.first, e.entered, e.through_cut, share);
+}
+
+// Matter between a cut and a sample that shows nothing, thinner than a step; depth 0 if there is none.
+fn sliver(deformed: vec3<f32>, present: bool, direction: vec3<f32>, step_mm: f32) -> Seen {
+    var found = Seen(Sample(deformed, vec3<f32>(0.0), vec3<f32>(0.0), 0.0, 0.0), true, present, 0.0);
+    let before = deformed - direction * step_mm;
+    let at_before = look(before);
+    if at_before.present == present || visible(at_before, before).depth > 0.0 {
+        return found;
+    }
+    let end = select(before, deformed, present);
+    var inside = end;
+    var outside = select(deformed, before, present);
+    for (var n = 0; n < ENTRY_STEPS; n += 1) {
+        let middle = (inside + outside) * 0.5;
+        if look(middle).present {
+            inside = middle;
+        } else {
+            outside = middle;
+        }
+    }
+    let at_cut = visible(look(inside), inside);
+    if at_cut.depth <= 0.0 {
+        return found;
+    }
+    var dense_end = at_cut;
+    var thin = end;
+    for (var n = 0; n < ENTRY_STEPS; n += 1) {
+        let middle = (dense_end.deformed + thin) * 0.5;
+        let s = visible(look(middle), middle);
+        if s.depth > 0.0 {
+            dense_end = s;
+        } else {
+            thin = middle;
+        }
+    }
+    found.share = length(dense_end.deformed - outside) / step_mm;
+    if present {
+        found.s = at_cut;
+    } else {
+        found.s = dense_end;
+        found.s.depth = at_cut.depth;
+    }
+    return found;
 }

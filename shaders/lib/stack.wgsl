@@ -38,17 +38,18 @@ fn backward(k: u32, p: vec3<f32>) -> vec4<f32> {
     return vec4<f32>(p + linear_part(maps[k].world_from_stored) * t.xyz, t.w);
 }
 
-// xyz: the source point; w: 1 where matter is, 0 where it is cut away.
-fn source_from_deformed(deformed: vec3<f32>) -> vec4<f32> {
-    var p = deformed;
+// xyz: the source point; w: the smallest mask value on the way. The walk ends where a mask cuts (below 1/2).
+fn walk(deformed: vec3<f32>) -> vec4<f32> {
+    var p = vec4<f32>(deformed, 1.0);
     for (var n = MAPS; n > 0u; n -= 1u) {
-        let before = backward(n - 1u, p);
+        let before = backward(n - 1u, p.xyz);
+        p.w = min(p.w, before.w);
         if before.w < 0.5 {
-            return vec4<f32>(p, 0.0);
+            break;
         }
-        p = before.xyz;
+        p = vec4<f32>(before.xyz, p.w);
     }
-    return vec4<f32>(p, 1.0);
+    return p;
 }
 
 fn jet(deformed: vec3<f32>) -> Jet {

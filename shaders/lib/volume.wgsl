@@ -1,33 +1,23 @@
-// Counterpart of src/volume/gradient.rs and of value_at in src/cpu/mod.rs.
+// Counterpart of src/volume/gradient.rs and of look in src/cpu/mod.rs.
 
-struct Value {
+struct Look {
     in_voxel: vec3<f32>,
-    // Normalised; only meaningful where matter is.
+    // Normalised; only meaningful where matter is present.
     value: f32,
+    // Neither cut away, nor outside the volume, nor in a hole.
     present: bool,
+    // Smallest mask on the way: strictly between 0 and 1 near a cut.
+    alpha: f32,
 }
 
-// xyz: where a point came from, in voxels; w: 1 unless it is cut away or outside the volume.
-fn voxel_at(deformed: vec3<f32>) -> vec4<f32> {
-    let source = source_from_deformed(deformed);
+fn look(deformed: vec3<f32>) -> Look {
+    let source = walk(deformed);
     let in_voxel = transform_point(frame.voxel_from_world, source.xyz);
     if source.w < 0.5 || any(in_voxel < vec3<f32>(-0.5)) || any(in_voxel > frame.grid_size - 0.5) {
-        return vec4<f32>(in_voxel, 0.0);
+        return Look(in_voxel, 0.0, false, source.w);
     }
-    return vec4<f32>(in_voxel, 1.0);
-}
-
-fn is_present(deformed: vec3<f32>) -> bool {
-    return voxel_at(deformed).w > 0.5;
-}
-
-fn value_at(deformed: vec3<f32>) -> Value {
-    let at = voxel_at(deformed);
-    if at.w < 0.5 {
-        return Value(at.xyz, 0.0, false);
-    }
-    let value = sample_volume(at.xyz);
-    return Value(at.xyz, value, frame.has_holes == 0u || value >= -1e-4);
+    let value = sample_volume(in_voxel);
+    return Look(in_voxel, value, frame.has_holes == 0u || value >= -1e-4, source.w);
 }
 
 fn central(p: vec3<f32>) -> vec3<f32> {

@@ -60,27 +60,29 @@ fn rows<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, progress: &(dyn Fn(f32
     (Picture { width, height, pixels }, stats)
 }
 
-/// Where a point of the deformed scene came from, in voxels; none where it is cut away or outside the volume.
+/// What is at a point of the deformed scene.
+#[derive(Clone, Copy)]
+struct Look {
+    /// Where it came from, voxels.
+    in_voxel: Vec3,
+    /// Normalised value; only meaningful where matter is present.
+    value: f32,
+    /// Neither cut away, nor outside the volume, nor in a hole.
+    present: bool,
+    /// Smallest mask on the way: strictly between 0 and 1 near a cut.
+    alpha: f32,
+}
+
+/// Looks at a point of the deformed scene.
 #[inline(always)]
-fn voxel_at(scene: &Prepared, deformed: Vec3) -> Option<Vec3> {
-    let source = scene.stack.source_from_deformed(deformed)?;
+fn look<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, deformed: Vec3) -> Look {
+    let (source, alpha) = scene.stack.walk(deformed);
     let in_voxel = scene.frame.voxel_from_world.transform_point3(source);
-    let outside = in_voxel.cmplt(Vec3::splat(-0.5)).any() || in_voxel.cmpgt(scene.frame.grid_size - 0.5).any();
-    (!outside).then_some(in_voxel)
-}
-
-/// Whether a point of the deformed scene is neither cut away nor outside the volume.
-fn is_present(scene: &Prepared, deformed: Vec3) -> bool {
-    voxel_at(scene, deformed).is_some()
-}
-
-/// Source position in voxels and normalised value of a point of the deformed scene; none where it is cut away, outside the volume or in
-/// a hole.
-#[inline(always)]
-fn value_at<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, deformed: Vec3) -> Option<(Vec3, f32)> {
-    let in_voxel = voxel_at(scene, deformed)?;
+    if alpha < 0.5 || in_voxel.cmplt(Vec3::splat(-0.5)).any() || in_voxel.cmpgt(scene.frame.grid_size - 0.5).any() {
+        return Look { in_voxel, value: 0.0, present: false, alpha };
+    }
     let value = sampler.sample(in_voxel);
-    (!scene.grid.has_holes || value >= -1e-4).then_some((in_voxel, value))
+    Look { in_voxel, value, present: !scene.grid.has_holes || value >= -1e-4, alpha }
 }
 
 /// Index of the first sample at or after `t`.
@@ -113,17 +115,21 @@ fn march<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, u: f32, v: f32, stats
         }
         i += 1;
         stats.samples_taken += 1;
-        let Some((in_voxel, value)) = value_at(scene, sampler, deformed) else { continue };
+        let at = look(scene, sampler, deformed);
         if scene.blend != Blend::Composite {
-            projection.insert(value);
+            if at.present {
+                projection.insert(at.value);
+            }
             continue;
         }
-        let [r, g, b, depth] = scene.table.lookup(value);
-        if depth <= 0.0 {
-            continue;
-        }
-        let sample = shading::Sample { deformed, in_voxel, color: Vec3::new(r, g, b), depth, value };
-        let shaded = shading::shade(scene, sampler, &sample, direction, step);
+        let (depth, shaded) = match shading::visible(scene, &at, deformed) {
+            Some(sample) => (sample.depth, shading::shade(scene, sampler, &sample, direction, step)),
+            None if at.alpha > 0.0 && at.alpha < 1.0 => match shading::sliver(scene, sampler, deformed, at.present, direction, step) {
+                Some((depth, shaded)) => (depth, shaded),
+                None => continue,
+            },
+            None => continue,
+        };
         let pass = (-depth * shaded.depth_factor * length).exp2();
         color += shaded.color * (transmittance * (1.0 - pass));
         transmittance *= pass;

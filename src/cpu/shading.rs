@@ -18,6 +18,7 @@
 //!
 //! `shaders/lib/shading.wgsl` says the same.
 
+use super::Look;
 use crate::deform::{Cut, Jet};
 use crate::math::{normalize_or, smoothstep};
 use crate::scene::{Normals, Prepared};
@@ -64,30 +65,95 @@ pub struct Sample {
 /// Bisections of the step in which a ray enters matter.
 const ENTRY_STEPS: u32 = 4;
 
+/// The sample at a point that was looked at, if it shows anything.
+#[inline(always)]
+pub(super) fn visible(scene: &Prepared, at: &Look, deformed: Vec3) -> Option<Sample> {
+    if !at.present {
+        return None;
+    }
+    let [r, g, b, depth] = scene.table.lookup(at.value);
+    (depth > 0.0).then_some(Sample { deformed, in_voxel: at.in_voxel, color: Vec3::new(r, g, b), depth, value: at.value })
+}
+
 /// Shades a visible sample, seen along `direction` with samples every `step_mm`.
 pub fn shade<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, sample: &Sample, direction: Vec3, step_mm: f32) -> Shaded {
-    let mut jet = jet(scene, sample.deformed);
-    let mut cut = nearest_cut(scene, &jet, sample.in_voxel);
-    let mut depth_factor = path_share(scene, &cut, sample.deformed, direction, step_mm);
-    let entry = entry(scene, sampler, sample, direction, step_mm);
-    let sample = entry.as_ref().map_or(sample, |e| &e.first);
+    let jet_here = jet(scene, sample.deformed);
+    let cut = nearest_cut(scene, &jet_here, sample.in_voxel);
+    let share = path_share(scene, sampler, &cut, sample.deformed, direction, step_mm);
+    let mut shaded = match entry(scene, sampler, sample, direction, step_mm) {
+        Some(entry) => shade_entry(scene, sampler, &entry, direction),
+        None => shade_with(scene, sampler, sample, &jet_here, &cut, direction),
+    };
+    shaded.depth_factor *= share;
+    shaded
+}
+
+/// Shades the point at which a ray enters matter.
+fn shade_entry<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, entry: &Entry, direction: Vec3) -> Shaded {
+    let first = &entry.first;
+    let jet = jet(scene, first.deformed);
+    let cut = if entry.through_cut { nearest_cut(scene, &jet, first.in_voxel) } else { Cut::NONE };
+    shade_with(scene, sampler, first, &jet, &cut, direction)
+}
+
+/// Light and gradient opacity of a point.
+fn shade_with<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, sample: &Sample, jet: &Jet, cut: &Cut, direction: Vec3) -> Shaded {
     if !scene.is_lit() && !scene.uses_gradient_opacity() {
-        return Shaded { color: sample.color, depth_factor };
-    }
-    if let Some(entry) = &entry {
-        jet = self::jet(scene, sample.deformed);
-        cut = if entry.through_cut { nearest_cut(scene, &jet, sample.in_voxel) } else { Cut::NONE };
+        return Shaded { color: sample.color, depth_factor: 1.0 };
     }
     let gradient_in_source = voxel_covector(scene, sampler.gradient(sample.in_voxel, scene.gradient_filter()));
-    if scene.uses_gradient_opacity() {
-        depth_factor *= scene.table.gradient_factor(gradient_in_source.length());
-    }
+    let depth_factor = if scene.uses_gradient_opacity() { scene.table.gradient_factor(gradient_in_source.length()) } else { 1.0 };
     if !scene.is_lit() {
         return Shaded { color: sample.color, depth_factor };
     }
     let falling = if scene.light.two_sided { 1.0 } else { scene.table.falling_side(sample.value) };
-    let normal = normal(scene, &jet.d_source_d_deformed, gradient_in_source * falling, &cut, direction);
+    let normal = normal(scene, &jet.d_source_d_deformed, gradient_in_source * falling, cut, direction);
     Shaded { color: light(scene, normal, direction, sample.color), depth_factor }
+}
+
+/// Matter between a cut and a sample that shows nothing, thinner than a step: found only if a cut lies between this sample and the
+/// one before it, exactly one of the two being present. Its optical depth per reference length, and its light with its share of the step.
+///
+/// Without this the thin end of whatever a cut crosses at a slant is hit or missed by turns, and its edge is a comb.
+pub(super) fn sliver<T: Voxel>(
+    scene: &Prepared,
+    sampler: &Sampler<T>,
+    deformed: Vec3,
+    present: bool,
+    direction: Vec3,
+    step_mm: f32,
+) -> Option<(f32, Shaded)> {
+    let before = deformed - direction * step_mm;
+    let at_before = super::look(scene, sampler, before);
+    if at_before.present == present || visible(scene, &at_before, before).is_some() {
+        return None;
+    }
+    let visible_at = |p: Vec3| visible(scene, &super::look(scene, sampler, p), p);
+    let end = if present { deformed } else { before };
+    let (mut inside, mut outside) = if present { (deformed, before) } else { (before, deformed) };
+    for _ in 0..ENTRY_STEPS {
+        let middle = (inside + outside) * 0.5;
+        if super::look(scene, sampler, middle).present {
+            inside = middle;
+        } else {
+            outside = middle;
+        }
+    }
+    let at_cut = visible_at(inside)?;
+    let (mut dense, mut thin) = (at_cut, end);
+    for _ in 0..ENTRY_STEPS {
+        let middle = (dense.deformed + thin) * 0.5;
+        match visible_at(middle) {
+            Some(sample) => dense = sample,
+            None => thin = middle,
+        }
+    }
+    let share = (dense.deformed - outside).length() / step_mm;
+    // Coming out of a cut, the ray sees the cut's face; going into one, the surface on the matter's other side.
+    let entry = Entry { first: if present { at_cut } else { dense }, through_cut: present };
+    let mut shaded = shade_entry(scene, sampler, &entry, direction);
+    shaded.depth_factor *= share;
+    Some((at_cut.depth, shaded))
 }
 
 fn jet(scene: &Prepared, deformed: Vec3) -> Jet {
@@ -108,7 +174,11 @@ struct Entry {
 fn entry<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, sample: &Sample, direction: Vec3, step_mm: f32) -> Option<Entry> {
     // The sample there if it is dense enough, else whether anything is there at all.
     let dense = |deformed: Vec3| {
-        let (in_voxel, value) = super::value_at(scene, sampler, deformed).ok_or(false)?;
+        let at = super::look(scene, sampler, deformed);
+        if !at.present {
+            return Err(false);
+        }
+        let (in_voxel, value) = (at.in_voxel, at.value);
         let [r, g, b, depth] = scene.table.lookup(value);
         if depth >= 0.5 * sample.depth { Ok(Sample { deformed, in_voxel, color: Vec3::new(r, g, b), depth, value }) } else { Err(true) }
     };
@@ -148,14 +218,14 @@ pub fn nearest_cut(scene: &Prepared, jet: &Jet, in_voxel: Vec3) -> Cut {
 /// Next to a cut, the neighbouring sample on the cut's other side tells whether this one stands for the rest of the path: it does
 /// if that one was cut away. (Asking the distance alone would count half a sample too much or too little wherever a sample lies
 /// exactly on the cut.)
-fn path_share(scene: &Prepared, cut: &Cut, deformed: Vec3, direction: Vec3, step_mm: f32) -> f32 {
+fn path_share<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, cut: &Cut, deformed: Vec3, direction: Vec3, step_mm: f32) -> f32 {
     let facing = cut.normal.dot(direction);
     let across = step_mm * facing.abs();
     if cut.distance_mm >= 1.1 * across {
         return 1.0;
     }
     let beyond = deformed + direction * if facing < 0.0 { -step_mm } else { step_mm };
-    if super::is_present(scene, beyond) { 1.0 } else { 0.5 + (cut.distance_mm / across).clamp(0.0, 1.0) }
+    if super::look(scene, sampler, beyond).present { 1.0 } else { 0.5 + (cut.distance_mm / across).clamp(0.0, 1.0) }
 }
 
 /// The normal of \[DDM06\] eq 7 in the deformed scene, from a source gradient per mm that points into the matter.

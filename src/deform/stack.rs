@@ -154,15 +154,24 @@ impl Stack {
     /// The source point of a deformed point, or none where it is cut away.
     #[inline(always)]
     pub fn source_from_deformed(&self, deformed: Vec3) -> Option<Vec3> {
+        let (source, alpha) = self.walk(deformed);
+        (alpha >= 0.5).then_some(source)
+    }
+
+    /// The source point of a deformed point and the smallest mask value on the way; the walk ends where a mask cuts (below 1/2).
+    #[inline(always)]
+    pub fn walk(&self, deformed: Vec3) -> (Vec3, f32) {
         let mut p = deformed;
+        let mut smallest = 1.0f32;
         for map in self.maps.iter().rev() {
             let (before, alpha) = map.backward(p);
+            smallest = smallest.min(alpha);
             if alpha < 0.5 {
-                return None;
+                break;
             }
             p = before;
         }
-        Some(p)
+        (p, smallest)
     }
 
     /// The source point with its Jacobian and the nearest cut. Cut points get a jet too (`alpha` tells).
