@@ -223,7 +223,8 @@ pub fn normals_on_cut_faces() {
     let turned = Mat3::from_quat(Quat::from_euler(EulerRot::ZYX, 15f32.to_radians(), (-40f32).to_radians(), 25f32.to_radians()));
     let face = |kind: &str, size: f32, surface: &dyn Fn(Vec3) -> Option<(Vec3, Vec3)>| {
         let mut s = scene(&[(0.0, 0.9), (1.0, 0.9)]);
-        s.deformation.push(deformation(kind, [3.0, -2.0, 1.0], [size; 3], rotate));
+        let sized = deformation(kind, [3.0, -2.0, 1.0], [size; 3], rotate);
+        s.deformation.push(Deformation { size: sized.size.filter(|_| kind != "half-space"), ..sized });
         let prepared = Prepared::new(&s, &assets).unwrap();
         let mut seen = 0;
         for x in points(3000) {
@@ -315,7 +316,7 @@ pub fn path_through_a_cut_slab_is_exact() {
         s.camera.projection = Projection::Orthographic;
         s.camera.view = "superior".parse().unwrap();
         // What lies above the plane through (0, 0, 3.3), tilted by 20 degrees, is gone.
-        s.deformation.push(deformation("half-space", [0.0, 0.0, 3.3], [200.0; 3], [20.0, 0.0, 0.0]));
+        s.deformation.push(Deformation { size: None, ..deformation("half-space", [0.0, 0.0, 3.3], [1.0; 3], [20.0, 0.0, 0.0]) });
         let prepared = Prepared::new(&s, &assets).unwrap();
         let p = picture(&prepared);
         let slope = 20f32.to_radians().tan();

@@ -77,6 +77,10 @@ pub fn bad_input_is_named_and_leaves_no_file() {
         (&["good.nii", "--mode", "surface"], "surface"),
         (&["good.nii", "--threads", "0"], "threads"),
         (&["mesh.stl"], "mesh"),
+        (&["good.nii", "--stats", "good.nii"], "read"),
+        (&["good.nii", "--stats", "out.png"], "same file"),
+        (&["good.nii", "--deform", "half-space:size=3"], "no size"),
+        (&["good.nii", "--deform", "twist:resolution=512"], "resolution"),
         (&[&["good.nii"], &nine[..]].concat(), "at most 8"),
     ];
     let before = std::fs::read_dir(f).unwrap().count();

@@ -105,7 +105,14 @@ fn backward_undoes_forward(kind: &'static Kind) {
 }
 
 fn vanishes_on_the_faces_it_says(kind: &'static Kind) {
-    let map = kind.map(&defaults(kind), 1.0, SIZE, &SAMPLING);
+    // A flat and a high box as well: some kinds' shapes follow the box's proportions.
+    for size in [SIZE, Vec3::new(163.0, 152.0, 108.0), Vec3::new(60.0, 70.0, 140.0)] {
+        vanishes_in_a_box(kind, size);
+    }
+}
+
+fn vanishes_in_a_box(kind: &'static Kind, size: Vec3) {
+    let map = kind.map(&kind.values([], size).unwrap(), 1.0, size, &SAMPLING);
     for (face, leaks) in kind.leaks.into_iter().enumerate() {
         let mut most = 0.0f32;
         for x in points(1500) {

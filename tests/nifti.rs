@@ -210,12 +210,21 @@ pub fn damaged_files_are_named() {
     let mut f = File::new([16, 16, 16], 4, 16, false);
     f.voxels((0..4096u32).map(|v| ((v.wrapping_mul(2_654_435_761) >> 16) as i16).to_be_bytes()));
     let whole = std::fs::read(f.write(folder.path(), "whole.nii.gz")).unwrap();
-    for end in [1, 5, 20, whole.len() / 2, whole.len() - 40] {
+    for end in [1, 5, 20, whole.len() / 2, whole.len() - 40, whole.len() - 8, whole.len() - 1] {
         let path = folder.path().join("short.nii.gz");
         std::fs::write(&path, &whole[..end]).unwrap();
         let message = read(&path).unwrap_err().to_string();
         assert!(message.contains("truncated") || message.contains("damaged"), "{message}");
     }
+    let mut flipped = whole.clone();
+    let at = flipped.len() - 6;
+    flipped[at] ^= 1;
+    let path = folder.path().join("flipped.nii.gz");
+    std::fs::write(&path, &flipped).unwrap();
+    assert!(read(&path).unwrap_err().to_string().contains("damaged"));
+    // Zeros after the stream, as some tools pad with.
+    std::fs::write(&path, [&whole[..], &[0; 512]].concat()).unwrap();
+    assert!(read(&path).is_ok());
     assert!(read(&folder.path().join("none.nii")).unwrap_err().to_string().contains("none.nii"));
     assert!(read(folder.path()).unwrap_err().to_string().contains("folder"));
 }

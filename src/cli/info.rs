@@ -22,7 +22,7 @@ pub struct Arguments {
 /// Prints what the file holds.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let path = &arguments.file;
-    let report = match path.extension().and_then(|e| e.to_str()) {
+    let report = match path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
         Some("toml") => scene_report(path)?,
         Some("stl" | "obj" | "ply" | "off" | "gltf" | "glb" | "gii") => {
             return Err(Error::file(path, "is a mesh, and meshes cannot be read yet"));
@@ -38,6 +38,13 @@ fn volume_report(volume: &Volume) -> Value {
     let rows: Vec<[f64; 3]> = (0..3).map(|r| direction.row(r).to_array()).collect();
     let voxels = volume.voxels.len();
     let stored = voxels * volume.voxels.bytes_per_voxel();
+    // Types that renderers cannot sample are converted to f32 beside the stored ones.
+    let converted = match volume.voxels.type_name() {
+        "u8" | "u16" | "i16" => 0,
+        "f32" if volume.non_finite == 0 => 0,
+        "i8" => 2 * voxels,
+        _ => 4 * voxels,
+    };
     let spacing = volume.spacing_mm();
     let mut report = json!({
         "kind": "volume",
@@ -54,7 +61,8 @@ fn volume_report(volume: &Volume) -> Value {
         "voxels": voxels,
         "non_finite": volume.non_finite,
         "rescale": { "slope": volume.rescale.slope, "intercept": volume.rescale.intercept },
-        "memory_bytes": stored,
+        "stored_bytes": stored,
+        "memory_bytes": stored + converted,
         "warnings": volume.warnings,
     });
     if let (Some(labels), Some(entries)) = (volume.labels(), report.as_object_mut()) {

@@ -102,7 +102,7 @@ pub struct Arguments {
 impl Arguments {
     /// The scene that the input names, with the options laid over it.
     fn scene(&self) -> Result<Scene> {
-        let input = self.input.to_str().unwrap_or_default();
+        let input = self.input.to_str().ok_or_else(|| Error::file(&self.input, "has a name that is not valid Unicode; rename it"))?;
         let mut scene = match self.input.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
             Some("toml") => Scene::load(&self.input)?,
             Some("stl" | "obj" | "ply" | "off" | "gltf" | "glb" | "gii") => {
@@ -152,6 +152,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         return Err(Error::value(format!("--output {}", arguments.output.display()), "pictures are written as PNG; give a name that ends in .png"));
     }
     let scene = arguments.scene()?;
+    protect_inputs(arguments, &scene)?;
     let output = Output::create(&arguments.output)?;
     let stats_file = arguments.stats.as_deref().filter(|p| *p != Path::new("-")).map(Output::create).transpose()?;
     if let Some(threads) = arguments.threads {
@@ -181,13 +182,31 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if wants_stats {
         let report = report(&done, &prepared, &stages, total, arguments.backend);
         let text = format!("{report:#}");
-        match stats_file {
-            Some(file) => file.finish(text.as_bytes())?,
-            None => super::print(&text),
+        if arguments.json || arguments.stats.as_deref() == Some(Path::new("-")) {
+            super::print(&text);
+        }
+        if let Some(file) = stats_file {
+            file.finish(text.as_bytes())?;
         }
     }
     if arguments.verbose {
         eprintln!("incise: {} on {} in {total:.0} ms", arguments.output.display(), done.adapter);
+    }
+    Ok(())
+}
+
+/// Nothing is ever written to a file that is read, nor two things to one file.
+fn protect_inputs(arguments: &Arguments, scene: &Scene) -> Result<()> {
+    let same = |a: &Path, b: &Path| a == b || matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b);
+    let volume = scene.volume_path();
+    let written = [Some(("--output", &arguments.output)), arguments.stats.as_ref().map(|s| ("--stats", s))];
+    for (option, path) in written.into_iter().flatten() {
+        if same(path, &arguments.input) || same(path, &volume) {
+            return Err(Error::value(format!("{option} {}", path.display()), "is a file that is read; choose another name"));
+        }
+    }
+    if arguments.stats.as_ref().is_some_and(|s| same(s, &arguments.output)) {
+        return Err(Error::value("--stats", "names the same file as --output; choose another name"));
     }
     Ok(())
 }

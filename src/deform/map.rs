@@ -103,6 +103,12 @@ impl DisplacementMap {
         self.pyramid.query(low * top, high * top)
     }
 
+    /// Whether D is anywhere but zero; a map that only cuts brings matter nowhere.
+    pub fn moves_matter(&self) -> bool {
+        let range = self.pyramid.whole();
+        (0..3).any(|c| range.min[c] != 0.0 || range.max[c] != 0.0)
+    }
+
     /// The texels as the GPU takes them: in the map's own format, or in another where a device lacks it.
     pub fn encode_as(&self, storage: Storage) -> Vec<u8> {
         let channels = self.texels.iter().flat_map(|t| t.to_array());

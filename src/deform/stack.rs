@@ -206,7 +206,7 @@ impl Stack {
     /// The box that holds the deformed scene: the source's box and every cube into which a map can bring its matter.
     pub fn deformed_bounds(&self, source: &Bounds) -> Bounds {
         let mut all = *source;
-        for map in &self.maps {
+        for map in self.maps.iter().filter(|m| m.map.moves_matter()) {
             let cube = map.bounds_in_world();
             let (reach, _) = map.backward_bounds(&cube);
             if !reach.intersection(&all).is_empty() {

@@ -5,14 +5,14 @@ use crate::{Error, Result};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// A file being made. Opened before the work starts, so that an output that cannot be written is known at once.
+/// A file that will be made. Its place is tried before the work starts, so that an output that cannot be written is known at once; nothing
+/// lies there while the work goes on.
 pub struct Output {
     path: PathBuf,
-    file: tempfile::NamedTempFile,
 }
 
 impl Output {
-    /// Opens a temporary file beside `path`.
+    /// Tries the place of `path`.
     ///
     /// # Errors
     /// A folder that does not exist or cannot be written, a path that is a folder.
@@ -20,29 +20,35 @@ impl Output {
         if path.is_dir() {
             return Err(Error::file(path, "is a folder; name a file in it"));
         }
-        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let mut builder = tempfile::Builder::new();
-        builder.prefix(".incise-").suffix(".part");
-        #[cfg(unix)]
-        {
-            // As any program's new file, less the umask.
-            use std::os::unix::fs::PermissionsExt;
-            builder.permissions(std::fs::Permissions::from_mode(0o666));
-        }
-        let file = builder.tempfile_in(folder).map_err(|e| Error::io(path, "writing", e))?;
-        Ok(Self { path: path.to_owned(), file })
+        beside(path)?;
+        Ok(Self { path: path.to_owned() })
     }
 
     /// Writes the content and puts the file in its place.
     ///
     /// # Errors
     /// A full disk, a destination that cannot be replaced.
-    pub fn finish(mut self, content: &[u8]) -> Result<()> {
+    pub fn finish(self, content: &[u8]) -> Result<()> {
         let path = self.path;
-        self.file.write_all(content).and_then(|()| self.file.as_file().sync_all()).map_err(|e| Error::io(&path, "writing", e))?;
-        self.file.persist(&path).map_err(|e| Error::io(&path, "writing", e.error))?;
+        let mut file = beside(&path)?;
+        file.write_all(content).and_then(|()| file.as_file().sync_all()).map_err(|e| Error::io(&path, "writing", e))?;
+        file.persist(&path).map_err(|e| Error::io(&path, "writing", e.error))?;
         Ok(())
     }
+}
+
+/// A temporary file in the folder of `path`.
+fn beside(path: &Path) -> Result<tempfile::NamedTempFile> {
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".incise-").suffix(".part");
+    #[cfg(unix)]
+    {
+        // As any program's new file, less the umask.
+        use std::os::unix::fs::PermissionsExt;
+        builder.permissions(std::fs::Permissions::from_mode(0o666));
+    }
+    builder.tempfile_in(folder).map_err(|e| Error::io(path, "writing", e))
 }
 
 /// A picture over a background as PNG: 8 bits per channel, RGB if the background is opaque, else RGBA (not premultiplied).

@@ -88,7 +88,7 @@ impl Bounds {
         let inverse = direction.recip();
         let a = (self.min - origin) * inverse;
         let b = (self.max - origin) * inverse;
-        // 0 * inf is NaN for a ray that lies in a face's plane: min/max of the other operand drops it.
+        // 0 * inf is NaN for a ray that lies in a face's plane; min and max drop it, and such a ray misses or grazes.
         let (mut near, mut far) = (f32::NEG_INFINITY, f32::INFINITY);
         for axis in 0..3 {
             near = near.max(a[axis].min(b[axis]));

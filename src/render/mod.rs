@@ -2,7 +2,8 @@
 //!
 //! *Theory*: the shaders in `shaders/` state what `src/cpu` states, function by function. Slices are polygons of plane and proxy box,
 //! rasterised back to front and blended by the hardware into a 16-bit float target, premultiplied. Projections (MIP and its kin) blend by
-//! maximum or sum and pass through the transfer function in a second pass.
+//! maximum or sum, in 32 bits, and pass through the transfer function in a second pass. A composite of very many faint slices (a step of
+//! a twentieth of a voxel, say) loses what is below the 16-bit target's resolution; rays, which sum in 32 bits, do not.
 //!
 //! *How to call it*: a [`Renderer`] owns a device and keeps what outlives a picture: pipelines by variant, the volume's texture as long as
 //! the same volume is rendered. Uniforms, maps and tables are per picture.
@@ -32,6 +33,8 @@ use wgpu::{Features, TextureFormat};
 const PIXELS_PER_BAND: u32 = 1 << 16;
 /// Fragments per submission of slices, about.
 const FRAGMENTS_PER_BATCH: u64 = 1 << 24;
+/// What projections by slices are gathered in: sums of hundreds of samples need more than 16 bits.
+const GATHERED: TextureFormat = TextureFormat::Rgba32Float;
 /// Counters of `shaders/lib/count.wgsl`.
 const COUNTERS: usize = 3 * 1024;
 
@@ -113,6 +116,14 @@ impl Renderer {
                 limits.max_texture_dimension_2d
             )));
         }
+        if scene.settings.mode == Mode::Slice
+            && scene.blend != Blend::Composite
+            && !self.device.device.features().contains(Features::FLOAT32_BLENDABLE)
+        {
+            return Err(Error::Gpu(
+                "this device cannot blend 32-bit values, which projections by slices need; use --mode raycast or --backend cpu".into(),
+            ));
+        }
         if scene.frame.proxy.is_empty() {
             let pixels = vec![[0.0; 4]; width as usize * height as usize];
             return Ok(Rendered { picture: Picture { width, height, pixels }, stats: Some(RenderStats::default()), stages });
@@ -152,11 +163,6 @@ impl Renderer {
         }
     }
 
-    /// Sums of hundreds of samples need more than 16 bits.
-    fn gather_format(&self) -> TextureFormat {
-        if self.device.device.features().contains(Features::FLOAT32_BLENDABLE) { TextureFormat::Rgba32Float } else { TextureFormat::Rgba16Float }
-    }
-
     fn compile(&mut self, scene: &Prepared, counting: bool) {
         let programs: &[Program] = match (scene.settings.mode, scene.blend) {
             (Mode::Raycast, _) => &[Program::Raycast],
@@ -187,8 +193,8 @@ impl Renderer {
         };
         let (format, blend) = match (variant.program, variant.blend) {
             (Program::Slice, 0) => (TextureFormat::Rgba16Float, Some(over)),
-            (Program::Slice, 3) => (self.gather_format(), Some(gather(wgpu::BlendOperation::Add))),
-            (Program::Slice, _) => (self.gather_format(), Some(gather(wgpu::BlendOperation::Max))),
+            (Program::Slice, 3) => (GATHERED, Some(gather(wgpu::BlendOperation::Add))),
+            (Program::Slice, _) => (GATHERED, Some(gather(wgpu::BlendOperation::Max))),
             _ => (TextureFormat::Rgba16Float, None),
         };
         let own_layout = match variant.program {
@@ -286,7 +292,7 @@ impl Renderer {
         let [width, height] = scene.frame.size;
         let composite = scene.blend == Blend::Composite;
         let pipeline = &self.pipelines[&Self::variant(scene, Program::Slice, counting)];
-        let gathered = (!composite).then(|| self.target(width, height, self.gather_format()));
+        let gathered = (!composite).then(|| self.target(width, height, GATHERED));
         let canvas = gathered.as_ref().unwrap_or(target).create_view(&wgpu::TextureViewDescriptor::default());
         let empty = match scene.blend {
             Blend::Composite | Blend::Average => wgpu::Color::TRANSPARENT,

@@ -122,6 +122,16 @@ pub struct ViewFrame {
 }
 
 impl Camera {
+    /// Largest ratio of a ray's step between slices to the slices' distance: 1/cos of the angle to the picture's corners.
+    pub fn slant(&self, size: [u32; 2]) -> f32 {
+        if self.projection == Projection::Orthographic {
+            return 1.0;
+        }
+        let tan = (self.field_of_view.to_radians() / 2.0).tan() / self.zoom;
+        let aspect = size[0] as f32 / size[1] as f32;
+        (1.0 + tan * tan * (1.0 + aspect * aspect)).sqrt()
+    }
+
     /// Places the camera so that at zoom 1 the box just fits the picture.
     ///
     /// # Errors
@@ -176,6 +186,15 @@ impl Camera {
 }
 
 impl ViewFrame {
+    /// Moves an orthographic eye back until a box lies in front of it: deformations can carry matter out of the volume's box. (A
+    /// perspective eye stays: what it has behind it, it does not see.)
+    pub fn step_back_from(&mut self, bounds: &Bounds, margin_mm: f32) {
+        let nearest = bounds.corners().iter().map(|&c| (c - self.eye).dot(self.forward)).fold(f32::INFINITY, f32::min);
+        if self.projection == Projection::Orthographic && nearest < margin_mm {
+            self.eye -= self.forward * (margin_mm - nearest);
+        }
+    }
+
     /// Origin and unit direction of the ray through picture coordinates in -1..1.
     #[inline(always)]
     pub fn ray(&self, u: f32, v: f32) -> (Vec3, Vec3) {

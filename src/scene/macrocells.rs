@@ -72,14 +72,16 @@ impl Macrocells {
     }
 
     /// Classifies a grid over `bounds`, the box of the deformed scene.
-    pub fn new(bounds: Bounds, voxel_mm: f32, contents: &Contents) -> Self {
+    ///
+    /// A sample within `reach_mm` of what can be seen counts as seeing it: beside a cut, samples look back one step.
+    pub fn new(bounds: Bounds, voxel_mm: f32, reach_mm: f32, contents: &Contents) -> Self {
         let extent = bounds.size();
         let edge = (extent.max_element() / MOST_CELLS).max(3.0 * voxel_mm);
         let size = (extent / edge).ceil().max(Vec3::ONE);
         let cell_mm = extent / size;
         let size = size.as_uvec3();
         // A sample that lies on a cell's face may be counted to either side.
-        let margin = 1e-3 * cell_mm.max_element();
+        let margin = 1e-3 * cell_mm.max_element() + reach_mm;
         let occupied: Vec<bool> = (0..size.element_product())
             .into_par_iter()
             .map(|index| {

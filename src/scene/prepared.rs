@@ -1,7 +1,7 @@
 //! A scene resolved for rendering, and the picture that comes out: the same types for every backend.
 
 use super::{Deformation, Light, Macrocells, Normals, RenderSettings, Scene, ViewFrame, macrocells::Contents};
-use crate::deform::kinds::{self, Sampling};
+use crate::deform::kinds::{self, DefaultSize, Sampling};
 use crate::deform::{PlacedMap, Placement, Stack};
 use crate::math::{Bounds, MinMaxPyramid, normalize_or, to_f32};
 use crate::transfer::{Blend, Table, default_preset};
@@ -138,7 +138,7 @@ impl<'a> Prepared<'a> {
             Ok((function, table))
         })?;
         let volume_box = volume.bounds_in_world();
-        let view = scene.camera.frame(&volume_box, settings.size)?;
+        let mut view = scene.camera.frame(&volume_box, settings.size)?;
         let reference_mm = volume.spacing_mm().min_element() as f32;
         let step_mm = settings.step * reference_mm;
         let blend_mm = [step_mm.max(reference_mm), BLEND_SAMPLES * step_mm.max(reference_mm)];
@@ -152,6 +152,7 @@ impl<'a> Prepared<'a> {
             return Err(Error::value("volume", "its voxel axes are singular; the file's geometry cannot be used"));
         }
         let deformed = stack.deformed_bounds(&volume_box);
+        view.step_back_from(&deformed, step_mm);
         let macrocells = stages.time("macrocells", || {
             if !settings.empty_space_skipping {
                 return Macrocells::solid(deformed);
@@ -164,7 +165,10 @@ impl<'a> Prepared<'a> {
                 table: &table,
                 blend: function.blend,
             };
-            Macrocells::new(deformed, reference_mm, &contents)
+            let slant = scene.camera.slant(settings.size);
+            let reach_mm = if stack.is_empty() { 0.0 } else { 1.01 * step_mm * slant };
+            // What looks back a step may lie beyond the box of the scene itself.
+            Macrocells::new(deformed.grown(reach_mm), reference_mm, reach_mm, &contents)
         });
         let light = scene.light.clone();
         let d = Vec3::from(light.direction);
@@ -225,8 +229,8 @@ fn check_settings(settings: &RenderSettings, light: &Light) -> Result<()> {
             return Err(Error::value(format!("light.{name}"), format!("{value} is outside 0 to 1")));
         }
     }
-    if !(0.0..=10_000.0).contains(&light.shininess) {
-        return Err(Error::value("light.shininess", format!("{} is outside 0 to 10000", light.shininess)));
+    if !(1.0..=10_000.0).contains(&light.shininess) {
+        return Err(Error::value("light.shininess", format!("{} is outside 1 to 10000", light.shininess)));
     }
     let direction = DVec3::from(light.direction.map(f64::from));
     if !(direction.is_finite() && direction.length() > 1e-6) {
@@ -254,13 +258,18 @@ fn place(deformation: &Deformation, scene_box: &Bounds, least_ramp_mm: f32) -> R
         }
     }
     .map_err(named)?;
+    if matches!(kind.size, DefaultSize::Across(_)) && deformation.size.is_some() {
+        return Err(Error::value(format!("{}: size", kind.name), "this kind reaches across everything and has no size; give center and rotate"));
+    }
     let size_mm = placement.size_mm();
     let progress = deformation.progress.unwrap_or(1.0);
     if !(0.0..=1.0).contains(&progress) {
         return Err(Error::value(format!("{}: progress", kind.name), format!("{progress} is outside 0 to 1")));
     }
-    if let Some(n) = deformation.resolution.filter(|n| !(8..=512).contains(n)) {
-        return Err(Error::value(format!("{}: resolution", kind.name), format!("{n} is outside 8 to 512 texels")));
+    // At most 2^24 texels: 128 MiB in half precision.
+    let finest = if kind.varies == [true; 3] { 256 } else { 512 };
+    if let Some(n) = deformation.resolution.filter(|n| !(8..=finest).contains(n)) {
+        return Err(Error::value(format!("{}: resolution", kind.name), format!("{n} is outside 8 to {finest} texels")));
     }
     let values = kind.values(deformation.parameters.iter().map(|(k, v)| (k.as_str(), *v)), size_mm)?;
     let sampling = Sampling { resolution: deformation.resolution, storage: deformation.storage, least_ramp_mm };
@@ -285,7 +294,7 @@ pub struct Picture {
 pub struct RenderStats {
     /// Samples for which the deformation and the volume were looked up.
     pub samples_taken: u64,
-    /// Samples inside the scene's box left out because their cell is empty.
+    /// Samples inside the box of what can be seen left out because their cell is empty.
     pub samples_skipped: u64,
     /// Samples left out because nothing behind an opaque ray can be seen.
     pub samples_terminated: u64,

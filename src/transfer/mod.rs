@@ -65,7 +65,7 @@ pub struct TransferSettings {
     /// Middle of that range, data units.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub level: Option<f64>,
-    /// Factor on all optical depths (1 = as the preset has it).
+    /// Factor on the optical depths of the control points (1 = as the preset has it).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub density: Option<f64>,
     /// The curve itself, instead of a preset's.

@@ -1,15 +1,15 @@
 //! What renderers sample: a grid of u8, i16, u16 or f32 and the scale to normalised values.
 //!
 //! Normalised: 0 = lowest finite value, 1 = highest. NaN and infinite voxels become [`HOLE`]; every finite voxel is at least 0, so
-//! an interpolated sample below 0 touches a hole and shows nothing. A hole thus reaches at most one voxel into its neighbours and
-//! never lets a made-up value through.
+//! an interpolated sample below 0 touches a hole and shows nothing. A hole thus reaches one voxel into its neighbours, to within a
+//! ten-thousandth of a voxel, in which values between theirs and 0 remain.
 
 use super::{Rescale, Volume, Voxels};
 use glam::{Vec3, Vec4};
 use std::sync::Arc;
 
 /// The normalised value of a voxel that holds nothing.
-pub const HOLE: f32 = -1.0;
+pub const HOLE: f32 = -1e4;
 
 /// Typed voxels shared with the [`Volume`] where the type allows.
 #[derive(Clone, Debug)]

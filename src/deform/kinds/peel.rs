@@ -28,7 +28,7 @@ pub(super) const KIND: Kind = Kind {
             unit: Unit::Mm,
             default: Amount::OfZ(0.25),
             min: Amount::OfZ(0.01),
-            max: Amount::OfZ(0.45),
+            max: Amount::OfZ(0.366),
             about: "thickness of the layer",
         },
         Parameter {
@@ -37,7 +37,7 @@ pub(super) const KIND: Kind = Kind {
             default: Amount::OfZ(0.38),
             min: Amount::OfZ(0.05),
             max: Amount::OfZ(0.44),
-            about: "of the roll's outer side; more than the depth",
+            about: "of the roll's outer side; at least 1.2 times the depth is used",
         },
     ],
     progressive: true,

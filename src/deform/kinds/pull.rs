@@ -23,7 +23,7 @@ pub(super) const KIND: Kind = Kind {
             unit: Unit::Mm,
             default: Amount::OfRadius(0.4),
             min: Amount::OfRadius(0.05),
-            max: Amount::OfRadius(0.5),
+            max: Amount::OfRadius(0.4),
             about: "width of the Gaussian",
         },
     ],

@@ -9,7 +9,7 @@ use super::{Amount, Backward, Context, DefaultSize, Field, Kind, Parameter, Unit
 use crate::math::smoothstep;
 use glam::{Vec2, Vec3};
 
-/// Angle from +z below which matter stays, radians.
+/// Angle from +z below which matter stays, if the box is high enough, radians.
 const LAST_ANGLE: f32 = 1.9;
 /// Height of the hinge above the lower face, share of the box.
 const HINGE: f32 = 0.15;
@@ -35,11 +35,15 @@ pub(super) const KIND: Kind = Kind {
     leaks: [false; 6],
     build: |c| {
         let half = c.half();
+        let radius = half.x.min((1.0 - HINGE) * c.size_mm.z);
+        // What swings must not reach below the box's lower face.
+        let to_floor = (HINGE * c.size_mm.z / radius).min(1.0);
         Box::new(Seam {
+            last_angle: LAST_ANGLE.min((-to_floor).acos()),
             angle: (c.values[0] * c.progress).to_radians(),
             half_y: half.y,
             hinge_z: -half.z + HINGE * c.size_mm.z,
-            radius: half.x.min((1.0 - HINGE) * c.size_mm.z),
+            radius,
             ramp: c.ramp_mm,
             texel: c.texel_mm,
         })
@@ -47,6 +51,8 @@ pub(super) const KIND: Kind = Kind {
 };
 
 struct Seam {
+    /// Angle from +z below which matter stays, radians.
+    last_angle: f32,
     angle: f32,
     half_y: f32,
     hinge_z: f32,
@@ -73,7 +79,7 @@ impl Field for Seam {
         let r = v.length();
         let beta = v.x.abs().atan2(v.y);
         let open = self.opening(r, q.y);
-        let source_beta = if beta >= LAST_ANGLE { beta } else { LAST_ANGLE * (beta - open).max(0.0) / (LAST_ANGLE - open) };
+        let source_beta = if beta >= self.last_angle { beta } else { self.last_angle * (beta - open).max(0.0) / (self.last_angle - open) };
         let context = Context { values: &[], progress: 1.0, size_mm: Vec3::ZERO, texel_mm: self.texel, ramp_mm: self.ramp };
         Backward { source: self.at_angle(q, r, source_beta.copysign(v.x)), cut_mm: context.gap(r * (beta - open), r * open) }
     }
@@ -83,7 +89,7 @@ impl Field for Seam {
         let r = v.length();
         let beta = v.x.abs().atan2(v.y);
         let open = self.opening(r, q.y);
-        let to = if beta >= LAST_ANGLE { beta } else { open + beta * (LAST_ANGLE - open) / LAST_ANGLE };
+        let to = if beta >= self.last_angle { beta } else { open + beta * (self.last_angle - open) / self.last_angle };
         Some(self.at_angle(q, r, to.copysign(v.x)))
     }
 }

@@ -131,15 +131,29 @@ fn parse(path: &Path, mut reader: impl Read, most_bytes: u64, progress: &mut dyn
         1280 => source.read::<u64>()?.into(),
         _ => source.read::<f64>()?.into(),
     };
+    if frames == 1 {
+        check_end(path, source.reader)?;
+    }
     let rescale = rescale(&h, &mut warnings);
     let world_from_voxel = geometry(&h, &mut warnings);
     let mut volume = Volume::new(voxels, size, rescale, world_from_voxel);
+    if !(volume.range[1] - volume.range[0]).is_finite() {
+        return Err(fail("holds values whose range cannot be represented; rescale it".into()));
+    }
     if volume.non_finite > 0 {
         warnings.push(format!("{} voxels are NaN or infinite and are rendered as empty", volume.non_finite));
     }
     volume.declared_labels = h.i16(68) == INTENT_LABEL;
     volume.warnings = warnings;
     Ok(volume)
+}
+
+/// Reads what follows the voxels, so that a gzip stream is checked to its checksum. Other bytes after the stream are nobody's harm.
+fn check_end(path: &Path, mut reader: impl Read) -> Result<()> {
+    match std::io::copy(&mut reader, &mut std::io::sink()) {
+        Err(e) if e.kind() == ErrorKind::UnexpectedEof || e.to_string().contains("checksum") => Err(read_error(path, e)),
+        _ => Ok(()),
+    }
 }
 
 /// Size in space and number of volumes.
