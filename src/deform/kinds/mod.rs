@@ -233,7 +233,9 @@ impl Kind {
             };
             let p = &self.parameters[n];
             let (min, max) = (p.min.resolve(size_mm), p.max.resolve(size_mm));
-            if !(min..=max).contains(&value) {
+            // A share of a size rounds; the range's own end is inside it.
+            let slack = 1e-5 * (max - min);
+            if !(min - slack..=max + slack).contains(&value) {
                 let unit = match p.unit {
                     Unit::Mm => " mm",
                     Unit::Degrees => " degrees",
