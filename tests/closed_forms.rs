@@ -73,6 +73,7 @@ pub fn transmittance_of_a_uniform_ball() {
                     let want = (1.0 - opacity).powf(chord);
                     worst = worst.max(((1.0 - f64::from(pixel[3])) / want - 1.0).abs());
                 }
+                println!("transmittance of the ball, {mode:?} {projection:?} step {step}: off by at most {:.3} %", 100.0 * worst);
                 assert!(worst > 0.0 && worst < 0.005, "{mode:?} {projection:?} step {step}: {worst}");
             }
         }
@@ -89,6 +90,7 @@ pub fn identity_map_changes_nothing() {
         let placement = Placement::new(Vec3::new(10.0, 20.0, 0.0), Vec3::new(120.0, 150.0, 200.0), Vec3::new(20.0, 30.0, 40.0)).unwrap();
         let with = Prepared::with_maps(&s, &assets, vec![placed(DisplacementMap::identity([9, 8, 7]), placement)]).unwrap();
         let d = difference(&picture(&Prepared::new(&s, &assets).unwrap()), &picture(&with)).unwrap();
+        println!("identity map, {mode:?}: max {:.4}/255", d.max / STEP);
         assert!(d.max <= STEP, "{mode:?} {d:?}");
     }
 }
@@ -110,6 +112,7 @@ pub fn translation_as_a_map_is_a_translation() {
     let by_volume = picture(&Prepared::new(&s, &moved).unwrap());
     let unmoved = picture(&Prepared::new(&s, &still).unwrap());
     let d = difference(&by_map, &by_volume).unwrap();
+    println!("translation as a map: PSNR {:.1} dB", d.psnr);
     assert!(d.psnr >= 45.0, "{d:?}");
     assert!(difference(&by_map, &unmoved).unwrap().psnr < 30.0, "the map moved nothing");
 }
@@ -162,7 +165,7 @@ pub fn normals_under_linear_maps() {
         let prepared = Prepared::with_maps(&scene(&[(0.0, 0.0), (1.0, 0.9)]), &assets, vec![placed(map, placement)]).unwrap();
         let s = linear * in_map * linear.inverse();
         let backward = |p: Vec3| center + s * (p - center);
-        let mut seen = 0;
+        let (mut seen, mut worst) = (0, 0.0f32);
         for x in points(1500) {
             let on_sphere = (x - 0.5).normalize_or(Vec3::X) * BALL_RADIUS_MM;
             let deformed = center + s.inverse() * (on_sphere - center);
@@ -174,8 +177,10 @@ pub fn normals_under_linear_maps() {
             let want = s.transpose() * on_sphere;
             let got = normal_at(&prepared, &assets.grid, deformed, false).unwrap();
             let off = angle_deg(got, want);
+            worst = worst.max(off);
             assert!(off <= 2.0, "{name}: {off} degrees at {deformed}");
         }
+        println!("normals under a {name}: off by at most {worst:.2} degrees");
         assert!(seen > 1000, "{name}: {seen}");
     }
 }
@@ -212,6 +217,7 @@ pub fn normals_under_a_twist() {
         seen += 1;
         close += usize::from(angle_deg(normal_at(&prepared, &assets.grid, p, false).unwrap(), -central) <= 3.0);
     }
+    println!("normals under a twist: {:.2} % within 3 degrees", 100.0 * close as f64 / seen as f64);
     assert!(seen > 5000 && close as f64 >= 0.95 * seen as f64, "{close} of {seen}");
 }
 
@@ -226,7 +232,7 @@ pub fn normals_on_cut_faces() {
         let sized = deformation(kind, [3.0, -2.0, 1.0], [size; 3], rotate);
         s.deformation.push(Deformation { size: sized.size.filter(|_| kind != "half-space"), ..sized });
         let prepared = Prepared::new(&s, &assets).unwrap();
-        let mut seen = 0;
+        let (mut seen, mut worst) = (0, 0.0f32);
         for x in points(3000) {
             // A point of the cut and its normal out of what stays, local to the box; half a voxel deep.
             let Some((on, out)) = surface(x - 0.5) else { continue };
@@ -237,8 +243,10 @@ pub fn normals_on_cut_faces() {
             seen += 1;
             let got = normal_at(&prepared, &assets.grid, deformed, true).unwrap_or_else(|| panic!("{kind}: cut at {deformed}"));
             let off = angle_deg(got, turned * out);
+            worst = worst.max(off);
             assert!(off <= 3.0, "{kind}: {off} degrees at {deformed}");
         }
+        println!("normals on the face of a {kind}: off by at most {worst:.2} degrees");
         assert!(seen > 300, "{kind}: {seen}");
     };
     face("half-space", 200.0, &|x| Some((Vec3::new(60.0 * x.x, 60.0 * x.y, 0.0), Vec3::Z)));
@@ -276,6 +284,7 @@ pub fn anisotropic_ball_is_round() {
     let assets = assets(phantom::generate("ball", [160, 160, 33], Vec3::new(1.0, 1.0, 5.0)).unwrap());
     for view in ["anterior", "left", "superior", "30,20"] {
         let (x, y, pixel) = silhouette(&Prepared::new(&opaque_ball_scene(view), &assets).unwrap());
+        println!("anisotropic ball, {view}: half width {x:.2} mm, half height {y:.2} mm, for {BALL_RADIUS_MM} mm");
         assert!((x - BALL_RADIUS_MM).abs() <= 0.5 + pixel / 2.0, "{view}: {x}");
         // Along z a voxel is 5 mm; seen from above, 1 mm.
         let half_voxel = if view == "superior" { 0.5 } else { 2.5 };
@@ -332,6 +341,7 @@ pub fn path_through_a_cut_slab_is_exact() {
             let want = 1.0 - 0.95f32.powf(top + 24.0);
             worst = worst.max((pixel[3] - want).abs());
         }
+        println!("path through a cut slab, step {step}: opacity off by at most {worst:.5}");
         assert!(worst > 0.0 && worst < 0.004, "step {step}: {worst}");
     }
 }

@@ -54,6 +54,7 @@ pub fn skipping_and_termination_change_nothing() {
             for (skipping, termination) in [(true, false), (false, true), (true, true)] {
                 let r = render(skipping, termination);
                 let d = difference(&neither.picture, &r.picture).unwrap();
+                println!("{name} {mode:?}: skipping {skipping}, termination {termination}: max {:.3}/255", d.max / STEP);
                 assert!(d.max <= STEP, "{name} {mode:?} skipping {skipping}, termination {termination}: {d:?}");
                 let (with, without) = (r.stats.unwrap(), stats);
                 assert!(with.samples_taken < without.samples_taken * 9 / 10, "{name}: {with:?} against {without:?}");
@@ -77,6 +78,7 @@ pub fn halving_the_step_changes_little() {
                 picture(&Prepared::new(&scene, &assets).unwrap())
             };
             let d = difference(&at(1.0), &at(0.5)).unwrap();
+            println!("{name} {mode:?}: step halved, mean change {:.3}/255", d.mean / STEP);
             assert!(d.mean > 0.0 && d.mean < 2.0 * STEP, "{name} {mode:?}: {}/255", d.mean / STEP);
         }
     }
@@ -97,6 +99,7 @@ pub fn slices_approach_rays() {
             };
             difference(&by(Mode::Slice), &by(Mode::Raycast)).unwrap().mean
         });
+        println!("{name}: slices against rays at steps 2, 1, 0.5, 0.25: mean {:.3?}/255", differences.map(|d| d / STEP));
         assert!(differences[3] > 0.0 && differences.windows(2).all(|w| w[1] < w[0]), "{name}: {differences:?}");
         assert!(differences[3] < 0.5 * differences[0]);
     }

@@ -3,7 +3,7 @@
 //! The half opening o(y, z) is a lens along the cut, widest in the middle, growing from nothing at the cut's floor to `opening`/2 at
 //! the box's upper part. Matter from the plane x = 0 to the box's side is compressed linearly into what is left: x = X (|x'| - o)/(X - o).
 
-use super::{Amount, Backward, Context, DefaultSize, Field, Kind, Parameter, Unit};
+use super::{Amount, Backward, DefaultSize, Field, Gaps, Kind, Parameter, Unit};
 use glam::Vec3;
 
 pub(super) const KIND: Kind = Kind {
@@ -42,8 +42,7 @@ pub(super) const KIND: Kind = Kind {
             half_opening: c.values[2] * c.progress / 2.0,
             half_x: half.x,
             top: half.z,
-            ramp: c.ramp_mm,
-            texel: c.texel_mm,
+            gaps: c.gaps(),
         })
     },
 };
@@ -54,8 +53,7 @@ struct Knife {
     half_opening: f32,
     half_x: f32,
     top: f32,
-    ramp: f32,
-    texel: f32,
+    gaps: Gaps,
 }
 
 impl Knife {
@@ -72,8 +70,7 @@ impl Field for Knife {
         let open = self.opening(q.y, q.z);
         let x = q.x.abs();
         let source_x = if x >= self.half_x { x } else { self.half_x * (x - open).max(0.0) / (self.half_x - open) };
-        let context = Context { values: &[], progress: 1.0, size_mm: Vec3::ZERO, texel_mm: self.texel, ramp_mm: self.ramp };
-        Backward { source: Vec3::new(source_x.copysign(q.x), q.y, q.z), cut_mm: context.gap(x - open, open) }
+        Backward { source: Vec3::new(source_x.copysign(q.x), q.y, q.z), cut_mm: self.gaps.distance(x - open, open) }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {

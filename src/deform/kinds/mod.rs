@@ -159,9 +159,21 @@ impl Context<'_> {
         self.size_mm / 2.0
     }
 
-    /// Signed distance to a gap from the signed distance to its wall and its half width: a gap that narrows below a texel closes, and
-    /// what has closed is far from any cut.
-    fn gap(&self, to_wall: f32, half_width: f32) -> f32 {
+    fn gaps(&self) -> Gaps {
+        Gaps { ramp_mm: self.ramp_mm, texel_mm: self.texel_mm }
+    }
+}
+
+/// Gaps that a map can show: one that narrows below a texel closes, and what has closed is far from any cut.
+#[derive(Clone, Copy)]
+struct Gaps {
+    ramp_mm: f32,
+    texel_mm: f32,
+}
+
+impl Gaps {
+    /// Signed distance to a gap, mm, from the signed distance to its wall and its half width.
+    fn distance(&self, to_wall: f32, half_width: f32) -> f32 {
         to_wall + 2.0 * self.ramp_mm * (1.0 - half_width / self.texel_mm).clamp(0.0, 1.0)
     }
 }

@@ -5,7 +5,7 @@
 //! linearly: matter swings aside and is compressed towards β_e, below which nothing moves. φ fades with the radius and towards the
 //! ends of the seam; r and y stay, so the inverse is exact.
 
-use super::{Amount, Backward, Context, DefaultSize, Field, Kind, Parameter, Unit, window};
+use super::{Amount, Backward, DefaultSize, Field, Gaps, Kind, Parameter, Unit, window};
 use crate::math::smoothstep;
 use glam::{Vec2, Vec3};
 
@@ -44,8 +44,7 @@ pub(super) const KIND: Kind = Kind {
             half_y: half.y,
             hinge_z: -half.z + HINGE * c.size_mm.z,
             radius,
-            ramp: c.ramp_mm,
-            texel: c.texel_mm,
+            gaps: c.gaps(),
         })
     },
 };
@@ -57,8 +56,7 @@ struct Seam {
     half_y: f32,
     hinge_z: f32,
     radius: f32,
-    ramp: f32,
-    texel: f32,
+    gaps: Gaps,
 }
 
 impl Seam {
@@ -80,8 +78,7 @@ impl Field for Seam {
         let beta = v.x.abs().atan2(v.y);
         let open = self.opening(r, q.y);
         let source_beta = if beta >= self.last_angle { beta } else { self.last_angle * (beta - open).max(0.0) / (self.last_angle - open) };
-        let context = Context { values: &[], progress: 1.0, size_mm: Vec3::ZERO, texel_mm: self.texel, ramp_mm: self.ramp };
-        Backward { source: self.at_angle(q, r, source_beta.copysign(v.x)), cut_mm: context.gap(r * (beta - open), r * open) }
+        Backward { source: self.at_angle(q, r, source_beta.copysign(v.x)), cut_mm: self.gaps.distance(r * (beta - open), r * open) }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {

@@ -4,7 +4,7 @@
 //! source plane), so the map is continuous and the mask alone says where the gaps are. What lies beyond the last gap moves with it:
 //! the box should enclose the matter, with room for the spread.
 
-use super::{Amount, Backward, DefaultSize, Field, Kind, Parameter, Unit};
+use super::{Amount, Backward, DefaultSize, Field, Gaps, Kind, Parameter, Unit};
 use glam::Vec3;
 
 pub(super) const KIND: Kind = Kind {
@@ -42,23 +42,14 @@ pub(super) const KIND: Kind = Kind {
     varies: [false, false, true],
     resolution: 512,
     leaks: [true; 6],
-    build: |c| {
-        Box::new(Slab {
-            thickness: c.values[0],
-            gap: c.values[1] * c.progress,
-            fixed_z: (c.values[2] - 0.5) * c.size_mm.z,
-            widen: 2.0 * c.ramp_mm,
-            texel: c.texel_mm,
-        })
-    },
+    build: |c| Box::new(Slab { thickness: c.values[0], gap: c.values[1] * c.progress, fixed_z: (c.values[2] - 0.5) * c.size_mm.z, gaps: c.gaps() }),
 };
 
 struct Slab {
     thickness: f32,
     gap: f32,
     fixed_z: f32,
-    widen: f32,
-    texel: f32,
+    gaps: Gaps,
 }
 
 impl Field for Slab {
@@ -71,8 +62,7 @@ impl Field for Slab {
         let source_z = n * t + within.min(t) - t / 2.0 + self.fixed_z;
         // Positive in a slab: distance to the nearer of its two gaps; negative in a gap.
         let cut = if within <= t { within.min(t - within) } else { -(within - t).min(t + g - within) };
-        let closed = self.widen * (1.0 - g / 2.0 / self.texel).clamp(0.0, 1.0);
-        Backward { source: Vec3::new(q.x, q.y, source_z), cut_mm: cut + closed }
+        Backward { source: Vec3::new(q.x, q.y, source_z), cut_mm: self.gaps.distance(cut, g / 2.0) }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
