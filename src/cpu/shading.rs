@@ -13,10 +13,13 @@
 //!   cut's normal. The sum over a ray is then the exact path through a planar cut, wherever the samples fall: no rings on cuts.
 //! - A sample behind which the ray has just entered matter is shaded where it entered (where half its own density is reached, found by
 //!   bisection), not wherever within the step the sample happens to lie: else surfaces show the sampling as rings.
+//! - Matter thinner than a step between a cut and the next sample is looked for, by bisection, where a cut is near and the sample shows
+//!   nothing: else the thin end of what a cut crosses at a slant is hit or missed by turns, and its edge is a comb.
 //! - Which side of a surface is outside is asked of the transfer function: where opacity falls. (Only one-sided light needs to know.)
 //! - Where the volume is uniform its gradient is noise. Its share fades with its size, and what has no normal is lit evenly.
 //!
-//! `shaders/lib/shading.wgsl` says the same.
+//! `shaders/lib/shading.wgsl` says the same; it takes the Jacobian at a sample once more instead of keeping it, so that samples, entries
+//! and slivers share one call.
 
 use super::Look;
 use crate::deform::{Cut, Jet};

@@ -120,11 +120,6 @@ impl Macrocells {
         let far = a.max(b);
         Some(far.x.min(far.y).min(far.z))
     }
-
-    /// Whether a point lies in an occupied cell.
-    pub fn is_occupied(&self, p: Vec3) -> bool {
-        self.empty_until(p, p, Vec3::ONE).is_none()
-    }
 }
 
 /// Two sweeps over the 13 earlier neighbours, exact for the chessboard metric; saturates at 255.

@@ -137,8 +137,9 @@ impl Volume {
         Histogram { low, high, counts }
     }
 
-    /// The number of distinct labels besides 0, if this is a label map: declared so by its file, or an integer volume of at most 1000
-    /// distinct values, none negative, of which at least 90 % equal their neighbour along i.
+    /// The number of distinct labels besides 0, if this is a label map: an unscaled integer volume without negative values that its file
+    /// declares to be one, or that looks like one (at most 1000 labels; at least 90 % of all voxels, and 75 % of those with a label,
+    /// equal their neighbour along i).
     pub fn labels(&self) -> Option<usize> {
         if self.rescale != Rescale::NONE || !self.voxels.is_integer() || self.range[0] < 0.0 || self.range[1] > 65_535.0 {
             return None;
