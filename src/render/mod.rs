@@ -58,6 +58,30 @@ pub struct Renderer {
     volume: Option<VolumeTexture>,
 }
 
+/// One picture being drawn.
+#[derive(Clone, Copy)]
+struct Draw<'a> {
+    scene: &'a Prepared<'a>,
+    bindings: &'a wgpu::BindGroup,
+    counter: Option<&'a Counter>,
+    target: &'a wgpu::Texture,
+    progress: &'a dyn Fn(f32),
+}
+
+impl Draw<'_> {
+    fn variant(&self, program: Program) -> Variant {
+        Renderer::variant(self.scene, program, self.counter.is_some())
+    }
+
+    /// Binds the scene, and the counters if samples are counted.
+    fn bind(&self, pass: &mut wgpu::RenderPass) {
+        pass.set_bind_group(0, self.bindings, &[]);
+        if let Some(counter) = self.counter {
+            pass.set_bind_group(1, &counter.group, &[]);
+        }
+    }
+}
+
 /// A volume on the GPU.
 struct VolumeTexture {
     /// Identity of the voxels: the pointer is kept alive by `_voxels`.
@@ -136,11 +160,10 @@ impl Renderer {
         let counter = counting.then(|| Counter::new(&self.device.device));
         let target = self.target(width, height, TextureFormat::Rgba16Float);
         stages.time("pipelines", || self.compile(scene, counting));
-        stages.time("draw", || -> Result<()> {
-            match scene.settings.mode {
-                Mode::Raycast => self.draw_rays(scene, counting, &bindings, counter.as_ref(), &target, progress),
-                Mode::Slice => self.draw_slices(scene, counting, &bindings, counter.as_ref(), &target, progress),
-            }
+        let draw = Draw { scene, bindings: &bindings, counter: counter.as_ref(), target: &target, progress };
+        stages.time("draw", || match scene.settings.mode {
+            Mode::Raycast => self.draw_rays(&draw),
+            Mode::Slice => self.draw_slices(&draw),
         })?;
         let pixels = stages.time("readback", || read_rgba16f(&self.device.device, &self.device.queue, &target))?;
         let stats = counter.map(|c| c.read(&self.device)).transpose()?;
@@ -249,17 +272,10 @@ impl Renderer {
         })
     }
 
-    fn draw_rays(
-        &self,
-        scene: &Prepared,
-        counting: bool,
-        bindings: &wgpu::BindGroup,
-        counter: Option<&Counter>,
-        target: &wgpu::Texture,
-        progress: &dyn Fn(f32),
-    ) -> Result<()> {
+    fn draw_rays(&self, draw: &Draw) -> Result<()> {
+        let Draw { scene, target, progress, .. } = *draw;
         let [width, height] = scene.frame.size;
-        let pipeline = &self.pipelines[&Self::variant(scene, Program::Raycast, counting)];
+        let pipeline = &self.pipelines[&draw.variant(Program::Raycast)];
         let view = target.create_view(&wgpu::TextureViewDescriptor::default());
         let rows = (PIXELS_PER_BAND / width).clamp(1, height);
         for top in (0..height).step_by(rows as usize) {
@@ -267,10 +283,7 @@ impl Renderer {
             self.pass(&view, load, |pass| {
                 pass.set_scissor_rect(0, top, width, rows.min(height - top));
                 pass.set_pipeline(pipeline);
-                pass.set_bind_group(0, bindings, &[]);
-                if let Some(counter) = counter {
-                    pass.set_bind_group(1, &counter.group, &[]);
-                }
+                draw.bind(pass);
                 pass.draw(0..3, 0..1);
             });
             wait(&self.device.device)?;
@@ -279,19 +292,12 @@ impl Renderer {
         Ok(())
     }
 
-    fn draw_slices(
-        &self,
-        scene: &Prepared,
-        counting: bool,
-        bindings: &wgpu::BindGroup,
-        counter: Option<&Counter>,
-        target: &wgpu::Texture,
-        progress: &dyn Fn(f32),
-    ) -> Result<()> {
+    fn draw_slices(&self, draw: &Draw) -> Result<()> {
+        let Draw { scene, target, progress, .. } = *draw;
         let device = &self.device.device;
         let [width, height] = scene.frame.size;
         let composite = scene.blend == Blend::Composite;
-        let pipeline = &self.pipelines[&Self::variant(scene, Program::Slice, counting)];
+        let pipeline = &self.pipelines[&draw.variant(Program::Slice)];
         let gathered = (!composite).then(|| self.target(width, height, GATHERED));
         let canvas = gathered.as_ref().unwrap_or(target).create_view(&wgpu::TextureViewDescriptor::default());
         let empty = match scene.blend {
@@ -312,10 +318,7 @@ impl Renderer {
                 let end = range.end;
                 self.pass(&canvas, wgpu::LoadOp::Load, |pass| {
                     pass.set_pipeline(pipeline);
-                    pass.set_bind_group(0, bindings, &[]);
-                    if let Some(counter) = counter {
-                        pass.set_bind_group(1, &counter.group, &[]);
-                    }
+                    draw.bind(pass);
                     pass.set_vertex_buffer(0, vertices.slice(..));
                     pass.draw(range, 0..1);
                 });
@@ -326,7 +329,7 @@ impl Renderer {
         if composite {
             return Ok(());
         }
-        let resolve = &self.pipelines[&Self::variant(scene, Program::Resolve, counting)];
+        let resolve = &self.pipelines[&draw.variant(Program::Resolve)];
         let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: None,
             layout: &gathered_layout(device),
@@ -335,7 +338,7 @@ impl Renderer {
         let view = target.create_view(&wgpu::TextureViewDescriptor::default());
         self.pass(&view, wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT), |pass| {
             pass.set_pipeline(resolve);
-            pass.set_bind_group(0, bindings, &[]);
+            pass.set_bind_group(0, draw.bindings, &[]);
             pass.set_bind_group(1, &group, &[]);
             pass.draw(0..3, 0..1);
         });
