@@ -190,10 +190,8 @@ pub fn normals_under_a_twist() {
     let assets = field_volume(|p| 0.5 + (p.x * 0.11).sin() * (p.y * 0.09 + 0.4).sin() * (p.z * 0.1 + 0.9).cos() * 0.5);
     let mut s = scene(&[(0.0, 0.0), (1.0, 0.9)]);
     s.light.two_sided = false;
-    s.deformation.push(Deformation {
-        parameters: [("angle".to_owned(), 80.0)].into(),
-        ..deformation("twist", [0.0; 3], [260.0, 260.0, 170.0], [10.0, 0.0, 0.0])
-    });
+    s.deformation
+        .push(Deformation { parameters: [("angle", 80.0.into())].into(), ..deformation("twist", [0.0; 3], [260.0, 260.0, 170.0], [10.0, 0.0, 0.0]) });
     let prepared = Prepared::new(&s, &assets).unwrap();
     let GridVoxels::F32(voxels) = &assets.grid.voxels else { panic!() };
     let sampler = Sampler::new(&assets.grid, voxels);

@@ -42,7 +42,6 @@ pub fn bad_input_is_named_and_leaves_no_file() {
     scene("matrix.toml", "incise = 1\n[volume]\npath = \"good.nii\"\n[[deformation]]\nkind = \"twist\"\nmatrix = [[1,0,0,0],[1,0,0,0],[0,0,1,0]]\n");
     scene("missing.toml", "incise = 1\n[volume]\npath = \"nowhere.nii\"\n");
     std::fs::write(f.join("text.nii"), "this is no scan").unwrap();
-    let nine: Vec<&str> = std::iter::repeat_n(["--deform", "pull"], 9).flatten().collect();
     let cases: &[(&[&str], &str)] = &[
         (&["nowhere.nii"], "nowhere.nii"),
         (&["cut.nii.gz"], "cut.nii.gz"),
@@ -63,7 +62,7 @@ pub fn bad_input_is_named_and_leaves_no_file() {
         (&["good.nii", "--deform", "twist:angle=1e9"], "angle"),
         (&["good.nii", "--deform", "pull:size=0"], "singular"),
         (&["good.nii", "--deform", "pull:size=1,2"], "size"),
-        (&["good.nii", "--deform", "field:path=x.nii"], "field"),
+        (&["good.nii", "--deform", "field:path=x.nii"], "x.nii"),
         (&["good.nii", "--size", "0x0"], "0 x 0"),
         (&["good.nii", "--size", "100000x100000"], "100000"),
         (&["good.nii", "--size", "wide"], "wide"),
@@ -81,7 +80,6 @@ pub fn bad_input_is_named_and_leaves_no_file() {
         (&["good.nii", "--stats", "out.png"], "same file"),
         (&["good.nii", "--deform", "half-space:size=3"], "no size"),
         (&["good.nii", "--deform", "twist:resolution=512"], "resolution"),
-        (&[&["good.nii"], &nine[..]].concat(), "at most 8"),
     ];
     let before = std::fs::read_dir(f).unwrap().count();
     for (arguments, culprit) in cases {

@@ -1,10 +1,13 @@
 //! The contract of every kind of deformation (see src/deform/kinds/mod.rs), on the CPU; tests/parity.rs has the shaders' side.
 
 use glam::{Affine3A, Mat3, Quat, Vec3};
-use incise::deform::kinds::{self, Kind, Sampling};
-use incise::deform::{PlacedMap, Placement, Storage};
+use incise::deform::kinds::{self, Field, Inputs, Kind, Sampling};
+use incise::deform::{Arguments, DisplacementMap, Library, PlacedMap, Placement, Storage};
+use incise::math::Bounds;
+use incise::volume::phantom;
 use libtest_mimic::Trial;
-use std::sync::Arc;
+use std::path::PathBuf;
+use std::sync::{Arc, LazyLock};
 
 pub const SIZE: Vec3 = Vec3::new(80.0, 64.0, 72.0);
 pub const SAMPLING: Sampling = Sampling { resolution: None, storage: Storage::F16, least_ramp_mm: 3.0 };
@@ -32,6 +35,24 @@ pub fn trials() -> Vec<Trial> {
         .collect()
 }
 
+/// The volume that sourced kinds follow: a head, centred on the box.
+static LIBRARY: LazyLock<Library> = LazyLock::new(|| Library::new(Arc::new(phantom::from_spec("head-ct:size=48").unwrap()), PathBuf::new()));
+
+/// What a kind is given in a box of this size around the origin.
+fn settings(kind: &Kind, size: Vec3) -> Arguments {
+    kind.example(&Bounds::new(-size / 2.0, size / 2.0))
+}
+
+fn field(kind: &Kind, values: &[f32], progress: f32) -> Box<dyn Field> {
+    let settings = settings(kind, SIZE);
+    kind.field(values, progress, SIZE, &SAMPLING, &Inputs { settings: &settings, world_from_local: Affine3A::IDENTITY, library: &LIBRARY }).unwrap()
+}
+
+fn map(kind: &Kind, values: &[f32], progress: f32, size: Vec3) -> DisplacementMap {
+    let settings = settings(kind, size);
+    kind.map(values, progress, size, &SAMPLING, &Inputs { settings: &settings, world_from_local: Affine3A::IDENTITY, library: &LIBRARY }).unwrap()
+}
+
 fn defaults(kind: &Kind) -> Vec<f32> {
     kind.values([], SIZE).unwrap()
 }
@@ -47,7 +68,7 @@ pub fn points(n: usize) -> impl Iterator<Item = Vec3> {
 
 fn no_strength_is_the_identity(kind: &'static Kind) {
     assert!(kind.progressive);
-    let map = kind.map(&defaults(kind), 0.0, SIZE, &SAMPLING);
+    let map = map(kind, &defaults(kind), 0.0, SIZE);
     for x in points(2000) {
         let s = map.sample(x);
         assert!(s.displacement.abs().max_element() <= 1e-6, "{}: {:?} at {x}", kind.name, s);
@@ -57,7 +78,7 @@ fn no_strength_is_the_identity(kind: &'static Kind) {
 
 /// In a rotated, anisotropic placement, away from cuts and from the kinks of the trilinear map.
 fn jacobian_is_the_derivative(kind: &'static Kind) {
-    let map = Arc::new(kind.map(&defaults(kind), 0.8, SIZE, &SAMPLING));
+    let map = Arc::new(map(kind, &defaults(kind), 0.8, SIZE));
     let rotation = Mat3::from_quat(Quat::from_euler(glam::EulerRot::XYZ, 0.4, -0.7, 1.1));
     let linear = rotation * Mat3::from_diagonal(SIZE * kind.inflate);
     let placement = Placement::from_affine(Affine3A::from_mat3_translation(linear, Vec3::new(5.0, -3.0, 11.0))).unwrap();
@@ -85,7 +106,7 @@ fn jacobian_is_the_derivative(kind: &'static Kind) {
 /// Where a source point goes, matter is, and it came from there.
 fn backward_undoes_forward(kind: &'static Kind) {
     for progress in [0.35, 1.0] {
-        let field = kind.field(&defaults(kind), progress, SIZE, &SAMPLING);
+        let field = field(kind, &defaults(kind), progress);
         let mut seen = 0;
         for x in points(4000) {
             let source = (x - 0.5) * SIZE * kind.inflate;
@@ -112,7 +133,7 @@ fn vanishes_on_the_faces_it_says(kind: &'static Kind) {
 }
 
 fn vanishes_in_a_box(kind: &'static Kind, size: Vec3) {
-    let map = kind.map(&kind.values([], size).unwrap(), 1.0, size, &SAMPLING);
+    let map = map(kind, &kind.values([], size).unwrap(), 1.0, size);
     for (face, leaks) in kind.leaks.into_iter().enumerate() {
         let mut most = 0.0f32;
         for x in points(1500) {
@@ -153,13 +174,13 @@ fn odd_input_gives_finite_values(kind: &'static Kind) {
             end.parse::<f32>().unwrap()
         };
         let values = kind.values([(name, value)], SIZE).unwrap();
-        let field = kind.field(&values, progress, SIZE, &SAMPLING);
+        let field = field(kind, &values, progress);
         for x in points(300) {
             let b = field.backward((x - 0.5) * SIZE);
             assert!(b.source.is_finite() && !b.cut_mm.is_nan(), "{} {name}={value} at {x}: {b:?}", kind.name);
         }
     }
-    let field = kind.field(&defaults(kind), 1.0, SIZE, &SAMPLING);
+    let field = field(kind, &defaults(kind), 1.0);
     for q in [Vec3::ZERO, SIZE / 2.0, -SIZE / 2.0, Vec3::new(0.0, 0.0, -SIZE.z / 2.0), Vec3::splat(1e-20)] {
         let b = field.backward(q);
         assert!(b.source.is_finite() && !b.cut_mm.is_nan(), "{} at {q}: {b:?}", kind.name);
@@ -168,7 +189,7 @@ fn odd_input_gives_finite_values(kind: &'static Kind) {
 
 /// D must not jump where matter is or within a texel of it; the mask alone carries the discontinuity.
 fn displacement_is_continuous(kind: &'static Kind) {
-    let field = kind.field(&defaults(kind), 0.8, SIZE, &SAMPLING);
+    let field = field(kind, &defaults(kind), 0.8);
     let h = 0.01;
     for x in points(6000) {
         let q = (x - 0.5) * SIZE * 0.98;

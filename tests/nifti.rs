@@ -241,6 +241,7 @@ pub fn the_first_of_a_series_is_taken() {
     let mut f = small();
     f.i16(40, 5);
     f.i16(50, 3);
+    f.voxels((0..72u8).map(|v| [v]));
     assert!(read(&f.write(folder.path(), "vector.nii")).unwrap_err().to_string().contains("3 values per voxel"));
 }
 

@@ -28,37 +28,43 @@ fn outside(x: vec3<f32>) -> bool {
     return any(x < vec3<f32>(0.0)) || any(x > vec3<f32>(1.0));
 }
 
-// The point before map k was applied, and the mask.
-fn backward(k: u32, p: vec3<f32>) -> vec4<f32> {
+// Displacement, mm, and mask of map k.
+fn displacement(k: u32, p: vec3<f32>) -> vec4<f32> {
     let x = transform_point(maps[k].map_from_world, p);
     if outside(x) {
-        return vec4<f32>(p, 1.0);
+        return vec4<f32>(0.0, 0.0, 0.0, 1.0);
     }
     let t = fetch(k, x);
-    return vec4<f32>(p + linear_part(maps[k].world_from_stored) * t.xyz, t.w);
+    return vec4<f32>(linear_part(maps[k].world_from_stored) * t.xyz, t.w);
 }
 
 // xyz: the source point; w: the smallest mask value on the way. The walk ends where a mask cuts (below 1/2).
 fn walk(deformed: vec3<f32>) -> vec4<f32> {
     var p = vec4<f32>(deformed, 1.0);
+    // Where the maps that are added to each other are all evaluated.
+    var here = deformed;
     for (var n = MAPS; n > 0u; n -= 1u) {
-        let before = backward(n - 1u, p.xyz);
-        p.w = min(p.w, before.w);
-        if before.w < 0.5 {
+        let d = displacement(n - 1u, here);
+        p.w = min(p.w, d.w);
+        if d.w < 0.5 {
             break;
         }
-        p = vec4<f32>(before.xyz, p.w);
+        p = vec4<f32>(p.xyz + d.xyz, p.w);
+        if maps[n - 1u].added < 0.5 {
+            here = p.xyz;
+        }
     }
     return p;
 }
 
 fn jet(deformed: vec3<f32>) -> Jet {
     var j = Jet(deformed, 1.0, mat3x3<f32>(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), NO_CUT);
+    var here = deformed;
+    var d_here = j.d_source_d_deformed;
     for (var n = MAPS; n > 0u; n -= 1u) {
         let k = n - 1u;
-        let p = j.source;
-        let before = backward(k, p);
-        let x = transform_point(maps[k].map_from_world, p);
+        let moved = displacement(k, here);
+        let x = transform_point(maps[k].map_from_world, here);
         if !outside(x) {
             // Differences over one texel to each side, shortened at the cube's faces; columns are d stored / d map axis.
             let size = maps[k].size;
@@ -78,13 +84,17 @@ fn jet(deformed: vec3<f32>) -> Jet {
                 slope[axis] = d.w;
             }
             let inverse = linear_part(maps[k].map_from_world);
-            j.cut = or_nearer(j.cut, before.w - 0.5, transpose(j.d_source_d_deformed) * (transpose(inverse) * slope));
+            j.cut = or_nearer(j.cut, moved.w - 0.5, transpose(d_here) * (transpose(inverse) * slope));
             // J_G = I + A J_D / A.
-            let moved = linear_part(maps[k].world_from_stored) * mat3x3<f32>(columns[0], columns[1], columns[2]) * inverse;
-            j.d_source_d_deformed = j.d_source_d_deformed + moved * j.d_source_d_deformed;
+            let j_d = linear_part(maps[k].world_from_stored) * mat3x3<f32>(columns[0], columns[1], columns[2]) * inverse;
+            j.d_source_d_deformed = j.d_source_d_deformed + j_d * d_here;
         }
-        j.alpha = min(j.alpha, before.w);
-        j.source = before.xyz;
+        j.alpha = min(j.alpha, moved.w);
+        j.source += moved.xyz;
+        if maps[k].added < 0.5 {
+            here = j.source;
+            d_here = j.d_source_d_deformed;
+        }
     }
     return j;
 }

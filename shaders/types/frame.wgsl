@@ -47,5 +47,6 @@ struct PlacedMap {
     world_from_stored: mat4x4<f32>,
     // Texels along x, y, z.
     size: vec3<f32>,
-    padding: f32,
+    // 1: added to the map before it; 0: applied after it.
+    added: f32,
 }

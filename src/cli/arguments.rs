@@ -1,5 +1,7 @@
 //! Values as people type them.
 
+use crate::deform::{Argument, Storage};
+use crate::scene::deformations::FILE_KINDS;
 use crate::scene::{Deformation, Size};
 use crate::{Error, Result};
 
@@ -28,17 +30,16 @@ pub fn background(text: &str) -> Result<[f32; 4], String> {
     Err(format!("\"{text}\" is not a colour; write R,G,B or R,G,B,A (each 0..1, or each 0..255), #rrggbb, or transparent"))
 }
 
-/// `KIND[:name=value,...]`, a value being one number or several separated by commas.
+/// `KIND[:name=value,...]`, a value being one number or word, or several separated by commas.
 ///
 /// # Errors
-/// An unknown kind or name, a value that is not a number, too many or too few of them.
+/// An unknown kind or name, a value that is not a number where one is needed, too many or too few of them.
 pub fn deformation(text: &str) -> Result<Deformation> {
     let option = |problem: String| Error::value(format!("--deform {text}"), problem);
     let (kind, rest) = text.split_once(':').unwrap_or((text, ""));
-    if matches!(kind, "field" | "map") {
-        return Err(option("displacement fields and maps from files cannot be read yet; name a kind (see incise list)".into()));
+    if !FILE_KINDS.iter().any(|k| k.name == kind) {
+        crate::deform::kinds::kind(kind)?;
     }
-    crate::deform::kinds::kind(kind)?;
     let mut deformation = Deformation::new(kind);
     // A part without "=" continues the value before it: center=90,110,160.
     let mut entries: Vec<(&str, Vec<&str>)> = Vec::new();
@@ -50,30 +51,44 @@ pub fn deformation(text: &str) -> Result<Deformation> {
         }
     }
     for (name, values) in entries {
-        if name == "storage" {
-            deformation.storage = match values[..] {
-                ["f16"] => crate::deform::Storage::F16,
-                ["snorm16"] => crate::deform::Storage::Snorm16,
-                ["snorm8"] => crate::deform::Storage::Snorm8,
-                _ => return Err(option("storage is one of f16, snorm16, snorm8".into())),
-            };
-            continue;
-        }
         let numbers: Vec<f32> = values.iter().map_while(|v| v.parse().ok()).filter(|v: &f32| v.is_finite()).collect();
-        if numbers.len() != values.len() {
-            return Err(option(format!("{name}={} is not a number", values.join(","))));
-        }
-        let three = || <[f32; 3]>::try_from(&numbers[..]).map_err(|_| option(format!("{name} needs three numbers, x,y,z")));
-        let one = || if numbers.len() == 1 { Ok(numbers[0]) } else { Err(option(format!("{name} needs one number"))) };
+        let all_numbers = numbers.len() == values.len();
+        let need_numbers = || if all_numbers { Ok(()) } else { Err(option(format!("{name}={} is not a number", values.join(",")))) };
+        let three =
+            || need_numbers().and_then(|()| <[f32; 3]>::try_from(&numbers[..]).map_err(|_| option(format!("{name} needs three numbers, x,y,z"))));
+        let one = || need_numbers().and_then(|()| if numbers.len() == 1 { Ok(numbers[0]) } else { Err(option(format!("{name} needs one number"))) });
         match name {
+            "storage" => {
+                deformation.storage = Some(match values[..] {
+                    ["f16"] => Storage::F16,
+                    ["snorm16"] => Storage::Snorm16,
+                    ["snorm8"] => Storage::Snorm8,
+                    ["f32"] => Storage::F32,
+                    _ => return Err(option("storage is one of f16, snorm16, snorm8, f32".into())),
+                });
+            }
             "center" => deformation.center = Some(three()?),
             "rotate" => deformation.rotate = Some(three()?),
-            "size" if numbers.len() == 1 => deformation.size = Some(Size::Cube(numbers[0])),
+            "size" if numbers.len() == 1 => deformation.size = Some(Size::Cube(one()?)),
             "size" => deformation.size = Some(Size::Box(three()?)),
             "progress" => deformation.progress = Some(one()?),
             "resolution" => deformation.resolution = Some(one()? as usize),
+            "add" if matches!(values[..], ["true" | "false"]) => deformation.add = values[0] == "true",
             _ => {
-                deformation.parameters.insert(name.to_owned(), one()?);
+                let argument = match (&values[..], &numbers[..]) {
+                    (["true"], _) => Argument::Flag(true),
+                    (["false"], _) => Argument::Flag(false),
+                    ([_], [v]) => Argument::Number(*v),
+                    (_, v) if all_numbers => Argument::Numbers(v.to_vec()),
+                    ([word], _) => Argument::Text((*word).to_owned()),
+                    (words, _) => Argument::Texts(words.iter().map(|w| (*w).to_owned()).collect()),
+                };
+                // A parameter that is a number is refused here already, with what was typed.
+                let numeric = crate::deform::kinds::kind(kind).is_ok_and(|k| k.parameters.iter().any(|p| p.name == name));
+                if numeric {
+                    one()?;
+                }
+                deformation.parameters.insert(name, argument);
             }
         }
     }
@@ -89,9 +104,12 @@ mod tests {
         let d = deformation("peel:center=90,110,160,size=80,progress=0.7,depth=9").unwrap_or_else(|e| panic!("{e}"));
         assert_eq!(d.center, Some([90.0, 110.0, 160.0]));
         assert_eq!((d.size, d.progress), (Some(Size::Cube(80.0)), Some(0.7)));
-        assert_eq!(d.parameters.get("depth"), Some(&9.0));
+        assert_eq!(d.parameters.number("depth").ok().flatten(), Some(9.0));
         assert!(deformation("pull").is_ok());
-        for bad in ["peal", "peel:3", "peel:center=1,2", "peel:depth=a", "peel:size=1,2", "field:path=x.nii", "peel:storage=u8"] {
+        let chain = deformation("field:path=warp.nii.gz,affine.mat,invert=true").unwrap_or_else(|e| panic!("{e}"));
+        assert_eq!(chain.parameters.texts("path").ok().flatten(), Some(vec!["warp.nii.gz".to_owned(), "affine.mat".to_owned()]));
+        assert_eq!(chain.parameters.flag("invert").ok(), Some(true));
+        for bad in ["peal", "peel:3", "peel:center=1,2", "peel:depth=a", "peel:size=1,2", "peel:storage=u8"] {
             assert!(deformation(bad).is_err(), "{bad}");
         }
     }

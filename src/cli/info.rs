@@ -2,6 +2,7 @@
 
 use crate::deform::kinds::{self, Unit};
 use crate::scene::Scene;
+use crate::scene::deformations::FILE_KINDS;
 use crate::transfer;
 use crate::volume::{Volume, load, phantom};
 use crate::{Error, Result};
@@ -113,7 +114,9 @@ pub fn catalogue() -> String {
     for p in transfer::list() {
         out.push_str(&format!("  {:<22} {}\n", p.name, p.about));
     }
-    out.push_str("\nDeformations (--deform KIND:name=value,...); every kind takes center, size, rotate, storage, resolution\n");
+    out.push_str(
+        "\nDeformations (--deform KIND:name=value,...); every kind takes center, size, rotate, storage, resolution, add, spare, labels, mapping\n",
+    );
     for k in kinds::list() {
         out.push_str(&format!("  {:<22} {}{}\n", k.name, k.about, if k.progressive { "; progress=0..1" } else { "" }));
         for p in k.parameters {
@@ -123,6 +126,15 @@ pub fn catalogue() -> String {
                 Unit::None => "",
             };
             out.push_str(&format!("    {:<20} {}{unit}; default {}, from {} to {}\n", p.name, p.about, p.default, p.min, p.max));
+        }
+        for s in k.own_settings() {
+            out.push_str(&format!("    {:<20} {}\n", s.name, s.about));
+        }
+    }
+    for k in FILE_KINDS {
+        out.push_str(&format!("  {:<22} {}\n", k.name, k.about));
+        for s in k.settings {
+            out.push_str(&format!("    {:<20} {}\n", s.name, s.about));
         }
     }
     out.push_str("\nPhantoms (phantom:NAME[:size=N][:spacing=AxBxC])\n");

@@ -1,6 +1,6 @@
-//! One displacement map: a grid of (D, alpha) over the unit cube, in one of three storage formats.
+//! One displacement map: a grid of (D, alpha) over the unit cube, in one of four storage formats.
 
-use crate::math::MinMaxPyramid;
+use crate::math::{MinMaxPyramid, trilinear};
 use glam::{Mat3, Vec3, Vec4, Vec4Swizzles};
 use half::f16;
 use rayon::prelude::*;
@@ -18,6 +18,8 @@ pub enum Storage {
     Snorm16,
     /// Four 8-bit signed normalised integers.
     Snorm8,
+    /// Four single-precision floats, for fields whose numbers matter.
+    F32,
 }
 
 impl Storage {
@@ -26,6 +28,7 @@ impl Storage {
         match self {
             Self::F16 | Self::Snorm16 => 8,
             Self::Snorm8 => 4,
+            Self::F32 => 16,
         }
     }
 
@@ -35,6 +38,7 @@ impl Storage {
             Self::F16 => f16::from_f32(v).to_f32(),
             Self::Snorm16 => (v.clamp(-1.0, 1.0) * 32767.0).round() / 32767.0,
             Self::Snorm8 => (v.clamp(-1.0, 1.0) * 127.0).round() / 127.0,
+            Self::F32 => v,
         }
     }
 }
@@ -116,28 +120,15 @@ impl DisplacementMap {
             Storage::F16 => channels.flat_map(|v| f16::from_f32(v).to_le_bytes()).collect(),
             Storage::Snorm16 => channels.flat_map(|v| ((v * 32767.0).round() as i16).to_le_bytes()).collect(),
             Storage::Snorm8 => channels.map(|v| (v * 127.0).round() as i8 as u8).collect(),
+            Storage::F32 => channels.flat_map(f32::to_le_bytes).collect(),
         }
     }
 
     /// Stored (D / scale, alpha) at map coordinates inside the unit cube, trilinear.
     #[inline(always)]
     pub fn fetch(&self, x: Vec3) -> Vec4 {
-        let [nx, ny, nz] = self.size;
-        let top = Vec3::new((nx - 1) as f32, (ny - 1) as f32, (nz - 1) as f32);
-        let p = (x * top).clamp(Vec3::ZERO, top);
-        let (i, j, k) = (p.x as usize, p.y as usize, p.z as usize);
-        let f = p - Vec3::new(i as f32, j as f32, k as f32);
-        let di = usize::from(i + 1 < nx);
-        let dj = if j + 1 < ny { nx } else { 0 };
-        let dk = if k + 1 < nz { nx * ny } else { 0 };
-        let base = (k * ny + j) * nx + i;
-        let row = |offset: usize| {
-            let a = self.texels[base + offset];
-            a + (self.texels[base + offset + di] - a) * f.x
-        };
-        let (a, b) = (row(0), row(dk));
-        let (a, b) = (a + (row(dj) - a) * f.y, b + (row(dj + dk) - b) * f.y);
-        a + (b - a) * f.z
+        let top = Vec3::from(self.size.map(|n| (n - 1) as f32));
+        trilinear(&self.texels, self.size, x * top)
     }
 
     /// D and alpha at map coordinates inside the unit cube.
@@ -183,7 +174,7 @@ mod tests {
 
     #[test]
     fn linear_maps_and_their_jacobians_are_exact_within_the_format() {
-        for (storage, tolerance) in [(Storage::F16, 5e-4), (Storage::Snorm16, 5e-5), (Storage::Snorm8, 8e-3)] {
+        for (storage, tolerance) in [(Storage::F16, 5e-4), (Storage::Snorm16, 5e-5), (Storage::Snorm8, 8e-3), (Storage::F32, 2e-6)] {
             let map = DisplacementMap::from_fn([9, 7, 8], storage, linear());
             let x = Vec3::new(0.31, 0.77, 0.05);
             let want = linear()(x);
@@ -197,7 +188,7 @@ mod tests {
 
     #[test]
     fn encoding_has_the_size_it_says_and_keeps_the_values() {
-        for storage in [Storage::F16, Storage::Snorm16, Storage::Snorm8] {
+        for storage in [Storage::F16, Storage::Snorm16, Storage::Snorm8, Storage::F32] {
             let map = DisplacementMap::from_fn([3, 4, 5], storage, linear());
             assert_eq!(map.encode_as(storage).len(), map.gpu_bytes());
         }

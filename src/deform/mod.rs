@@ -11,11 +11,20 @@
 //! - The masks of a stack combine as the sharp ones do: a point is cut if *any* mask is below 1/2 there. The product of the smoothed
 //!   masks would eat the corner where two cuts meet.
 
+mod argument;
+pub mod compose;
+pub mod distance;
+pub mod invert;
 pub mod kinds;
+mod library;
 mod map;
 mod placement;
+pub mod saved;
 mod stack;
+pub mod transform;
 
+pub use argument::{Argument, Arguments};
+pub use library::Library;
 pub use map::{DisplacementMap, Storage, TexelSample};
 pub use placement::Placement;
 pub use stack::{Cut, Jet, MAX_MAPS, PlacedMap, Stack};

@@ -3,10 +3,12 @@
 //! Rendering walks from the last applied map to the first: p_n = p', p_(k-1) = G_k(p_k) with G_k(p) = p + A_k D_k(M_k⁻¹ p) inside map
 //! k's cube and p elsewhere. The Jacobian dp_0/dp' = J_1(p_1) ··· J_n(p_n) is gathered on the same walk, so normals (its transpose
 //! times the source gradient, \[DDM06\] eq 10) and mask gradients need no second one. `shaders/lib/stack.wgsl` says the same.
+//!
+//! A map may be *added* to the one before it (\[DS07\] section 4: detail): both are evaluated at the same point and their displacements
+//! summed, G(p) = p + A_1 D_1(M_1⁻¹ p) + A_2 D_2(M_2⁻¹ p).
 
 use super::{DisplacementMap, Placement};
 use crate::math::Bounds;
-use crate::{Error, Result};
 use glam::{Affine3A, Mat3, Vec3, Vec4Swizzles};
 use std::sync::Arc;
 
@@ -20,6 +22,8 @@ pub struct PlacedMap {
     pub map: Arc<DisplacementMap>,
     /// Its placement.
     pub placement: Placement,
+    /// Whether its displacement is added to that of the map before it, instead of applied after it.
+    pub added: bool,
     /// `world_from_map`'s linear part times the map's scale: stored displacement to mm.
     world_from_stored: Mat3,
 }
@@ -72,18 +76,25 @@ impl PlacedMap {
     /// Puts a map into the world.
     pub fn new(map: Arc<DisplacementMap>, placement: Placement) -> Self {
         let world_from_stored = Mat3::from(placement.world_from_map.matrix3) * map.scale;
-        Self { map, placement, world_from_stored }
+        Self { map, placement, added: false, world_from_stored }
     }
 
     /// One step of the walk: the point before this map was applied, and the mask.
     #[inline(always)]
     pub fn backward(&self, p: Vec3) -> (Vec3, f32) {
+        let (d, alpha) = self.displacement(p);
+        (p + d, alpha)
+    }
+
+    /// Displacement, mm, and mask at a point.
+    #[inline(always)]
+    fn displacement(&self, p: Vec3) -> (Vec3, f32) {
         let x = self.placement.map_from_world.transform_point3(p);
         if x.cmplt(Vec3::ZERO).any() || x.cmpgt(Vec3::ONE).any() {
-            return (p, 1.0);
+            return (Vec3::ZERO, 1.0);
         }
         let t = self.map.fetch(x);
-        (p + self.world_from_stored * t.xyz(), t.w)
+        (self.world_from_stored * t.xyz(), t.w)
     }
 
     /// J_G and the mask's gradient per mm at a point, or none outside the cube. J_G = I + A J_D A⁻¹.
@@ -103,16 +114,16 @@ impl PlacedMap {
         Bounds::UNIT.transformed(&self.placement.world_from_map)
     }
 
-    /// Carries a box of deformed points backwards through this map (`model.md` section 9): a box that holds all their images, and the
-    /// highest mask value among them.
-    pub fn backward_bounds(&self, b: &Bounds) -> (Bounds, f32) {
+    /// Bounds on what this map does to the points of a box (`model.md` section 9): a box that holds their displacements, and the highest
+    /// and lowest mask value among them.
+    fn displacement_bounds(&self, b: &Bounds) -> (Bounds, [f32; 2]) {
         let in_map = b.transformed(&self.placement.map_from_world);
         // The transform of a sample rounds; a hundredth of a texel covers it.
         let texel = 0.01 / Vec3::from(self.map.size.map(|n| n.max(2) as f32));
         let in_map = Bounds::new(in_map.min - texel, in_map.max + texel);
         let inside = in_map.intersection(&Bounds::UNIT);
         if inside.is_empty() {
-            return (*b, 1.0);
+            return (Bounds::new(Vec3::ZERO, Vec3::ZERO), [1.0, 1.0]);
         }
         let range = self.map.bounds(inside.min, inside.max);
         let stays = !Bounds::UNIT.contains(&in_map);
@@ -122,23 +133,18 @@ impl PlacedMap {
             (low, high) = (low.min(Vec3::ZERO), high.max(Vec3::ZERO));
         }
         let moved = Bounds::new(low, high).transformed(&Affine3A::from_mat3(self.world_from_stored));
-        (Bounds::new(b.min + moved.min, b.max + moved.max), if stays { 1.0 } else { range.max[3] })
+        (moved, [range.min[3], if stays { 1.0 } else { range.max[3] }])
     }
 }
 
 impl Stack {
     /// A stack of maps, first applied first.
-    ///
-    /// # Errors
-    /// More than [`MAX_MAPS`].
-    pub fn new(maps: Vec<PlacedMap>) -> Result<Self> {
-        if maps.len() > MAX_MAPS {
-            return Err(Error::value(
-                "deformation",
-                format!("there are {} deformations; at most {MAX_MAPS} can be evaluated in one pass", maps.len()),
-            ));
+    pub fn new(mut maps: Vec<PlacedMap>) -> Self {
+        // There is nothing before the first map that it could be added to.
+        if let Some(first) = maps.first_mut() {
+            first.added = false;
         }
-        Ok(Self { maps })
+        Self { maps }
     }
 
     /// The maps, first applied first.
@@ -162,14 +168,33 @@ impl Stack {
     #[inline(always)]
     pub fn walk(&self, deformed: Vec3) -> (Vec3, f32) {
         let mut p = deformed;
+        // Where the maps that are added to each other are all evaluated.
+        let mut at = deformed;
         let mut smallest = 1.0f32;
         for map in self.maps.iter().rev() {
-            let (before, alpha) = map.backward(p);
+            let (d, alpha) = map.displacement(at);
             smallest = smallest.min(alpha);
             if alpha < 0.5 {
                 break;
             }
-            p = before;
+            p += d;
+            if !map.added {
+                at = p;
+            }
+        }
+        (p, smallest)
+    }
+
+    /// As [`Self::walk`], but through every map whatever the masks say: the pseudo-inverse, continuous across cuts.
+    pub fn walk_through(&self, deformed: Vec3) -> (Vec3, f32) {
+        let (mut p, mut at, mut smallest) = (deformed, deformed, 1.0f32);
+        for map in self.maps.iter().rev() {
+            let (d, alpha) = map.displacement(at);
+            smallest = smallest.min(alpha);
+            p += d;
+            if !map.added {
+                at = p;
+            }
         }
         (p, smallest)
     }
@@ -177,15 +202,18 @@ impl Stack {
     /// The source point with its Jacobian and the nearest cut. Cut points get a jet too (`alpha` tells).
     pub fn jet(&self, deformed: Vec3) -> Jet {
         let mut jet = Jet { source: deformed, d_source_d_deformed: Mat3::IDENTITY, cut: Cut::NONE, alpha: 1.0 };
+        let (mut at, mut d_at) = (deformed, Mat3::IDENTITY);
         for map in self.maps.iter().rev() {
-            let p = jet.source;
-            let (before, alpha) = map.backward(p);
-            if let Some((j, slope)) = map.derivatives(p) {
-                jet.cut = jet.cut.or_nearer(alpha - 0.5, jet.d_source_d_deformed.transpose() * slope);
-                jet.d_source_d_deformed = j * jet.d_source_d_deformed;
+            let (d, alpha) = map.displacement(at);
+            if let Some((j, slope)) = map.derivatives(at) {
+                jet.cut = jet.cut.or_nearer(alpha - 0.5, d_at.transpose() * slope);
+                jet.d_source_d_deformed += (j - Mat3::IDENTITY) * d_at;
             }
             jet.alpha = jet.alpha.min(alpha);
-            jet.source = before;
+            jet.source += d;
+            if !map.added {
+                (at, d_at) = (jet.source, jet.d_source_d_deformed);
+            }
         }
         jet
     }
@@ -193,12 +221,22 @@ impl Stack {
     /// Carries a box of deformed points back to the source: a box that holds all their source points, and the highest value that the
     /// smallest mask can have (below 1/2: everything in the box is cut away).
     pub fn source_bounds(&self, deformed: &Bounds) -> (Bounds, f32) {
-        let mut b = *deformed;
-        let mut alpha = 1.0f32;
+        let (b, [_, highest]) = self.source_and_mask_bounds(deformed);
+        (b, highest)
+    }
+
+    /// As [`Self::source_bounds`], with the lowest value that the smallest mask can have as well (at or above 1/2: nothing in the box is
+    /// cut away).
+    pub fn source_and_mask_bounds(&self, deformed: &Bounds) -> (Bounds, [f32; 2]) {
+        let (mut b, mut at) = (*deformed, *deformed);
+        let mut alpha = [1.0f32; 2];
         for map in self.maps.iter().rev() {
-            let (before, highest) = map.backward_bounds(&b);
-            alpha = alpha.min(highest);
-            b = before;
+            let (moved, [lowest, highest]) = map.displacement_bounds(&at);
+            alpha = [alpha[0].min(lowest), alpha[1].min(highest)];
+            b = Bounds::new(b.min + moved.min, b.max + moved.max);
+            if !map.added {
+                at = b;
+            }
         }
         (b, alpha)
     }
@@ -208,7 +246,8 @@ impl Stack {
         let mut all = *source;
         for map in self.maps.iter().filter(|m| m.map.moves_matter()) {
             let cube = map.bounds_in_world();
-            let (reach, _) = map.backward_bounds(&cube);
+            let (moved, _) = map.displacement_bounds(&cube);
+            let reach = Bounds::new(cube.min + moved.min, cube.max + moved.max);
             if !reach.intersection(&all).is_empty() {
                 all = all.union(&cube);
             }
@@ -241,14 +280,16 @@ mod tests {
             displacement: 0.3 * bump(x) * Vec3::new(1.0, (5.0 * x.x).cos(), 0.2),
             alpha: 1.0,
         });
-        Stack::new(vec![swirl, push]).unwrap_or_else(|e| panic!("{e}"))
+        Stack::new(vec![swirl, push])
     }
 
     proptest! {
         /// The box walk is conservative: every source point of a box lies in the box's image, and no mask exceeds the bound.
         #[test]
-        fn source_bounds_hold(corner in prop::array::uniform3(-50.0f32..50.0), edge in 0.5f32..20.0, at in prop::array::uniform3(0.0f32..1.0)) {
-            let s = stack();
+        fn source_bounds_hold(corner in prop::array::uniform3(-50.0f32..50.0), edge in 0.5f32..20.0, at in prop::array::uniform3(0.0f32..1.0),
+                              added: bool) {
+            let mut s = stack();
+            s.maps[1].added = added;
             let low = Vec3::from(corner);
             let p = low + Vec3::from(at) * edge;
             let (b, alpha) = s.source_bounds(&Bounds::new(low, low + edge));
@@ -259,9 +300,23 @@ mod tests {
     }
 
     #[test]
+    fn added_maps_sum_and_their_jacobians_too() {
+        let mut s = stack();
+        s.maps[1].added = true;
+        for p in [Vec3::new(-4.0, 3.0, 6.0), Vec3::new(8.0, -5.0, 2.0)] {
+            let sum = s.maps()[0].backward(p).0 + s.maps()[1].backward(p).0 - p;
+            let jet = s.jet(p);
+            assert!(jet.source.abs_diff_eq(sum, 1e-4) && s.walk(p).0.abs_diff_eq(sum, 1e-4) || jet.alpha < 0.5);
+            let parts = s.maps().iter().filter_map(|m| m.derivatives(p)).map(|(j, _)| j - Mat3::IDENTITY);
+            let want = parts.fold(Mat3::IDENTITY, |a, b| a + b);
+            assert!(jet.d_source_d_deformed.abs_diff_eq(want, 1e-5));
+        }
+    }
+
+    #[test]
     fn order_matters_and_the_walk_is_the_composition() {
         let s = stack();
-        let other = Stack::new(s.maps().iter().rev().cloned().collect()).unwrap_or_else(|e| panic!("{e}"));
+        let other = Stack::new(s.maps().iter().rev().cloned().collect());
         let p = Vec3::new(-4.0, 3.0, 6.0);
         let (after_push, _) = s.maps()[1].backward(p);
         let (both, _) = s.maps()[0].backward(after_push);

@@ -1,9 +1,12 @@
 //! Boxes and intervals in the spaces of the crate, and the min/max pyramid that bounds a grid's interpolated values.
 
 pub mod bounds;
+pub mod distance;
+pub mod interpolate;
 pub mod pyramid;
 
 pub use bounds::Bounds;
+pub use interpolate::trilinear;
 pub use pyramid::MinMaxPyramid;
 
 use glam::{Affine3A, DAffine3, Vec3};

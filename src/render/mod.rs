@@ -458,6 +458,8 @@ impl Renderer {
             Storage::Snorm16 if self.device.device.features().contains(Features::TEXTURE_FORMAT_16BIT_NORM) => TextureFormat::Rgba16Snorm,
             Storage::Snorm16 => TextureFormat::Rgba16Float,
             Storage::Snorm8 => TextureFormat::Rgba8Snorm,
+            Storage::F32 if self.device.device.features().contains(Features::FLOAT32_FILTERABLE) => TextureFormat::Rgba32Float,
+            Storage::F32 => TextureFormat::Rgba16Float,
         };
         let texture = self.texture_3d("displacement map", map.size, format)?;
         let storage = if format == TextureFormat::Rgba16Float { Storage::F16 } else { map.storage };

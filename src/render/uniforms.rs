@@ -51,7 +51,7 @@ pub struct PlacedMapUniform {
     pub map_from_world: [f32; 16],
     pub world_from_stored: [f32; 16],
     pub size: [f32; 3],
-    pub padding: f32,
+    pub added: f32,
 }
 
 fn affine(m: &Affine3A) -> [f32; 16] {
@@ -108,7 +108,7 @@ impl PlacedMapUniform {
             map_from_world: affine(&placed.placement.map_from_world),
             world_from_stored: Mat4::from_mat3(world_from_stored).to_cols_array(),
             size: Vec3::from(placed.map.size.map(|n| n as f32)).into(),
-            padding: 0.0,
+            added: if placed.added { 1.0 } else { 0.0 },
         }
     }
 }

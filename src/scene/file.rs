@@ -1,6 +1,6 @@
 //! Scene files: TOML in, TOML out, unknown keys named with the closest known one.
 
-use super::{FORMAT_VERSION, Scene};
+use super::{FORMAT_VERSION, Scene, deformations};
 use crate::deform::kinds;
 use crate::error::suggestion;
 use crate::{Error, Result};
@@ -48,6 +48,15 @@ pub fn schema() -> Value {
     schemars::schema_for!(Scene).to_value()
 }
 
+/// Names of a kind's parameters and settings; none if there is no such kind.
+fn parameters(kind: &str) -> Option<Vec<&'static str>> {
+    if let Some(file) = deformations::FILE_KINDS.iter().find(|k| k.name == kind) {
+        return Some(file.settings.iter().map(|s| s.name).collect());
+    }
+    let kind = kinds::kind(kind).ok()?;
+    Some(kind.parameters.iter().map(|p| p.name).chain(kind.settings().map(|s| s.name)).collect())
+}
+
 /// Compares the keys of a value with a schema's.
 fn unknown_keys(root: &Value, schema: &Value, value: &Value, path: &str) -> Result<(), String> {
     let schema = resolve(root, schema);
@@ -70,11 +79,11 @@ fn unknown_keys(root: &Value, schema: &Value, value: &Value, path: &str) -> Resu
                 let mut known: Vec<&str> = properties.keys().map(String::as_str).collect();
                 if path == "deformation" {
                     // A deformation's further keys are its kind's parameters.
-                    let Some(kind) = entries.get("kind").and_then(Value::as_str).and_then(|k| kinds::kind(k).ok()) else { continue };
-                    if kind.parameters.iter().any(|p| p.name == key) {
+                    let Some(own) = entries.get("kind").and_then(Value::as_str).and_then(parameters) else { continue };
+                    if own.contains(&key.as_str()) {
                         continue;
                     }
-                    known.extend(kind.parameters.iter().map(|p| p.name));
+                    known.extend(own);
                 }
                 return Err(format!("has the unknown key \"{full}\"; {}", suggestion(key, known)));
             }
@@ -106,7 +115,7 @@ mod tests {
         let mut scene = Scene::of_volume("phantom:tomato");
         let mut peel = Deformation::new("peel");
         peel.size = Some(Size::Box([10.0, 20.0, 30.0]));
-        peel.parameters.insert("depth".into(), 5.0);
+        peel.parameters.insert("depth", 5.0);
         scene.deformation = vec![peel, Deformation::new("pull")];
         scene.transfer.preset = Some("tomato".into());
         let text = scene.to_toml().unwrap_or_else(|e| panic!("{e}"));

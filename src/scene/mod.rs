@@ -4,6 +4,7 @@
 //! camera and the empty-space grid, the same for every backend.
 
 mod camera;
+pub mod deformations;
 pub mod file;
 mod macrocells;
 mod prepared;
@@ -12,12 +13,11 @@ pub use camera::{Camera, Projection, View, ViewFrame};
 pub use macrocells::Macrocells;
 pub use prepared::{Assets, Frame, MAX_PICTURE_EDGE, Picture, Prepared, RenderStats, Rendered, Stages};
 
-use crate::deform::Storage;
+use crate::deform::{Arguments, Storage};
 use crate::transfer::TransferSettings;
 use crate::volume::GradientFilter;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 /// The version of the scene format.
@@ -109,15 +109,18 @@ pub struct Deformation {
     /// From nothing (0) to full (1, the default).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub progress: Option<f32>,
-    /// Texel format of the map.
+    /// Adds its displacement to that of the deformation before it, instead of being applied after it.
     #[serde(default, skip_serializing_if = "is_default")]
-    pub storage: Storage,
+    pub add: bool,
+    /// Texel format of the map; f16 by default, f32 for fields from files.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub storage: Option<Storage>,
     /// Texels along the map's longest axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub resolution: Option<usize>,
-    /// The kind's own parameters, by name.
+    /// The kind's own parameters and settings, by name.
     #[serde(flatten)]
-    pub parameters: BTreeMap<String, f32>,
+    pub parameters: Arguments,
 }
 
 fn yes() -> bool {
@@ -136,9 +139,10 @@ impl Deformation {
             rotate: None,
             matrix: None,
             progress: None,
-            storage: Storage::F16,
+            add: false,
+            storage: None,
             resolution: None,
-            parameters: BTreeMap::new(),
+            parameters: Arguments::default(),
         }
     }
 }
@@ -215,6 +219,9 @@ pub struct RenderSettings {
     pub empty_space_skipping: bool,
     /// Stop a ray where nothing behind can be seen.
     pub early_termination: bool,
+    /// Compose all deformations into one map that is this exact, mm: the cost of a picture no longer depends on their number.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub precompose: Option<f32>,
 }
 
 impl Default for RenderSettings {
@@ -228,6 +235,7 @@ impl Default for RenderSettings {
             gradient: GradientFilter::Central,
             empty_space_skipping: true,
             early_termination: true,
+            precompose: None,
         }
     }
 }

@@ -1,13 +1,13 @@
 //! A scene resolved for rendering, and the picture that comes out: the same types for every backend.
 
-use super::{Deformation, Light, Macrocells, Normals, RenderSettings, Scene, ViewFrame, macrocells::Contents};
-use crate::deform::kinds::{self, DefaultSize, Sampling};
-use crate::deform::{PlacedMap, Placement, Stack};
+use super::deformations::{self, Composition, Making};
+use super::{Light, Macrocells, Normals, RenderSettings, Scene, ViewFrame, macrocells::Contents};
+use crate::deform::{Library, PlacedMap, Stack};
 use crate::math::{Bounds, MinMaxPyramid, normalize_or, to_f32};
 use crate::transfer::{Blend, Table, default_preset};
 use crate::volume::{GradientFilter, Grid, Volume, load, phantom};
 use crate::{Error, Result};
-use glam::{Affine3A, DVec3, Mat3, Vec3};
+use glam::{Affine3A, DVec3, Vec3};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -15,6 +15,8 @@ use std::time::Instant;
 pub const MAX_PICTURE_EDGE: u32 = 16_384;
 /// Most pixels of a picture: its floating-point form takes 16 bytes each.
 const MAX_PIXELS: u64 = 1 << 27;
+/// Composing maps that one pass cannot hold may err by this share of a voxel.
+const UNSEEN: f32 = 0.2;
 /// A cut's normal takes over within one sample of the cut and has faded out after this many.
 const BLEND_SAMPLES: f32 = 2.5;
 
@@ -40,6 +42,8 @@ pub struct Assets {
     pub grid: Grid,
     /// Bounds of its normalised values.
     pub pyramid: MinMaxPyramid<1>,
+    /// What deformations read besides.
+    pub library: Library,
     /// Time that loading took.
     pub stages: Stages,
 }
@@ -52,14 +56,19 @@ impl Assets {
     pub fn load(scene: &Scene, progress: &mut dyn FnMut(u64, u64)) -> Result<Self> {
         let mut stages = Stages::default();
         let volume = stages.time("load", || load::volume(&scene.volume_path(), progress))?;
-        Ok(Self::of_volume(volume, stages))
+        Ok(Self::in_folder(volume, scene.folder.clone(), stages))
     }
 
     /// The assets of a volume that is already in memory.
-    pub fn of_volume(volume: Volume, mut stages: Stages) -> Self {
+    pub fn of_volume(volume: Volume, stages: Stages) -> Self {
+        Self::in_folder(volume, std::path::PathBuf::new(), stages)
+    }
+
+    fn in_folder(volume: Volume, folder: std::path::PathBuf, mut stages: Stages) -> Self {
         let grid = stages.time("grid", || Grid::new(&volume));
         let pyramid = stages.time("bricks", || MinMaxPyramid::new(grid.size, 2, |i, j, k| [grid.value(i, j, k)]));
-        Self { volume: Arc::new(volume), grid, pyramid, stages }
+        let volume = Arc::new(volume);
+        Self { library: Library::new(volume.clone(), folder), volume, grid, pyramid, stages }
     }
 }
 
@@ -96,6 +105,8 @@ pub struct Prepared<'a> {
     pub blend: Blend,
     /// The deformation.
     pub stack: Stack,
+    /// What composing maps into one has cost in exactness, if any were.
+    pub composition: Option<Composition>,
     /// Constants.
     pub frame: Frame,
     /// Light.
@@ -142,9 +153,10 @@ impl<'a> Prepared<'a> {
         let reference_mm = volume.spacing_mm().min_element() as f32;
         let step_mm = settings.step * reference_mm;
         let blend_mm = [step_mm.max(reference_mm), BLEND_SAMPLES * step_mm.max(reference_mm)];
-        let stack = stages.time("maps", || -> Result<_> {
-            let own = scene.deformation.iter().filter(|d| d.enabled).map(|d| place(d, &volume_box, 1.2 * blend_mm[1]));
-            Stack::new(own.chain(more.into_iter().map(Ok)).collect::<Result<_>>()?)
+        let (stack, composition) = stages.time("maps", || -> Result<_> {
+            let making = Making { library: &assets.library, scene_box: volume_box, least_ramp_mm: 1.2 * blend_mm[1], view: &view, storage: None };
+            let stack = deformations::stack(&scene.deformation, &making, more)?;
+            deformations::bounded(stack, settings.precompose, UNSEEN * reference_mm)
         })?;
         let grid_size = Vec3::from(assets.grid.size.map(|n| n as f32));
         let voxel_from_world = to_f32(&volume.world_from_voxel.inverse());
@@ -188,7 +200,7 @@ impl<'a> Prepared<'a> {
             to_light: normalize_or(to_light, -view.forward),
             blend_mm,
         };
-        Ok(Self { grid: &assets.grid, table, blend: function.blend, stack, frame, light, settings, macrocells, stages })
+        Ok(Self { grid: &assets.grid, table, blend: function.blend, stack, composition, frame, light, settings, macrocells, stages })
     }
 
     /// Whether samples are lit.
@@ -220,6 +232,9 @@ fn check_settings(settings: &RenderSettings, light: &Light) -> Result<()> {
     if !(settings.step.is_finite() && (0.01..=100.0).contains(&settings.step)) {
         return Err(Error::value("step", format!("{} is outside 0.01 to 100 voxels", settings.step)));
     }
+    if settings.precompose.is_some_and(|mm| !(mm.is_finite() && mm > 0.0)) {
+        return Err(Error::value("precompose", "is an error bound in mm; it must be positive"));
+    }
     if !settings.background.iter().all(|c| (0.0..=1.0).contains(c)) {
         return Err(Error::value("background", "its components must lie within 0..1"));
     }
@@ -237,45 +252,6 @@ fn check_settings(settings: &RenderSettings, light: &Light) -> Result<()> {
         return Err(Error::value("light.direction", "must be a direction: finite and not zero"));
     }
     Ok(())
-}
-
-/// Samples one deformation into a map and puts it into the world.
-fn place(deformation: &Deformation, scene_box: &Bounds, least_ramp_mm: f32) -> Result<PlacedMap> {
-    let kind = kinds::kind(&deformation.kind)?;
-    let named = |e: Error| match e {
-        Error::Value { name, problem } if !name.starts_with(kind.name) => Error::value(format!("{}: {name}", kind.name), problem),
-        other => other,
-    };
-    let placement = match deformation.matrix {
-        Some(rows) => {
-            let column = |c: usize| Vec3::new(rows[0][c], rows[1][c], rows[2][c]);
-            Placement::from_affine(Affine3A::from_mat3_translation(Mat3::from_cols(column(0), column(1), column(2)), column(3)))
-        }
-        None => {
-            let center = deformation.center.map_or_else(|| scene_box.center(), Vec3::from);
-            let size = deformation.size.map_or_else(|| kind.default_size(scene_box), |s| s.xyz());
-            Placement::new(center, size, deformation.rotate.map_or(Vec3::ZERO, Vec3::from))
-        }
-    }
-    .map_err(named)?;
-    if matches!(kind.size, DefaultSize::Across(_)) && deformation.size.is_some() {
-        return Err(Error::value(format!("{}: size", kind.name), "this kind reaches across everything and has no size; give center and rotate"));
-    }
-    let size_mm = placement.size_mm();
-    let progress = deformation.progress.unwrap_or(1.0);
-    if !(0.0..=1.0).contains(&progress) {
-        return Err(Error::value(format!("{}: progress", kind.name), format!("{progress} is outside 0 to 1")));
-    }
-    // At most 2^24 texels: 128 MiB in half precision.
-    let finest = if kind.varies == [true; 3] { 256 } else { 512 };
-    if let Some(n) = deformation.resolution.filter(|n| !(8..=finest).contains(n)) {
-        return Err(Error::value(format!("{}: resolution", kind.name), format!("{n} is outside 8 to {finest} texels")));
-    }
-    let values = kind.values(deformation.parameters.iter().map(|(k, v)| (k.as_str(), *v)), size_mm)?;
-    let sampling = Sampling { resolution: deformation.resolution, storage: deformation.storage, least_ramp_mm };
-    let map = kind.map(&values, progress, size_mm, &sampling);
-    let placement = placement.scaled(Vec3::splat(kind.inflate)).map_err(named)?;
-    Ok(PlacedMap::new(Arc::new(map), placement))
 }
 
 /// A picture: premultiplied RGBA without background, rows from the top.

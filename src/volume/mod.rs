@@ -8,6 +8,7 @@ mod gradient;
 mod grid;
 pub mod load;
 pub mod phantom;
+pub mod save;
 mod voxels;
 
 pub use gradient::GradientFilter;
@@ -36,6 +37,15 @@ pub struct Volume {
     pub declared_labels: bool,
     /// What was odd about the source, one sentence each.
     pub warnings: Vec<String>,
+}
+
+/// The extent of an image: size and geometry.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GridGeometry {
+    /// Voxels along i, j, k.
+    pub size: [usize; 3],
+    /// Voxel indices to world millimetres, LPS.
+    pub world_from_voxel: DAffine3,
 }
 
 /// The linear map from stored to data values.
@@ -78,6 +88,11 @@ impl Volume {
             None => [0.0, 1.0],
         };
         Self { voxels, size, rescale, world_from_voxel, range, non_finite, declared_labels: false, warnings: Vec::new() }
+    }
+
+    /// Where the voxels lie.
+    pub fn geometry(&self) -> GridGeometry {
+        GridGeometry { size: self.size, world_from_voxel: self.world_from_voxel }
     }
 
     /// Data value of the voxel (i, j, k).
@@ -135,6 +150,29 @@ impl Volume {
             },
         );
         Histogram { low, high, counts }
+    }
+
+    /// The value between what is around the scanned body and the body itself: Otsu's threshold (1979) on 256 bins.
+    pub fn body_threshold(&self) -> f64 {
+        let h = self.histogram(256);
+        let total: f64 = h.counts.iter().map(|&c| c as f64).sum();
+        let sum: f64 = h.counts.iter().enumerate().map(|(n, &c)| n as f64 * c as f64).sum();
+        let (mut below, mut sum_below) = (0.0, 0.0);
+        let (mut best, mut at) = (-1.0, 0);
+        for (n, &c) in h.counts.iter().enumerate() {
+            below += c as f64;
+            sum_below += n as f64 * c as f64;
+            let above = total - below;
+            if below == 0.0 || above <= 0.0 {
+                continue;
+            }
+            let apart = sum_below / below - (sum - sum_below) / above;
+            let variance = below * above * apart * apart;
+            if variance > best {
+                (best, at) = (variance, n);
+            }
+        }
+        h.low + (at as f64 + 1.0) * (h.high - h.low) / 256.0
     }
 
     /// The number of distinct labels besides 0, if this is a label map: an unscaled integer volume without negative values that its file

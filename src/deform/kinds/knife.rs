@@ -3,7 +3,7 @@
 //! The half opening o(y, z) is a lens along the cut, widest in the middle, growing from nothing at the cut's floor to `opening`/2 at
 //! the box's upper part. Matter from the plane x = 0 to the box's side is compressed linearly into what is left: x = X (|x'| - o)/(X - o).
 
-use super::{Amount, Backward, DefaultSize, Field, Gaps, Kind, Parameter, Unit};
+use super::{Amount, Backward, Build, DefaultSize, Field, Gaps, Kind, Parameter, Unit};
 use glam::Vec3;
 
 pub(super) const KIND: Kind = Kind {
@@ -34,7 +34,8 @@ pub(super) const KIND: Kind = Kind {
     varies: [true; 3],
     resolution: 96,
     leaks: [false, false, false, false, false, true],
-    build: |c| {
+    locked_to_view: false,
+    build: Build::Formula(|c| {
         let half = c.half();
         Box::new(Knife {
             half_length: c.values[0] / 2.0,
@@ -44,7 +45,7 @@ pub(super) const KIND: Kind = Kind {
             top: half.z,
             gaps: c.gaps(),
         })
-    },
+    }),
 };
 
 struct Knife {

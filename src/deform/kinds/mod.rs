@@ -10,6 +10,7 @@
 //! input gives finite values.
 
 mod knife;
+mod modifiers;
 mod peel;
 mod pull;
 mod removal;
@@ -18,11 +19,11 @@ mod slab;
 mod twist;
 mod wave;
 
-use super::{DisplacementMap, Storage, TexelSample};
+use super::{Argument, Arguments, DisplacementMap, Library, Storage, TexelSample};
 use crate::error::suggestion;
 use crate::math::Bounds;
 use crate::{Error, Result};
-use glam::Vec3;
+use glam::{Affine3A, Vec3};
 
 /// A kind's answer for one deformed point, in local millimetres.
 #[derive(Clone, Copy, Debug)]
@@ -137,7 +138,34 @@ pub struct Kind {
     pub resolution: usize,
     /// Faces (-x, +x, -y, +y, -z, +z) on which D does not vanish: there the box should end in empty space.
     pub leaks: [bool; 6],
-    build: fn(&Context) -> Box<dyn Field>,
+    /// Its box turns with the camera: x right, y up, z towards the viewer.
+    pub locked_to_view: bool,
+    /// What makes its field.
+    pub build: Build,
+}
+
+/// What makes a kind's field.
+#[derive(Clone, Copy)]
+pub enum Build {
+    /// A formula of the kind's numbers.
+    Formula(fn(&Context) -> Box<dyn Field>),
+    /// Something that also needs settings that are no numbers: files, points, labels.
+    Sourced {
+        /// The settings.
+        settings: &'static [Setting],
+        /// Settings that show the kind at work in a box of the given bounds (mm, world).
+        example: fn(&Bounds) -> Vec<(&'static str, Argument)>,
+        /// Makes the field.
+        build: fn(&Context, &Inputs) -> Result<Box<dyn Field>>,
+    },
+}
+
+/// A named setting that is no number.
+pub struct Setting {
+    /// What people type.
+    pub name: &'static str,
+    /// What it is and what it is by default, one line for lists.
+    pub about: &'static str,
 }
 
 /// What a kind's constructor gets.
@@ -152,6 +180,16 @@ pub struct Context<'a> {
     pub texel_mm: f32,
     /// Half width of the mask's ramp, mm.
     pub ramp_mm: f32,
+}
+
+/// What sourced kinds get besides.
+pub struct Inputs<'a> {
+    /// The settings that were given.
+    pub settings: &'a Arguments,
+    /// The box's own millimetres to the world's.
+    pub world_from_local: Affine3A,
+    /// Files and volumes.
+    pub library: &'a Library,
 }
 
 impl Context<'_> {
@@ -240,7 +278,7 @@ impl Kind {
         for (name, value) in given {
             let Some(n) = self.parameters.iter().position(|p| p.name == name) else {
                 let common = ["center", "size", "rotate", "progress", "storage", "resolution"];
-                let known = self.parameters.iter().map(|p| p.name).chain(common);
+                let known = self.parameters.iter().map(|p| p.name).chain(self.settings().map(|s| s.name)).chain(common);
                 return Err(Error::value(format!("{}: {name}", self.name), format!("there is no such parameter; {}", suggestion(name, known))));
             };
             let p = &self.parameters[n];
@@ -267,32 +305,100 @@ impl Kind {
         std::array::from_fn(|a| if self.varies[a] { ((texels * size_mm[a] / longest).round() as usize).clamp(8, 512) } else { 1 })
     }
 
-    /// The field of a box of the given size, and the grid and ramp that its map would have.
-    fn field_and_grid(&self, values: &[f32], progress: f32, size_mm: Vec3, sampling: &Sampling) -> (Box<dyn Field>, [usize; 3], f32) {
+    /// What its values are sampled with: grid and context.
+    fn context<'a>(&self, values: &'a [f32], progress: f32, size_mm: Vec3, sampling: &Sampling) -> ([usize; 3], Context<'a>) {
         let grid = self.grid(size_mm, sampling.resolution);
         let cube_mm = size_mm * self.inflate;
         let texel_mm = (0..3).filter(|&a| grid[a] > 1).map(|a| cube_mm[a] / (grid[a] - 1) as f32).fold(0.0, f32::max);
         let ramp_mm = sampling.least_ramp_mm.max(2.0 * texel_mm);
-        let field = (self.build)(&Context { values, progress, size_mm, texel_mm, ramp_mm });
-        (field, grid, ramp_mm)
+        (grid, Context { values, progress, size_mm, texel_mm, ramp_mm })
     }
 
     /// The field itself, for tests and for tools that need the formula rather than its samples.
-    pub fn field(&self, values: &[f32], progress: f32, size_mm: Vec3, sampling: &Sampling) -> Box<dyn Field> {
-        self.field_and_grid(values, progress, size_mm, sampling).0
+    ///
+    /// # Errors
+    /// A setting that cannot be used, a file that cannot be read.
+    pub fn field(&self, values: &[f32], progress: f32, size_mm: Vec3, sampling: &Sampling, inputs: &Inputs) -> Result<Box<dyn Field>> {
+        let (_, context) = self.context(values, progress, size_mm, sampling);
+        self.modified(&context, inputs)
+    }
+
+    /// The kind's field behind the modifiers that the settings ask for.
+    fn modified(&self, context: &Context, inputs: &Inputs) -> Result<Box<dyn Field>> {
+        let field = match &self.build {
+            Build::Formula(build) => build(context),
+            Build::Sourced { build, .. } => build(context, inputs)?,
+        };
+        modifiers::apply(field, context, inputs)
     }
 
     /// Samples the kind into a map over a cube `inflate` times the box.
     ///
     /// `values` as [`Self::values`] returns them.
-    pub fn map(&self, values: &[f32], progress: f32, size_mm: Vec3, sampling: &Sampling) -> DisplacementMap {
-        let (field, grid, ramp_mm) = self.field_and_grid(values, progress, size_mm, sampling);
+    ///
+    /// # Errors
+    /// As [`Self::field`].
+    pub fn map(&self, values: &[f32], progress: f32, size_mm: Vec3, sampling: &Sampling, inputs: &Inputs) -> Result<DisplacementMap> {
+        let (mut grid, mut context) = self.context(values, progress, size_mm, sampling);
+        if modifiers::vary_everywhere(inputs.settings) && self.varies != [true; 3] {
+            // Round cuts and spared labels vary along all axes, whatever the kind does.
+            let all = Kind { varies: [true; 3], resolution: self.resolution.min(128), ..*self };
+            (grid, context) = all.context(values, progress, size_mm, sampling);
+        }
+        let field = self.modified(&context, inputs)?;
         let cube_mm = size_mm * self.inflate;
-        DisplacementMap::from_fn(grid, sampling.storage, |x| {
+        let ramp_mm = context.ramp_mm;
+        Ok(DisplacementMap::from_fn(grid, sampling.storage, |x| {
             let local = (x - 0.5) * cube_mm;
             let b = field.backward(local);
             TexelSample { displacement: (b.source - local) / cube_mm, alpha: (0.5 + 0.5 * b.cut_mm / ramp_mm).clamp(0.0, 1.0) }
-        })
+        }))
+    }
+
+    /// The kind's own settings that are no numbers.
+    pub fn own_settings(&self) -> &'static [Setting] {
+        match self.build {
+            Build::Formula(_) => &[],
+            Build::Sourced { settings, .. } => settings,
+        }
+    }
+
+    /// All settings that are no numbers: the kind's own and those of every kind.
+    pub fn settings(&self) -> impl Iterator<Item = &'static Setting> {
+        self.own_settings().iter().chain(modifiers::SETTINGS)
+    }
+
+    /// Settings that show the kind at work in a box of the given bounds (mm, world).
+    pub fn example(&self, bounds: &Bounds) -> Arguments {
+        let mut arguments = Arguments::default();
+        if let Build::Sourced { example, .. } = self.build {
+            for (name, value) in example(bounds) {
+                arguments.insert(name, value);
+            }
+        }
+        arguments
+    }
+
+    /// Tells numbers from settings, fills in defaults and checks ranges.
+    ///
+    /// # Errors
+    /// A name that the kind does not have (with the closest one), or a value outside its range.
+    pub fn resolve(&self, arguments: &Arguments, size_mm: Vec3) -> Result<(Vec<f32>, Arguments)> {
+        let mut settings = Arguments::default();
+        let mut numbers = Vec::new();
+        for (name, value) in &arguments.0 {
+            if self.settings().any(|s| s.name == name) {
+                settings.insert(name.clone(), value.clone());
+            } else if let Argument::Number(v) = value {
+                numbers.push((name.as_str(), *v));
+            } else if self.parameters.iter().any(|p| p.name == name) {
+                return Err(Error::value(format!("{}: {name}", self.name), "is one number"));
+            } else {
+                // Refused below, with the closest name.
+                numbers.push((name.as_str(), 0.0));
+            }
+        }
+        Ok((self.values(numbers, size_mm)?, settings))
     }
 }
 

@@ -8,7 +8,7 @@
 //! neither in the *slot* (where the layer used to lie) nor within a thin band around the roll above the layer. The band keeps rolled
 //! and undisplaced matter from touching: between them D must run from the roll's value to zero, and that may only happen unseen.
 
-use super::{Amount, Backward, DefaultSize, Field, Kind, Parameter, UNCUT, Unit};
+use super::{Amount, Backward, Build, DefaultSize, Field, Kind, Parameter, UNCUT, Unit};
 use glam::{Vec2, Vec3};
 use std::f32::consts::{FRAC_PI_2, TAU};
 
@@ -46,7 +46,8 @@ pub(super) const KIND: Kind = Kind {
     varies: [true; 3],
     resolution: 128,
     leaks: [false; 6],
-    build: |c| {
+    locked_to_view: false,
+    build: Build::Formula(|c| {
         let half = c.half();
         let depth = c.values[0];
         let radius = c.values[1].max(1.2 * depth);
@@ -65,7 +66,7 @@ pub(super) const KIND: Kind = Kind {
             texel: c.texel_mm,
             clearance: 4.0 * c.texel_mm,
         })
-    },
+    }),
 };
 
 struct Peel {

@@ -3,7 +3,7 @@
 //! The paper's amplitude (the whole box on the axis) maps the axis to one point; here it is the length `amount` by which matter at
 //! the upper face has been pulled, so that the pull stays invertible while `amount` is less than the box is high. σ is a length.
 
-use super::{Amount, Backward, DefaultSize, Field, Kind, Parameter, UNCUT, Unit};
+use super::{Amount, Backward, Build, DefaultSize, Field, Kind, Parameter, UNCUT, Unit};
 use glam::{Vec3, Vec3Swizzles};
 
 pub(super) const KIND: Kind = Kind {
@@ -33,10 +33,11 @@ pub(super) const KIND: Kind = Kind {
     varies: [true; 3],
     resolution: 64,
     leaks: [false, false, false, false, false, true],
-    build: |c| {
+    locked_to_view: false,
+    build: Build::Formula(|c| {
         let [amount, sigma] = [c.values[0], c.values[1]];
         Box::new(Pull { half_z: c.half().z, strength: amount * c.progress / c.size_mm.z, sigma })
-    },
+    }),
 };
 
 struct Pull {

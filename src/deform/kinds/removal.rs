@@ -3,7 +3,7 @@
 //! The map's cube is larger than the shape (`inflate`), so that the cut lies inside the map; the half-space's is as large as the scene
 //! at any angle. `progress` grows the shape from nothing (for the half-space: moves the plane down from the box's top).
 
-use super::{Amount, Backward, Context, DefaultSize, Field, Kind, Parameter, Unit};
+use super::{Amount, Backward, Build, Context, DefaultSize, Field, Kind, Parameter, Unit};
 use glam::{Vec2, Vec3, Vec3Swizzles};
 
 struct Removal<F> {
@@ -43,7 +43,8 @@ const fn removal(name: &'static str, about: &'static str, build: fn(&Context) ->
         varies: [true; 3],
         resolution: 96,
         leaks: [false; 6],
-        build,
+        locked_to_view: false,
+        build: Build::Formula(build),
     }
 }
 

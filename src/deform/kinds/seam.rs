@@ -5,7 +5,7 @@
 //! linearly: matter swings aside and is compressed towards β_e, below which nothing moves. φ fades with the radius and towards the
 //! ends of the seam; r and y stay, so the inverse is exact.
 
-use super::{Amount, Backward, DefaultSize, Field, Gaps, Kind, Parameter, Unit, window};
+use super::{Amount, Backward, Build, DefaultSize, Field, Gaps, Kind, Parameter, Unit, window};
 use crate::math::smoothstep;
 use glam::{Vec2, Vec3};
 
@@ -33,7 +33,8 @@ pub(super) const KIND: Kind = Kind {
     varies: [true; 3],
     resolution: 96,
     leaks: [false; 6],
-    build: |c| {
+    locked_to_view: false,
+    build: Build::Formula(|c| {
         let half = c.half();
         let radius = half.x.min((1.0 - HINGE) * c.size_mm.z);
         // What swings must not reach below the box's lower face.
@@ -46,7 +47,7 @@ pub(super) const KIND: Kind = Kind {
             radius,
             gaps: c.gaps(),
         })
-    },
+    }),
 };
 
 struct Seam {

@@ -4,7 +4,7 @@
 //! source plane), so the map is continuous and the mask alone says where the gaps are. What lies beyond the last gap moves with it:
 //! the box should enclose the matter, with room for the spread.
 
-use super::{Amount, Backward, DefaultSize, Field, Gaps, Kind, Parameter, Unit};
+use super::{Amount, Backward, Build, DefaultSize, Field, Gaps, Kind, Parameter, Unit};
 use glam::Vec3;
 
 pub(super) const KIND: Kind = Kind {
@@ -42,7 +42,10 @@ pub(super) const KIND: Kind = Kind {
     varies: [false, false, true],
     resolution: 512,
     leaks: [true; 6],
-    build: |c| Box::new(Slab { thickness: c.values[0], gap: c.values[1] * c.progress, fixed_z: (c.values[2] - 0.5) * c.size_mm.z, gaps: c.gaps() }),
+    locked_to_view: false,
+    build: Build::Formula(|c| {
+        Box::new(Slab { thickness: c.values[0], gap: c.values[1] * c.progress, fixed_z: (c.values[2] - 0.5) * c.size_mm.z, gaps: c.gaps() })
+    }),
 };
 
 struct Slab {

@@ -3,7 +3,7 @@
 //! Height and radius do not change, so the inverse is the twist by the opposite angle, exactly (not the negated displacement that
 //! \[DS07\] prints), and volume is preserved: det J = 1.
 
-use super::{Amount, Backward, DefaultSize, Field, Kind, Parameter, UNCUT, Unit, window};
+use super::{Amount, Backward, Build, DefaultSize, Field, Kind, Parameter, UNCUT, Unit, window};
 use glam::{Vec2, Vec3, Vec3Swizzles};
 
 pub(super) const KIND: Kind = Kind {
@@ -33,14 +33,15 @@ pub(super) const KIND: Kind = Kind {
     varies: [true; 3],
     resolution: 96,
     leaks: [false, false, false, false, false, true],
-    build: |c| {
+    locked_to_view: false,
+    build: Build::Formula(|c| {
         Box::new(Twist {
             angle: (c.values[0] * c.progress).to_radians(),
             falloff: c.values[1],
             size_z: c.size_mm.z,
             radius: c.half().x.min(c.half().y),
         })
-    },
+    }),
 };
 
 struct Twist {

@@ -3,7 +3,7 @@
 //! The displacement fades to nothing at the box's faces; along z the fade makes the map z' = z + a(r) w(z'), whose inverse is a
 //! monotone equation in one unknown.
 
-use super::{Amount, Backward, DefaultSize, Field, Kind, Parameter, UNCUT, Unit, solve_rising, window};
+use super::{Amount, Backward, Build, DefaultSize, Field, Kind, Parameter, UNCUT, Unit, solve_rising, window};
 use glam::{Vec3, Vec3Swizzles};
 
 /// Share of the half height over which the displacement fades at both ends.
@@ -46,7 +46,8 @@ pub(super) const KIND: Kind = Kind {
     varies: [true; 3],
     resolution: 96,
     leaks: [false; 6],
-    build: |c| {
+    locked_to_view: false,
+    build: Build::Formula(|c| {
         Box::new(Wave {
             amplitude: c.values[0] * c.progress,
             wave_number: std::f32::consts::TAU / c.values[1],
@@ -54,7 +55,7 @@ pub(super) const KIND: Kind = Kind {
             half_z: c.half().z,
             radius: c.half().x.min(c.half().y),
         })
-    },
+    }),
 };
 
 struct Wave {

@@ -6,41 +6,19 @@
 //! *Geometry*: sform if its code is positive and it is invertible, else qform, else the bare spacing; NIfTI's world is RAS+, ours
 //! is LPS, so x and y change sign. Source: nifti1.h, the NIfTI-1 data format (Cox et al. 2004), "METHOD 2" and "METHOD 3".
 
-use super::super::{Rescale, Volume, Voxels};
+use super::super::Rescale;
+use super::image::{DEFLATE_LIMIT, Image, Layout, ScalarType, Source, open, read_error};
 use crate::{Error, Result};
-use flate2::read::MultiGzDecoder;
 use glam::{DAffine3, DMat3, DQuat, DVec3};
-use std::io::{BufReader, ErrorKind, Read};
+use std::io::{ErrorKind, Read};
 use std::path::Path;
 
 const HEADER_BYTES: usize = 348;
-/// intent_code NIFTI_INTENT_LABEL.
-const INTENT_LABEL: i16 = 1002;
-/// Deflate cannot shrink data by more than this factor: a header that declares more is wrong.
-const DEFLATE_LIMIT: u64 = 1040;
 
-/// Reads a volume; of a series in time, the first.
-pub fn read(path: &Path, progress: &mut dyn FnMut(u64, u64)) -> Result<Volume> {
-    let file = std::fs::File::open(path).map_err(|e| Error::io(path, "opening", e))?;
-    let file_bytes = file.metadata().map_err(|e| Error::io(path, "reading", e))?.len();
-    let mut reader = BufReader::with_capacity(1 << 18, file);
-    let mut magic = [0u8; 2];
-    reader.read_exact(&mut magic).map_err(|e| read_error(path, e))?;
-    let start = std::io::Cursor::new(magic);
-    if magic == [0x1f, 0x8b] {
-        let decoder = BufReader::with_capacity(1 << 18, MultiGzDecoder::new(start.chain(reader)));
-        parse(path, decoder, file_bytes.saturating_mul(DEFLATE_LIMIT), progress)
-    } else {
-        parse(path, start.chain(reader), file_bytes, progress)
-    }
-}
-
-fn read_error(path: &Path, e: std::io::Error) -> Error {
-    match e.kind() {
-        ErrorKind::UnexpectedEof => Error::file(path, "ends too early: the file is truncated; copy or download it again"),
-        ErrorKind::InvalidInput | ErrorKind::InvalidData => Error::file(path, format!("its gzip stream is damaged ({e}); copy or download it again")),
-        _ => Error::io(path, "reading", e),
-    }
+/// Reads an image with all its components, or a volume (of a series in time, the first).
+pub fn read(path: &Path, progress: &mut dyn FnMut(u64, u64)) -> Result<Image> {
+    let (reader, file_bytes, gzipped) = open(path)?;
+    parse(path, reader, if gzipped { file_bytes.saturating_mul(DEFLATE_LIMIT) } else { file_bytes }, progress)
 }
 
 /// The 348 header bytes with their byte order.
@@ -66,7 +44,7 @@ impl Header {
     }
 }
 
-fn parse(path: &Path, mut reader: impl Read, most_bytes: u64, progress: &mut dyn FnMut(u64, u64)) -> Result<Volume> {
+fn parse(path: &Path, mut reader: impl Read, most_bytes: u64, progress: &mut dyn FnMut(u64, u64)) -> Result<Image> {
     let fail = |problem: String| Error::file(path, problem);
     let mut bytes = [0u8; HEADER_BYTES];
     reader.read_exact(&mut bytes).map_err(|e| read_error(path, e))?;
@@ -86,21 +64,25 @@ fn parse(path: &Path, mut reader: impl Read, most_bytes: u64, progress: &mut dyn
         other => return Err(fail(format!("is not a NIfTI-1 file (magic {:?})", String::from_utf8_lossy(other)))),
     }
     let mut warnings = Vec::new();
-    let (size, frames) = dimensions(&h).map_err(&fail)?;
+    let dim = dimensions(&h).map_err(&fail)?;
+    let size = [dim[0], dim[1], dim[2]];
+    let intent = h.i16(68);
+    // Vectors lie along the fifth axis; FSL's warps have theirs along the fourth.
+    let fsl = (2006..=2009).contains(&intent);
+    let (components, frames) = if fsl && dim[4] == 1 { (dim[3], 1) } else { (dim[4], dim[3] * dim[5] * dim[6]) };
+    if frames > 1 && components > 1 {
+        return Err(fail(format!("holds {components} values per voxel at {frames} times; a single time is needed")));
+    }
     if frames > 1 {
         warnings.push(format!("holds {frames} volumes; the first is used"));
     }
-    let voxel_count = size.iter().try_fold(1usize, |n, &d| n.checked_mul(d));
+    let count = size.iter().chain([&components]).try_fold(1usize, |n, &d| n.checked_mul(d));
     let datatype = h.i16(70);
-    let bytes_per_voxel = match datatype {
-        2 | 256 => 1usize,
-        4 | 512 => 2,
-        8 | 16 | 768 => 4,
-        64 | 1024 | 1280 => 8,
-        _ => return Err(fail(format!("stores {}, which cannot be rendered; convert it to a real scalar type", datatype_name(datatype)))),
-    };
-    let voxel_bytes = voxel_count.and_then(|n| n.checked_mul(bytes_per_voxel)).filter(|&b| b < isize::MAX as usize);
-    let (Some(voxel_count), Some(voxel_bytes)) = (voxel_count, voxel_bytes) else {
+    let scalar = scalar_type(datatype)
+        .ok_or_else(|| fail(format!("stores {}, which cannot be rendered; convert it to a real scalar type", datatype_name(datatype))))?;
+    let bytes_per_voxel = scalar.bytes();
+    let voxel_bytes = count.and_then(|n| n.checked_mul(bytes_per_voxel)).filter(|&b| b < isize::MAX as usize);
+    let (Some(count), Some(voxel_bytes)) = (count, voxel_bytes) else {
         return Err(fail(format!(
             "declares {} x {} x {} voxels, which is more than can be addressed; its header is damaged",
             size[0], size[1], size[2]
@@ -118,34 +100,30 @@ fn parse(path: &Path, mut reader: impl Read, most_bytes: u64, progress: &mut dyn
     let mut skip = (&mut reader).take(offset - HEADER_BYTES as u64);
     std::io::copy(&mut skip, &mut std::io::sink()).map_err(|e| read_error(path, e))?;
 
-    let mut source = Source { path, reader, swap, count: voxel_count, progress };
-    let voxels: Voxels = match datatype {
-        2 => source.read::<u8>()?.into(),
-        256 => source.read::<i8>()?.into(),
-        4 => source.read::<i16>()?.into(),
-        512 => source.read::<u16>()?.into(),
-        8 => source.read::<i32>()?.into(),
-        768 => source.read::<u32>()?.into(),
-        16 => source.read::<f32>()?.into(),
-        1024 => source.read::<i64>()?.into(),
-        1280 => source.read::<u64>()?.into(),
-        _ => source.read::<f64>()?.into(),
-    };
+    let mut source = Source { path, reader, swap: swap != cfg!(target_endian = "big"), count, progress };
+    let voxels = source.read_as(scalar)?;
     if frames == 1 {
         check_end(path, source.reader)?;
     }
     let rescale = rescale(&h, &mut warnings);
     let world_from_voxel = geometry(&h, &mut warnings);
-    let mut volume = Volume::new(voxels, size, rescale, world_from_voxel);
-    if !(volume.range[1] - volume.range[0]).is_finite() {
-        return Err(fail("holds values whose range cannot be represented; rescale it".into()));
-    }
-    if volume.non_finite > 0 {
-        warnings.push(format!("{} voxels are NaN or infinite and are rendered as empty", volume.non_finite));
-    }
-    volume.declared_labels = h.i16(68) == INTENT_LABEL;
-    volume.warnings = warnings;
-    Ok(volume)
+    Ok(Image { voxels, size, components, layout: Layout::Planar, rescale, world_from_voxel, intent, frame: None, displacement: false, warnings })
+}
+
+fn scalar_type(datatype: i16) -> Option<ScalarType> {
+    Some(match datatype {
+        2 => ScalarType::U8,
+        256 => ScalarType::I8,
+        4 => ScalarType::I16,
+        512 => ScalarType::U16,
+        8 => ScalarType::I32,
+        768 => ScalarType::U32,
+        16 => ScalarType::F32,
+        1024 => ScalarType::I64,
+        1280 => ScalarType::U64,
+        64 => ScalarType::F64,
+        _ => return None,
+    })
 }
 
 /// Reads what follows the voxels, so that a gzip stream is checked to its checksum. Other bytes after the stream are nobody's harm.
@@ -156,8 +134,8 @@ fn check_end(path: &Path, mut reader: impl Read) -> Result<()> {
     }
 }
 
-/// Size in space and number of volumes.
-fn dimensions(h: &Header) -> Result<([usize; 3], usize), String> {
+/// The seven extents; those that are not declared are 1.
+fn dimensions(h: &Header) -> Result<[usize; 7], String> {
     let rank = h.i16(40);
     if !(1..=7).contains(&rank) {
         return Err(format!("declares {rank} dimensions; NIfTI allows 1 to 7, so its header is damaged"));
@@ -170,12 +148,8 @@ fn dimensions(h: &Header) -> Result<([usize; 3], usize), String> {
         }
         *d = value as usize;
     }
-    if dim[4] > 1 {
-        return Err(format!("holds {} values per voxel (a vector or displacement field); a scalar volume is needed", dim[4]));
-    }
-    let frames =
-        dim[3..].iter().try_fold(1usize, |n, &d| n.checked_mul(d)).ok_or("declares more volumes than can be counted; its header is damaged")?;
-    Ok(([dim[0], dim[1], dim[2]], frames))
+    dim[3..].iter().try_fold(1usize, |n, &d| n.checked_mul(d)).ok_or("declares more volumes than can be counted; its header is damaged")?;
+    Ok(dim)
 }
 
 fn datatype_name(code: i16) -> String {
@@ -244,46 +218,4 @@ fn geometry(h: &Header, warnings: &mut Vec<String>) -> DAffine3 {
     });
     let lps_from_ras = DAffine3::from_scale(DVec3::new(-1.0, -1.0, 1.0) * mm);
     lps_from_ras * ras_from_voxel
-}
-
-/// A scalar whose bytes can be read straight from the file.
-trait Stored: bytemuck::Pod + Default {
-    fn swap(self) -> Self;
-}
-macro_rules! stored {
-    ($($t:ty),*) => {$(impl Stored for $t {
-        fn swap(self) -> Self {
-            Self::from_ne_bytes({ let mut b = self.to_ne_bytes(); b.reverse(); b })
-        }
-    })*};
-}
-stored!(u8, i8, u16, i16, u32, i32, u64, i64, f32, f64);
-
-struct Source<'a, R> {
-    path: &'a Path,
-    reader: R,
-    swap: bool,
-    count: usize,
-    progress: &'a mut dyn FnMut(u64, u64),
-}
-
-impl<R: Read> Source<'_, R> {
-    /// Reads in pieces into the one array that stays: nothing is held twice.
-    fn read<T: Stored>(&mut self) -> Result<Vec<T>> {
-        const PIECE: usize = 1 << 20;
-        let all = (self.count * size_of::<T>()) as u64;
-        let mut values: Vec<T> = Vec::new();
-        values.try_reserve_exact(self.count).map_err(|_| Error::file(self.path, format!("needs {} MiB of memory, more than there is", all >> 20)))?;
-        while values.len() < self.count {
-            let from = values.len();
-            values.resize((from + PIECE).min(self.count), T::default());
-            let piece = &mut values[from..];
-            self.reader.read_exact(bytemuck::cast_slice_mut(piece)).map_err(|e| read_error(self.path, e))?;
-            if self.swap != cfg!(target_endian = "big") {
-                piece.iter_mut().for_each(|v| *v = v.swap());
-            }
-            (self.progress)((values.len() * size_of::<T>()) as u64, all);
-        }
-        Ok(values)
-    }
 }

@@ -1,0 +1,151 @@
+//! Values of a deformation's parameters and settings, as scene files and options state them.
+
+use crate::{Error, Result};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// One value.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum Argument {
+    /// true or false.
+    Flag(bool),
+    /// A number.
+    Number(f32),
+    /// A word or a path.
+    Text(String),
+    /// Several numbers.
+    Numbers(Vec<f32>),
+    /// Several words.
+    Texts(Vec<String>),
+    /// Rows of numbers.
+    Rows(Vec<Vec<f32>>),
+}
+
+impl From<f32> for Argument {
+    fn from(v: f32) -> Self {
+        Self::Number(v)
+    }
+}
+
+impl From<&str> for Argument {
+    fn from(v: &str) -> Self {
+        Self::Text(v.to_owned())
+    }
+}
+
+impl From<Vec<f32>> for Argument {
+    fn from(v: Vec<f32>) -> Self {
+        Self::Numbers(v)
+    }
+}
+
+/// Values by name.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(transparent)]
+pub struct Arguments(pub BTreeMap<String, Argument>);
+
+impl<const N: usize> From<[(&str, Argument); N]> for Arguments {
+    fn from(entries: [(&str, Argument); N]) -> Self {
+        Self(entries.into_iter().map(|(name, value)| (name.to_owned(), value)).collect())
+    }
+}
+
+impl Arguments {
+    /// Sets a value.
+    pub fn insert(&mut self, name: impl Into<String>, value: impl Into<Argument>) {
+        self.0.insert(name.into(), value.into());
+    }
+
+    /// A word or a path.
+    ///
+    /// # Errors
+    /// A value of another form.
+    pub fn text(&self, name: &str) -> Result<Option<&str>> {
+        match self.0.get(name) {
+            None => Ok(None),
+            Some(Argument::Text(t)) => Ok(Some(t)),
+            Some(other) => Err(Error::value(name, format!("{other:?} is not a word or a path"))),
+        }
+    }
+
+    /// One or several words or paths.
+    ///
+    /// # Errors
+    /// A value of another form.
+    pub fn texts(&self, name: &str) -> Result<Option<Vec<String>>> {
+        match self.0.get(name) {
+            Some(Argument::Texts(all)) => Ok(Some(all.clone())),
+            _ => Ok(self.text(name)?.map(|t| vec![t.to_owned()])),
+        }
+    }
+
+    /// One of some words; the first if none is given.
+    ///
+    /// # Errors
+    /// Another word (with the closest known one).
+    pub fn choice<'a>(&self, name: &str, known: &[&'a str]) -> Result<&'a str> {
+        let Some(given) = self.text(name)? else { return Ok(known[0]) };
+        known
+            .iter()
+            .copied()
+            .find(|k| *k == given)
+            .ok_or_else(|| Error::value(name, format!("\"{given}\" is not known; {}", crate::error::suggestion(given, known.iter().copied()))))
+    }
+
+    /// Numbers, rows joined.
+    ///
+    /// # Errors
+    /// A value of another form, or a number that is not finite.
+    pub fn numbers(&self, name: &str) -> Result<Option<Vec<f32>>> {
+        let numbers = match self.0.get(name) {
+            None => return Ok(None),
+            Some(Argument::Number(v)) => vec![*v],
+            Some(Argument::Numbers(v)) => v.clone(),
+            Some(Argument::Rows(rows)) => rows.concat(),
+            Some(other) => return Err(Error::value(name, format!("{other:?} is not a list of numbers"))),
+        };
+        if numbers.iter().any(|v| !v.is_finite()) {
+            return Err(Error::value(name, "holds a number that is not finite"));
+        }
+        Ok(Some(numbers))
+    }
+
+    /// One number.
+    ///
+    /// # Errors
+    /// A value of another form.
+    pub fn number(&self, name: &str) -> Result<Option<f32>> {
+        match self.numbers(name)?.as_deref() {
+            None => Ok(None),
+            Some([v]) => Ok(Some(*v)),
+            Some(_) => Err(Error::value(name, "is one number")),
+        }
+    }
+
+    /// Whole numbers from 0 on: labels, counts.
+    ///
+    /// # Errors
+    /// A value of another form.
+    pub fn whole(&self, name: &str) -> Result<Option<Vec<usize>>> {
+        let Some(numbers) = self.numbers(name)? else { return Ok(None) };
+        if let Some(bad) = numbers.iter().find(|v| **v < 0.0 || v.fract() != 0.0 || **v > 1e6) {
+            return Err(Error::value(name, format!("{bad} is not a whole number")));
+        }
+        Ok(Some(numbers.into_iter().map(|v| v as usize).collect()))
+    }
+
+    /// true or false; false if not given.
+    ///
+    /// # Errors
+    /// A value of another form.
+    pub fn flag(&self, name: &str) -> Result<bool> {
+        match self.0.get(name) {
+            None => Ok(false),
+            Some(Argument::Flag(v)) => Ok(*v),
+            Some(Argument::Text(t)) if t == "true" || t == "false" => Ok(t == "true"),
+            Some(other) => Err(Error::value(name, format!("{other:?} is neither true nor false"))),
+        }
+    }
+}

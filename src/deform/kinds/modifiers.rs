@@ -1,0 +1,113 @@
+//! What every kind can be asked to do besides: leave labels alone, or work in cylindrical coordinates.
+
+use super::{Backward, Context, Field, Inputs, Setting};
+use crate::Result;
+use crate::deform::Arguments;
+use crate::deform::distance::DistanceField;
+use crate::math::smoothstep;
+use glam::{Affine3A, Vec3, Vec3Swizzles};
+use std::f32::consts::TAU;
+use std::sync::Arc;
+
+/// Settings of every kind.
+pub(super) const SETTINGS: &[Setting] = &[
+    Setting { name: "spare", about: "labels that are neither cut nor moved" },
+    Setting { name: "labels", about: "file of the label map; by default the volume itself" },
+    Setting { name: "mapping", about: "none, or cylindrical: the kind's x runs around the box's z axis, its y along it, its z outwards" },
+];
+
+/// Whether the settings make a map vary along all axes.
+pub(super) fn vary_everywhere(settings: &Arguments) -> bool {
+    settings.0.contains_key("spare") || settings.0.contains_key("mapping")
+}
+
+/// The field behind the modifiers that the settings ask for.
+pub(super) fn apply(field: Box<dyn Field>, context: &Context, inputs: &Inputs) -> Result<Box<dyn Field>> {
+    let mut field = field;
+    if inputs.settings.choice("mapping", &["none", "cylindrical"])? == "cylindrical" {
+        field = Box::new(Cylindrical { inner: field, size_mm: context.size_mm, radius: context.half().x.min(context.half().y) });
+    }
+    if let Some(labels) = inputs.settings.whole("spare")? {
+        let distance = inputs.library.label_distance(inputs.settings, &labels)?;
+        let fade_mm = 3.0 * context.texel_mm;
+        field = Box::new(Spared { inner: field, distance, world_from_local: inputs.world_from_local, fade_mm });
+    }
+    Ok(field)
+}
+
+/// Cylindrical coordinate mapping (\[DS07\] section 3.2): the inner field's box is unrolled around the axis. What it moves along its own x turns
+/// about the axis, what it lifts along its z goes outwards, and its flat cuts become round ones.
+///
+/// \[DS07\] stores the unrolled map and converts coordinates at every sample; here the map is sampled in Cartesian coordinates, so that
+/// renderers need not know.
+struct Cylindrical {
+    inner: Box<dyn Field>,
+    size_mm: Vec3,
+    radius: f32,
+}
+
+impl Cylindrical {
+    fn unrolled(&self, q: Vec3) -> Vec3 {
+        let r = q.xy().length();
+        let angle = if r > 0.0 { q.x.atan2(q.y) } else { 0.0 };
+        Vec3::new(angle / TAU * self.size_mm.x, q.z / self.size_mm.z * self.size_mm.y, (r / self.radius - 0.5) * self.size_mm.z)
+    }
+
+    fn rolled(&self, u: Vec3) -> Vec3 {
+        let angle = u.x / self.size_mm.x * TAU;
+        let r = ((u.z / self.size_mm.z + 0.5) * self.radius).max(0.0);
+        Vec3::new(r * angle.sin(), r * angle.cos(), u.y / self.size_mm.y * self.size_mm.z)
+    }
+
+    /// Smallest ratio of a length in the world to the unrolled one.
+    fn shrinks(&self, q: Vec3) -> f32 {
+        let around = TAU * q.xy().length() / self.size_mm.x;
+        (self.radius / self.size_mm.z).min(self.size_mm.z / self.size_mm.y).min(around).min(1.0)
+    }
+}
+
+impl Field for Cylindrical {
+    fn backward(&self, q: Vec3) -> Backward {
+        let u = self.unrolled(q);
+        let inner = self.inner.backward(u);
+        // Where nothing moves, keep the point itself rather than its way there and back.
+        let source = if inner.source == u { q } else { self.rolled(inner.source) };
+        Backward { source, cut_mm: inner.cut_mm * self.shrinks(q).max(0.05) }
+    }
+
+    fn forward(&self, q: Vec3) -> Option<Vec3> {
+        self.inner.forward(self.unrolled(q)).map(|u| self.rolled(u))
+    }
+}
+
+/// Labels that are left alone: neither cut nor moved, and not shown a second time by matter that was moved from them.
+struct Spared {
+    inner: Box<dyn Field>,
+    distance: Arc<DistanceField>,
+    world_from_local: Affine3A,
+    /// Width over which the displacement fades towards a spared label.
+    fade_mm: f32,
+}
+
+impl Field for Spared {
+    fn backward(&self, q: Vec3) -> Backward {
+        let inner = self.inner.backward(q);
+        let inside = |p: Vec3| self.distance.sample(self.world_from_local.transform_point3(p));
+        let here = inside(q);
+        let source = q + (inner.source - q) * smoothstep(0.0, self.fade_mm, -here);
+        let mut cut_mm = inner.cut_mm;
+        if (source - q).length_squared() > 0.01 * self.fade_mm * self.fade_mm {
+            cut_mm = cut_mm.min(-inside(source));
+        }
+        Backward { source, cut_mm: cut_mm.max(here) }
+    }
+
+    fn forward(&self, q: Vec3) -> Option<Vec3> {
+        let spared = self.distance.sample(self.world_from_local.transform_point3(q)) >= 0.0;
+        if spared {
+            return Some(q);
+        }
+        // Beside a spared label the displacement fades, and the kind's own forward map no longer holds.
+        self.inner.forward(q).filter(|to| self.backward(*to).source.distance_squared(q) < 1e-6)
+    }
+}

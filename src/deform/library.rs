@@ -1,0 +1,181 @@
+//! What deformations read besides their numbers: the scene's volume, label maps, distance fields, fields from files. Each is loaded once
+//! and kept as long as the scene's assets are.
+
+use super::Arguments;
+use super::distance::{DistanceField, Region};
+use super::transform::{Context, Transform};
+use crate::volume::{GridGeometry, Volume, load};
+use crate::{Error, Result};
+use std::collections::HashMap;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Loaded things by name.
+#[derive(Default)]
+pub struct Library {
+    volume: Option<Arc<Volume>>,
+    folder: PathBuf,
+    volumes: Mutex<HashMap<PathBuf, Arc<Volume>>>,
+    distances: Mutex<HashMap<String, Arc<DistanceField>>>,
+    transforms: Mutex<HashMap<String, Arc<Transform>>>,
+}
+
+fn lock<T>(m: &Mutex<T>) -> MutexGuard<'_, T> {
+    // Entries are only ever added whole; a panic elsewhere leaves them good.
+    m.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Library {
+    /// The library of a scene that shows `volume`; relative paths start from `folder`.
+    pub fn new(volume: Arc<Volume>, folder: PathBuf) -> Self {
+        Self { volume: Some(volume), folder, ..Self::default() }
+    }
+
+    /// The scene's volume.
+    ///
+    /// # Errors
+    /// There is none.
+    pub fn volume(&self) -> Result<&Arc<Volume>> {
+        self.volume.as_ref().ok_or_else(|| Error::value("volume", "this deformation follows a volume, and there is none"))
+    }
+
+    /// A path as this process finds it.
+    pub fn path(&self, path: &str) -> PathBuf {
+        if path.starts_with("phantom:") { PathBuf::from(path) } else { self.folder.join(path) }
+    }
+
+    /// A volume by path.
+    ///
+    /// # Errors
+    /// What the readers report.
+    pub fn load_volume(&self, path: &str) -> Result<Arc<Volume>> {
+        let path = self.path(path);
+        if let Some(volume) = lock(&self.volumes).get(&path) {
+            return Ok(volume.clone());
+        }
+        let volume = Arc::new(load::volume(&path, &mut |_, _| ())?);
+        lock(&self.volumes).insert(path, volume.clone());
+        Ok(volume)
+    }
+
+    /// The transform that the settings name: `path` (one file, or several that are gone through in order from the deformed to the source
+    /// point), `moving` and `reference` (images that FSL's files need; by default the scene's volume for matrices), `convention`.
+    ///
+    /// # Errors
+    /// What the readers report; no path.
+    pub fn transform(&self, settings: &Arguments) -> Result<Arc<Transform>> {
+        let paths = settings.texts("path")?.ok_or_else(|| Error::value("path", "is missing; name a file"))?;
+        let key = format!("{:?}", settings.0);
+        if let Some(transform) = lock(&self.transforms).get(&key) {
+            return Ok(transform.clone());
+        }
+        let grid_of = |name: &str| -> Result<Option<GridGeometry>> {
+            Ok(match settings.text(name)? {
+                Some(path) => Some(self.load_volume(path)?.geometry()),
+                None => None,
+            })
+        };
+        let (moving, reference) = (grid_of("moving")?, grid_of("reference")?);
+        let own = self.volume.as_deref().map(Volume::geometry);
+        let mut whole: Option<Transform> = None;
+        for path in paths {
+            let path = self.path(&path);
+            let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+            let matrix = !matches!(ending.as_str(), "gz" | "nii" | "nrrd" | "nhdr" | "mha" | "mhd");
+            let context = if matrix {
+                Context { moving: moving.or(own), reference: reference.or(own), convention: None }
+            } else {
+                Context { moving, reference, convention: settings.text("convention")? }
+            };
+            let one = Transform::load(&path, &context)?;
+            whole = Some(match whole {
+                Some(before) => before.then(one),
+                None => one,
+            });
+        }
+        let transform = Arc::new(whole.ok_or_else(|| Error::value("path", "is missing; name a file"))?);
+        lock(&self.transforms).insert(key, transform.clone());
+        Ok(transform)
+    }
+
+    /// The volume that holds the labels: the file that the setting `labels` names, or the scene's volume.
+    ///
+    /// # Errors
+    /// What the readers report; a setting of the wrong form.
+    pub fn labels(&self, settings: &Arguments) -> Result<Arc<Volume>> {
+        match settings.text("labels")? {
+            Some(path) => self.load_volume(path),
+            None => self.volume().cloned(),
+        }
+    }
+
+    /// The distance field of labels.
+    ///
+    /// # Errors
+    /// No voxel has any of the labels (the ones that exist are named).
+    pub fn label_distance(&self, settings: &Arguments, wanted: &[usize]) -> Result<Arc<DistanceField>> {
+        let volume = self.labels(settings)?;
+        let key = format!("{:?} {wanted:?}", settings.text("labels")?);
+        self.distance(key, || {
+            DistanceField::new(&volume, &Region::Labels(wanted))
+                .ok_or_else(|| Error::value("label", format!("{wanted:?}: no voxel has this label; the label map holds {}", some_labels(&volume))))
+        })
+    }
+
+    /// The distance field of the region that the settings name: `label` (of `labels`), `mask`, `iso`, or else the scan's body.
+    ///
+    /// # Errors
+    /// A region without voxels, files that cannot be read, more than one way of naming the region.
+    pub fn region(&self, settings: &Arguments) -> Result<Arc<DistanceField>> {
+        let label = settings.whole("label")?;
+        let mask = settings.text("mask")?;
+        let iso = settings.number("iso")?;
+        match (label, mask, iso) {
+            (Some(label), None, None) => self.label_distance(settings, &label),
+            (None, Some(path), None) => {
+                let volume = self.load_volume(path)?;
+                self.distance(format!("mask {path}"), || {
+                    DistanceField::new(&volume, &Region::Mask)
+                        .ok_or_else(|| Error::value("mask", format!("{path} has no surface: it is all inside or all outside")))
+                })
+            }
+            (None, None, iso) => {
+                let volume = self.volume()?;
+                let iso = iso.map_or_else(|| volume.body_threshold(), f64::from);
+                self.distance(format!("iso {iso}"), || {
+                    DistanceField::new(volume, &Region::Body(iso)).ok_or_else(|| {
+                        let [low, high] = volume.range;
+                        Error::value("iso", format!("the volume has no surface at {iso}; its values go from {low} to {high}"))
+                    })
+                })
+            }
+            _ => Err(Error::value("label, mask, iso", "name the surface in one way only")),
+        }
+    }
+
+    fn distance(&self, key: String, make: impl FnOnce() -> Result<DistanceField>) -> Result<Arc<DistanceField>> {
+        if let Some(field) = lock(&self.distances).get(&key) {
+            return Ok(field.clone());
+        }
+        let field = Arc::new(make()?);
+        lock(&self.distances).insert(key, field.clone());
+        Ok(field)
+    }
+}
+
+/// The labels of a map in words, not too many.
+fn some_labels(volume: &Volume) -> String {
+    let mut seen = std::collections::BTreeSet::new();
+    for n in 0..volume.voxels.len() {
+        let v = volume.voxels.get(n);
+        if v > 0.0 && v.fract() == 0.0 && v <= 65_535.0 {
+            seen.insert(v as u32);
+        }
+    }
+    let some: Vec<String> = seen.iter().take(12).map(u32::to_string).collect();
+    match (seen.len(), seen.last()) {
+        (0, _) | (_, None) => "none (it is no label map)".into(),
+        (n, Some(last)) if n > 12 => format!("{} ... {last}", some.join(", ")),
+        _ => some.join(", "),
+    }
+}

@@ -1,0 +1,64 @@
+//! Displacement maps as files: NRRD with four components, the displacement (source minus deformed point, LPS mm) and the mask, on the map's grid.
+//!
+//! Stored in millimetres rather than in map units, so that any program that reads vector NRRD shows the field; the geometry gives the
+//! placement back.
+
+use super::compose::{grid_of, placement_of};
+use super::{DisplacementMap, PlacedMap, Storage, TexelSample};
+use crate::volume::save::{self, Content, Format};
+use crate::volume::{GridGeometry, load};
+use crate::{Error, Result};
+use glam::{Mat3, Vec3};
+use std::path::Path;
+use std::sync::Arc;
+
+/// Reads a map, its displacement scaled by `strength`.
+///
+/// # Errors
+/// A file that cannot be read or is no displacement map.
+pub fn read(path: &Path, storage: Storage, strength: f32) -> Result<PlacedMap> {
+    let image = load::image(path, &mut |_, _| ())?;
+    if !image.displacement || image.components != 4 {
+        let problem = format!(
+            "is no displacement map of this program (it has {} values per voxel); a displacement field of another program is a field: --deform field:path=...",
+            image.components
+        );
+        return Err(Error::file(path, problem));
+    }
+    let grid = GridGeometry { size: image.size, world_from_voxel: image.world_from_voxel };
+    if image.size.iter().product::<usize>() > super::compose::MOST_TEXELS {
+        return Err(Error::file(path, format!("has more than {} texels; make it with a lower resolution", super::compose::MOST_TEXELS)));
+    }
+    let placement = placement_of(&grid)?;
+    let map_from_world = Mat3::from(placement.map_from_world.matrix3);
+    let channels: [Vec<f32>; 4] = std::array::from_fn(|c| image.component(c));
+    let top = Vec3::from(image.size.map(|n| n.saturating_sub(1) as f32));
+    let map = DisplacementMap::from_fn(image.size, storage, |x| {
+        let at = (x * top).round();
+        let n = (at.z as usize * image.size[1] + at.y as usize) * image.size[0] + at.x as usize;
+        let world = Vec3::new(channels[0][n], channels[1][n], channels[2][n]);
+        TexelSample { displacement: map_from_world * world * strength, alpha: 1.0 - (1.0 - channels[3][n]) * if strength > 0.0 { 1.0 } else { 0.0 } }
+    });
+    Ok(PlacedMap::new(Arc::new(map), placement))
+}
+
+/// A map as the bytes of its file.
+///
+/// # Errors
+/// The encoder's.
+pub fn encode(placed: &PlacedMap) -> Result<Vec<u8>> {
+    let size = placed.map.size;
+    let linear = Mat3::from(placed.placement.world_from_map.matrix3);
+    let step = Vec3::from(size.map(|n| 1.0 / n.saturating_sub(1).max(1) as f32));
+    let mut values = Vec::with_capacity(4 * size.iter().product::<usize>());
+    for k in 0..size[2] {
+        for j in 0..size[1] {
+            for i in 0..size[0] {
+                let t = placed.map.sample(Vec3::new(i as f32, j as f32, k as f32) * step);
+                let world = linear * t.displacement;
+                values.extend([world.x, world.y, world.z, t.alpha]);
+            }
+        }
+    }
+    save::encode(Format::Nrrd, &grid_of(&placed.placement, size), Content::Map, &values)
+}

@@ -1,0 +1,60 @@
+//! ITK's B-spline transform: a displacement made of cubic B-splines on a coarse grid of coefficients (Rueckert et al. 1999).
+
+use crate::volume::GridGeometry;
+use glam::{DAffine3, DVec3, Vec3};
+
+/// Coefficients on their grid. Where the 4x4x4 coefficients around a point are not all there, nothing moves, as ITK has it.
+pub struct BSplineGrid {
+    /// The coefficients' grid.
+    pub grid: GridGeometry,
+    /// Displacement coefficients, LPS mm, i fastest.
+    pub coefficients: Vec<Vec3>,
+    voxel_from_world: DAffine3,
+}
+
+/// Cubic B-spline weights of the four coefficients around a point at fraction `t` behind the second.
+pub(crate) fn cubic_weights(t: f64) -> [f64; 4] {
+    let u = 1.0 - t;
+    [u * u * u / 6.0, (4.0 - 6.0 * t * t + 3.0 * t * t * t) / 6.0, (4.0 - 6.0 * u * u + 3.0 * u * u * u) / 6.0, t * t * t / 6.0]
+}
+
+impl BSplineGrid {
+    /// Coefficients on a grid; one per point.
+    pub fn new(grid: GridGeometry, coefficients: Vec<Vec3>) -> Self {
+        assert_eq!(coefficients.len(), grid.size.iter().product::<usize>(), "coefficient count and size disagree");
+        Self { grid, coefficients, voxel_from_world: grid.world_from_voxel.inverse() }
+    }
+
+    /// The source of a deformed point.
+    pub fn source_from_deformed(&self, p: DVec3) -> DVec3 {
+        let v = self.voxel_from_world.transform_point3(p);
+        let [nx, ny, nz] = self.grid.size;
+        let top = DVec3::new(nx as f64 - 2.0, ny as f64 - 2.0, nz as f64 - 2.0);
+        if v.cmplt(DVec3::ONE).any() || v.cmpgt(top).any() {
+            return p;
+        }
+        let first = v.floor().min(top - 1.0).max(DVec3::ONE);
+        let f = v - first;
+        let (wx, wy, wz) = (cubic_weights(f.x), cubic_weights(f.y), cubic_weights(f.z));
+        let (i, j, k) = (first.x as usize - 1, first.y as usize - 1, first.z as usize - 1);
+        let mut sum = DVec3::ZERO;
+        for c in 0..4 {
+            for b in 0..4 {
+                for a in 0..4 {
+                    sum += self.coefficients[((k + c) * ny + j + b) * nx + i + a].as_dvec3() * (wx[a] * wy[b] * wz[c]);
+                }
+            }
+        }
+        p + sum
+    }
+
+    /// A grid fine enough to sample the splines on: eight points per coefficient, within bounds.
+    pub fn fine_grid(&self) -> GridGeometry {
+        let refine = self.grid.size.map(|n| (160.0 / n as f64).clamp(1.0, 8.0).floor());
+        let scale = DVec3::from_array(refine.map(f64::recip));
+        GridGeometry {
+            size: std::array::from_fn(|a| (self.grid.size[a] - 1) * refine[a] as usize + 1),
+            world_from_voxel: self.grid.world_from_voxel * DAffine3::from_scale(scale),
+        }
+    }
+}

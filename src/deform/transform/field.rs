@@ -1,0 +1,149 @@
+//! A displacement on a grid of points in the world: what registration writes, and what baking and inversion work on.
+
+use super::{Context, fsl_from_voxel, world_from_fsl};
+use crate::math::trilinear;
+use crate::volume::GridGeometry;
+use crate::volume::load::Image;
+use crate::{Error, Result};
+use glam::{DAffine3, DMat3, DVec3, Vec3};
+use rayon::prelude::*;
+use std::path::Path;
+
+/// NIfTI intents.
+const DISPLACEMENT_RAS: i16 = 1006;
+const VECTOR_LPS: i16 = 1007;
+const FSL_DISPLACEMENT: i16 = 2006;
+
+/// Displacement vectors, source minus deformed point, LPS mm.
+#[derive(Clone)]
+pub struct VectorField {
+    /// Where the vectors lie.
+    pub grid: GridGeometry,
+    /// Vectors, i fastest.
+    pub vectors: Vec<Vec3>,
+    voxel_from_world: DAffine3,
+}
+
+impl VectorField {
+    /// A field on a grid; one vector per voxel.
+    pub fn new(grid: GridGeometry, vectors: Vec<Vec3>) -> Self {
+        assert_eq!(vectors.len(), grid.size.iter().product::<usize>(), "vector count and size disagree");
+        Self { grid, vectors, voxel_from_world: grid.world_from_voxel.inverse() }
+    }
+
+    /// Samples a transform, given as source from deformed point, on a grid.
+    pub fn sampled(grid: GridGeometry, source_from_deformed: impl Fn(DVec3) -> DVec3 + Sync) -> Self {
+        let [nx, ny, _] = grid.size;
+        let vectors = (0..grid.size.iter().product::<usize>())
+            .into_par_iter()
+            .map(|n| {
+                let p = grid.world_from_voxel.transform_point3(DVec3::new((n % nx) as f64, (n / nx % ny) as f64, (n / nx / ny) as f64));
+                (source_from_deformed(p) - p).as_vec3()
+            })
+            .collect();
+        Self::new(grid, vectors)
+    }
+
+    /// The displacement field that an image of three components holds.
+    ///
+    /// # Errors
+    /// Another number of components, vectors that are not finite, a meaning that the file does not state.
+    pub fn of_image(path: &Path, image: &Image, context: &Context) -> Result<Self> {
+        let fail = |problem: String| Error::file(path, problem);
+        if image.components != 3 {
+            return Err(fail(format!("holds {} values per voxel; a displacement field has 3", image.components)));
+        }
+        let grid = GridGeometry { size: image.size, world_from_voxel: image.world_from_voxel };
+        let [x, y, z] = [image.component(0), image.component(1), image.component(2)];
+        let convention = match (context.convention, image.frame, image.intent) {
+            (Some(c), _, _) => c,
+            (None, Some(_), _) => "frame",
+            (None, None, VECTOR_LPS) => "lps",
+            (None, None, DISPLACEMENT_RAS) => "ras",
+            (None, None, FSL_DISPLACEMENT) => "fsl",
+            (None, None, 2007..=2009) => {
+                return Err(fail("holds FSL spline coefficients; turn it into a field with fnirtfileutils --in=... --out=... first".into()));
+            }
+            (None, None, intent) => {
+                return Err(fail(format!(
+                    "does not say what its vectors are (intent {intent}; 1006, 1007 and 2006 do); give convention=lps, ras, fsl or fsl-absolute"
+                )));
+            }
+        };
+        let raw = |n: usize| DVec3::new(f64::from(x[n]), f64::from(y[n]), f64::from(z[n]));
+        let bad = (0..x.len()).into_par_iter().filter(|&n| !raw(n).is_finite()).count();
+        if bad > 0 {
+            return Err(fail(format!("holds {bad} vectors that are NaN or infinite; mask or replace them")));
+        }
+        let turned = |m: DMat3| (0..x.len()).into_par_iter().map(|n| (m * raw(n)).as_vec3()).collect::<Vec<_>>();
+        let vectors = match convention {
+            "lps" => turned(DMat3::IDENTITY),
+            "frame" => turned(image.frame.unwrap_or(DMat3::IDENTITY)),
+            "ras" => turned(DMat3::from_diagonal(DVec3::new(-1.0, -1.0, 1.0))),
+            "fsl" | "fsl-absolute" => {
+                let own = world_from_fsl(&grid);
+                if convention == "fsl" && context.moving.is_none() {
+                    turned(own.matrix3)
+                } else {
+                    // The vectors lead from the reference's millimetres to the moving image's.
+                    let moving = world_from_fsl(context.moving.as_ref().unwrap_or(&grid));
+                    let fsl_from_voxel = fsl_from_voxel(&grid);
+                    let [nx, ny, _] = grid.size;
+                    (0..x.len())
+                        .into_par_iter()
+                        .map(|n| {
+                            let voxel = DVec3::new((n % nx) as f64, (n / nx % ny) as f64, (n / nx / ny) as f64);
+                            let from = if convention == "fsl" { fsl_from_voxel.transform_point3(voxel) } else { DVec3::ZERO };
+                            (moving.transform_point3(from + raw(n)) - grid.world_from_voxel.transform_point3(voxel)).as_vec3()
+                        })
+                        .collect()
+                }
+            }
+            other => return Err(Error::value("convention", format!("\"{other}\" is not known; lps, ras, fsl or fsl-absolute"))),
+        };
+        Ok(Self::new(grid, vectors))
+    }
+
+    /// Grid coordinates of a world point.
+    pub fn voxel_from_world(&self, p: DVec3) -> DVec3 {
+        self.voxel_from_world.transform_point3(p)
+    }
+
+    /// The displacement at grid coordinates, clamped to the grid.
+    pub fn at_voxel(&self, voxel: DVec3) -> Vec3 {
+        trilinear(&self.vectors, self.grid.size, voxel.as_vec3())
+    }
+
+    /// The displacement at a world point; nothing moves beyond the outermost voxels' centres, as ITK has it.
+    pub fn displacement(&self, p: DVec3) -> Vec3 {
+        let v = self.voxel_from_world(p);
+        let top = DVec3::from_array(self.grid.size.map(|n| (n - 1) as f64));
+        // A point on the outermost plane stays inside whatever the transform rounds.
+        if v.cmplt(DVec3::splat(-1e-6)).any() || v.cmpgt(top + 1e-6).any() {
+            return Vec3::ZERO;
+        }
+        self.at_voxel(v)
+    }
+
+    /// The source of a deformed point.
+    pub fn source_from_deformed(&self, p: DVec3) -> DVec3 {
+        p + self.displacement(p).as_dvec3()
+    }
+
+    /// d source / d deformed at a voxel, by central differences of the grid (one-sided at its faces).
+    pub fn jacobian(&self, i: usize, j: usize, k: usize) -> DMat3 {
+        let [nx, ny, nz] = self.grid.size;
+        let at = |c: [usize; 3]| self.vectors[(c[2] * ny + c[1]) * nx + c[0]].as_dvec3();
+        let mut per_voxel = DMat3::ZERO;
+        for (axis, n) in [nx, ny, nz].into_iter().enumerate() {
+            let c = [i, j, k];
+            let (mut low, mut high) = (c, c);
+            low[axis] = c[axis].saturating_sub(1);
+            high[axis] = (c[axis] + 1).min(n - 1);
+            if high[axis] > low[axis] {
+                *per_voxel.col_mut(axis) = (at(high) - at(low)) / (high[axis] - low[axis]) as f64;
+            }
+        }
+        DMat3::IDENTITY + per_voxel * self.voxel_from_world.matrix3
+    }
+}

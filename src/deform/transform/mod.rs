@@ -1,0 +1,162 @@
+//! Spatial transforms as registration programs write them: affine matrices, displacement fields, B-spline grids, and chains of them.
+//!
+//! A registration's transform maps a point of the *fixed* image (the picture that comes out) to the point of the *moving* image that is
+//! seen there: exactly a source from a deformed point. Everything is turned to patient LPS millimetres on reading; vectors turn
+//! with the axes.
+//!
+//! | format | direction in the file | space | read as |
+//! |---|---|---|---|
+//! | ITK `.tfm`, `.txt`, `.mat` (MATLAB 4, as ANTs writes) | fixed to moving | LPS | as it is |
+//! | AFNI `.1D`, `.aff12.1D`, `.afni` | base to source | LPS ("DICOM order") | as it is |
+//! | FreeSurfer `.lta` | `src` to `dst`, `src` being the moving image | RAS, or voxels | inverted |
+//! | FSL `.mat`, `.fsl` | moving to reference | millimetres from the first voxel, x flipped where the axes are right-handed | inverted; needs both grids |
+//! | NIfTI vectors, intent 1007 (ITK, ANTs) / 1006 | fixed to moving | LPS / RAS | as it is |
+//! | NIfTI, intent 2006 (FSL) | reference to moving, relative or absolute | as FSL's matrices | vectors along the grid's axes, or exactly with the moving grid |
+//! | NRRD, MetaImage vectors | fixed to moving | the file's | as it is |
+
+mod affine_files;
+mod bspline;
+mod field;
+mod itk;
+
+pub use bspline::BSplineGrid;
+pub use field::VectorField;
+
+use crate::volume::{GridGeometry, load};
+use crate::{Error, Result};
+use glam::{DAffine3, DMat3, DVec3};
+use std::path::Path;
+
+/// One step of a chain.
+pub enum Step {
+    /// Everywhere the same.
+    Affine(DAffine3),
+    /// A displacement on a grid; nothing moves beyond it.
+    Field(VectorField),
+    /// Cubic B-splines on a coarse grid.
+    BSpline(BSplineGrid),
+}
+
+/// Steps that carry a deformed point to its source, first step first.
+pub struct Transform {
+    /// The steps.
+    pub steps: Vec<Step>,
+    /// What was odd about the files, one sentence each.
+    pub warnings: Vec<String>,
+}
+
+/// What a file does not say about itself.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Context<'a> {
+    /// The image that is deformed: FSL's moving image.
+    pub moving: Option<GridGeometry>,
+    /// The grid of the picture that comes out: FSL's reference image.
+    pub reference: Option<GridGeometry>,
+    /// How vectors are meant, where the file does not say or says it wrong: `lps`, `ras`, `fsl`, `fsl-absolute`.
+    pub convention: Option<&'a str>,
+}
+
+/// FSL's millimetres from voxels: spacing, and x counted from the other end where the voxel axes are right-handed.
+fn fsl_from_voxel(grid: &GridGeometry) -> DAffine3 {
+    let m = grid.world_from_voxel.matrix3;
+    let spacing = DVec3::new(m.x_axis.length(), m.y_axis.length(), m.z_axis.length());
+    // LPS and RAS differ by a rotation: the handedness is the same.
+    if m.determinant() > 0.0 {
+        let top = (grid.size[0] - 1) as f64 * spacing.x;
+        DAffine3 { matrix3: DMat3::from_diagonal(DVec3::new(-spacing.x, spacing.y, spacing.z)), translation: DVec3::new(top, 0.0, 0.0) }
+    } else {
+        DAffine3::from_scale(spacing)
+    }
+}
+
+/// World from FSL's millimetres.
+fn world_from_fsl(grid: &GridGeometry) -> DAffine3 {
+    grid.world_from_voxel * fsl_from_voxel(grid).inverse()
+}
+
+impl Transform {
+    /// An affine transform.
+    pub fn affine(source_from_deformed: DAffine3) -> Self {
+        Self { steps: vec![Step::Affine(source_from_deformed)], warnings: Vec::new() }
+    }
+
+    /// Reads a transform of any of the formats above.
+    ///
+    /// # Errors
+    /// A file that cannot be read, is of another type, or lacks what it needs to be understood; each named with what to do.
+    pub fn load(path: &Path, context: &Context) -> Result<Self> {
+        let name = path.file_name().map(|n| n.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+        let ends = |endings: &[&str]| endings.iter().any(|e| name.ends_with(e));
+        if ends(&[".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd"]) {
+            let image = load::image(path, &mut |_, _| ())?;
+            let warnings = image.warnings.clone();
+            return Ok(Self { steps: vec![Step::Field(VectorField::of_image(path, &image, context)?)], warnings });
+        }
+        if ends(&[".h5", ".hdf5"]) {
+            #[cfg(feature = "hdf5")]
+            return itk::read_hdf5(path);
+            #[cfg(not(feature = "hdf5"))]
+            return Err(Error::file(path, "is an HDF5 transform; build with the feature `hdf5` to read it, or save it as .tfm"));
+        }
+        let bytes = {
+            let size = std::fs::metadata(path).map_err(|e| Error::io(path, "opening", e))?.len();
+            if size > 1 << 30 {
+                return Err(Error::file(path, "is larger than any transform of a known format"));
+            }
+            std::fs::read(path).map_err(|e| Error::io(path, "reading", e))?
+        };
+        if let Some(transform) = itk::read_matlab(path, &bytes)? {
+            return Ok(transform);
+        }
+        let text = std::str::from_utf8(&bytes).map_err(|_| {
+            Error::file(path, "is no transform that can be read: ITK (.tfm, .mat), FSL, FreeSurfer (.lta), AFNI (.1D), or a vector image")
+        })?;
+        if text.starts_with("#Insight Transform File") {
+            return itk::read_text(path, text);
+        }
+        affine_files::read(path, &name, text, context)
+    }
+
+    /// The source of a deformed point, LPS mm.
+    pub fn source_from_deformed(&self, deformed: DVec3) -> DVec3 {
+        self.steps.iter().fold(deformed, |p, step| match step {
+            Step::Affine(m) => m.transform_point3(p),
+            Step::Field(f) => f.source_from_deformed(p),
+            Step::BSpline(b) => b.source_from_deformed(p),
+        })
+    }
+
+    /// The transform that goes through `self` first and then through `next`.
+    pub fn then(mut self, next: Self) -> Self {
+        self.steps.extend(next.steps);
+        self.warnings.extend(next.warnings);
+        self
+    }
+
+    /// The inverse, if every step is affine.
+    pub fn affine_inverse(&self) -> Option<Self> {
+        let steps = self.steps.iter().rev().map(|s| match s {
+            Step::Affine(m) => Some(Step::Affine(m.inverse())),
+            _ => None,
+        });
+        Some(Self { steps: steps.collect::<Option<_>>()?, warnings: self.warnings.clone() })
+    }
+
+    /// The finest grid among the steps, if any has one.
+    pub fn grid(&self) -> Option<GridGeometry> {
+        let grids = self.steps.iter().filter_map(|s| match s {
+            Step::Affine(_) => None,
+            Step::Field(f) => Some(f.grid),
+            Step::BSpline(b) => Some(b.fine_grid()),
+        });
+        grids.max_by_key(|g| g.size.iter().product::<usize>())
+    }
+
+    /// Whether every step is affine; then the whole is.
+    pub fn as_affine(&self) -> Option<DAffine3> {
+        self.steps.iter().try_fold(DAffine3::IDENTITY, |all, s| match s {
+            Step::Affine(m) => Some(*m * all),
+            _ => None,
+        })
+    }
+}

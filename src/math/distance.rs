@@ -1,0 +1,181 @@
+//! Exact Euclidean distance on an anisotropic grid (Felzenszwalb and Huttenlocher 2012, "Distance Transforms of Sampled Functions":
+//! along each axis in turn, the lower envelope of parabolas), and connected parts of a mask.
+
+use rayon::prelude::*;
+
+/// Squared distance from every grid point to the nearest cell (the box of one spacing around a point) of `set`, in the unit of `spacing`; 0 for
+/// the points of the set, infinite if it is empty.
+///
+/// A cell is the set of three parabolas per axis, at its point and at its two faces: the distance to a box is the sum of squares of the
+/// distances to its three intervals, so the axes still separate.
+pub fn squared_distance(set: &[bool], size: [usize; 3], spacing: [f32; 3]) -> Vec<f32> {
+    let [nx, ny, nz] = size;
+    let mut d: Vec<f32> = set.iter().map(|&s| if s { 0.0 } else { f32::INFINITY }).collect();
+    d.par_chunks_mut(nx.max(1)).for_each(|row| {
+        let mut line = Envelope::new(nx);
+        line.transform(row, spacing[0]);
+    });
+    d.par_chunks_mut((nx * ny).max(1)).for_each(|plane| {
+        let mut line = Envelope::new(ny);
+        let mut column = vec![0.0; ny];
+        for i in 0..nx {
+            (0..ny).for_each(|j| column[j] = plane[j * nx + i]);
+            line.transform(&mut column, spacing[1]);
+            (0..ny).for_each(|j| plane[j * nx + i] = column[j]);
+        }
+    });
+    let columns: Vec<Vec<f32>> = (0..nx * ny)
+        .into_par_iter()
+        .map_init(
+            || Envelope::new(nz),
+            |line, ij| {
+                let mut column: Vec<f32> = (0..nz).map(|k| d[k * nx * ny + ij]).collect();
+                line.transform(&mut column, spacing[2]);
+                column
+            },
+        )
+        .collect();
+    d.par_chunks_mut((nx * ny).max(1)).enumerate().for_each(|(k, plane)| plane.iter_mut().zip(&columns).for_each(|(v, c)| *v = c[k]));
+    d
+}
+
+/// Scratch space for one line.
+struct Envelope {
+    /// Grid points whose parabolas make the envelope.
+    at: Vec<usize>,
+    /// Where each begins to be the lowest.
+    from: Vec<f32>,
+    input: Vec<f32>,
+}
+
+impl Envelope {
+    fn new(n: usize) -> Self {
+        Self { at: Vec::with_capacity(n), from: Vec::with_capacity(n), input: Vec::with_capacity(n) }
+    }
+
+    fn transform(&mut self, line: &mut [f32], spacing: f32) {
+        self.at.clear();
+        self.from.clear();
+        self.input.clear();
+        // Points at odd places, the faces between them at even ones.
+        for n in 0..=2 * line.len() {
+            let value = if n % 2 == 1 {
+                line[n / 2]
+            } else {
+                let before = if n > 0 { line[n / 2 - 1] } else { f32::INFINITY };
+                before.min(line.get(n / 2).copied().unwrap_or(f32::INFINITY))
+            };
+            self.input.push(value);
+        }
+        let f = &self.input;
+        let x = |n: usize| n as f32 * 0.5 * spacing;
+        for q in (0..f.len()).filter(|&q| f[q].is_finite()) {
+            let mut start = f32::NEG_INFINITY;
+            while let (Some(&p), Some(&since)) = (self.at.last(), self.from.last()) {
+                let s = ((f[q] + x(q) * x(q)) - (f[p] + x(p) * x(p))) / (2.0 * (x(q) - x(p)));
+                if s > since {
+                    start = s;
+                    break;
+                }
+                self.at.pop();
+                self.from.pop();
+            }
+            self.at.push(q);
+            self.from.push(start);
+        }
+        if self.at.is_empty() {
+            return;
+        }
+        let mut n = 0;
+        for (q, value) in line.iter_mut().enumerate() {
+            let here = x(2 * q + 1);
+            while n + 1 < self.at.len() && self.from[n + 1] <= here {
+                n += 1;
+            }
+            let p = self.at[n];
+            *value = (here - x(p)).powi(2) + f[p];
+        }
+    }
+}
+
+/// The points of `mask` connected (across faces) to any of `seeds`.
+pub fn connected(mask: &[bool], size: [usize; 3], seeds: impl IntoIterator<Item = usize>) -> Vec<bool> {
+    let [nx, ny, nz] = size;
+    let mut reached = vec![false; mask.len()];
+    let mut open: Vec<usize> = Vec::new();
+    for s in seeds {
+        if mask[s] && !reached[s] {
+            reached[s] = true;
+            open.push(s);
+        }
+    }
+    while let Some(n) = open.pop() {
+        let (i, j, k) = (n % nx, n / nx % ny, n / (nx * ny));
+        let neighbours = [
+            (i > 0).then(|| n - 1),
+            (i + 1 < nx).then(|| n + 1),
+            (j > 0).then(|| n - nx),
+            (j + 1 < ny).then(|| n + nx),
+            (k > 0).then(|| n - nx * ny),
+            (k + 1 < nz).then(|| n + nx * ny),
+        ];
+        for m in neighbours.into_iter().flatten() {
+            if mask[m] && !reached[m] {
+                reached[m] = true;
+                open.push(m);
+            }
+        }
+    }
+    reached
+}
+
+/// The largest connected part of a mask.
+pub fn largest_part(mask: &[bool], size: [usize; 3]) -> Vec<bool> {
+    let mut rest = mask.to_vec();
+    let (mut best, mut most) = (vec![false; mask.len()], 0);
+    let mut left = mask.iter().filter(|m| **m).count();
+    let mut next = 0;
+    while left > most {
+        let Some(seed) = (next..rest.len()).find(|&n| rest[n]) else { break };
+        next = seed + 1;
+        let part = connected(&rest, size, [seed]);
+        let count = part.iter().filter(|p| **p).count();
+        rest.iter_mut().zip(&part).for_each(|(r, p)| *r &= !p);
+        left -= count;
+        if count > most {
+            (best, most) = (part, count);
+        }
+    }
+    best
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn distances_are_exact(nx in 1usize..8, ny in 1usize..8, nz in 1usize..8, seed in 0u64..1000, spacing in prop::array::uniform3(0.3f32..5.0)) {
+            let n = nx * ny * nz;
+            let set: Vec<bool> = (0..n as u64).map(|i| (i * 2_654_435_761 + seed * 40_503).is_multiple_of(7)).collect();
+            let got = squared_distance(&set, [nx, ny, nz], spacing);
+            let at = |n: usize| [n % nx, n / nx % ny, n / nx / ny];
+            for (a, got) in got.iter().enumerate() {
+                let want = (0..n).filter(|&b| set[b]).map(|b| {
+                    (0..3).map(|c| (((at(a)[c] as f32 - at(b)[c] as f32).abs() - 0.5).max(0.0) * spacing[c]).powi(2)).sum::<f32>()
+                }).fold(f32::INFINITY, f32::min);
+                prop_assert!(*got == want || (got - want).abs() < 1e-3 * (1.0 + want), "{} for {}", got, want);
+            }
+        }
+    }
+
+    #[test]
+    fn parts_are_found() {
+        let mask: Vec<bool> = "##.#..###".chars().map(|c| c == '#').collect();
+        assert_eq!(connected(&mask, [9, 1, 1], [0]).iter().filter(|c| **c).count(), 2);
+        let largest = largest_part(&mask, [9, 1, 1]);
+        assert_eq!(largest, "......###".chars().map(|c| c == '#').collect::<Vec<_>>());
+        assert_eq!(largest_part(&[false; 4], [2, 2, 1]), [false; 4]);
+    }
+}

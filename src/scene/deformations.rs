@@ -1,0 +1,218 @@
+//! A scene's deformations as a stack of maps.
+
+use super::{Deformation, ViewFrame};
+use crate::deform::compose::{self, Composed, Resolution};
+use crate::deform::kinds::{self, DefaultSize, Inputs, Sampling};
+use crate::deform::{Arguments, DisplacementMap, Library, MAX_MAPS, PlacedMap, Placement, Stack, Storage, saved};
+use crate::error::suggestion;
+use crate::math::Bounds;
+use crate::{Error, Result};
+use glam::{Affine3A, Mat3, Vec3};
+use std::sync::Arc;
+
+/// Deformations that come from a file rather than from a formula.
+pub struct FileKind {
+    /// What people type.
+    pub name: &'static str,
+    /// One line for lists.
+    pub about: &'static str,
+    /// Names and meanings of its settings.
+    pub settings: &'static [kinds::Setting],
+}
+
+/// The deformations from files.
+pub const FILE_KINDS: &[FileKind] = &[
+    FileKind {
+        name: "field",
+        about: "a registration's transform or displacement field; progress=0..1",
+        settings: &[
+            kinds::Setting { name: "path", about: "file, or files that a deformed point goes through in order" },
+            kinds::Setting { name: "moving", about: "the image that is deformed, for FSL's files" },
+            kinds::Setting { name: "reference", about: "the image onto which it was registered, for FSL's files" },
+            kinds::Setting { name: "convention", about: "of vectors: lps, ras, fsl or fsl-absolute, where the file does not say" },
+            kinds::Setting { name: "invert", about: "true takes the inverse" },
+        ],
+    },
+    FileKind {
+        name: "map",
+        about: "a displacement map made by incise map; placed anew where center, size or rotate are given",
+        settings: &[kinds::Setting { name: "path", about: "file" }],
+    },
+];
+
+/// What a stack is made for.
+pub struct Making<'a> {
+    /// Files and volumes.
+    pub library: &'a Library,
+    /// The undeformed scene's box, mm.
+    pub scene_box: Bounds,
+    /// The mask's ramp is at least this wide to either side, mm.
+    pub least_ramp_mm: f32,
+    /// The camera, for what is locked to the view.
+    pub view: &'a ViewFrame,
+    /// Overrides every storage format.
+    pub storage: Option<Storage>,
+}
+
+/// What composing has cost in exactness, for reports.
+#[derive(Clone, Copy, Debug)]
+pub struct Composition {
+    /// Maps that were composed into one.
+    pub maps: usize,
+    /// Largest error found, mm.
+    pub worst_mm: f32,
+    /// 99th percentile of the error, mm.
+    pub p99_mm: f32,
+}
+
+/// The stack of a scene's deformations, and further maps made by other means.
+///
+/// # Errors
+/// Any parameter that cannot be used, by name.
+pub fn stack(deformations: &[Deformation], making: &Making, more: Vec<PlacedMap>) -> Result<Stack> {
+    let own = deformations.iter().filter(|d| d.enabled).map(|d| place(d, making));
+    Ok(Stack::new(own.chain(more.into_iter().map(Ok)).collect::<Result<_>>()?))
+}
+
+/// The stack as one pass can evaluate it: if it has more maps than [`MAX_MAPS`], or if asked to, the first ones are composed into one.
+///
+/// # Errors
+/// A placement that cannot be used.
+pub fn bounded(stack: Stack, within_mm: Option<f32>, default_mm: f32) -> Result<(Stack, Option<Composition>)> {
+    let maps = stack.maps();
+    let first = match within_mm {
+        Some(_) => maps.len(),
+        None if maps.len() > MAX_MAPS => {
+            // A map that is added to the one before it must stay with it.
+            let mut first = maps.len() + 1 - MAX_MAPS;
+            while maps.get(first).is_some_and(|m| m.added) {
+                first += 1;
+            }
+            first
+        }
+        None => return Ok((stack, None)),
+    };
+    let head = Stack::new(maps[..first].to_vec());
+    let Some(Composed { placed, worst_mm, p99_mm }) = compose::stack(&head, Resolution::Within(within_mm.unwrap_or(default_mm)), Storage::F16)?
+    else {
+        return Ok((stack, None));
+    };
+    let all = std::iter::once(placed).chain(maps[first..].iter().cloned()).collect();
+    Ok((Stack::new(all), Some(Composition { maps: first, worst_mm, p99_mm })))
+}
+
+/// Samples one deformation into a map and puts it into the world.
+fn place(deformation: &Deformation, making: &Making) -> Result<PlacedMap> {
+    let named = |e: Error| match e {
+        Error::Value { name, problem } if !name.starts_with(&deformation.kind) => Error::value(format!("{}: {name}", deformation.kind), problem),
+        other => other,
+    };
+    let mut placed = match deformation.kind.as_str() {
+        "field" => place_field(deformation, making),
+        "map" => place_map(deformation, making),
+        _ => place_kind(deformation, making),
+    }
+    .map_err(named)?;
+    placed.added = deformation.add;
+    Ok(placed)
+}
+
+fn progress(deformation: &Deformation) -> Result<f32> {
+    let progress = deformation.progress.unwrap_or(1.0);
+    if (0.0..=1.0).contains(&progress) { Ok(progress) } else { Err(Error::value("progress", format!("{progress} is outside 0 to 1"))) }
+}
+
+/// The placement that a deformation states, if it states any part of one.
+fn stated_placement(deformation: &Deformation, making: &Making, default_size: impl Fn() -> Vec3, locked: bool) -> Result<Placement> {
+    if let Some(rows) = deformation.matrix {
+        let column = |c: usize| Vec3::new(rows[0][c], rows[1][c], rows[2][c]);
+        return Placement::from_affine(Affine3A::from_mat3_translation(Mat3::from_cols(column(0), column(1), column(2)), column(3)));
+    }
+    let center = deformation.center.map_or_else(|| making.scene_box.center(), Vec3::from);
+    let size = deformation.size.map_or_else(default_size, |s| s.xyz());
+    let placement = Placement::new(center, size, deformation.rotate.map_or(Vec3::ZERO, Vec3::from))?;
+    if !locked {
+        return Ok(placement);
+    }
+    // x right, y up, z towards the viewer; a rotation is applied within these axes.
+    let view = making.view;
+    let (right, up, back) = (view.right.normalize_or_zero(), view.up.normalize_or_zero(), -view.forward);
+    let turned = Mat3::from_cols(right, up, back) * Mat3::from(placement.world_from_map.matrix3);
+    Placement::from_affine(Affine3A::from_mat3_translation(turned, center - turned * Vec3::splat(0.5)))
+}
+
+fn place_kind(deformation: &Deformation, making: &Making) -> Result<PlacedMap> {
+    let kind = kinds::kind(&deformation.kind)?;
+    if matches!(kind.size, DefaultSize::Across(_)) && deformation.size.is_some() {
+        return Err(Error::value("size", "this kind reaches across everything and has no size; give center and rotate"));
+    }
+    let placement = stated_placement(deformation, making, || kind.default_size(&making.scene_box), kind.locked_to_view)?;
+    let size_mm = placement.size_mm();
+    let progress = progress(deformation)?;
+    // At most 2^24 texels: 128 MiB in half precision.
+    let finest = if kind.varies == [true; 3] { 256 } else { 512 };
+    if let Some(n) = deformation.resolution.filter(|n| !(8..=finest).contains(n)) {
+        return Err(Error::value("resolution", format!("{n} is outside 8 to {finest} texels")));
+    }
+    let (values, settings) = kind.resolve(&deformation.parameters, size_mm)?;
+    let storage = making.storage.or(deformation.storage).unwrap_or_default();
+    let sampling = Sampling { resolution: deformation.resolution, storage, least_ramp_mm: making.least_ramp_mm };
+    // The box's own millimetres: from its centre, along its axes.
+    let world_from_local = placement.world_from_map * Affine3A::from_translation(Vec3::splat(0.5)) * Affine3A::from_scale(size_mm.recip());
+    let inputs = Inputs { settings: &settings, world_from_local, library: making.library };
+    let map = kind.map(&values, progress, size_mm, &sampling, &inputs)?;
+    Ok(PlacedMap::new(Arc::new(map), placement.scaled(Vec3::splat(kind.inflate))?))
+}
+
+/// Only the settings of a file kind may be given.
+fn check_settings(arguments: &Arguments, kind: &str) -> Result<()> {
+    let known: Vec<&str> = FILE_KINDS.iter().filter(|k| k.name == kind).flat_map(|k| k.settings.iter().map(|s| s.name)).collect();
+    match arguments.0.keys().find(|name| !known.contains(&name.as_str())) {
+        Some(name) => Err(Error::value(name, format!("there is no such parameter; {}", suggestion(name, known.iter().copied())))),
+        None => Ok(()),
+    }
+}
+
+fn place_field(deformation: &Deformation, making: &Making) -> Result<PlacedMap> {
+    check_settings(&deformation.parameters, "field")?;
+    if deformation.center.is_some() || deformation.size.is_some() || deformation.rotate.is_some() || deformation.matrix.is_some() {
+        return Err(Error::value("center, size, rotate, matrix", "a field lies where its file says; leave them out"));
+    }
+    if let Some(n) = deformation.resolution.filter(|n| !(8..=512).contains(n)) {
+        return Err(Error::value("resolution", format!("{n} is outside 8 to 512 texels")));
+    }
+    let settings = &deformation.parameters;
+    let transform = making.library.transform(settings)?;
+    let storage = making.storage.or(deformation.storage).unwrap_or(Storage::F32);
+    let progress = progress(deformation)?;
+    if settings.flag("invert")? {
+        return match transform.affine_inverse() {
+            Some(inverse) => Ok(compose::transform(&inverse, &making.scene_box, progress, deformation.resolution, storage)?.placed),
+            None => {
+                let inverse = crate::deform::invert::transform(&transform, &making.scene_box, deformation.resolution)?;
+                inverse.placed(storage, progress)
+            }
+        };
+    }
+    Ok(compose::transform(&transform, &making.scene_box, progress, deformation.resolution, storage)?.placed)
+}
+
+fn place_map(deformation: &Deformation, making: &Making) -> Result<PlacedMap> {
+    check_settings(&deformation.parameters, "map")?;
+    if deformation.resolution.is_some() {
+        return Err(Error::value("resolution", "a saved map has its own; leave it out"));
+    }
+    let path = deformation.parameters.text("path")?.ok_or_else(|| Error::value("path", "is missing; name a file"))?;
+    let storage = making.storage.or(deformation.storage).unwrap_or_default();
+    let saved = saved::read(&making.library.path(path), storage, progress(deformation)?)?;
+    let moved = deformation.center.is_some() || deformation.size.is_some() || deformation.rotate.is_some() || deformation.matrix.is_some();
+    if !moved {
+        return Ok(saved);
+    }
+    let (own_center, own_size) = (saved.placement.world_from_map.transform_point3(Vec3::splat(0.5)), saved.placement.size_mm());
+    let mut stated = deformation.clone();
+    stated.center.get_or_insert(own_center.into());
+    let placement = stated_placement(&stated, making, || own_size, false)?;
+    let map: Arc<DisplacementMap> = saved.map.clone();
+    Ok(PlacedMap::new(map, placement))
+}

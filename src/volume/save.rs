@@ -1,0 +1,309 @@
+//! Writing volumes and displacement fields: NIfTI-1, NRRD and MetaImage.
+//!
+//! A file is a header followed by values in the order of the voxels, so that a large one can be made slab by slab ([`Writer`]). Fields are
+//! LPS in NRRD and MetaImage; in NIfTI they carry the intent 1007 and LPS vectors, as ITK and ANTs write them. NIfTI keeps the components
+//! of vectors one after the other, the other two keep them together ([`Format::planar`]).
+
+use super::load::ScalarType;
+use super::{GridGeometry, Rescale};
+use crate::{Error, Result};
+use flate2::Compression;
+use flate2::write::GzEncoder;
+use glam::{DAffine3, DMat3, DQuat, DVec3};
+use std::fmt::Write as _;
+use std::io::Write;
+use std::path::Path;
+
+/// The formats that are written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// `.nii`
+    Nifti,
+    /// `.nii.gz`
+    NiftiGz,
+    /// `.nrrd`, gzip inside
+    Nrrd,
+    /// `.mha`, not compressed
+    Mha,
+}
+
+/// What the voxels are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Content {
+    /// One stored value per voxel.
+    Scalar(ScalarType, Rescale),
+    /// Three f32: source minus deformed point, LPS mm.
+    Field,
+    /// Four f32: as a field, and the mask.
+    Map,
+}
+
+impl Format {
+    /// The format that a file's name asks for.
+    ///
+    /// # Errors
+    /// An ending that is not written.
+    pub fn of(path: &Path) -> Result<Self> {
+        let name = path.file_name().map(|n| n.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+        let endings = [(".nii.gz", Self::NiftiGz), (".nii", Self::Nifti), (".nrrd", Self::Nrrd), (".mha", Self::Mha)];
+        endings.into_iter().find(|(e, _)| name.ends_with(e)).map(|(_, f)| f).ok_or_else(|| {
+            Error::value(format!("--output {}", path.display()), "is of a format that is not written; end it in .nii.gz, .nii, .nrrd or .mha")
+        })
+    }
+
+    /// Whether the components of vectors are written one whole grid after the other.
+    pub fn planar(self) -> bool {
+        matches!(self, Self::Nifti | Self::NiftiGz)
+    }
+}
+
+impl Content {
+    fn components(self) -> usize {
+        match self {
+            Self::Scalar(..) => 1,
+            Self::Field => 3,
+            Self::Map => 4,
+        }
+    }
+
+    fn scalar(self) -> ScalarType {
+        match self {
+            Self::Scalar(t, _) => t,
+            _ => ScalarType::F32,
+        }
+    }
+}
+
+/// A file being written: values follow in order, in the machine's little-endian bytes.
+pub struct Writer<W: Write> {
+    sink: Sink<W>,
+}
+
+enum Sink<W: Write> {
+    Plain(W),
+    Gzip(Box<GzEncoder<W>>),
+}
+
+impl<W: Write> Writer<W> {
+    /// Writes the header.
+    ///
+    /// # Errors
+    /// What the destination reports; a grid that the format cannot state.
+    pub fn new(mut out: W, format: Format, grid: &GridGeometry, content: Content) -> Result<Self, String> {
+        let io = |e: std::io::Error| e.to_string();
+        let sink = match format {
+            Format::Nifti | Format::NiftiGz => {
+                let header = nifti_header(grid, content)?;
+                let mut sink =
+                    if format == Format::Nifti { Sink::Plain(out) } else { Sink::Gzip(Box::new(GzEncoder::new(out, Compression::new(4)))) };
+                sink.write_all(&header).map_err(io)?;
+                sink
+            }
+            Format::Nrrd => {
+                out.write_all(nrrd_header(grid, content)?.as_bytes()).map_err(io)?;
+                Sink::Gzip(Box::new(GzEncoder::new(out, Compression::new(4))))
+            }
+            Format::Mha => {
+                out.write_all(mha_header(grid, content)?.as_bytes()).map_err(io)?;
+                Sink::Plain(out)
+            }
+        };
+        Ok(Self { sink })
+    }
+
+    /// Appends values.
+    ///
+    /// # Errors
+    /// What the destination reports.
+    pub fn push(&mut self, bytes: &[u8]) -> std::io::Result<()> {
+        self.sink.write_all(bytes)
+    }
+
+    /// Ends the file.
+    ///
+    /// # Errors
+    /// What the destination reports.
+    pub fn finish(self) -> std::io::Result<W> {
+        match self.sink {
+            Sink::Plain(w) => Ok(w),
+            Sink::Gzip(g) => g.finish(),
+        }
+    }
+}
+
+impl<W: Write> Write for Sink<W> {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        match self {
+            Self::Plain(w) => w.write(bytes),
+            Self::Gzip(g) => g.write(bytes),
+        }
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        match self {
+            Self::Plain(w) => w.flush(),
+            Self::Gzip(g) => g.flush(),
+        }
+    }
+}
+
+const LPS_FROM_RAS: DMat3 = DMat3::from_diagonal(DVec3::new(-1.0, -1.0, 1.0));
+
+fn nifti_header(grid: &GridGeometry, content: Content) -> Result<Vec<u8>, String> {
+    let mut h = vec![0u8; 352];
+    let mut put = |at: usize, bytes: &[u8]| h[at..at + bytes.len()].copy_from_slice(bytes);
+    put(0, &348i32.to_le_bytes());
+    let components = content.components();
+    if grid.size.iter().any(|&n| n > i16::MAX as usize) {
+        return Err(format!("NIfTI-1 holds at most 32767 voxels along an axis, and the grid has {:?}; write .nrrd instead", grid.size));
+    }
+    let dim: [usize; 8] = [if components > 1 { 5 } else { 3 }, grid.size[0], grid.size[1], grid.size[2], 1, components, 1, 1];
+    for (n, d) in dim.into_iter().enumerate() {
+        put(40 + 2 * n, &(d as i16).to_le_bytes());
+    }
+    let (code, bits) = match content.scalar() {
+        ScalarType::U8 => (2i16, 8i16),
+        ScalarType::I8 => (256, 8),
+        ScalarType::I16 => (4, 16),
+        ScalarType::U16 => (512, 16),
+        ScalarType::I32 => (8, 32),
+        ScalarType::U32 => (768, 32),
+        ScalarType::F32 => (16, 32),
+        ScalarType::I64 => (1024, 64),
+        ScalarType::U64 => (1280, 64),
+        ScalarType::F64 => (64, 64),
+    };
+    put(70, &code.to_le_bytes());
+    put(72, &bits.to_le_bytes());
+    if components == 3 {
+        put(68, &1007i16.to_le_bytes());
+    }
+    let ras_from_voxel = DAffine3::from_mat3(LPS_FROM_RAS) * grid.world_from_voxel;
+    let m = ras_from_voxel.matrix3;
+    let spacing = DVec3::new(m.x_axis.length(), m.y_axis.length(), m.z_axis.length());
+    let mut rotation = DMat3::from_cols(m.x_axis / spacing.x, m.y_axis / spacing.y, m.z_axis / spacing.z);
+    let handedness = if rotation.determinant() < 0.0 { -1.0 } else { 1.0 };
+    rotation.z_axis *= handedness;
+    let pixdim = [handedness, spacing.x, spacing.y, spacing.z, 1.0, 1.0, 1.0, 1.0];
+    for (n, v) in pixdim.into_iter().enumerate() {
+        put(76 + 4 * n, &(v as f32).to_le_bytes());
+    }
+    put(108, &352f32.to_le_bytes());
+    let rescale = if let Content::Scalar(_, r) = content { r } else { Rescale::NONE };
+    put(112, &(rescale.slope as f32).to_le_bytes());
+    put(116, &(rescale.intercept as f32).to_le_bytes());
+    // Millimetres.
+    put(123, &[2]);
+    let t = ras_from_voxel.translation;
+    let orthogonal = (rotation.transpose() * rotation - DMat3::IDENTITY).to_cols_array().iter().all(|v| v.abs() < 1e-4);
+    if orthogonal {
+        let q = DQuat::from_mat3(&rotation).normalize();
+        let q = if q.w < 0.0 { -q } else { q };
+        put(252, &1i16.to_le_bytes());
+        for (n, v) in [q.x, q.y, q.z, t.x, t.y, t.z].into_iter().enumerate() {
+            put(256 + 4 * n, &(v as f32).to_le_bytes());
+        }
+    }
+    put(254, &1i16.to_le_bytes());
+    for row in 0..3 {
+        for (column, v) in [m.x_axis[row], m.y_axis[row], m.z_axis[row], t[row]].into_iter().enumerate() {
+            put(280 + 16 * row + 4 * column, &(v as f32).to_le_bytes());
+        }
+    }
+    put(344, b"n+1\0");
+    Ok(h)
+}
+
+fn nrrd_header(grid: &GridGeometry, content: Content) -> Result<String, String> {
+    let type_name = match content.scalar() {
+        ScalarType::U8 => "uint8",
+        ScalarType::I8 => "int8",
+        ScalarType::U16 => "uint16",
+        ScalarType::I16 => "int16",
+        ScalarType::U32 => "uint32",
+        ScalarType::I32 => "int32",
+        ScalarType::U64 => "uint64",
+        ScalarType::I64 => "int64",
+        ScalarType::F32 => "float",
+        ScalarType::F64 => "double",
+    };
+    if let Content::Scalar(_, r) = content
+        && r != Rescale::NONE
+    {
+        return Err("NRRD cannot state a slope and an intercept; write .nii.gz instead".into());
+    }
+    let [i, j, k] = grid.size;
+    let m = grid.world_from_voxel.matrix3;
+    let v = |d: DVec3| format!("({},{},{})", d.x, d.y, d.z);
+    let directions = format!("{} {} {}", v(m.x_axis), v(m.y_axis), v(m.z_axis));
+    let (dimension, sizes, kinds, directions) = match content.components() {
+        1 => (3, format!("{i} {j} {k}"), "domain domain domain".to_owned(), directions),
+        // An unnamed list of four would be taken for a colour by some programs.
+        n => {
+            (4, format!("{n} {i} {j} {k}"), format!("{} domain domain domain", if n == 3 { "vector" } else { "list" }), format!("none {directions}"))
+        }
+    };
+    let mut text = String::from("NRRD0005\n# A volume on a grid in patient space\n");
+    let _infallible = write!(
+        text,
+        "type: {type_name}\ndimension: {dimension}\nspace: left-posterior-superior\nsizes: {sizes}\nspace directions: {directions}\nkinds: {kinds}\nendian: little\nencoding: gzip\nspace origin: {}\n",
+        v(grid.world_from_voxel.translation)
+    );
+    if content == Content::Map {
+        text.push_str("incise:=displacement map 1\n");
+    }
+    text.push('\n');
+    Ok(text)
+}
+
+fn mha_header(grid: &GridGeometry, content: Content) -> Result<String, String> {
+    let type_name = match content.scalar() {
+        ScalarType::U8 => "MET_UCHAR",
+        ScalarType::I8 => "MET_CHAR",
+        ScalarType::U16 => "MET_USHORT",
+        ScalarType::I16 => "MET_SHORT",
+        ScalarType::U32 => "MET_UINT",
+        ScalarType::I32 => "MET_INT",
+        ScalarType::U64 => "MET_ULONG_LONG",
+        ScalarType::I64 => "MET_LONG_LONG",
+        ScalarType::F32 => "MET_FLOAT",
+        ScalarType::F64 => "MET_DOUBLE",
+    };
+    if let Content::Scalar(_, r) = content
+        && r != Rescale::NONE
+    {
+        return Err("MetaImage cannot state a slope and an intercept; write .nii.gz instead".into());
+    }
+    let m = grid.world_from_voxel.matrix3;
+    let spacing = DVec3::new(m.x_axis.length(), m.y_axis.length(), m.z_axis.length());
+    let t = grid.world_from_voxel.translation;
+    let v = |d: DVec3| format!("{} {} {}", d.x, d.y, d.z);
+    Ok(format!(
+        "ObjectType = Image\nNDims = 3\nBinaryData = True\nBinaryDataByteOrderMSB = False\nCompressedData = False\nTransformMatrix = {} {} {}\nOffset = {}\nCenterOfRotation = 0 0 0\nElementSpacing = {}\nDimSize = {} {} {}\nElementNumberOfChannels = {}\nElementType = {type_name}\nElementDataFile = LOCAL\n",
+        v(m.x_axis / spacing.x),
+        v(m.y_axis / spacing.y),
+        v(m.z_axis / spacing.z),
+        v(t),
+        v(spacing),
+        grid.size[0],
+        grid.size[1],
+        grid.size[2],
+        content.components()
+    ))
+}
+
+/// A whole small image of interleaved f32 components as the bytes of its file.
+///
+/// # Errors
+/// A grid that the format cannot state.
+pub fn encode(format: Format, grid: &GridGeometry, content: Content, values: &[f32]) -> Result<Vec<u8>> {
+    let fail = |e: String| Error::value("output", e);
+    let mut writer = Writer::new(Vec::new(), format, grid, content).map_err(fail)?;
+    let c = content.components();
+    let bytes: Vec<u8> = if format.planar() && c > 1 {
+        (0..c).flat_map(|n| values.iter().skip(n).step_by(c)).flat_map(|v| v.to_le_bytes()).collect()
+    } else {
+        values.iter().flat_map(|v| v.to_le_bytes()).collect()
+    };
+    writer.push(&bytes).and_then(|()| writer.finish()).map_err(|e| fail(e.to_string()))
+}
