@@ -9,13 +9,20 @@
 //! forward then backward is the identity; D vanishes on every face that the kind does not list in `leaks`; D is continuous; odd
 //! input gives finite values.
 
+mod bend;
+mod book;
+mod bulge;
+mod explode;
 mod knife;
 mod modifiers;
 mod peel;
 mod pull;
 mod removal;
+mod retractor;
 mod seam;
 mod slab;
+mod spline_pull;
+mod taper;
 mod twist;
 mod wave;
 
@@ -221,17 +228,28 @@ const UNCUT: f32 = 1e6;
 
 const KINDS: &[&Kind] = &[
     &pull::KIND,
-    &wave::KIND,
+    &spline_pull::KIND,
+    &wave::RADIAL,
+    &wave::PLANAR,
     &twist::KIND,
+    &bend::KIND,
+    &taper::TAPER,
+    &taper::SHEAR,
+    &bulge::KIND,
     &peel::KIND,
     &slab::KIND,
+    &explode::KIND,
     &seam::KIND,
+    &book::KIND,
     &knife::KIND,
+    &retractor::KIND,
     &removal::BOX,
     &removal::SPHERE,
     &removal::CYLINDER,
     &removal::WEDGE,
     &removal::HALF_SPACE,
+    &removal::VIEW_SPHERE,
+    &removal::VIEW_CONE,
 ];
 
 /// All kinds.

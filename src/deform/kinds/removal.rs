@@ -1,4 +1,4 @@
-//! Removal of a box, sphere, cylinder, wedge or half-space: mask only, no displacement.
+//! Removal of a box, sphere, cylinder, wedge, half-space or, locked to the view, a sphere or a cone: mask only, no displacement.
 //!
 //! The map's cube is larger than the shape (`inflate`), so that the cut lies inside the map; the half-space's is as large as the scene
 //! at any angle. `progress` grows the shape from nothing (for the half-space: moves the plane down from the box's top).
@@ -110,5 +110,36 @@ pub(super) const HALF_SPACE: Kind = Kind {
         let plane = c.half().z * (1.0 - c.progress);
         let gone = vanish(c, 0.0);
         Box::new(Removal { outside: move |q: Vec3| plane - q.z + gone })
+    })
+};
+
+pub(super) const VIEW_SPHERE: Kind =
+    Kind { name: "view-sphere", about: "removes a sphere whose box turns with the camera", locked_to_view: true, ..SPHERE };
+
+pub(super) const VIEW_CONE: Kind = Kind {
+    locked_to_view: true,
+    parameters: &[Parameter {
+        name: "angle",
+        unit: Unit::Degrees,
+        default: Amount::Fixed(40.0),
+        min: Amount::Fixed(5.0),
+        max: Amount::Fixed(150.0),
+        about: "between the cone's sides",
+    }],
+    // From the middle of the scene out to beyond it.
+    size: DefaultSize::Across(1.1),
+    inflate: 1.0,
+    leaks: [true; 6],
+    ..removal("view-cone", "removes a cone that opens from the box's centre towards the viewer", |c| {
+        let half_angle = (c.values[0] * c.progress).to_radians() / 2.0;
+        let (axis, gone) = (Vec2::from_angle(half_angle), vanish(c, 0.0));
+        Box::new(Removal {
+            outside: move |q: Vec3| {
+                // In the half plane of radius and height: distance to the side's ray, or to the apex from behind it.
+                let v = Vec2::new(q.z, q.xy().length());
+                let along = v.dot(axis);
+                gone + if along > 0.0 { axis.perp_dot(v) } else { v.length() }
+            },
+        })
     })
 };

@@ -1,9 +1,9 @@
-//! Radial wave: matter rises and falls along z with the distance from the box's axis (\[GG42\]'s radial wave as a volume map).
+//! Waves: matter rises and falls along z with the distance from the box's axis (\[GG42\]'s radial wave as a volume map) or with x (planar).
 //!
 //! The displacement fades to nothing at the box's faces; along z the fade makes the map z' = z + a(r) w(z'), whose inverse is a
 //! monotone equation in one unknown.
 
-use super::{Amount, Backward, Build, DefaultSize, Field, Kind, Parameter, UNCUT, Unit, solve_rising, window};
+use super::{Amount, Backward, Build, Context, DefaultSize, Field, Kind, Parameter, UNCUT, Unit, solve_rising, window};
 use glam::{Vec3, Vec3Swizzles};
 
 /// Share of the half height over which the displacement fades at both ends.
@@ -11,35 +11,47 @@ const FADE_Z: f32 = 0.5;
 /// Share of the radius over which it fades at the rim.
 const FADE_R: f32 = 0.3;
 
-pub(super) const KIND: Kind = Kind {
+const PARAMETERS: &[Parameter] = &[
+    Parameter {
+        name: "amplitude",
+        unit: Unit::Mm,
+        default: Amount::OfZ(0.05),
+        min: Amount::OfZ(-0.15),
+        max: Amount::OfZ(0.15),
+        about: "largest rise",
+    },
+    Parameter {
+        name: "wavelength",
+        unit: Unit::Mm,
+        default: Amount::OfRadius(0.5),
+        min: Amount::OfRadius(0.1),
+        max: Amount::OfRadius(10.0),
+        about: "distance from crest to crest",
+    },
+    Parameter {
+        name: "phase",
+        unit: Unit::Degrees,
+        default: Amount::Fixed(0.0),
+        min: Amount::Fixed(-360.0),
+        max: Amount::Fixed(360.0),
+        about: "phase on the axis",
+    },
+];
+
+fn wave(c: &Context, radial: bool) -> Box<dyn Field> {
+    Box::new(Wave {
+        amplitude: c.values[0] * c.progress,
+        wave_number: std::f32::consts::TAU / c.values[1],
+        phase: c.values[2].to_radians(),
+        half: c.half(),
+        radial,
+    })
+}
+
+pub(super) const RADIAL: Kind = Kind {
     name: "wave",
     about: "a circular wave along the box's z axis",
-    parameters: &[
-        Parameter {
-            name: "amplitude",
-            unit: Unit::Mm,
-            default: Amount::OfZ(0.05),
-            min: Amount::OfZ(-0.15),
-            max: Amount::OfZ(0.15),
-            about: "largest rise",
-        },
-        Parameter {
-            name: "wavelength",
-            unit: Unit::Mm,
-            default: Amount::OfRadius(0.5),
-            min: Amount::OfRadius(0.1),
-            max: Amount::OfRadius(10.0),
-            about: "distance from crest to crest",
-        },
-        Parameter {
-            name: "phase",
-            unit: Unit::Degrees,
-            default: Amount::Fixed(0.0),
-            min: Amount::Fixed(-360.0),
-            max: Amount::Fixed(360.0),
-            about: "phase on the axis",
-        },
-    ],
+    parameters: PARAMETERS,
     progressive: true,
     size: DefaultSize::Share([1.1, 1.1, 1.3]),
     inflate: 1.0,
@@ -47,43 +59,49 @@ pub(super) const KIND: Kind = Kind {
     resolution: 96,
     leaks: [false; 6],
     locked_to_view: false,
-    build: Build::Formula(|c| {
-        Box::new(Wave {
-            amplitude: c.values[0] * c.progress,
-            wave_number: std::f32::consts::TAU / c.values[1],
-            phase: c.values[2].to_radians(),
-            half_z: c.half().z,
-            radius: c.half().x.min(c.half().y),
-        })
-    }),
+    build: Build::Formula(|c| wave(c, true)),
+};
+
+pub(super) const PLANAR: Kind = Kind {
+    name: "planar-wave",
+    about: "a wave along the box's z axis that runs along its x",
+    build: Build::Formula(|c| wave(c, false)),
+    ..RADIAL
 };
 
 struct Wave {
     amplitude: f32,
     wave_number: f32,
     phase: f32,
-    half_z: f32,
-    radius: f32,
+    half: Vec3,
+    /// By the distance from the axis, else by x.
+    radial: bool,
 }
 
 impl Wave {
-    fn rise(&self, r: f32) -> f32 {
-        self.amplitude * (self.wave_number * r + self.phase).sin() * window(r, self.radius, FADE_R)
+    fn rise(&self, q: Vec3) -> f32 {
+        let (along, fade) = if self.radial {
+            let r = q.xy().length();
+            (r, window(r, self.half.x.min(self.half.y), FADE_R))
+        } else {
+            (q.x, window(q.x, self.half.x, FADE_R) * window(q.y, self.half.y, FADE_R))
+        };
+        self.amplitude * (self.wave_number * along + self.phase).sin() * fade
     }
 
     fn source_z(&self, rise: f32, z: f32) -> f32 {
-        z - rise * window(z, self.half_z, FADE_Z)
+        z - rise * window(z, self.half.z, FADE_Z)
     }
 }
 
 impl Field for Wave {
     fn backward(&self, q: Vec3) -> Backward {
-        Backward { source: Vec3::new(q.x, q.y, self.source_z(self.rise(q.xy().length()), q.z)), cut_mm: UNCUT }
+        Backward { source: Vec3::new(q.x, q.y, self.source_z(self.rise(q), q.z)), cut_mm: UNCUT }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
         // The fade's steepest slope is 1.5/(half_z/2); the amplitude's range keeps 1 - rise·slope positive.
-        let rise = self.rise(q.xy().length());
+        let rise = self.rise(q);
         let reach = rise.abs() + 1.0;
         Some(Vec3::new(q.x, q.y, solve_rising(q.z, q.z - reach, q.z + reach, |z| self.source_z(rise, z))))
     }

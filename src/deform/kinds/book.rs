@@ -1,0 +1,81 @@
+//! Book-open: matter is split along the plane x = 0 and its halves swing open as rigid covers about a spine along y.
+//!
+//! In the polar coordinates (r, β) about the spine, β from +z to either side, β in [0, 90°] goes to [φ, 90° + φ] without changing shape, and what
+//! lies behind the spine, [90°, 180°], is compressed into what is left. Radius and y stay; the inverse is exact. Unlike `seam` nothing
+//! fades: the box should enclose the matter with room for the covers.
+
+use super::{Amount, Backward, Build, DefaultSize, Field, Gaps, Kind, Parameter, Unit};
+use glam::{Vec2, Vec3};
+use std::f32::consts::{FRAC_PI_2, PI};
+
+pub(super) const KIND: Kind = Kind {
+    name: "book",
+    about: "splits along the plane x = 0 and opens the halves like a book, spine below",
+    parameters: &[
+        Parameter {
+            name: "angle",
+            unit: Unit::Degrees,
+            default: Amount::Fixed(40.0),
+            min: Amount::Fixed(0.0),
+            max: Amount::Fixed(85.0),
+            about: "swing of each half",
+        },
+        Parameter {
+            name: "spine",
+            unit: Unit::None,
+            default: Amount::Fixed(0.3),
+            min: Amount::Fixed(0.0),
+            max: Amount::Fixed(0.9),
+            about: "height of the spine in the box: 0 the lower face, 1 the upper",
+        },
+    ],
+    progressive: true,
+    size: DefaultSize::Share([2.0, 1.1, 1.5]),
+    inflate: 1.0,
+    varies: [true; 3],
+    resolution: 128,
+    leaks: [true; 6],
+    locked_to_view: false,
+    build: Build::Formula(|c| {
+        Box::new(Book { angle: (c.values[0] * c.progress).to_radians(), spine_z: (c.values[1] - 0.5) * c.size_mm.z, gaps: c.gaps() })
+    }),
+};
+
+struct Book {
+    angle: f32,
+    spine_z: f32,
+    gaps: Gaps,
+}
+
+impl Book {
+    fn at_angle(&self, q: Vec3, r: f32, signed: f32) -> Vec3 {
+        Vec3::new(r * signed.sin(), q.y, r * signed.cos() + self.spine_z)
+    }
+}
+
+impl Field for Book {
+    fn backward(&self, q: Vec3) -> Backward {
+        let v = Vec2::new(q.x, q.z - self.spine_z);
+        let r = v.length();
+        let beta = v.x.abs().atan2(v.y);
+        let rigid_end = FRAC_PI_2 + self.angle;
+        let source = if beta <= rigid_end {
+            (beta - self.angle).max(0.0)
+        } else {
+            FRAC_PI_2 + (beta - rigid_end) * FRAC_PI_2 / (PI - rigid_end)
+        };
+        let open = r * self.angle.sin();
+        let beyond = beta - self.angle;
+        let cut = if beyond.abs() < FRAC_PI_2 { r * beyond.sin() } else { r * beyond.signum() };
+        Backward { source: self.at_angle(q, r, source.copysign(v.x)), cut_mm: self.gaps.distance(cut, open) }
+    }
+
+    fn forward(&self, q: Vec3) -> Option<Vec3> {
+        let v = Vec2::new(q.x, q.z - self.spine_z);
+        let r = v.length();
+        let beta = v.x.abs().atan2(v.y);
+        let rigid_end = FRAC_PI_2 + self.angle;
+        let to = if beta <= FRAC_PI_2 { beta + self.angle } else { rigid_end + (beta - FRAC_PI_2) * (PI - rigid_end) / FRAC_PI_2 };
+        Some(self.at_angle(q, r, to.copysign(v.x)))
+    }
+}

@@ -1,0 +1,54 @@
+//! Bulge: magnifies (or, negative, shrinks) what is around the box's centre, within the ellipsoid that fits the box.
+//!
+//! With u the position over the half sizes and ρ = |u|, the source of u is u (1 - a (1 - ρ²)²): at the centre matter is 1 / (1 - a) times as
+//! large. ρ (1 - a (1 - ρ²)²) rises for -1.25 < a < 1, so along each ray from the centre the inverse is one monotone equation.
+
+use super::{Amount, Backward, Build, DefaultSize, Field, Kind, Parameter, UNCUT, Unit, solve_rising};
+use glam::Vec3;
+
+pub(super) const KIND: Kind = Kind {
+    name: "bulge",
+    about: "magnifies the middle of the box like a lens",
+    parameters: &[Parameter {
+        name: "amount",
+        unit: Unit::None,
+        default: Amount::Fixed(0.45),
+        min: Amount::Fixed(-1.0),
+        max: Amount::Fixed(0.9),
+        about: "at the centre, matter is 1 / (1 - amount) times as large",
+    }],
+    progressive: true,
+    size: DefaultSize::Share([0.8; 3]),
+    inflate: 1.0,
+    varies: [true; 3],
+    resolution: 80,
+    leaks: [false; 6],
+    locked_to_view: false,
+    build: Build::Formula(|c| Box::new(Bulge { amount: c.values[0] * c.progress, half: c.half() })),
+};
+
+struct Bulge {
+    amount: f32,
+    half: Vec3,
+}
+
+impl Bulge {
+    fn factor(&self, rho: f32) -> f32 {
+        1.0 - self.amount * (1.0 - rho * rho).max(0.0).powi(2)
+    }
+}
+
+impl Field for Bulge {
+    fn backward(&self, q: Vec3) -> Backward {
+        Backward { source: q * self.factor((q / self.half).length()), cut_mm: UNCUT }
+    }
+
+    fn forward(&self, q: Vec3) -> Option<Vec3> {
+        let rho = (q / self.half).length();
+        if !(1e-6..1.0).contains(&rho) {
+            return Some(if rho < 1.0 { q / self.factor(0.0) } else { q });
+        }
+        let to = solve_rising(rho, 0.0, 1.0, |r| r * self.factor(r));
+        Some(q * (to / rho))
+    }
+}

@@ -1,0 +1,99 @@
+//! Explode: matter is cut into equal pieces along the box's axes (two along each: octants) which move apart.
+//!
+//! Each axis is independent: with n pieces and a gap g, the box holds n pieces of (L - (n-1) g) / n and the gaps between them, so that everything
+//! in it is seen; a piece keeps its shape, and in a gap D goes on from one piece's end, which is the next one's beginning.
+
+use super::{Amount, Backward, Build, DefaultSize, Field, Gaps, Kind, Parameter, Unit};
+use glam::Vec3;
+
+const fn pieces(name: &'static str, about: &'static str) -> Parameter {
+    Parameter { name, unit: Unit::None, default: Amount::Fixed(2.0), min: Amount::Fixed(1.0), max: Amount::Fixed(16.0), about }
+}
+
+pub(super) const KIND: Kind = Kind {
+    name: "explode",
+    about: "cuts into pieces along the axes and moves them apart",
+    parameters: &[
+        Parameter {
+            name: "gap",
+            unit: Unit::Mm,
+            default: Amount::OfRadius(0.25),
+            min: Amount::Fixed(0.0),
+            max: Amount::OfRadius(0.9),
+            about: "between two pieces",
+        },
+        pieces("pieces-x", "pieces along x (whole number)"),
+        pieces("pieces-y", "pieces along y"),
+        pieces("pieces-z", "pieces along z"),
+    ],
+    progressive: true,
+    size: DefaultSize::Share([1.4; 3]),
+    inflate: 1.0,
+    varies: [true; 3],
+    resolution: 128,
+    leaks: [true; 6],
+    locked_to_view: false,
+    build: Build::Formula(|c| {
+        let axis = |a: usize| {
+            let count = c.values[1 + a].round().max(1.0);
+            // Gaps may take at most two thirds of the box.
+            let most = if count > 1.0 { c.size_mm[a] * 0.66 / (count - 1.0) } else { 0.0 };
+            let gap = (c.values[0] * c.progress).min(most);
+            Axis { count, gap, piece: (c.size_mm[a] - gap * (count - 1.0)) / count }
+        };
+        Box::new(Explode { axes: [axis(0), axis(1), axis(2)], gaps: c.gaps() })
+    }),
+};
+
+struct Axis {
+    count: f32,
+    gap: f32,
+    /// Length of a piece.
+    piece: f32,
+}
+
+struct Explode {
+    axes: [Axis; 3],
+    gaps: Gaps,
+}
+
+impl Axis {
+    /// Source coordinate and distance to the nearest gap, positive in a piece.
+    fn backward(&self, x: f32) -> (f32, f32) {
+        let pitch = self.piece + self.gap;
+        let from_low = x + 0.5 * (pitch * self.count - self.gap);
+        let n = (from_low / pitch).floor().clamp(0.0, self.count - 1.0);
+        let within = from_low - n * pitch;
+        let (first, last) = (n == 0.0, n == self.count - 1.0);
+        let source = n * self.piece + if last { within } else { within.min(self.piece) } - 0.5 * self.piece * self.count;
+        let below = if first { f32::INFINITY } else { within };
+        let above = if last { f32::INFINITY } else { self.piece - within };
+        // In the gap above the piece the nearer end counts.
+        let cut = if above < 0.0 { -(-above).min(self.gap + above) } else { below.min(above) };
+        (source, cut)
+    }
+
+    fn forward(&self, x: f32) -> f32 {
+        let n = ((x + 0.5 * self.piece * self.count) / self.piece).floor().clamp(0.0, self.count - 1.0);
+        x + self.gap * (n - 0.5 * (self.count - 1.0))
+    }
+}
+
+impl Field for Explode {
+    fn backward(&self, q: Vec3) -> Backward {
+        let mut source = q;
+        let mut cut_mm = f32::INFINITY;
+        for (a, axis) in self.axes.iter().enumerate() {
+            let (s, cut) = axis.backward(q[a]);
+            source[a] = s;
+            if axis.count > 1.0 {
+                cut_mm = cut_mm.min(self.gaps.distance(cut, axis.gap / 2.0));
+            }
+        }
+        Backward { source, cut_mm: cut_mm.min(super::UNCUT) }
+    }
+
+    fn forward(&self, q: Vec3) -> Option<Vec3> {
+        Some(Vec3::from_array(std::array::from_fn(|a| self.axes[a].forward(q[a]))))
+    }
+}

@@ -1,0 +1,110 @@
+//! Retractor: an incision along x held open to an ellipse.
+//!
+//! In the elliptic coordinates of the cut's two ends, x = f cosh μ cos ν and y = f sinh μ sin ν, the cut is μ = 0 and every ellipse around it is a
+//! μ of its own. Matter from μ = 0 to the ellipse that just fits the box is compressed linearly into μ0 to there: the lips stay smooth, the
+//! ends tear nowhere, and the inverse is exact. The opening narrows with depth to nothing at the cut's floor.
+
+use super::{Amount, Backward, Build, DefaultSize, Field, Gaps, Kind, Parameter, UNCUT, Unit};
+use crate::math::smoothstep;
+use glam::{Vec2, Vec3};
+
+pub(super) const KIND: Kind = Kind {
+    name: "retractor",
+    about: "an incision along the box's x axis held open to an ellipse",
+    parameters: &[
+        Parameter { name: "length", unit: Unit::Mm, default: Amount::OfX(0.5), min: Amount::OfX(0.05), max: Amount::OfX(0.8), about: "of the incision" },
+        Parameter {
+            name: "opening",
+            unit: Unit::Mm,
+            default: Amount::OfY(0.35),
+            min: Amount::Fixed(0.0),
+            max: Amount::OfY(0.7),
+            about: "between the lips at the widest place",
+        },
+        Parameter {
+            name: "depth",
+            unit: Unit::Mm,
+            default: Amount::OfZ(0.6),
+            min: Amount::OfZ(0.05),
+            max: Amount::OfZ(0.95),
+            about: "of the incision below the box's upper face",
+        },
+    ],
+    progressive: true,
+    size: DefaultSize::Share([0.6, 0.6, 0.4]),
+    inflate: 1.0,
+    varies: [true; 3],
+    resolution: 96,
+    leaks: [false, false, false, false, false, true],
+    locked_to_view: false,
+    build: Build::Formula(|c| {
+        let half = c.half();
+        let focus = c.values[0] / 2.0;
+        // The outermost ellipse stays inside the box.
+        let last = (0.96 * half.x / focus).acosh().min((0.96 * half.y / focus).asinh());
+        let open = (c.values[1] * c.progress / 2.0 / focus).asinh().min(0.75 * last);
+        Box::new(Retractor { focus, last, open, depth: c.values[2], top: half.z, gaps: c.gaps() })
+    }),
+};
+
+struct Retractor {
+    /// Half the distance between the cut's ends.
+    focus: f32,
+    /// μ beyond which nothing moves.
+    last: f32,
+    /// μ of the opening at the upper face.
+    open: f32,
+    depth: f32,
+    top: f32,
+    gaps: Gaps,
+}
+
+impl Retractor {
+    fn opening(&self, z: f32) -> f32 {
+        self.open * smoothstep(0.0, 1.0, (z - self.top) / self.depth + 1.0)
+    }
+
+    /// μ and ν of a point: arcosh of (x + iy) / f.
+    fn elliptic(&self, q: Vec3) -> Vec2 {
+        let (x, y) = (q.x / self.focus, q.y / self.focus);
+        // sinh² μ = (b + √(b² + 4y²)) / 2 with b = x² + y² - 1; the other form of the same keeps its digits where b is negative.
+        let b = x * x + y * y - 1.0;
+        let root = (b * b + 4.0 * y * y).sqrt();
+        let sinh = if b < 0.0 { (2.0 * y * y / (root - b)).sqrt() } else { (0.5 * (b + root)).sqrt() };
+        let mu = sinh.asinh();
+        // The angle from both coordinates; on the cut itself only x tells it.
+        let nu = if sinh > 1e-6 { (y.abs() / sinh).atan2(x / mu.cosh()) } else { x.clamp(-1.0, 1.0).acos() };
+        Vec2::new(mu, nu.copysign(y))
+    }
+
+    fn cartesian(&self, mu: f32, nu: f32, z: f32) -> Vec3 {
+        Vec3::new(self.focus * mu.cosh() * nu.cos(), self.focus * mu.sinh() * nu.sin(), z)
+    }
+}
+
+impl Field for Retractor {
+    fn backward(&self, q: Vec3) -> Backward {
+        let open = self.opening(q.z);
+        if open <= 1e-5 {
+            return Backward { source: q, cut_mm: UNCUT };
+        }
+        let e = self.elliptic(q);
+        // Length of a unit of μ here, for the distance to the lip.
+        let scale = self.focus * (e.x.sinh().powi(2) + e.y.sin().powi(2)).sqrt().max(0.05);
+        let cut_mm = self.gaps.distance((e.x - open) * scale, self.focus * open.sinh());
+        if e.x >= self.last {
+            return Backward { source: q, cut_mm };
+        }
+        let mu = ((e.x - open) * self.last / (self.last - open)).max(0.0);
+        Backward { source: self.cartesian(mu, e.y, q.z), cut_mm }
+    }
+
+    fn forward(&self, q: Vec3) -> Option<Vec3> {
+        let open = self.opening(q.z);
+        let e = self.elliptic(q);
+        if open <= 1e-5 || e.x >= self.last {
+            return Some(q);
+        }
+        Some(self.cartesian(open + e.x * (self.last - open) / self.last, e.y, q.z))
+    }
+}

@@ -1,0 +1,70 @@
+//! The pull of \[RVD01\] section 3.2: a displacement along z that is a tensor product of quadratic B-splines over the box.
+//!
+//! Across, the splines' support is the box. Along z the peak lies a third of the way up: the lower side is a spline whose support ends
+//! at the lower face, the upper side has twice that support, as of elastic matter that is squeezed ahead of the pull. The product vanishes
+//! on all six faces. Along z the inverse is one monotone equation.
+
+use super::{Amount, Backward, Build, DefaultSize, Field, Kind, Parameter, UNCUT, Unit, solve_rising};
+use glam::Vec3;
+
+pub(super) const KIND: Kind = Kind {
+    name: "spline-pull",
+    about: "pulls matter up along the box's z axis, squeezing what is above",
+    parameters: &[Parameter {
+        name: "amount",
+        unit: Unit::Mm,
+        default: Amount::OfZ(0.14),
+        min: Amount::OfZ(-0.3),
+        max: Amount::OfZ(0.16),
+        about: "displacement at the peak",
+    }],
+    progressive: true,
+    size: DefaultSize::Share([0.6; 3]),
+    inflate: 1.0,
+    varies: [true; 3],
+    resolution: 64,
+    leaks: [false; 6],
+    locked_to_view: false,
+    build: Build::Formula(|c| Box::new(SplinePull { amount: c.values[0] * c.progress, half: c.half() })),
+};
+
+/// A uniform quadratic B-spline scaled to the support (-1, 1) and to 1 at its peak.
+fn spline(x: f32) -> f32 {
+    let t = 1.5 * x.abs();
+    if t < 0.5 {
+        (0.75 - t * t) / 0.75
+    } else if t < 1.5 {
+        0.5 * (1.5 - t).powi(2) / 0.75
+    } else {
+        0.0
+    }
+}
+
+struct SplinePull {
+    amount: f32,
+    half: Vec3,
+}
+
+impl SplinePull {
+    fn across(&self, q: Vec3) -> f32 {
+        self.amount * spline(q.x / self.half.x) * spline(q.y / self.half.y)
+    }
+
+    fn source_z(&self, across: f32, z: f32) -> f32 {
+        let third = 2.0 * self.half.z / 3.0;
+        let from_peak = z + self.half.z - third;
+        z - across * spline(from_peak / if from_peak < 0.0 { third } else { 2.0 * third })
+    }
+}
+
+impl Field for SplinePull {
+    fn backward(&self, q: Vec3) -> Backward {
+        Backward { source: Vec3::new(q.x, q.y, self.source_z(self.across(q), q.z)), cut_mm: UNCUT }
+    }
+
+    fn forward(&self, q: Vec3) -> Option<Vec3> {
+        let across = self.across(q);
+        let reach = across.abs() + 1.0;
+        Some(Vec3::new(q.x, q.y, solve_rising(q.z, q.z - reach, q.z + reach, |z| self.source_z(across, z))))
+    }
+}

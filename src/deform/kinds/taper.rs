@@ -1,0 +1,97 @@
+//! Taper and shear: linear in x and y, by the height above the box's lower face (Barr 1984; \[GG42\]). Both inverses are exact.
+
+use super::{Amount, Backward, Build, DefaultSize, Field, Kind, Parameter, UNCUT, Unit};
+use glam::Vec3;
+
+pub(super) const TAPER: Kind = Kind {
+    name: "taper",
+    about: "narrows or widens the box towards its upper face",
+    parameters: &[Parameter {
+        name: "factor",
+        unit: Unit::None,
+        default: Amount::Fixed(0.5),
+        min: Amount::Fixed(0.1),
+        max: Amount::Fixed(4.0),
+        about: "width of the upper face, 1 being as it was",
+    }],
+    progressive: true,
+    size: DefaultSize::Share([1.1, 1.1, 1.05]),
+    inflate: 1.0,
+    varies: [true; 3],
+    resolution: 64,
+    leaks: [true, true, true, true, false, true],
+    locked_to_view: false,
+    build: Build::Formula(|c| Box::new(Taper { growth: (c.values[0] - 1.0) * c.progress, height: c.size_mm.z })),
+};
+
+struct Taper {
+    growth: f32,
+    height: f32,
+}
+
+impl Taper {
+    fn scale(&self, z: f32) -> f32 {
+        1.0 + self.growth * (z / self.height + 0.5).clamp(0.0, 1.0)
+    }
+}
+
+impl Field for Taper {
+    fn backward(&self, q: Vec3) -> Backward {
+        let s = self.scale(q.z);
+        Backward { source: Vec3::new(q.x / s, q.y / s, q.z), cut_mm: UNCUT }
+    }
+
+    fn forward(&self, q: Vec3) -> Option<Vec3> {
+        let s = self.scale(q.z);
+        Some(Vec3::new(q.x * s, q.y * s, q.z))
+    }
+}
+
+pub(super) const SHEAR: Kind = Kind {
+    name: "shear",
+    about: "slides the box's upper face along x and y, the lower one staying in place",
+    parameters: &[
+        Parameter {
+            name: "angle",
+            unit: Unit::Degrees,
+            default: Amount::Fixed(25.0),
+            min: Amount::Fixed(-75.0),
+            max: Amount::Fixed(75.0),
+            about: "of the box's edges along x",
+        },
+        Parameter {
+            name: "angle-y",
+            unit: Unit::Degrees,
+            default: Amount::Fixed(0.0),
+            min: Amount::Fixed(-75.0),
+            max: Amount::Fixed(75.0),
+            about: "of the box's edges along y",
+        },
+    ],
+    progressive: true,
+    size: DefaultSize::Share([1.6, 1.2, 1.05]),
+    inflate: 1.0,
+    varies: [true; 3],
+    resolution: 48,
+    leaks: [true, true, true, true, false, true],
+    locked_to_view: false,
+    build: Build::Formula(|c| {
+        let slope = |n: usize| c.values[n].to_radians().tan() * c.progress;
+        Box::new(Shear { slope: Vec3::new(slope(0), slope(1), 0.0), half_z: c.half().z })
+    }),
+};
+
+struct Shear {
+    slope: Vec3,
+    half_z: f32,
+}
+
+impl Field for Shear {
+    fn backward(&self, q: Vec3) -> Backward {
+        Backward { source: q - self.slope * (q.z + self.half_z), cut_mm: UNCUT }
+    }
+
+    fn forward(&self, q: Vec3) -> Option<Vec3> {
+        Some(q + self.slope * (q.z + self.half_z))
+    }
+}
