@@ -64,8 +64,7 @@ impl DistanceField {
         let to_inside = squared_distance(&mask, size, spacing.into());
         mask.iter_mut().for_each(|m| *m = !*m);
         let to_outside = squared_distance(&mask, size, spacing.into());
-        let signed: Vec<f32> =
-            to_outside.par_iter().zip(&to_inside).map(|(o, i)| o.sqrt() - i.sqrt()).collect();
+        let signed: Vec<f32> = to_outside.par_iter().zip(&to_inside).map(|(o, i)| o.sqrt() - i.sqrt()).collect();
         let world_from_grid = to_f32(&volume.world_from_voxel) * Affine3A::from_scale(Vec3::splat(stride as f32));
         Some(Self { size, distance_mm: smoothed(signed, size), voxel_from_world: world_from_grid.inverse() })
     }

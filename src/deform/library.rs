@@ -18,6 +18,7 @@ pub struct Library {
     volumes: Mutex<HashMap<PathBuf, Arc<Volume>>>,
     distances: Mutex<HashMap<String, Arc<DistanceField>>>,
     transforms: Mutex<HashMap<String, Arc<Transform>>>,
+    notices: Mutex<Vec<String>>,
 }
 
 fn lock<T>(m: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -37,6 +38,19 @@ impl Library {
     /// There is none.
     pub fn volume(&self) -> Result<&Arc<Volume>> {
         self.volume.as_ref().ok_or_else(|| Error::value("volume", "this deformation follows a volume, and there is none"))
+    }
+
+    /// Notes what a user should be told, once.
+    pub fn notice(&self, text: String) {
+        let mut notices = lock(&self.notices);
+        if !notices.contains(&text) {
+            notices.push(text);
+        }
+    }
+
+    /// What was noted so far.
+    pub fn notices(&self) -> Vec<String> {
+        lock(&self.notices).clone()
     }
 
     /// A path as this process finds it.

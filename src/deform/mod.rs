@@ -14,11 +14,13 @@
 mod argument;
 pub mod compose;
 pub mod distance;
+pub mod elastic;
 pub mod invert;
 pub mod kinds;
 mod library;
 mod map;
 mod placement;
+pub mod points;
 pub mod saved;
 mod stack;
 pub mod transform;

@@ -24,6 +24,7 @@ enum Kind {
     Bytes(fn(Vec3, f32) -> f32),
     Hounsfield(fn(Vec3, f32) -> f32),
     Float(fn(Vec3, f32) -> f32),
+    Labels(fn(Vec3) -> u8),
 }
 
 /// Edge of the cube that a phantom fills, mm.
@@ -48,6 +49,13 @@ const PHANTOMS: &[Phantom] = &[
     },
     Phantom { name: "tomato", about: "a tomato: skin, flesh, seeds in chambers", size: 192, preset: "tomato", kind: Kind::Bytes(tomato) },
     Phantom { name: "teddy", about: "a teddy bear: cloth, stuffing, a seam", size: 192, preset: "teddy", kind: Kind::Bytes(teddy) },
+    Phantom {
+        name: "octants",
+        about: "a ball of radius 60 mm in eight labels, one per octant",
+        size: 128,
+        preset: "octants",
+        kind: Kind::Labels(octants),
+    },
     Phantom {
         name: "head-ct",
         about: "a head in Hounsfield units: skin, skull, brain, air",
@@ -126,9 +134,19 @@ pub fn generate(name: &str, size: [usize; 3], spacing_mm: Vec3) -> Result<Volume
         Kind::Float(f) => sample(f).into(),
         Kind::Bytes(f) => sample(f).into_iter().map(|v| v.round().clamp(0.0, 255.0) as u8).collect::<Vec<_>>().into(),
         Kind::Hounsfield(f) => sample(f).into_iter().map(|v| v.round() as i16).collect::<Vec<_>>().into(),
+        Kind::Labels(f) => {
+            let at = |n: usize| Vec3::new((n % size[0]) as f32, (n / size[0] % size[1]) as f32, (n / (size[0] * size[1])) as f32);
+            (0..size.iter().product::<usize>()).map(|n| f(origin + spacing_mm * at(n))).collect::<Vec<_>>().into()
+        }
     };
     let world_from_voxel = DAffine3 { matrix3: DMat3::from_diagonal(spacing_mm.as_dvec3()), translation: origin.as_dvec3() };
-    Ok(Volume::new(voxels, size, Rescale::NONE, world_from_voxel))
+    let mut volume = Volume::new(voxels, size, Rescale::NONE, world_from_voxel);
+    volume.declared_labels = matches!(phantom.kind, Kind::Labels(_));
+    Ok(volume)
+}
+
+fn octants(p: Vec3) -> u8 {
+    if p.length() > 60.0 { 0 } else { 1 + u8::from(p.x > 0.0) + 2 * u8::from(p.y > 0.0) + 4 * u8::from(p.z > 0.0) }
 }
 
 /// Share of matter at signed distance `d` (positive inside): a smooth ramp two voxels wide, about what a scanner's point spread

@@ -59,11 +59,7 @@ impl Field for Book {
         let r = v.length();
         let beta = v.x.abs().atan2(v.y);
         let rigid_end = FRAC_PI_2 + self.angle;
-        let source = if beta <= rigid_end {
-            (beta - self.angle).max(0.0)
-        } else {
-            FRAC_PI_2 + (beta - rigid_end) * FRAC_PI_2 / (PI - rigid_end)
-        };
+        let source = if beta <= rigid_end { (beta - self.angle).max(0.0) } else { FRAC_PI_2 + (beta - rigid_end) * FRAC_PI_2 / (PI - rigid_end) };
         let open = r * self.angle.sin();
         let beyond = beta - self.angle;
         let cut = if beyond.abs() < FRAC_PI_2 { r * beyond.sin() } else { r * beyond.signum() };

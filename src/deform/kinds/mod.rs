@@ -12,10 +12,16 @@
 mod bend;
 mod book;
 mod bulge;
+mod elastic;
 mod explode;
+mod explode_labels;
+mod feature;
 mod knife;
+mod lasso;
+mod lattice;
 mod modifiers;
 mod peel;
+mod points;
 mod pull;
 mod removal;
 mod retractor;
@@ -250,6 +256,15 @@ const KINDS: &[&Kind] = &[
     &removal::HALF_SPACE,
     &removal::VIEW_SPHERE,
     &removal::VIEW_CONE,
+    &lasso::KIND,
+    &lattice::KIND,
+    &points::KIND,
+    &elastic::KIND,
+    &feature::STRIP,
+    &feature::LIFT,
+    &feature::OFFSET,
+    &feature::PEEL,
+    &explode_labels::KIND,
 ];
 
 /// All kinds.
@@ -418,6 +433,14 @@ impl Kind {
         }
         Ok((self.values(numbers, size_mm)?, settings))
     }
+}
+
+/// Where a source point goes, by inverting the backward map; none where that does not succeed or the point is cut away.
+fn forward_numerically(field: &dyn Field, q: Vec3) -> Option<Vec3> {
+    let backward = |p: glam::DVec3| field.backward(p.as_vec3()).source.as_dvec3();
+    let y = q.as_dvec3();
+    let s = super::invert::point(&backward, y, y + (y - backward(y)), 0.05, 5e-4);
+    (s.found && field.backward(s.source.as_vec3()).cut_mm >= 0.0).then(|| s.source.as_vec3())
 }
 
 /// A smooth window that is 1 in the middle and 0 at ±`half`, falling over the outer `share` of the way.

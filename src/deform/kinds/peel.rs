@@ -8,7 +8,7 @@
 //! neither in the *slot* (where the layer used to lie) nor within a thin band around the roll above the layer. The band keeps rolled
 //! and undisplaced matter from touching: between them D must run from the roll's value to zero, and that may only happen unseen.
 
-use super::{Amount, Backward, Build, DefaultSize, Field, Kind, Parameter, UNCUT, Unit};
+use super::{Amount, Backward, Build, Context, DefaultSize, Field, Kind, Parameter, UNCUT, Unit};
 use glam::{Vec2, Vec3};
 use std::f32::consts::{FRAC_PI_2, TAU};
 
@@ -47,29 +47,10 @@ pub(super) const KIND: Kind = Kind {
     resolution: 128,
     leaks: [false; 6],
     locked_to_view: false,
-    build: Build::Formula(|c| {
-        let half = c.half();
-        let depth = c.values[0];
-        let radius = c.values[1].max(1.2 * depth);
-        let end = half.x - MARGIN * c.size_mm.x;
-        // The roll must stay inside the box behind the hinge, and within its turn.
-        let length = (end + half.x - radius - MARGIN * c.size_mm.x).min(MOST_TURN * radius).max(0.0);
-        let flap = length * c.progress;
-        Box::new(Peel {
-            floor: -half.z + FLOOR * c.size_mm.z,
-            depth,
-            radius,
-            hinge: end - flap,
-            end,
-            flap,
-            slot_half_y: half.y - MARGIN * c.size_mm.y,
-            texel: c.texel_mm,
-            clearance: 4.0 * c.texel_mm,
-        })
-    }),
+    build: Build::Formula(|c| Box::new(Peel::new(c))),
 };
 
-struct Peel {
+pub(super) struct Peel {
     /// z of the layer's lower side.
     floor: f32,
     /// Thickness of the layer.
@@ -96,6 +77,33 @@ struct Rolled {
 }
 
 impl Peel {
+    /// The peel of a box; depth and radius are the first two values.
+    pub(super) fn new(c: &Context) -> Self {
+        let half = c.half();
+        let depth = c.values[0];
+        let radius = c.values[1].max(1.2 * depth);
+        let end = half.x - MARGIN * c.size_mm.x;
+        // The roll must stay inside the box behind the hinge, and within its turn.
+        let length = (end + half.x - radius - MARGIN * c.size_mm.x).min(MOST_TURN * radius).max(0.0);
+        let flap = length * c.progress;
+        Self {
+            floor: -half.z + FLOOR * c.size_mm.z,
+            depth,
+            radius,
+            hinge: end - flap,
+            end,
+            flap,
+            slot_half_y: half.y - MARGIN * c.size_mm.y,
+            texel: c.texel_mm,
+            clearance: 4.0 * c.texel_mm,
+        }
+    }
+
+    /// z of the layer's upper side.
+    pub(super) fn top(&self) -> f32 {
+        self.floor + self.depth
+    }
+
     fn most_angle(&self) -> f32 {
         self.flap / self.radius
     }

@@ -12,7 +12,14 @@ pub(super) const KIND: Kind = Kind {
     name: "retractor",
     about: "an incision along the box's x axis held open to an ellipse",
     parameters: &[
-        Parameter { name: "length", unit: Unit::Mm, default: Amount::OfX(0.5), min: Amount::OfX(0.05), max: Amount::OfX(0.8), about: "of the incision" },
+        Parameter {
+            name: "length",
+            unit: Unit::Mm,
+            default: Amount::OfX(0.5),
+            min: Amount::OfX(0.05),
+            max: Amount::OfX(0.8),
+            about: "of the incision",
+        },
         Parameter {
             name: "opening",
             unit: Unit::Mm,

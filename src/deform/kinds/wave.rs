@@ -62,12 +62,8 @@ pub(super) const RADIAL: Kind = Kind {
     build: Build::Formula(|c| wave(c, true)),
 };
 
-pub(super) const PLANAR: Kind = Kind {
-    name: "planar-wave",
-    about: "a wave along the box's z axis that runs along its x",
-    build: Build::Formula(|c| wave(c, false)),
-    ..RADIAL
-};
+pub(super) const PLANAR: Kind =
+    Kind { name: "planar-wave", about: "a wave along the box's z axis that runs along its x", build: Build::Formula(|c| wave(c, false)), ..RADIAL };
 
 struct Wave {
     amplitude: f32,

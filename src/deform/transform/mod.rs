@@ -20,6 +20,7 @@ mod field;
 mod itk;
 
 pub use bspline::BSplineGrid;
+pub(crate) use bspline::cubic_weights;
 pub use field::VectorField;
 
 use crate::volume::{GridGeometry, load};

@@ -1,0 +1,168 @@
+//! Elastic: matter is grabbed and dragged, and what surrounds it follows (`deform::elastic`); cut, it parts.
+//!
+//! The simulation gives a forward displacement on a coarse lattice. Its inverse is found numerically per texel. Across an incision the
+//! lattice's interpolation stretches one cell over the gap; there the cell is taken apart again into two rigid halves and the gap between them, which is
+//! what is cut away.
+
+use super::{Amount, Backward, Build, Context, DefaultSize, Field, Inputs, Kind, Parameter, Setting, UNCUT, Unit, forward_numerically};
+use crate::deform::Argument;
+use crate::deform::elastic::{Grab, Incision, Setup, Solver};
+use crate::deform::invert;
+use crate::math::Bounds;
+use crate::{Error, Result};
+use glam::{DVec3, Mat3, Vec3};
+
+/// Most steps of the simulation.
+const MOST_STEPS: usize = 500;
+/// It has come to rest when the unbalanced forces are this share of those at the start.
+const RESIDUAL: f64 = 1e-5;
+
+pub(super) const KIND: Kind = Kind {
+    name: "elastic",
+    about: "drags places of an elastic lattice, with cuts; looks elastic, no more is claimed",
+    parameters: &[Parameter {
+        name: "nodes",
+        unit: Unit::None,
+        default: Amount::Fixed(20.0),
+        min: Amount::Fixed(5.0),
+        max: Amount::Fixed(40.0),
+        about: "along the box's longest axis (whole number)",
+    }],
+    progressive: true,
+    size: DefaultSize::Share([0.9; 3]),
+    inflate: 1.0,
+    varies: [true; 3],
+    resolution: 64,
+    leaks: [false; 6],
+    locked_to_view: false,
+    build: Build::Sourced {
+        settings: &[
+            Setting { name: "grab", about: "x,y,z,radius,dx,dy,dz in mm: what is dragged, and by how much; place after place" },
+            Setting { name: "fixed", about: "x,y,z,radius: what is held, besides the box's faces" },
+            Setting { name: "incision", about: "x,y,z,nx,ny,nz,radius: a round cut and its normal" },
+            Setting { name: "stiffness", about: "label,stiffness: relative to 1, by the labels of `labels`" },
+        ],
+        example,
+        build,
+    },
+};
+
+/// One side of a cut is drawn aside and up.
+fn example(bounds: &Bounds) -> Vec<(&'static str, Argument)> {
+    let (c, s) = (bounds.center(), bounds.size());
+    let grab = c + s * Vec3::new(0.13, 0.0, 0.12);
+    vec![
+        ("grab", Argument::Numbers(vec![grab.x, grab.y, grab.z, 0.09 * s.x, 0.07 * s.x, 0.0, 0.05 * s.z])),
+        ("incision", Argument::Numbers(vec![c.x, c.y, c.z + 0.15 * s.z, 1.0, 0.0, 0.0, 0.32 * s.z])),
+    ]
+}
+
+fn build(c: &Context, inputs: &Inputs) -> Result<Box<dyn Field>> {
+    let settings = inputs.settings;
+    let local_from_world = inputs.world_from_local.inverse();
+    let rows = |name: &str, n: usize, what: &str| -> Result<Vec<Vec<f32>>> {
+        let numbers = settings.numbers(name)?.unwrap_or_default();
+        if numbers.len() % n != 0 {
+            return Err(Error::value(name, format!("are {} numbers; each is {n}: {what}", numbers.len())));
+        }
+        Ok(numbers.chunks_exact(n).map(<[f32]>::to_vec).collect())
+    };
+    let place = |v: &[f32]| local_from_world.transform_point3(Vec3::new(v[0], v[1], v[2]));
+    let way = |v: &[f32]| Mat3::from(local_from_world.matrix3) * Vec3::new(v[0], v[1], v[2]);
+    let grabs: Vec<Grab> = rows("grab", 7, "x,y,z,radius,dx,dy,dz")?
+        .iter()
+        .map(|v| Grab { center: place(v), radius: v[3], offset: way(&v[4..]) * c.progress })
+        .collect();
+    if grabs.is_empty() {
+        return Err(Error::value("grab", "is missing; say what is dragged, and by how much"));
+    }
+    let fixed: Vec<(Vec3, f32)> = rows("fixed", 4, "x,y,z,radius")?.iter().map(|v| (place(v), v[3])).collect();
+    let incisions = rows("incision", 7, "x,y,z,nx,ny,nz,radius")?
+        .iter()
+        .map(|v| {
+            let normal = way(&v[3..6]).try_normalize().ok_or_else(|| Error::value("incision", "has a normal of no length"))?;
+            Ok(Incision { center: place(v), normal, radius: v[6] })
+        })
+        .collect::<Result<Vec<_>>>()?;
+    let by_label = rows("stiffness", 2, "label,stiffness")?;
+    let labels = if by_label.is_empty() { None } else { Some(inputs.library.labels(settings)?) };
+    let voxel_from_world = labels.as_ref().map(|l| l.world_from_voxel.inverse());
+    let stiffness = |p: Vec3| {
+        let (Some(volume), Some(voxel_from_world)) = (&labels, voxel_from_world) else { return 1.0 };
+        let v = voxel_from_world.transform_point3(inputs.world_from_local.transform_point3(p).as_dvec3()).round();
+        let size = volume.size;
+        if (0..3).any(|a| v[a] < 0.0 || v[a] >= size[a] as f64) {
+            return 1.0;
+        }
+        let label = volume.value(v.x as usize, v.y as usize, v.z as usize);
+        by_label.iter().find(|r| f64::from(r[0]) == label).map_or(1.0, |r| r[1])
+    };
+    let longest = c.size_mm.max_element();
+    let count = c.values[0].round();
+    let nodes = c.size_mm.to_array().map(|s| ((s / longest * count).round() as usize).max(4));
+    let mut solver = Solver::new(&Setup { size_mm: c.size_mm, nodes, grabs: &grabs, fixed: &fixed, incisions: &incisions, stiffness: &stiffness });
+    if c.progress > 0.0 {
+        let steps = solver.settle(MOST_STEPS, RESIDUAL);
+        inputs.library.notice(format!(
+            "elastic: {} nodes at rest after {steps} steps; unbalanced forces {:.1e} of those at the start, energy {:.3e}",
+            nodes.iter().product::<usize>(),
+            solver.residual(),
+            solver.energy()
+        ));
+    }
+    Ok(Box::new(Elastic { solver, h: 0.25 * f64::from(c.texel_mm), texel: c.texel_mm, acts: c.progress > 0.0, half: c.half() }))
+}
+
+struct Elastic {
+    solver: Solver,
+    /// Step of differences, mm.
+    h: f64,
+    texel: f32,
+    acts: bool,
+    half: Vec3,
+}
+
+impl Field for Elastic {
+    fn backward(&self, q: Vec3) -> Backward {
+        if !self.acts || (q.abs() - self.half).max_element() >= 0.0 {
+            return Backward { source: q, cut_mm: UNCUT };
+        }
+        let y = q.as_dvec3();
+        let forward = |x: DVec3| x + self.solver.displacement(x);
+        let s = invert::point(&forward, y, y - self.solver.displacement(y), self.h, 1e-3);
+        if !s.residual.is_finite() {
+            return Backward { source: q, cut_mm: -UNCUT };
+        }
+        let mut source = s.source.as_vec3();
+        // Where the lattice is folded no single source exists.
+        let mut cut_mm = if s.residual < 0.05 && s.determinant > 0.0 { UNCUT } else { -UNCUT };
+        for i in self.solver.incisions() {
+            let off = source - i.center;
+            let beside = off.dot(i.normal);
+            let cell = self.solver.spacing_along(i.normal);
+            let radial = (off - i.normal * beside).length();
+            if radial > i.radius + cell {
+                continue;
+            }
+            // How far the two sides of the cut have parted here.
+            let on_cut = (source - i.normal * beside).as_dvec3();
+            let side = (i.normal * (0.5 * cell)).as_dvec3();
+            let parted = (self.solver.displacement(on_cut + side) - self.solver.displacement(on_cut - side)).as_vec3().dot(i.normal);
+            let gap = parted.max(0.0) * ((i.radius + 0.5 * cell - radial) / cell).clamp(0.0, 1.0);
+            if gap < 0.5 * self.texel {
+                continue;
+            }
+            // Within the stretched cell: two halves as they were, and the gap.
+            let across = beside * (cell + gap) / cell;
+            let true_beside = if beside.abs() >= 0.5 * cell { beside } else { across.signum() * (across.abs() - 0.5 * gap).max(0.0) };
+            let cut = if beside.abs() >= 0.5 * cell { beside.abs() } else { across.abs() - 0.5 * gap };
+            source += i.normal * (true_beside - beside);
+            cut_mm = cut_mm.min(cut);
+        }
+        Backward { source, cut_mm }
+    }
+
+    fn forward(&self, q: Vec3) -> Option<Vec3> {
+        if self.acts { forward_numerically(self, q) } else { Some(q) }
+    }
+}

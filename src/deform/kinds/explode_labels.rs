@@ -1,0 +1,148 @@
+//! Explode by label: named labels of a label map move apart, each keeping its shape.
+//!
+//! A label's way is the line from the middle of all of them to its own middle. At a deformed point every label is asked, through its
+//! distance field, how far inside it the point would be had it not moved; the one that it is inside of is seen, the nearest one
+//! lends its displacement to the space between. Displacements are blended by distance there, so that D stays continuous.
+
+use super::{Amount, Backward, Build, Context, DefaultSize, Field, Inputs, Kind, Parameter, Setting, UNCUT, Unit};
+use crate::deform::Argument;
+use crate::deform::distance::DistanceField;
+use crate::math::{Bounds, normalize_or};
+use crate::volume::Volume;
+use crate::{Error, Result};
+use glam::{Affine3A, DVec3, Mat3, Vec3};
+use std::sync::Arc;
+
+/// Each label keeps a distance field of the whole volume.
+const MOST_LABELS: usize = 24;
+
+pub(super) const KIND: Kind = Kind {
+    name: "explode-labels",
+    about: "moves labels apart; what has none of them is hidden, or stays",
+    parameters: &[Parameter {
+        name: "gap",
+        unit: Unit::Mm,
+        default: Amount::OfRadius(0.35),
+        min: Amount::Fixed(0.0),
+        max: Amount::OfRadius(2.0),
+        about: "way of the outermost label",
+    }],
+    progressive: true,
+    size: DefaultSize::Share([1.6; 3]),
+    inflate: 1.0,
+    varies: [true; 3],
+    resolution: 128,
+    leaks: [true; 6],
+    locked_to_view: false,
+    build: Build::Sourced {
+        settings: &[Setting { name: "label", about: "the labels" }, Setting { name: "rest", about: "hide or keep what has none of the labels" }],
+        example,
+        build,
+    },
+};
+
+/// The eight octants of a ball, by the label map of that phantom.
+fn example(_: &Bounds) -> Vec<(&'static str, Argument)> {
+    vec![("label", Argument::Numbers((1..=8).map(|l| l as f32).collect())), ("labels", Argument::Text("phantom:octants:size=64".into()))]
+}
+
+fn build(c: &Context, inputs: &Inputs) -> Result<Box<dyn Field>> {
+    let settings = inputs.settings;
+    let labels =
+        settings.whole("label")?.filter(|l| !l.is_empty()).ok_or_else(|| Error::value("label", "is missing; name the labels that move apart"))?;
+    if labels.len() > MOST_LABELS {
+        return Err(Error::value("label", format!("{} labels are too many; at most {MOST_LABELS} can be moved apart", labels.len())));
+    }
+    let keep_rest = settings.choice("rest", &["hide", "keep"])? == "keep";
+    let volume = inputs.library.labels(settings)?;
+    let fields = labels.iter().map(|l| inputs.library.label_distance(settings, &[*l])).collect::<Result<Vec<_>>>()?;
+    let middles: Vec<DVec3> = labels.iter().map(|l| middle(&volume, *l)).collect();
+    let center = middles.iter().sum::<DVec3>() / middles.len() as f64;
+    let farthest = middles.iter().map(|m| m.distance(center)).fold(1e-6, f64::max);
+    let local_from_world = Mat3::from(inputs.world_from_local.matrix3).inverse();
+    let pieces = fields
+        .into_iter()
+        .zip(&middles)
+        .map(|(distance, m)| {
+            let way = ((*m - center) / farthest).as_vec3() * (c.values[0] * c.progress);
+            Piece { distance, way: local_from_world * way }
+        })
+        .collect();
+    let acts = c.values[0] * c.progress > 0.0;
+    Ok(Box::new(ExplodeLabels { pieces, keep_rest, world_from_local: inputs.world_from_local, acts, margin: 2.0 * c.texel_mm }))
+}
+
+/// Middle of a label's voxels, mm.
+fn middle(volume: &Volume, label: usize) -> DVec3 {
+    let [nx, ny, _] = volume.size;
+    let (mut sum, mut count) = (DVec3::ZERO, 0.0);
+    for n in 0..volume.voxels.len() {
+        if volume.voxels.get(n) == label as f64 {
+            sum += DVec3::new((n % nx) as f64, (n / nx % ny) as f64, (n / (nx * ny)) as f64);
+            count += 1.0;
+        }
+    }
+    volume.world_from_voxel.transform_point3(sum / f64::max(count, 1.0))
+}
+
+struct Piece {
+    distance: Arc<DistanceField>,
+    /// In the box's own millimetres.
+    way: Vec3,
+}
+
+struct ExplodeLabels {
+    pieces: Vec<Piece>,
+    keep_rest: bool,
+    world_from_local: Affine3A,
+    acts: bool,
+    /// Width around a piece in which its displacement rules alone.
+    margin: f32,
+}
+
+impl ExplodeLabels {
+    fn inside(&self, piece: &Piece, p: Vec3) -> f32 {
+        piece.distance.sample(self.world_from_local.transform_point3(p))
+    }
+}
+
+impl Field for ExplodeLabels {
+    fn backward(&self, q: Vec3) -> Backward {
+        if !self.acts {
+            return Backward { source: q, cut_mm: UNCUT };
+        }
+        let (mut total, mut sum) = (0.0, Vec3::ZERO);
+        let mut deepest = f32::NEG_INFINITY;
+        for piece in &self.pieces {
+            let depth = self.inside(piece, q - piece.way);
+            deepest = deepest.max(depth);
+            let w = 1.0 / (0.05 * self.margin + (-depth - self.margin).max(0.0)).powi(4);
+            total += w;
+            sum -= piece.way * w;
+        }
+        let mut source = q + sum / total;
+        let mut cut_mm = deepest;
+        if self.keep_rest {
+            // Where the pieces have been, nothing is left; elsewhere what has no label stays.
+            let left = self.pieces.iter().map(|p| self.inside(p, q)).fold(f32::NEG_INFINITY, f32::max);
+            let rest = (-left).min(-deepest - 2.0 * self.margin);
+            if rest > 0.0 {
+                source = q;
+            } else if deepest < 0.0 {
+                let share = (rest / self.margin + 1.0).clamp(0.0, 1.0);
+                source = source.lerp(q, share);
+            }
+            cut_mm = cut_mm.max(rest);
+        }
+        Backward { source, cut_mm }
+    }
+
+    fn forward(&self, q: Vec3) -> Option<Vec3> {
+        if !self.acts {
+            return Some(q);
+        }
+        let own = self.pieces.iter().map(|p| (self.inside(p, q), p)).max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(depth, _)| *depth > 0.0)?;
+        let to = q + normalize_or(own.1.way, Vec3::ZERO) * own.1.way.length();
+        (self.backward(to).source.distance_squared(q) < 1e-6).then_some(to)
+    }
+}

@@ -1,0 +1,308 @@
+//! Deformations that follow a surface instead of a box: what \[DDM06\] named as future work. The surface is that of labels, of a mask, or of an
+//! iso-value of the scan, known by its distance field (`deform::distance`); heights are distances from it.
+//!
+//! - `strip` removes everything down to a depth below the surface, within the box.
+//! - `lift` takes the layer above a depth off along the surface's normals, and leaves a gap.
+//! - `offset` pushes the surface and what is near it outwards or inwards.
+//! - `surface-peel` is `peel` with the height above the surface for its z: the flap is cut at a depth below a curved surface.
+//!
+//! Along a normal the distance field is linear, so moving a point by h along it changes its height by h: `lift` and `offset` are exact on the
+//! surface's own lines. Heights are continued smoothly where the field has none (its medial axis), where nothing of the layer is.
+
+use super::peel::Peel;
+use super::{Amount, Backward, Build, Context, DefaultSize, Field, Gaps, Inputs, Kind, Parameter, Setting, UNCUT, Unit, forward_numerically};
+use crate::Result;
+use crate::deform::Argument;
+use crate::deform::distance::DistanceField;
+use crate::math::{Bounds, normalize_or, smoothstep};
+use glam::{Affine3A, Mat3, Vec3};
+use std::sync::Arc;
+
+const SURFACE: &[Setting] = &[
+    Setting { name: "label", about: "labels whose surface is followed" },
+    Setting { name: "mask", about: "a file whose voxels above 0 are inside" },
+    Setting { name: "iso", about: "value at which the scan's body begins; found by itself if nothing is given" },
+];
+
+fn example(_: &Bounds) -> Vec<(&'static str, Argument)> {
+    Vec::new()
+}
+
+const fn depth(default: f32) -> Parameter {
+    Parameter {
+        name: "depth",
+        unit: Unit::Mm,
+        default: Amount::Fixed(default),
+        min: Amount::Fixed(0.0),
+        max: Amount::Fixed(500.0),
+        about: "below the surface",
+    }
+}
+
+const fn kind(
+    name: &'static str,
+    about: &'static str,
+    parameters: &'static [Parameter],
+    build: fn(&Context, &Inputs) -> Result<Box<dyn Field>>,
+) -> Kind {
+    Kind {
+        name,
+        about,
+        parameters,
+        progressive: true,
+        size: DefaultSize::Share([1.3; 3]),
+        inflate: 1.0,
+        varies: [true; 3],
+        resolution: 144,
+        leaks: [false; 6],
+        locked_to_view: false,
+        build: Build::Sourced { settings: SURFACE, example, build },
+    }
+}
+
+pub(super) const STRIP: Kind = Kind {
+    inflate: 1.1,
+    ..kind("strip", "removes what lies above a depth below a surface, within the box", &[depth(8.0)], |c, inputs| {
+        Ok(Box::new(Strip { surface: Surface::new(inputs)?, depth: c.values[0] * c.progress, half: c.half(), acts: c.progress > 0.0 }))
+    })
+};
+
+pub(super) const LIFT: Kind = kind(
+    "lift",
+    "lifts the layer above a depth below a surface off along its normals",
+    &[
+        depth(10.0),
+        Parameter {
+            name: "height",
+            unit: Unit::Mm,
+            default: Amount::OfRadius(0.2),
+            min: Amount::Fixed(0.0),
+            max: Amount::OfRadius(0.45),
+            about: "by which it is lifted",
+        },
+    ],
+    |c, inputs| {
+        Ok(Box::new(Lift { surface: Surface::new(inputs)?, depth: c.values[0], height: c.values[1] * c.progress, half: c.half(), gaps: c.gaps() }))
+    },
+);
+
+pub(super) const OFFSET: Kind = Kind {
+    resolution: 112,
+    ..kind(
+        "offset",
+        "pushes a surface and what is near it outwards, or inwards",
+        &[
+            Parameter {
+                name: "amount",
+                unit: Unit::Mm,
+                default: Amount::OfRadius(0.06),
+                min: Amount::OfRadius(-0.25),
+                max: Amount::OfRadius(0.25),
+                about: "outwards; negative inwards",
+            },
+            Parameter {
+                name: "band",
+                unit: Unit::Mm,
+                default: Amount::OfRadius(0.35),
+                min: Amount::OfRadius(0.02),
+                max: Amount::OfRadius(1.0),
+                about: "to either side of the surface that moves with it; at least 2.5 times the amount is used",
+            },
+        ],
+        |c, inputs| {
+            let amount = c.values[0] * c.progress;
+            Ok(Box::new(Offset { surface: Surface::new(inputs)?, amount, band: c.values[1].max(2.5 * amount.abs()), half: c.half() }))
+        },
+    )
+};
+
+pub(super) const PEEL: Kind = Kind {
+    size: DefaultSize::Share([0.75, 0.6, 1.1]),
+    resolution: 160,
+    leaks: [true; 6],
+    ..kind(
+        "surface-peel",
+        "cuts a flap at a depth below a surface and rolls it back, towards the box's -x",
+        &[
+            depth(8.0),
+            Parameter {
+                name: "radius",
+                unit: Unit::Mm,
+                default: Amount::OfX(0.14),
+                min: Amount::OfX(0.02),
+                max: Amount::OfX(0.4),
+                about: "of the roll's outer side; at least 1.2 times the depth is used",
+            },
+        ],
+        |c, inputs| {
+            let surface = Surface::new(inputs)?;
+            // Where the box's axis leaves the body: the flap is on that side, and what is far below it is left alone.
+            let top = surface.top(c.half().z);
+            Ok(Box::new(SurfacePeel { peel: Peel::new(c), surface, lowest: top - 0.5 * c.size_mm.z, acts: c.progress > 0.0 }))
+        },
+    )
+};
+
+/// A surface in the box's own millimetres.
+struct Surface {
+    distance: Arc<DistanceField>,
+    world_from_local: Affine3A,
+    local_from_world: Mat3,
+}
+
+impl Surface {
+    fn new(inputs: &Inputs) -> Result<Self> {
+        let local_from_world = Mat3::from(inputs.world_from_local.matrix3).inverse();
+        Ok(Self { distance: inputs.library.region(inputs.settings)?, world_from_local: inputs.world_from_local, local_from_world })
+    }
+
+    /// Height above the surface, mm; negative inside.
+    fn height(&self, q: Vec3) -> f32 {
+        -self.distance.sample(self.world_from_local.transform_point3(q))
+    }
+
+    /// Unit normal out of the body.
+    fn outward(&self, q: Vec3) -> Vec3 {
+        let g = self.distance.gradient(self.world_from_local.transform_point3(q), 1.0);
+        normalize_or(self.local_from_world * -g, Vec3::Z)
+    }
+
+    /// The highest z on the box's axis that is inside the body; the box's middle if none is.
+    fn top(&self, half_z: f32) -> f32 {
+        let steps = 512;
+        let z = |n: usize| half_z * (1.0 - 2.0 * n as f32 / steps as f32);
+        (0..=steps).map(z).find(|z| self.height(Vec3::new(0.0, 0.0, *z)) < 0.0).unwrap_or(0.0)
+    }
+
+    /// The point above (x, y) at a height, searched along z from a first guess.
+    fn at_height(&self, x: f32, y: f32, height: f32, guess: f32) -> Vec3 {
+        let mut z = guess;
+        for _ in 0..10 {
+            let off = self.height(Vec3::new(x, y, z)) - height;
+            if off.abs() < 1e-3 {
+                break;
+            }
+            let slope = (self.height(Vec3::new(x, y, z + 0.5)) - self.height(Vec3::new(x, y, z - 0.5))).clamp(0.3, 1.5);
+            z -= off / slope;
+        }
+        Vec3::new(x, y, z)
+    }
+}
+
+/// Falls from 1 in the middle of the ellipsoid that fits the box to 0 at its rim.
+fn lens(q: Vec3, half: Vec3) -> f32 {
+    1.0 - smoothstep(0.55, 1.0, (q / half).length())
+}
+
+struct Strip {
+    surface: Surface,
+    depth: f32,
+    half: Vec3,
+    acts: bool,
+}
+
+impl Field for Strip {
+    fn backward(&self, q: Vec3) -> Backward {
+        if !self.acts {
+            return Backward { source: q, cut_mm: UNCUT };
+        }
+        let d = q.abs() - self.half;
+        let outside = d.max(Vec3::ZERO).length() + d.max_element().min(0.0);
+        Backward { source: q, cut_mm: (-self.depth - self.surface.height(q)).max(outside) }
+    }
+
+    fn forward(&self, q: Vec3) -> Option<Vec3> {
+        (self.backward(q).cut_mm >= 0.0).then_some(q)
+    }
+}
+
+struct Lift {
+    surface: Surface,
+    depth: f32,
+    height: f32,
+    half: Vec3,
+    gaps: Gaps,
+}
+
+impl Field for Lift {
+    fn backward(&self, q: Vec3) -> Backward {
+        let height = self.height * lens(q, self.half);
+        let above_cut = self.surface.height(q) + self.depth;
+        if height <= 0.0 || above_cut <= 0.0 {
+            return Backward { source: q, cut_mm: if height > 0.0 { self.gaps.distance(-above_cut, height / 2.0) } else { UNCUT } };
+        }
+        // In the gap the source stays at the cut, so that D goes on from one side to the other.
+        let down = above_cut.min(height);
+        let cut = if above_cut < height { -above_cut.min(height - above_cut) } else { above_cut - height };
+        Backward { source: q - self.surface.outward(q) * down, cut_mm: self.gaps.distance(cut, height / 2.0) }
+    }
+
+    fn forward(&self, q: Vec3) -> Option<Vec3> {
+        if self.surface.height(q) <= -self.depth { Some(q) } else { forward_numerically(self, q) }
+    }
+}
+
+struct Offset {
+    surface: Surface,
+    amount: f32,
+    band: f32,
+    half: Vec3,
+}
+
+impl Field for Offset {
+    fn backward(&self, q: Vec3) -> Backward {
+        let strength = self.amount * lens(q, self.half);
+        if strength == 0.0 {
+            return Backward { source: q, cut_mm: UNCUT };
+        }
+        // The band lies around the surface where it has gone to.
+        let fall = 1.0 - smoothstep(0.0, self.band, (self.surface.height(q) - strength).abs());
+        Backward { source: q - self.surface.outward(q) * (strength * fall), cut_mm: UNCUT }
+    }
+
+    fn forward(&self, q: Vec3) -> Option<Vec3> {
+        forward_numerically(self, q)
+    }
+}
+
+struct SurfacePeel {
+    peel: Peel,
+    surface: Surface,
+    /// z below which nothing is touched.
+    lowest: f32,
+    acts: bool,
+}
+
+impl SurfacePeel {
+    /// The peel's own coordinates: its layer's upper side lies on the surface.
+    fn flattened(&self, q: Vec3) -> Vec3 {
+        Vec3::new(q.x, q.y, self.surface.height(q) + self.peel.top())
+    }
+
+    fn raised(&self, flat: Vec3, guess: f32) -> Vec3 {
+        self.surface.at_height(flat.x, flat.y, flat.z - self.peel.top(), guess)
+    }
+}
+
+impl Field for SurfacePeel {
+    fn backward(&self, q: Vec3) -> Backward {
+        if !self.acts || q.z < self.lowest {
+            return Backward { source: q, cut_mm: UNCUT };
+        }
+        let flat = self.flattened(q);
+        let inner = self.peel.backward(flat);
+        let source = if inner.source == flat { q } else { self.raised(inner.source, q.z + inner.source.z - flat.z) };
+        Backward { source, cut_mm: inner.cut_mm }
+    }
+
+    fn forward(&self, q: Vec3) -> Option<Vec3> {
+        if !self.acts || q.z < self.lowest {
+            return Some(q);
+        }
+        let flat = self.flattened(q);
+        let to = self.peel.forward(flat)?;
+        let there = if to == flat { q } else { self.raised(to, q.z + to.z - flat.z) };
+        // Where the search along z did not end on the height asked for, the surface has no such point.
+        (self.backward(there).source.distance_squared(q) < 1e-6).then_some(there)
+    }
+}

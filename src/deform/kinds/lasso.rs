@@ -1,0 +1,138 @@
+//! Lasso: what lies behind a closed outline is removed, extruded along the box's z axis. Drawn in the view, the axis is the direction of view.
+//!
+//! The distance to the outline is exact (to the nearest of its edges, inside by the even-odd rule). With an eye at a finite distance the
+//! outline widens away from it, as the picture's perspective does.
+
+use super::{Amount, Backward, Build, Context, DefaultSize, Field, Inputs, Kind, Parameter, Setting, Unit};
+use crate::deform::Argument;
+use crate::math::Bounds;
+use crate::{Error, Result};
+use glam::{Vec2, Vec3, Vec3Swizzles};
+
+pub(super) const KIND: Kind = Kind {
+    name: "lasso",
+    about: "removes what lies behind a closed outline, along the view",
+    parameters: &[Parameter {
+        name: "eye",
+        unit: Unit::Mm,
+        default: Amount::Fixed(0.0),
+        min: Amount::Fixed(0.0),
+        max: Amount::Fixed(1e5),
+        about: "distance of the eye from the box's centre, for an outline drawn in perspective; 0 for a parallel one",
+    }],
+    progressive: true,
+    size: DefaultSize::Across(1.05),
+    inflate: 1.0,
+    varies: [true; 3],
+    resolution: 160,
+    leaks: [true; 6],
+    locked_to_view: true,
+    build: Build::Sourced {
+        settings: &[
+            Setting { name: "points", about: "x,y of the outline in the box's plane through its centre, mm (x right, y up in the view)" },
+            Setting { name: "invert", about: "true removes what lies around the outline instead" },
+        ],
+        example,
+        build,
+    },
+};
+
+/// A rounded triangle over a part of the box.
+fn example(bounds: &Bounds) -> Vec<(&'static str, Argument)> {
+    let r = 0.22 * bounds.size().min_element();
+    let outline = (0..36).flat_map(|n| {
+        let a = n as f32 * std::f32::consts::TAU / 36.0;
+        let v = Vec2::from_angle(a) * r * (1.0 + 0.25 * (3.0 * a).cos());
+        [v.x + r * 0.5, v.y + r * 0.5]
+    });
+    vec![("points", Argument::Numbers(outline.collect()))]
+}
+
+fn build(c: &Context, inputs: &Inputs) -> Result<Box<dyn Field>> {
+    let numbers = inputs.settings.numbers("points")?.ok_or_else(|| Error::value("points", "are missing; give the outline's x,y in mm"))?;
+    if numbers.len() % 2 != 0 {
+        return Err(Error::value("points", format!("are {} numbers; a point of the outline is two", numbers.len())));
+    }
+    let mut outline: Vec<Vec2> = numbers.chunks_exact(2).map(|p| Vec2::new(p[0], p[1])).collect();
+    outline.dedup_by(|a, b| a.distance(*b) < 1e-4);
+    while outline.len() > 1 && outline[0].distance(outline[outline.len() - 1]) < 1e-4 {
+        outline.pop();
+    }
+    if outline.len() < 3 {
+        return Err(Error::value("points", format!("an outline of {} points encloses nothing; it needs 3", outline.len())));
+    }
+    if let Some((a, b)) = crossing(&outline) {
+        return Err(Error::value("points", format!("the outline crosses itself: its edges {} and {} meet", a + 1, b + 1)));
+    }
+    let keep = if inputs.settings.flag("invert")? { -1.0 } else { 1.0 };
+    Ok(Box::new(Lasso { outline, eye: c.values[0], keep, progress: c.progress, reach: c.size_mm.length() }))
+}
+
+/// Two edges that are not neighbours and meet.
+fn crossing(outline: &[Vec2]) -> Option<(usize, usize)> {
+    let n = outline.len();
+    let edge = |i: usize| (outline[i], outline[(i + 1) % n]);
+    let side = |a: Vec2, b: Vec2, p: Vec2| (b - a).perp_dot(p - a);
+    for i in 0..n {
+        for j in i + 2..n {
+            if i == 0 && j + 1 == n {
+                continue;
+            }
+            let ((a, b), (c, d)) = (edge(i), edge(j));
+            if side(a, b, c) * side(a, b, d) < 0.0 && side(c, d, a) * side(c, d, b) < 0.0 {
+                return Some((i, j));
+            }
+        }
+    }
+    None
+}
+
+struct Lasso {
+    outline: Vec<Vec2>,
+    eye: f32,
+    /// 1: what is outside stays; -1: what is inside.
+    keep: f32,
+    progress: f32,
+    reach: f32,
+}
+
+impl Lasso {
+    /// Distance to the outline, positive outside.
+    fn outside(&self, p: Vec2) -> f32 {
+        let mut nearest = f32::INFINITY;
+        let mut inside = false;
+        let n = self.outline.len();
+        for i in 0..n {
+            let (a, b) = (self.outline[i], self.outline[(i + 1) % n]);
+            let (ab, ap) = (b - a, p - a);
+            let t = (ap.dot(ab) / ab.length_squared()).clamp(0.0, 1.0);
+            nearest = nearest.min(ap.distance_squared(ab * t));
+            if (a.y > p.y) != (b.y > p.y) && p.x < a.x + (p.y - a.y) / (b.y - a.y) * (b.x - a.x) {
+                inside = !inside;
+            }
+        }
+        if inside { -nearest.sqrt() } else { nearest.sqrt() }
+    }
+
+    /// Distance from what is removed, positive where matter stays.
+    fn distance(&self, q: Vec3) -> f32 {
+        if self.progress <= 0.0 {
+            return super::UNCUT;
+        }
+        let widening = if self.eye > 0.0 { ((self.eye - q.z) / self.eye).max(1e-3) } else { 1.0 };
+        let side = self.keep * self.outside(q.xy() / widening) * widening;
+        // Progress cuts in from the viewer's side.
+        let front = self.reach * (0.5 - self.progress) - q.z;
+        if self.progress < 1.0 { side.max(front) } else { side }
+    }
+}
+
+impl Field for Lasso {
+    fn backward(&self, q: Vec3) -> Backward {
+        Backward { source: q, cut_mm: self.distance(q) }
+    }
+
+    fn forward(&self, q: Vec3) -> Option<Vec3> {
+        (self.distance(q) >= 0.0).then_some(q)
+    }
+}

@@ -1,0 +1,125 @@
+//! Control points: matter goes from given places to given places, and in between smoothly (`deform::points`).
+
+use super::{Amount, Backward, Build, Context, DefaultSize, Field, Inputs, Kind, Parameter, Setting, UNCUT, Unit, forward_numerically, window};
+use crate::deform::Argument;
+use crate::deform::points::{Interpolant, Method, Pair, read_pairs, read_points};
+use crate::math::Bounds;
+use crate::{Error, Result};
+use glam::{DVec3, Vec3};
+
+pub(super) const KIND: Kind = Kind {
+    name: "points",
+    about: "moves given points to given places, and what lies between smoothly",
+    parameters: &[
+        Parameter {
+            name: "fade",
+            unit: Unit::None,
+            default: Amount::Fixed(0.0),
+            min: Amount::Fixed(0.0),
+            max: Amount::Fixed(1.0),
+            about: "share of the way to the box's faces over which the displacement fades",
+        },
+        Parameter {
+            name: "width",
+            unit: Unit::Mm,
+            default: Amount::Fixed(0.0),
+            min: Amount::Fixed(0.0),
+            max: Amount::Fixed(10_000.0),
+            about: "of the Gaussians; 0 takes the points' distance",
+        },
+    ],
+    progressive: true,
+    size: DefaultSize::Share([1.4; 3]),
+    inflate: 1.0,
+    varies: [true; 3],
+    resolution: 64,
+    leaks: [true; 6],
+    locked_to_view: false,
+    build: Build::Sourced {
+        settings: &[
+            Setting { name: "pairs", about: "from x,y,z and to x,y,z in mm, pair after pair; or a .csv file of six columns" },
+            Setting { name: "from", about: "file of the points (.mrk.json, .fcsv, .csv), in the order of to" },
+            Setting { name: "to", about: "file of their places" },
+            Setting { name: "method", about: "tps (thin-plate spline), rbf (Gaussians) or idw (inverse distances)" },
+        ],
+        example,
+        build,
+    },
+};
+
+/// The corners stay and the middle rises.
+fn example(bounds: &Bounds) -> Vec<(&'static str, Argument)> {
+    let (center, size) = (bounds.center(), bounds.size());
+    let mut pairs = Vec::new();
+    for corner in bounds.corners() {
+        let p = center + (corner - center) * 0.9;
+        pairs.extend([p.to_array(), p.to_array()]);
+    }
+    pairs.extend([center.to_array(), (center + size * Vec3::new(0.06, 0.0, 0.16)).to_array()]);
+    vec![("pairs", Argument::Numbers(pairs.concat()))]
+}
+
+fn pairs(inputs: &Inputs) -> Result<Vec<Pair>> {
+    let settings = inputs.settings;
+    match (settings.0.get("pairs"), settings.text("from")?, settings.text("to")?) {
+        (Some(Argument::Text(path)), None, None) => read_pairs(&inputs.library.path(path)),
+        (Some(_), None, None) => {
+            let v = settings.numbers("pairs")?.unwrap_or_default();
+            if v.len() % 6 != 0 {
+                return Err(Error::value("pairs", format!("are {} numbers; a pair is six: from x,y,z and to x,y,z", v.len())));
+            }
+            let at = |c: &[f32]| DVec3::new(f64::from(c[0]), f64::from(c[1]), f64::from(c[2]));
+            Ok(v.chunks_exact(6).map(|c| Pair { from: at(c), to: at(&c[3..]) }).collect())
+        }
+        (None, Some(from), Some(to)) => {
+            let (a, b) = (read_points(&inputs.library.path(from))?, read_points(&inputs.library.path(to))?);
+            if a.len() != b.len() {
+                return Err(Error::value(
+                    "from, to",
+                    format!("hold {} and {} points; they are matched in order, so there must be as many", a.len(), b.len()),
+                ));
+            }
+            Ok(a.into_iter().zip(b).map(|(from, to)| Pair { from, to }).collect())
+        }
+        _ => Err(Error::value("pairs", "are missing; give pairs=..., or from=FILE and to=FILE")),
+    }
+}
+
+fn build(c: &Context, inputs: &Inputs) -> Result<Box<dyn Field>> {
+    let method = match inputs.settings.choice("method", &["tps", "rbf", "idw"])? {
+        "tps" => Method::ThinPlate,
+        "rbf" => Method::Gaussian,
+        _ => Method::InverseDistance,
+    };
+    // In the box's own millimetres.
+    let local_from_world = inputs.world_from_local.inverse();
+    let local = |p: DVec3| local_from_world.transform_point3(p.as_vec3()).as_dvec3();
+    let own: Vec<Pair> = pairs(inputs)?.into_iter().map(|p| Pair { from: local(p.from), to: local(p.to) }).collect();
+    let width = (c.values[1] > 0.0).then(|| f64::from(c.values[1]));
+    let (interpolant, notice) = Interpolant::new(&own, method, width)?;
+    if let Some(notice) = notice {
+        inputs.library.notice(format!("points: {notice}"));
+    }
+    Ok(Box::new(Points { interpolant, strength: c.progress, fade: c.values[0], half: c.half() }))
+}
+
+struct Points {
+    interpolant: Interpolant,
+    strength: f32,
+    fade: f32,
+    half: Vec3,
+}
+
+impl Field for Points {
+    fn backward(&self, q: Vec3) -> Backward {
+        let mut d = self.interpolant.displacement(q.as_dvec3()).as_vec3() * self.strength;
+        if self.fade > 0.0 {
+            d *= (0..3).map(|a| window(q[a], self.half[a], self.fade)).product::<f32>();
+        }
+        Backward { source: q + d, cut_mm: UNCUT }
+    }
+
+    fn forward(&self, q: Vec3) -> Option<Vec3> {
+        forward_numerically(self, q)
+    }
+}
