@@ -2,8 +2,29 @@
 
 use crate::deform::{Argument, Storage};
 use crate::scene::deformations::FILE_KINDS;
-use crate::scene::{Deformation, Size};
+use crate::scene::{Deformation, Scene, Size};
 use crate::{Error, Result};
+use std::path::Path;
+
+/// The scene that an input names: a scene file, or a volume with all defaults.
+///
+/// # Errors
+/// A scene that cannot be read, a mesh.
+pub fn scene_of(input: &Path) -> Result<Scene> {
+    let text = input.to_str().ok_or_else(|| Error::file(input, "has a name that is not valid Unicode; rename it"))?;
+    match input.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
+        Some("toml") => Scene::load(input),
+        Some("stl" | "obj" | "ply" | "off" | "gltf" | "glb" | "gii") => {
+            Err(Error::file(input, "is a mesh, and meshes cannot be rendered yet; give a volume, a scene or a phantom"))
+        }
+        _ => Ok(Scene::of_volume(text)),
+    }
+}
+
+/// Whether two paths name one file.
+pub fn same_file(a: &Path, b: &Path) -> bool {
+    a == b || matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
+}
 
 /// `512x512`.
 pub fn picture_size(text: &str) -> Result<[u32; 2], String> {

@@ -1,7 +1,10 @@
 //! The command line: arguments as typed, resolved into a scene, then one file per command.
 
 mod arguments;
+mod bake;
 mod info;
+mod map;
+mod progress;
 mod render;
 
 use crate::scene::file::schema;
@@ -23,6 +26,10 @@ struct Cli {
 enum Command {
     /// Render one picture of a scene, a volume or a phantom.
     Render(Box<render::Arguments>),
+    /// Write the deformed volume, resampled, or the composed displacement, into a file.
+    Bake(Box<bake::Arguments>),
+    /// Make, convert, invert or check a displacement map or field.
+    Map(Box<map::Arguments>),
     /// Say what a file holds.
     Info(info::Arguments),
     /// Print the JSON schema of scene files.
@@ -36,6 +43,8 @@ pub fn main() -> ExitCode {
     let cli = Cli::parse();
     let result = match cli.command {
         Some(Command::Render(arguments)) => render::run(&arguments),
+        Some(Command::Bake(arguments)) => bake::run(&arguments),
+        Some(Command::Map(arguments)) => map::run(&arguments),
         Some(Command::Info(arguments)) => info::run(&arguments),
         Some(Command::Schema) => {
             print(&format!("{:#}", schema()));

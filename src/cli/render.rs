@@ -1,15 +1,15 @@
 //! `incise render`: one picture.
 
 use super::arguments;
+use super::progress::Progress;
+use crate::deform::health::Examined;
 use crate::export::{Output, png};
 use crate::scene::{Assets, Camera, Mode, Picture, Prepared, Projection, RenderStats, Rendered, Scene, Stages, View};
 use crate::{Error, Result, cpu};
 use clap::{Args, ValueEnum};
-use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::{Value, json};
-use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 /// Where the picture is computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -79,6 +79,9 @@ pub struct Arguments {
     /// A deformation, applied after those of the scene; repeatable, in order.
     #[arg(long, value_name = "KIND[:name=value,...]")]
     deform: Vec<String>,
+    /// Compose all deformations into one map that is this exact, mm.
+    #[arg(long, value_name = "MM")]
+    precompose: Option<f32>,
     /// R,G,B[,A] (0..1 or 0..255), #rrggbb or transparent.
     #[arg(long, value_parser = arguments::background)]
     background: Option<[f32; 4]>,
@@ -102,14 +105,7 @@ pub struct Arguments {
 impl Arguments {
     /// The scene that the input names, with the options laid over it.
     fn scene(&self) -> Result<Scene> {
-        let input = self.input.to_str().ok_or_else(|| Error::file(&self.input, "has a name that is not valid Unicode; rename it"))?;
-        let mut scene = match self.input.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
-            Some("toml") => Scene::load(&self.input)?,
-            Some("stl" | "obj" | "ply" | "off" | "gltf" | "glb" | "gii") => {
-                return Err(Error::file(&self.input, "is a mesh, and meshes cannot be rendered yet; give a volume, a scene or a phantom"));
-            }
-            _ => Scene::of_volume(input),
-        };
+        let mut scene = arguments::scene_of(&self.input)?;
         let render = &mut scene.render;
         match self.mode {
             Some(ModeName::Slice) => render.mode = Mode::Slice,
@@ -138,6 +134,7 @@ impl Arguments {
         }
         transfer.window = self.window.or(transfer.window);
         transfer.level = self.level.or(transfer.level);
+        scene.render.precompose = self.precompose.or(scene.render.precompose);
         for text in &self.deform {
             scene.deformation.push(arguments::deformation(text)?);
         }
@@ -170,6 +167,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         }
     }
     let prepared = Prepared::new(&scene, &assets)?;
+    if !arguments.quiet {
+        for notice in assets.library.notices() {
+            eprintln!("incise: {notice}");
+        }
+    }
     let wants_stats = arguments.stats.is_some() || arguments.json;
     let done = render_on(arguments, &prepared, wants_stats, &bar)?;
     bar.finish();
@@ -197,15 +199,14 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 
 /// Nothing is ever written to a file that is read, nor two things to one file.
 fn protect_inputs(arguments: &Arguments, scene: &Scene) -> Result<()> {
-    let same = |a: &Path, b: &Path| a == b || matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b);
     let volume = scene.volume_path();
     let written = [Some(("--output", &arguments.output)), arguments.stats.as_ref().map(|s| ("--stats", s))];
     for (option, path) in written.into_iter().flatten() {
-        if same(path, &arguments.input) || same(path, &volume) {
+        if arguments::same_file(path, &arguments.input) || arguments::same_file(path, &volume) {
             return Err(Error::value(format!("{option} {}", path.display()), "is a file that is read; choose another name"));
         }
     }
-    if arguments.stats.as_ref().is_some_and(|s| same(s, &arguments.output)) {
+    if arguments.stats.as_ref().is_some_and(|s| arguments::same_file(s, &arguments.output)) {
         return Err(Error::value("--stats", "names the same file as --output; choose another name"));
     }
     Ok(())
@@ -267,8 +268,13 @@ fn report(done: &Done, prepared: &Prepared, stages: &Stages, total: f64, asked: 
     let samples = done.rendered.stats.map(|RenderStats { samples_taken, samples_skipped, samples_terminated }| {
         json!({ "taken": samples_taken, "skipped": samples_skipped, "terminated": samples_terminated })
     });
-    let maps: Vec<Value> =
-        prepared.stack.maps().iter().map(|m| json!({ "size": m.map.size, "storage": m.map.storage, "bytes": m.map.gpu_bytes() })).collect();
+    let maps: Vec<Value> = prepared
+        .stack
+        .maps()
+        .iter()
+        .map(|m| json!({ "size": m.map.size, "storage": m.map.storage, "bytes": m.map.gpu_bytes(), "health": Examined::of_map(m).health(false) }))
+        .collect();
+    let composition = prepared.composition.map(|c| json!({ "maps": c.maps, "worst_mm": c.worst_mm, "p99_mm": c.p99_mm }));
     json!({
         "backend": done.backend,
         "requested_backend": format!("{asked:?}").to_lowercase(),
@@ -280,6 +286,7 @@ fn report(done: &Done, prepared: &Prepared, stages: &Stages, total: f64, asked: 
         "step_mm": prepared.frame.step_mm,
         "samples": samples,
         "maps": maps,
+        "composition": composition,
         "macrocells": prepared.macrocells.size.to_array(),
         "milliseconds": stage_entries,
         "total_milliseconds": total,
@@ -292,41 +299,4 @@ fn peak_memory_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
     line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib * 1024)
-}
-
-/// A progress bar on a terminal for what takes longer than a second.
-struct Progress {
-    bar: Option<ProgressBar>,
-    start: Instant,
-}
-
-impl Progress {
-    fn new(quiet: bool) -> Self {
-        let bar = (!quiet && std::io::stderr().is_terminal()).then(|| {
-            let bar = ProgressBar::hidden();
-            if let Ok(style) = ProgressStyle::with_template("{msg:10} {bar:40} {percent:>3} %") {
-                bar.set_style(style);
-            }
-            bar.set_length(1000);
-            bar
-        });
-        Self { bar, start: Instant::now() }
-    }
-
-    fn set(&self, what: &'static str, share: f32) {
-        let Some(bar) = &self.bar else { return };
-        if self.start.elapsed() > Duration::from_secs(1) {
-            if bar.is_hidden() {
-                bar.set_draw_target(indicatif::ProgressDrawTarget::stderr());
-            }
-            bar.set_message(what);
-            bar.set_position((share * 1000.0) as u64);
-        }
-    }
-
-    fn finish(&self) {
-        if let Some(bar) = &self.bar {
-            bar.finish_and_clear();
-        }
-    }
 }

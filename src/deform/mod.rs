@@ -15,6 +15,7 @@ mod argument;
 pub mod compose;
 pub mod distance;
 pub mod elastic;
+pub mod health;
 pub mod invert;
 pub mod kinds;
 mod library;

@@ -1,4 +1,6 @@
-//! Pictures to files. A file appears whole or not at all: written beside its destination, then renamed.
+//! Pictures, baked volumes and fields to files. A file appears whole or not at all: written beside its destination, then renamed.
+
+pub mod bake;
 
 use crate::scene::Picture;
 use crate::{Error, Result};
@@ -29,9 +31,20 @@ impl Output {
     /// # Errors
     /// A full disk, a destination that cannot be replaced.
     pub fn finish(self, content: &[u8]) -> Result<()> {
+        let path = self.path.clone();
+        self.finish_with(|file| file.write_all(content).map_err(|e| Error::io(&path, "writing", e)))
+    }
+
+    /// As [`Self::finish`], the content being written piece by piece.
+    ///
+    /// # Errors
+    /// As [`Self::finish`], and what `write` reports.
+    pub fn finish_with(self, write: impl FnOnce(&mut dyn Write) -> Result<()>) -> Result<()> {
         let path = self.path;
-        let mut file = beside(&path)?;
-        file.write_all(content).and_then(|()| file.as_file().sync_all()).map_err(|e| Error::io(&path, "writing", e))?;
+        let mut buffered = std::io::BufWriter::with_capacity(1 << 20, beside(&path)?);
+        write(&mut buffered)?;
+        let file = buffered.into_inner().map_err(|e| Error::io(&path, "writing", e.into_error()))?;
+        file.as_file().sync_all().map_err(|e| Error::io(&path, "writing", e))?;
         file.persist(&path).map_err(|e| Error::io(&path, "writing", e.error))?;
         Ok(())
     }
@@ -49,6 +62,23 @@ fn beside(path: &Path) -> Result<tempfile::NamedTempFile> {
         builder.permissions(std::fs::Permissions::from_mode(0o666));
     }
     builder.tempfile_in(folder).map_err(|e| Error::io(path, "writing", e))
+}
+
+/// 8-bit RGB as PNG.
+///
+/// # Errors
+/// The encoder's.
+pub fn png_rgb(width: usize, height: usize, rgb: &[u8]) -> Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    image::ImageEncoder::write_image(
+        image::codecs::png::PngEncoder::new(&mut bytes),
+        rgb,
+        width as u32,
+        height as u32,
+        image::ExtendedColorType::Rgb8,
+    )
+    .map_err(|e| Error::value("output", format!("could not be encoded as PNG: {e}")))?;
+    Ok(bytes)
 }
 
 /// A picture over a background as PNG: 8 bits per channel, RGB if the background is opaque, else RGBA (not premultiplied).

@@ -1,0 +1,106 @@
+//! `incise bake`: the deformed volume, resampled into a file, or the composed displacement.
+
+use super::arguments;
+use super::progress::Progress;
+use crate::deform::{Stack, Storage};
+use crate::export::{Output, bake};
+use crate::scene::deformations::{self, Making};
+use crate::scene::{Assets, Scene};
+use crate::volume::save::Format;
+use crate::{Error, Result};
+use clap::{Args, ValueEnum};
+use std::path::PathBuf;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum InterpolationName {
+    Nearest,
+    Linear,
+    Cubic,
+}
+
+/// Options as typed.
+#[derive(Args)]
+pub struct Arguments {
+    /// A scene (.toml), a volume or phantom:NAME[:size=N].
+    input: PathBuf,
+    /// The file to write: .nii.gz, .nii, .nrrd or .mha.
+    #[arg(short, long, value_name = "OUT.nii.gz")]
+    output: PathBuf,
+    /// A deformation, applied after those of the scene; repeatable, in order.
+    #[arg(long, value_name = "KIND[:name=value,...]")]
+    deform: Vec<String>,
+    /// Write the composed displacement (source minus deformed point, mm, LPS) instead of the volume.
+    #[arg(long)]
+    field: bool,
+    /// How values between voxels are found: nearest by default for label maps, else linear.
+    #[arg(long, value_enum)]
+    interpolation: Option<InterpolationName>,
+    /// Enlarge the grid so that nothing deformed is clipped; else the grid is the input's.
+    #[arg(long)]
+    enlarge: bool,
+    /// Value where nothing is; the volume's lowest by default.
+    #[arg(long, allow_hyphen_values = true)]
+    fill: Option<f64>,
+    /// No notices, no progress.
+    #[arg(short, long)]
+    quiet: bool,
+}
+
+/// The exact stack of a scene: every map in single precision, none composed.
+pub(super) fn exact_stack(scene: &Scene, assets: &Assets) -> Result<Stack> {
+    let scene_box = assets.volume.bounds_in_world();
+    let view = scene.camera.frame(&scene_box, scene.render.size)?;
+    let least_ramp_mm = 1.5 * assets.volume.spacing_mm().min_element() as f32;
+    let making = Making { library: &assets.library, scene_box, least_ramp_mm, view: &view, storage: Some(Storage::F32) };
+    deformations::stack(&scene.deformation, &making, Vec::new())
+}
+
+/// Bakes and writes.
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let format = Format::of(&arguments.output)?;
+    let mut scene = arguments::scene_of(&arguments.input)?;
+    for text in &arguments.deform {
+        scene.deformation.push(arguments::deformation(text)?);
+    }
+    for read in [&arguments.input, &scene.volume_path()] {
+        if arguments::same_file(&arguments.output, read) {
+            return Err(Error::value(format!("--output {}", arguments.output.display()), "is a file that is read; choose another name"));
+        }
+    }
+    if arguments.fill.is_some_and(|f| !f.is_finite()) {
+        return Err(Error::value("--fill", "must be a finite number"));
+    }
+    let output = Output::create(&arguments.output)?;
+    let bar = Progress::new(arguments.quiet);
+    let assets = Assets::load(&scene, &mut |done, all| bar.set("reading", done as f32 / all.max(1) as f32))?;
+    let volume = &assets.volume;
+    let stack = exact_stack(&scene, &assets)?;
+    if !arguments.quiet {
+        for note in volume.warnings.iter().map(|w| format!("{}: {w}", scene.volume.path)).chain(assets.library.notices()) {
+            eprintln!("incise: {note}");
+        }
+    }
+    let grid = if arguments.enlarge { bake::enlarged(volume, &stack) } else { volume.geometry() };
+    let interpolation = match arguments.interpolation {
+        Some(InterpolationName::Nearest) => bake::Interpolation::Nearest,
+        Some(InterpolationName::Linear) => bake::Interpolation::Linear,
+        Some(InterpolationName::Cubic) => bake::Interpolation::Cubic,
+        None if volume.labels().is_some() => bake::Interpolation::Nearest,
+        None => bake::Interpolation::Linear,
+    };
+    let mut cut = 0;
+    output.finish_with(|out| {
+        let progress = |share| bar.set("baking", share);
+        if arguments.field {
+            cut = bake::field(&stack, &grid, format, out, &progress)?;
+            Ok(())
+        } else {
+            bake::volume(volume, &stack, &grid, interpolation, arguments.fill.unwrap_or(volume.range[0]), format, out, &progress)
+        }
+    })?;
+    bar.finish();
+    if cut > 0 && !arguments.quiet {
+        eprintln!("incise: {cut} points of the field are cut away; a field cannot say so, and goes on there as beside the cut");
+    }
+    Ok(())
+}

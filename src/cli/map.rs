@@ -1,0 +1,260 @@
+//! `incise map`: makes, converts, inverts and checks displacement maps and fields.
+
+use super::progress::Progress;
+use super::{arguments, bake};
+use crate::deform::health::Examined;
+use crate::deform::transform::{Context, Step, Transform, VectorField};
+use crate::deform::{PlacedMap, Storage, compose, invert, saved};
+use crate::export::{Output, png_rgb};
+use crate::math::Bounds;
+use crate::scene::{Assets, Scene, deformations::FILE_KINDS};
+use crate::volume::load;
+use crate::volume::save::{self, Content, Format};
+use crate::{Error, Result};
+use clap::{Args, Subcommand};
+use glam::Vec3;
+use serde_json::json;
+use std::path::{Path, PathBuf};
+
+/// Options as typed.
+#[derive(Args)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
+pub struct Arguments {
+    #[command(subcommand)]
+    action: Option<Action>,
+    /// A kind with its parameters (as --deform takes it), or a file: a map, a field, a transform.
+    #[arg(required = true, value_name = "KIND|FILE")]
+    what: Option<String>,
+    /// The file to write. A kind as .nrrd keeps its mask (a displacement map); other endings hold the displacement alone.
+    #[arg(short, long, required = true, value_name = "OUT")]
+    output: Option<PathBuf>,
+    /// The volume that the map is for: boxes, label surfaces and FSL's files need one.
+    #[arg(long, value_name = "FILE")]
+    volume: Option<PathBuf>,
+    /// Write the inverse.
+    #[arg(long)]
+    invert: bool,
+    /// Points along the longest axis.
+    #[arg(long)]
+    resolution: Option<usize>,
+    /// How the file's vectors are meant: lps, ras, fsl or fsl-absolute.
+    #[arg(long)]
+    convention: Option<String>,
+    /// No notices.
+    #[arg(short, long)]
+    quiet: bool,
+}
+
+#[derive(Subcommand)]
+enum Action {
+    /// Report the health of a field: folds, size, border, how well it can be inverted.
+    Check(CheckArguments),
+}
+
+#[derive(Args)]
+struct CheckArguments {
+    /// A displacement map, a field or a transform.
+    file: PathBuf,
+    /// The volume that it is for, where one is needed.
+    #[arg(long, value_name = "FILE")]
+    volume: Option<PathBuf>,
+    /// How the file's vectors are meant: lps, ras, fsl or fsl-absolute.
+    #[arg(long)]
+    convention: Option<String>,
+    /// Machine-readable output.
+    #[arg(long)]
+    json: bool,
+    /// Leave out the inversion, which takes the longest.
+    #[arg(long)]
+    no_inverse: bool,
+    /// Write every point with its displacement and det J.
+    #[arg(long, value_name = "FILE.csv")]
+    csv: Option<PathBuf>,
+    /// Write slices of det J through the worst point, folds in red.
+    #[arg(long, value_name = "FILE.png")]
+    picture: Option<PathBuf>,
+}
+
+/// The box that maps are made for when no volume is named: 200 mm around the origin.
+const NOMINAL_BOX: Bounds = Bounds { min: Vec3::splat(-100.0), max: Vec3::splat(100.0) };
+
+/// Does what was asked.
+pub fn run(arguments: &Arguments) -> Result<()> {
+    if let Some(Action::Check(check)) = &arguments.action {
+        return run_check(check);
+    }
+    let (Some(what), Some(path)) = (&arguments.what, &arguments.output) else {
+        return Err(Error::value("map", "needs a kind or a file, and --output"));
+    };
+    let format = Format::of(path)?;
+    let input = Path::new(what);
+    if arguments::same_file(input, path) {
+        return Err(Error::value(format!("--output {}", path.display()), "is the file that is read; choose another name"));
+    }
+    if let Some(n) = arguments.resolution.filter(|n| !(8..=512).contains(n)) {
+        return Err(Error::value("--resolution", format!("{n} is outside 8 to 512 points")));
+    }
+    let output = Output::create(path)?;
+    let bar = Progress::new(arguments.quiet);
+    let note = |text: String| {
+        if !arguments.quiet {
+            eprintln!("incise: {text}");
+        }
+    };
+    let name = what.split(':').next().unwrap_or_default();
+    let is_kind = !input.exists() && (crate::deform::kinds::kind(name).is_ok() || FILE_KINDS.iter().any(|k| k.name == name));
+    let placed = if is_kind {
+        let mut scene = match &arguments.volume {
+            Some(v) => arguments::scene_of(v)?,
+            None => Scene::of_volume("phantom:ball:size=8"),
+        };
+        scene.deformation = vec![arguments::deformation(what)?];
+        if scene.deformation[0].resolution.is_none() && arguments.resolution.is_some() {
+            scene.deformation[0].resolution = arguments.resolution;
+        }
+        let assets = Assets::load(&scene, &mut |_, _| ())?;
+        let stack = bake::exact_stack(&scene, &assets)?;
+        assets.library.notices().into_iter().for_each(note);
+        let made = stack.maps().first().cloned().ok_or_else(|| Error::value(what, "makes no map"))?;
+        if arguments.invert { inverse_of_map(&made, &note)? } else { made }
+    } else {
+        if !input.exists() && !what.contains(['/', '.']) {
+            // Neither a kind nor a file: say what kinds there are.
+            crate::deform::kinds::kind(name)?;
+        }
+        from_file(input, arguments, &bar, &note)?
+    };
+    bar.finish();
+    let cut = placed.map.bounds(Vec3::ZERO, Vec3::ONE).min[3] < 0.5;
+    let keeps_mask = format == Format::Nrrd && (is_kind || cut);
+    let bytes = if keeps_mask {
+        saved::encode(&placed)?
+    } else {
+        if cut {
+            note("the map cuts, and a field cannot say so; write .nrrd to keep the mask".into());
+        }
+        encode_field(&placed, format)?
+    };
+    output.finish(&bytes)
+}
+
+fn encode_field(placed: &PlacedMap, format: Format) -> Result<Vec<u8>> {
+    let field = Examined::of_map(placed).field;
+    let values: Vec<f32> = field.vectors.iter().flat_map(|v| v.to_array()).collect();
+    save::encode(format, &field.grid, Content::Field, &values)
+}
+
+fn inverse_of_map(placed: &PlacedMap, note: &impl Fn(String)) -> Result<PlacedMap> {
+    let grid = compose::grid_of(&placed.placement, placed.map.size);
+    let inverse = invert::function(&|p| p + (placed.backward(p.as_vec3()).0 - p.as_vec3()).as_dvec3(), &grid);
+    report(&inverse.report, note);
+    inverse.placed(Storage::F32, 1.0)
+}
+
+fn report(r: &invert::Report, note: &impl Fn(String)) {
+    note(format!(
+        "inverted {} points; residual mean {:.4}, 95 % {:.4}, 99 % {:.4}, largest {:.4} mm; {} points have no source",
+        r.points, r.mean_mm, r.p95_mm, r.p99_mm, r.max_mm, r.not_found
+    ));
+}
+
+/// The transform of a file, and the box of the volume that it is for.
+fn load_transform(path: &Path, volume: Option<&Path>, convention: Option<&str>) -> Result<(Transform, Bounds)> {
+    let volume = volume.map(|v| load::volume(v, &mut |_, _| ())).transpose()?;
+    let grid = volume.as_ref().map(|v| v.geometry());
+    let transform = Transform::load(path, &Context { moving: grid, reference: grid, convention })?;
+    let bounds = volume.map_or_else(
+        || {
+            transform
+                .grid()
+                .map_or(NOMINAL_BOX, |g| Bounds::UNIT.transformed(&compose::placement_of(&g).map_or(glam::Affine3A::IDENTITY, |p| p.world_from_map)))
+        },
+        |v| v.bounds_in_world(),
+    );
+    Ok((transform, bounds))
+}
+
+fn from_file(input: &Path, arguments: &Arguments, bar: &Progress, note: &impl Fn(String)) -> Result<PlacedMap> {
+    if let Some(map) = saved_map(input)? {
+        return if arguments.invert { inverse_of_map(&map, note) } else { Ok(map) };
+    }
+    // FSL's files need the volume only for what is not along the axes; others ignore it.
+    let (transform, bounds) = load_transform(input, arguments.volume.as_deref(), arguments.convention.as_deref())?;
+    transform.warnings.iter().cloned().for_each(note);
+    bar.set("working", 0.5);
+    if !arguments.invert {
+        return Ok(compose::transform(&transform, &bounds, 1.0, arguments.resolution, Storage::F32)?.placed);
+    }
+    if let Some(inverse) = transform.affine_inverse() {
+        return Ok(compose::transform(&inverse, &bounds, 1.0, arguments.resolution, Storage::F32)?.placed);
+    }
+    let inverse = invert::transform(&transform, &bounds, arguments.resolution)?;
+    report(&inverse.report, note);
+    inverse.placed(Storage::F32, 1.0)
+}
+
+/// The map of a file if it is one of this program's.
+fn saved_map(path: &Path) -> Result<Option<PlacedMap>> {
+    let name = path.to_string_lossy().to_ascii_lowercase();
+    if !name.ends_with(".nrrd") && !name.ends_with(".nhdr") {
+        return Ok(None);
+    }
+    if load::image(path, &mut |_, _| ())?.displacement { saved::read(path, Storage::F32, 1.0).map(Some) } else { Ok(None) }
+}
+
+fn run_check(arguments: &CheckArguments) -> Result<()> {
+    let path = &arguments.file;
+    let csv = arguments.csv.as_deref().map(Output::create).transpose()?;
+    let picture = arguments.picture.as_deref().map(Output::create).transpose()?;
+    let (examined, warnings) = match saved_map(path)? {
+        Some(map) => (Examined::of_map(&map), Vec::new()),
+        None => {
+            let (transform, bounds) = load_transform(path, arguments.volume.as_deref(), arguments.convention.as_deref())?;
+            let warnings = transform.warnings.clone();
+            match <[Step; 1]>::try_from(transform.steps) {
+                Ok([Step::Field(field)]) => (whole(field), warnings),
+                Ok(steps) => (sampled(Transform { steps: steps.into(), warnings: Vec::new() }, &bounds)?, warnings),
+                Err(steps) => (sampled(Transform { steps, warnings: Vec::new() }, &bounds)?, warnings),
+            }
+        }
+    };
+    let health = examined.health(!arguments.no_inverse);
+    if let Some(file) = csv {
+        file.finish(examined.csv().as_bytes())?;
+    }
+    if let Some(file) = picture {
+        let (width, height, rgb) = examined.picture();
+        file.finish(&png_rgb(width, height, &rgb)?)?;
+    }
+    let grid = examined.field.grid;
+    let report = json!({ "file": path, "size": grid.size, "health": health, "warnings": warnings });
+    if arguments.json {
+        super::print(&format!("{report:#}"));
+        return Ok(());
+    }
+    let mut out = format!("{} on {} x {} x {} points\n", path.display(), grid.size[0], grid.size[1], grid.size[2]);
+    let mut line = |name: &str, text: String| out.push_str(&format!("  {name:<22} {text}\n"));
+    line("det J", format!("{:.4} to {:.4}, mean {:.4}", health.det_min, health.det_max, health.det_mean));
+    line("folds (det J <= 0)", format!("{:.3} % of the points", health.folds_percent));
+    line("displacement", format!("largest {:.3} mm, mean {:.3} mm", health.largest_mm, health.mean_mm));
+    line("at the border", format!("up to {:.3} mm{}", health.border_mm, if health.border_mm > 0.1 { "; beyond it nothing moves" } else { "" }));
+    line("cut away", format!("{:.3} % of the points", health.cut_percent));
+    if let Some(r) = &health.inverse {
+        line("inverse", format!("residual 99 % {:.4} mm, largest {:.4} mm; {} points without a source", r.p99_mm, r.max_mm, r.not_found));
+    }
+    for w in &warnings {
+        line("note", w.clone());
+    }
+    super::print(out.trim_end());
+    Ok(())
+}
+
+/// A field, all of it seen.
+fn whole(field: VectorField) -> Examined {
+    let seen = vec![true; field.vectors.len()];
+    Examined::new(field, seen)
+}
+
+fn sampled(transform: Transform, bounds: &Bounds) -> Result<Examined> {
+    Ok(Examined::of_map(&compose::transform(&transform, bounds, 1.0, None, Storage::F32)?.placed))
+}

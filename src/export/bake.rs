@@ -1,0 +1,247 @@
+//! Baking: the deformed scene resampled into a volume, or the composed displacement into a field (\[RVD01\] section 5), slab by slab, so that
+//! nothing but the source and one slab is in memory.
+
+use crate::deform::Stack;
+use crate::math::Bounds;
+use crate::volume::load::ScalarType;
+use crate::volume::save::{Content, Format, Writer};
+use crate::volume::{GridGeometry, Volume, Voxels};
+use crate::{Error, Result};
+use glam::{DAffine3, DVec3, Vec3};
+use rayon::prelude::*;
+use std::io::Write;
+
+/// Values of a slab: about 64 MiB at most.
+const SLAB_BYTES: usize = 1 << 26;
+
+/// How values between voxels are found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Interpolation {
+    /// The nearest voxel's: for labels.
+    Nearest,
+    /// Trilinear.
+    Linear,
+    /// Cubic convolution with a = -1/2 (Keys 1981): third order, passes through the voxels.
+    Cubic,
+}
+
+/// The grid of a volume, grown by whole voxels until it holds the deformed scene.
+pub fn enlarged(volume: &Volume, stack: &Stack) -> GridGeometry {
+    let grid = volume.geometry();
+    let deformed = stack.deformed_bounds(&volume.bounds_in_world());
+    let voxel_from_world = crate::math::to_f32(&grid.world_from_voxel.inverse());
+    let own = Bounds::new(Vec3::splat(-0.5), Vec3::from(grid.size.map(|n| n as f32)) - 0.5);
+    let all = deformed.transformed(&voxel_from_world).union(&own);
+    let before = (own.min - all.min).max(Vec3::ZERO).ceil();
+    let after = (all.max - own.max).max(Vec3::ZERO).ceil();
+    GridGeometry {
+        size: std::array::from_fn(|a| grid.size[a] + before[a] as usize + after[a] as usize),
+        world_from_voxel: grid.world_from_voxel * DAffine3::from_translation(-before.as_dvec3()),
+    }
+}
+
+fn scalar_of(voxels: &Voxels) -> ScalarType {
+    match voxels {
+        Voxels::U8(_) => ScalarType::U8,
+        Voxels::I8(_) => ScalarType::I8,
+        Voxels::U16(_) => ScalarType::U16,
+        Voxels::I16(_) => ScalarType::I16,
+        Voxels::U32(_) => ScalarType::U32,
+        Voxels::I32(_) => ScalarType::I32,
+        Voxels::U64(_) => ScalarType::U64,
+        Voxels::I64(_) => ScalarType::I64,
+        Voxels::F32(_) => ScalarType::F32,
+        Voxels::F64(_) => ScalarType::F64,
+    }
+}
+
+/// Appends a value in a type's bytes, rounded and held to its range.
+fn put(out: &mut Vec<u8>, scalar: ScalarType, v: f64) {
+    // `as` saturates, and takes NaN to 0.
+    match scalar {
+        ScalarType::U8 => out.push(v.round() as u8),
+        ScalarType::I8 => out.extend((v.round() as i8).to_le_bytes()),
+        ScalarType::U16 => out.extend((v.round() as u16).to_le_bytes()),
+        ScalarType::I16 => out.extend((v.round() as i16).to_le_bytes()),
+        ScalarType::U32 => out.extend((v.round() as u32).to_le_bytes()),
+        ScalarType::I32 => out.extend((v.round() as i32).to_le_bytes()),
+        ScalarType::U64 => out.extend((v.round() as u64).to_le_bytes()),
+        ScalarType::I64 => out.extend((v.round() as i64).to_le_bytes()),
+        ScalarType::F32 => out.extend((v as f32).to_le_bytes()),
+        ScalarType::F64 => out.extend(v.to_le_bytes()),
+    }
+}
+
+/// Stored values of a volume between its voxels; the outermost ones reach half a voxel out.
+struct Stored<'a> {
+    volume: &'a Volume,
+    interpolation: Interpolation,
+}
+
+impl Stored<'_> {
+    fn at(&self, c: [i64; 3]) -> f64 {
+        let [nx, ny, nz] = self.volume.size;
+        let clamp = |v: i64, n: usize| v.clamp(0, n as i64 - 1) as usize;
+        self.volume.voxels.get((clamp(c[2], nz) * ny + clamp(c[1], ny)) * nx + clamp(c[0], nx))
+    }
+
+    /// None outside the volume.
+    fn sample(&self, p: DVec3) -> Option<f64> {
+        let size = DVec3::from_array(self.volume.size.map(|n| n as f64));
+        if p.cmplt(DVec3::splat(-0.5)).any() || p.cmpgt(size - 0.5).any() {
+            return None;
+        }
+        let base = p.floor();
+        let (c, f) = ([base.x as i64, base.y as i64, base.z as i64], p - base);
+        Some(match self.interpolation {
+            Interpolation::Nearest => self.at([p.x.round() as i64, p.y.round() as i64, p.z.round() as i64]),
+            Interpolation::Linear => self.weighted(c, 0, &[[1.0 - f.x, f.x], [1.0 - f.y, f.y], [1.0 - f.z, f.z]]),
+            Interpolation::Cubic => self.weighted(c, -1, &[keys(f.x), keys(f.y), keys(f.z)]),
+        })
+    }
+
+    fn weighted<const N: usize>(&self, c: [i64; 3], first: i64, w: &[[f64; N]; 3]) -> f64 {
+        let mut sum = 0.0;
+        for (k, wz) in w[2].iter().enumerate() {
+            for (j, wy) in w[1].iter().enumerate() {
+                let mut row = 0.0;
+                for (i, wx) in w[0].iter().enumerate() {
+                    if *wx != 0.0 {
+                        row += wx * self.at([c[0] + first + i as i64, c[1] + first + j as i64, c[2] + first + k as i64]);
+                    }
+                }
+                sum += wz * wy * row;
+            }
+        }
+        sum
+    }
+}
+
+fn keys(t: f64) -> [f64; 4] {
+    let (t2, t3) = (t * t, t * t * t);
+    [-0.5 * t + t2 - 0.5 * t3, 1.0 - 2.5 * t2 + 1.5 * t3, 0.5 * t + 2.0 * t2 - 1.5 * t3, -0.5 * t2 + 0.5 * t3]
+}
+
+/// Rows of voxels in slabs, each handed to `write` in order.
+fn slabs(
+    grid: &GridGeometry,
+    bytes_per_voxel: usize,
+    row: impl Fn(usize, usize, &mut Vec<u8>) + Sync,
+    mut write: impl FnMut(&[u8]) -> Result<()>,
+    progress: &dyn Fn(f32),
+) -> Result<()> {
+    let [nx, ny, nz] = grid.size;
+    let layers = (SLAB_BYTES / (nx * ny * bytes_per_voxel).max(1)).clamp(1, nz);
+    for first in (0..nz).step_by(layers) {
+        let last = (first + layers).min(nz);
+        let rows: Vec<Vec<u8>> = (first * ny..last * ny)
+            .into_par_iter()
+            .map(|n| {
+                let mut bytes = Vec::with_capacity(nx * bytes_per_voxel);
+                row(n % ny, n / ny, &mut bytes);
+                bytes
+            })
+            .collect();
+        rows.iter().try_for_each(|r| write(r))?;
+        progress(last as f32 / nz as f32);
+    }
+    Ok(())
+}
+
+/// Writes the deformed volume on `grid`: the source's type and scale; `fill` (in data units) where nothing is.
+///
+/// # Errors
+/// What the destination reports; a grid or scale that the format cannot state.
+#[allow(clippy::too_many_arguments, reason = "each is one choice of the caller")]
+pub fn volume(
+    volume: &Volume,
+    stack: &Stack,
+    grid: &GridGeometry,
+    interpolation: Interpolation,
+    fill: f64,
+    format: Format,
+    out: &mut dyn Write,
+    progress: &dyn Fn(f32),
+) -> Result<()> {
+    let fail = |e: String| Error::value("output", e);
+    let scalar = scalar_of(&volume.voxels);
+    let mut writer = Writer::new(out, format, grid, Content::Scalar(scalar, volume.rescale)).map_err(fail)?;
+    let stored = Stored { volume, interpolation };
+    let voxel_from_world = volume.world_from_voxel.inverse();
+    let fill = (fill - volume.rescale.intercept) / volume.rescale.slope;
+    let row = |j: usize, k: usize, bytes: &mut Vec<u8>| {
+        for i in 0..grid.size[0] {
+            let p = grid.world_from_voxel.transform_point3(DVec3::new(i as f64, j as f64, k as f64));
+            // The walk gives the displacement in single precision; the point itself keeps its digits.
+            let deformed = p.as_vec3();
+            let value = stack.source_from_deformed(deformed).and_then(|source| {
+                let exact = p + (source - deformed).as_dvec3();
+                stored.sample(voxel_from_world.transform_point3(exact))
+            });
+            put(bytes, scalar, value.unwrap_or(fill));
+        }
+    };
+    slabs(grid, scalar.bytes(), row, |b| writer.push(b).map_err(|e| fail(e.to_string())), progress)?;
+    writer.finish().map(drop).map_err(|e| fail(e.to_string()))
+}
+
+/// Writes the composed displacement on `grid`. Cut regions carry the continued displacement: a field has no mask. How many points were cut.
+///
+/// # Errors
+/// As [`volume`].
+pub fn field(stack: &Stack, grid: &GridGeometry, format: Format, out: &mut dyn Write, progress: &dyn Fn(f32)) -> Result<usize> {
+    let fail = |e: String| Error::value("output", e);
+    let mut writer = Writer::new(out, format, grid, Content::Field).map_err(fail)?;
+    let cut = std::sync::atomic::AtomicUsize::new(0);
+    let displacement = |i: usize, j: usize, k: usize| {
+        let p = grid.world_from_voxel.transform_point3(DVec3::new(i as f64, j as f64, k as f64)).as_vec3();
+        let (source, alpha) = stack.walk_through(p);
+        (source - p, alpha)
+    };
+    // NIfTI wants whole components one after the other: the walk is done once for each rather than kept.
+    let passes: &[Option<usize>] = if format.planar() { &[Some(0), Some(1), Some(2)] } else { &[None] };
+    for (n, pass) in passes.iter().enumerate() {
+        let row = |j: usize, k: usize, bytes: &mut Vec<u8>| {
+            for i in 0..grid.size[0] {
+                let (d, alpha) = displacement(i, j, k);
+                match pass {
+                    Some(c) => bytes.extend(d[*c].to_le_bytes()),
+                    None => d.to_array().iter().for_each(|v| bytes.extend(v.to_le_bytes())),
+                }
+                if n == 0 && alpha < 0.5 {
+                    cut.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+                }
+            }
+        };
+        let whole = passes.len() as f32;
+        slabs(grid, if pass.is_some() { 4 } else { 12 }, row, |b| writer.push(b).map_err(|e| fail(e.to_string())), &|s| {
+            progress((n as f32 + s) / whole)
+        })?;
+    }
+    writer.finish().map(drop).map_err(|e| fail(e.to_string()))?;
+    Ok(cut.into_inner())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::volume::Rescale;
+
+    #[test]
+    fn cubic_weights_reproduce_parabolas_and_voxels() {
+        let voxels: Vec<f64> = (0..7 * 7 * 7)
+            .map(|n| {
+                let (x, y) = ((n % 7) as f64, (n / 7 % 7) as f64);
+                x * x - 2.0 * y
+            })
+            .collect();
+        let v = Volume::new(voxels.into(), [7; 3], Rescale::NONE, DAffine3::IDENTITY);
+        let s = Stored { volume: &v, interpolation: Interpolation::Cubic };
+        let p = DVec3::new(2.3, 3.7, 3.1);
+        assert!((s.sample(p).unwrap_or(f64::NAN) - (p.x * p.x - 2.0 * p.y)).abs() < 1e-9);
+        assert_eq!(s.sample(DVec3::new(4.0, 2.0, 1.0)), Some(12.0));
+        assert_eq!(s.sample(DVec3::new(-0.6, 0.0, 0.0)), None);
+        let linear = Stored { volume: &v, interpolation: Interpolation::Linear };
+        assert!((linear.sample(DVec3::new(2.5, 1.0, 0.0)).unwrap_or(f64::NAN) - 4.5).abs() < 1e-12);
+    }
+}
