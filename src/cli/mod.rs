@@ -2,6 +2,7 @@
 
 mod arguments;
 mod bake;
+mod gallery;
 mod info;
 mod map;
 mod progress;
@@ -30,6 +31,8 @@ enum Command {
     Bake(Box<bake::Arguments>),
     /// Make, convert, invert or check a displacement map or field.
     Map(Box<map::Arguments>),
+    /// Show every kind of deformation: pictures and a page.
+    Gallery(gallery::Arguments),
     /// Say what a file holds.
     Info(info::Arguments),
     /// Print the JSON schema of scene files.
@@ -45,6 +48,7 @@ pub fn main() -> ExitCode {
         Some(Command::Render(arguments)) => render::run(&arguments),
         Some(Command::Bake(arguments)) => bake::run(&arguments),
         Some(Command::Map(arguments)) => map::run(&arguments),
+        Some(Command::Gallery(arguments)) => gallery::run(&arguments),
         Some(Command::Info(arguments)) => info::run(&arguments),
         Some(Command::Schema) => {
             print(&format!("{:#}", schema()));

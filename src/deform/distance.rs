@@ -9,6 +9,8 @@ use crate::volume::Volume;
 use glam::{Affine3A, Mat3, Vec3};
 use rayon::prelude::*;
 
+/// Openings of a body that are narrower than twice this are closed, mm.
+const CLOSING_MM: f32 = 6.0;
 /// Most voxels of a field; larger volumes are taken at every second voxel, or every fourth.
 const MOST_VOXELS: usize = 1 << 25;
 
@@ -47,20 +49,14 @@ impl DistanceField {
             Region::Body(iso) => value(n) >= *iso,
         };
         let mut mask: Vec<bool> = (0..size.iter().product()).into_par_iter().map(inside).collect();
+        let spacing = (volume.spacing_mm() * stride as f64).as_vec3();
         if matches!(region, Region::Body(_)) {
-            mask = largest_part(&mask, size);
-            let outside: Vec<bool> = mask.iter().map(|m| !m).collect();
-            let shell = (0..mask.len()).filter(|n| {
-                let c = [n % size[0], n / size[0] % size[1], n / (size[0] * size[1])];
-                (0..3).any(|a| c[a] == 0 || c[a] + 1 == size[a])
-            });
-            mask = connected(&outside, size, shell).into_iter().map(|o| !o).collect();
+            mask = body(largest_part(&mask, size), size, spacing);
         }
         let count = mask.iter().filter(|m| **m).count();
         if count == 0 || count == mask.len() {
             return None;
         }
-        let spacing = (volume.spacing_mm() * stride as f64).as_vec3();
         let to_inside = squared_distance(&mask, size, spacing.into());
         mask.iter_mut().for_each(|m| *m = !*m);
         let to_outside = squared_distance(&mask, size, spacing.into());
@@ -83,6 +79,21 @@ impl DistanceField {
         let d = |e: Vec3| (self.sample(world + e * step_mm) - self.sample(world - e * step_mm)) / (2.0 * step_mm);
         Vec3::new(d(Vec3::X), d(Vec3::Y), d(Vec3::Z))
     }
+}
+
+/// A body without its openings and cavities: closed by [`CLOSING_MM`] (so that a nostril or an ear does not let the outside in), then filled.
+fn body(mask: Vec<bool>, size: [usize; 3], spacing: Vec3) -> Vec<bool> {
+    let within = |set: &[bool]| squared_distance(set, size, spacing.into()).into_iter().map(|d| d <= CLOSING_MM * CLOSING_MM).collect::<Vec<bool>>();
+    let not = |set: &[bool]| set.iter().map(|m| !m).collect::<Vec<bool>>();
+    let open = not(&within(&mask));
+    let shell = (0..mask.len()).filter(|n| {
+        let c = [n % size[0], n / size[0] % size[1], n / (size[0] * size[1])];
+        (0..3).any(|a| c[a] == 0 || c[a] + 1 == size[a])
+    });
+    let outside = connected(&open, size, shell);
+    // What grew is taken back, but never a voxel of the body itself.
+    let kept = not(&within(&outside));
+    kept.iter().zip(&mask).map(|(k, m)| *k || *m).collect()
 }
 
 /// A 1-2-1 filter along each axis.

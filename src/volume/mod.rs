@@ -152,27 +152,15 @@ impl Volume {
         Histogram { low, high, counts }
     }
 
-    /// The value between what is around the scanned body and the body itself: Otsu's threshold (1979) on 256 bins.
+    /// A value between what is around the scanned body and the body itself: -300 where the values are Hounsfield units (their lowest is
+    /// near air's), else an eighth of the way from the lowest value to the robust maximum.
     pub fn body_threshold(&self) -> f64 {
-        let h = self.histogram(256);
-        let total: f64 = h.counts.iter().map(|&c| c as f64).sum();
-        let sum: f64 = h.counts.iter().enumerate().map(|(n, &c)| n as f64 * c as f64).sum();
-        let (mut below, mut sum_below) = (0.0, 0.0);
-        let (mut best, mut at) = (-1.0, 0);
-        for (n, &c) in h.counts.iter().enumerate() {
-            below += c as f64;
-            sum_below += n as f64 * c as f64;
-            let above = total - below;
-            if below == 0.0 || above <= 0.0 {
-                continue;
-            }
-            let apart = sum_below / below - (sum - sum_below) / above;
-            let variance = below * above * apart * apart;
-            if variance > best {
-                (best, at) = (variance, n);
-            }
+        let [low, high] = self.range;
+        if low <= -900.0 && high >= 200.0 {
+            return -300.0;
         }
-        h.low + (at as f64 + 1.0) * (h.high - h.low) / 256.0
+        let top = self.histogram(2048).percentile(0.99, true);
+        low + 0.125 * (top - low)
     }
 
     /// The number of distinct labels besides 0, if this is a label map: an unscaled integer volume without negative values that its file
