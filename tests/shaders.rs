@@ -47,7 +47,7 @@ pub fn uniforms_match_their_structs() {
     same_layout!(&m, "Frame", FrameUniform: clip_from_world, voxel_from_world, eye, perspective, forward, step_mm, right, reference_mm, up,
         blend_near_mm, to_light, blend_far_mm, proxy_min, ambient, proxy_max, diffuse, grid_size, specular, cells_origin, shininess, cell_mm,
         value_scale, cells, value_offset, picture, table_scale, table_offset, gradient_top, two_sided, has_holes, early_termination);
-    same_layout!(&m, "PlacedMap", PlacedMapUniform: map_from_world, world_from_stored, size, added);
+    same_layout!(&m, "PlacedMap", PlacedMapUniform: map_from_world, world_from_stored, size, added, reach, padding);
 }
 
 /// A shader's constants are the CPU's.

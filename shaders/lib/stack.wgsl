@@ -24,14 +24,14 @@ fn or_nearer(cut: Cut, value: f32, gradient: vec3<f32>) -> Cut {
     return Cut(value / slope, gradient / -slope);
 }
 
-fn outside(x: vec3<f32>) -> bool {
-    return any(x < vec3<f32>(0.0)) || any(x > vec3<f32>(1.0));
+fn outside(k: u32, x: vec3<f32>) -> bool {
+    return any(x < -maps[k].reach) || any(x > 1.0 + maps[k].reach);
 }
 
 // Displacement, mm, and mask of map k.
 fn displacement(k: u32, p: vec3<f32>) -> vec4<f32> {
     let x = transform_point(maps[k].map_from_world, p);
-    if outside(x) {
+    if outside(k, x) {
         return vec4<f32>(0.0, 0.0, 0.0, 1.0);
     }
     let t = fetch(k, x);
@@ -65,7 +65,7 @@ fn jet(deformed: vec3<f32>) -> Jet {
         let k = n - 1u;
         let moved = displacement(k, here);
         let x = transform_point(maps[k].map_from_world, here);
-        if !outside(x) {
+        if !outside(k, x) {
             // Differences over one texel to each side, shortened at the cube's faces; columns are d stored / d map axis.
             let size = maps[k].size;
             var columns = array<vec3<f32>, 3>(vec3<f32>(0.0), vec3<f32>(0.0), vec3<f32>(0.0));
@@ -77,8 +77,8 @@ fn jet(deformed: vec3<f32>) -> Jet {
                 let step = 1.0 / (size[axis] - 1.0);
                 var low = x;
                 var high = x;
-                low[axis] = max(x[axis] - step, 0.0);
-                high[axis] = min(x[axis] + step, 1.0);
+                low[axis] = clamp(x[axis] - step, 0.0, 1.0 - step);
+                high[axis] = clamp(x[axis] + step, step, 1.0);
                 let d = (fetch(k, high) - fetch(k, low)) / (high[axis] - low[axis]);
                 columns[axis] = d.xyz;
                 slope[axis] = d.w;

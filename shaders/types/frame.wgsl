@@ -49,4 +49,7 @@ struct PlacedMap {
     size: vec3<f32>,
     // 1: added to the map before it; 0: applied after it.
     added: f32,
+    // How far beyond the cube its outermost texels go on, map units.
+    reach: vec3<f32>,
+    padding: f32,
 }

@@ -115,7 +115,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         let assets = Assets::load(&scene, &mut |_, _| ())?;
         let stack = bake::exact_stack(&scene, &assets)?;
         assets.library.notices().into_iter().for_each(note);
-        let made = stack.maps().first().cloned().ok_or_else(|| Error::value(what, "makes no map"))?;
+        // A chain of transforms is several maps; a file holds one.
+        let made = match stack.maps() {
+            [one] => one.clone(),
+            _ => compose::stack(&stack, compose::Resolution::Within(0.05), Storage::F32)?.ok_or_else(|| Error::value(what, "makes no map"))?.placed,
+        };
         if arguments.invert { inverse_of_map(&made, &note)? } else { made }
     } else {
         if !input.exists() && !what.contains(['/', '.']) {
@@ -183,7 +187,7 @@ fn from_file(input: &Path, arguments: &Arguments, bar: &Progress, note: &impl Fn
     transform.warnings.iter().cloned().for_each(note);
     bar.set("working", 0.5);
     if !arguments.invert {
-        return Ok(compose::transform(&transform, &bounds, 1.0, arguments.resolution, Storage::F32)?.placed);
+        return one_map(&transform, &bounds, arguments.resolution);
     }
     if let Some(inverse) = transform.affine_inverse() {
         return Ok(compose::transform(&inverse, &bounds, 1.0, arguments.resolution, Storage::F32)?.placed);
@@ -191,6 +195,15 @@ fn from_file(input: &Path, arguments: &Arguments, bar: &Progress, note: &impl Fn
     let inverse = invert::transform(&transform, &bounds, arguments.resolution)?;
     report(&inverse.report, note);
     inverse.placed(Storage::F32, 1.0)
+}
+
+/// A transform as one map: a single field keeps its grid.
+fn one_map(transform: &Transform, bounds: &Bounds, resolution: Option<usize>) -> Result<PlacedMap> {
+    let mut maps = compose::transform_maps(transform, bounds, 1.0, resolution, Storage::F32)?;
+    match (maps.pop(), maps.is_empty()) {
+        (Some(one), true) => Ok(one),
+        _ => Ok(compose::transform(transform, bounds, 1.0, resolution, Storage::F32)?.placed),
+    }
 }
 
 /// The map of a file if it is one of this program's.
@@ -256,5 +269,5 @@ fn whole(field: VectorField) -> Examined {
 }
 
 fn sampled(transform: Transform, bounds: &Bounds) -> Result<Examined> {
-    Ok(Examined::of_map(&compose::transform(&transform, bounds, 1.0, None, Storage::F32)?.placed))
+    Ok(Examined::of_map(&one_map(&transform, bounds, None)?))
 }

@@ -137,8 +137,64 @@ fn error(source_and_alpha: &(dyn Fn(Vec3) -> (Vec3, f32) + Sync), placed: &Place
     (above.iter().fold(p99, |a, b| a.max(*b)), p99)
 }
 
-/// A transform as a map over a scene: a single field keeps its own grid, an affine needs eight texels, a chain is sampled as finely as its
-/// finest grid.
+/// A transform as the maps of a stack, first applied first, without loss: a field keeps its own grid, an affine needs eight texels. (A stack's
+/// last map is the first that a deformed point goes through.)
+///
+/// Where that cannot be done (a field of too many points, a strength other than 1 of several steps, a resolution that is asked for) the whole is
+/// sampled into one map ([`transform`]).
+///
+/// # Errors
+/// A placement that cannot be used: a singular matrix.
+pub fn transform_maps(
+    transform: &Transform,
+    scene_box: &Bounds,
+    strength: f32,
+    resolution: Option<usize>,
+    storage: Storage,
+) -> Result<Vec<PlacedMap>> {
+    let single = transform.steps.len() == 1;
+    let fits = |g: &GridGeometry| g.size.iter().product::<usize>() <= MOST_TEXELS;
+    let all_fit = transform.steps.iter().all(|s| match s {
+        Step::Affine(_) => true,
+        Step::Field(f) => fits(&f.grid),
+        Step::BSpline(b) => fits(&b.fine_grid()),
+    });
+    if resolution.is_some() || !(single || strength == 1.0) || !all_fit {
+        return Ok(vec![self::transform(transform, scene_box, strength, resolution, storage)?.placed]);
+    }
+    // Each step's map reaches over all that the steps after it leave of the scene.
+    let mut bounds = *scene_box;
+    let mut maps = Vec::with_capacity(transform.steps.len());
+    for step in transform.steps.iter().rev() {
+        maps.push(match step {
+            Step::Field(f) => {
+                let placement = placement_of(&f.grid)?;
+                let mut placed = sampled_grid(f, None, &placement, storage, strength);
+                placed.reach = Vec3::from(f.grid.size.map(|n| if n > 1 { 0.5 / (n - 1) as f32 } else { 0.0 }));
+                placed
+            }
+            Step::BSpline(b) => {
+                let grid = b.fine_grid();
+                let sampled = super::transform::VectorField::sampled(grid, |p| b.source_from_deformed(p));
+                sampled_grid(&sampled, None, &placement_of(&grid)?, storage, strength)
+            }
+            Step::Affine(m) => self::transform(&Transform::affine(*m), &bounds, strength, None, storage)?.placed,
+        });
+        bounds = bounds.union(&before(step, &bounds));
+    }
+    Ok(maps)
+}
+
+/// The box in which matter of a box can be seen before a step of a chain.
+fn before(step: &Step, bounds: &Bounds) -> Bounds {
+    match step {
+        Step::Affine(m) => bounds.transformed(&to_f32(&m.inverse())),
+        Step::Field(v) => bounds.grown(v.vectors.par_iter().map(|d| d.length()).reduce(|| 0.0, f32::max)),
+        Step::BSpline(b) => bounds.grown(b.coefficients.iter().map(|d| d.length()).fold(0.0, f32::max)),
+    }
+}
+
+/// A transform as one map over a scene, sampled as finely as its finest grid; an affine needs eight texels.
 ///
 /// The map reaches over `scene_box`, the undeformed volume's box, as well, so that what has left its place is gone from there.
 ///
@@ -149,20 +205,10 @@ pub fn transform(transform: &Transform, scene_box: &Bounds, strength: f32, resol
         let d = transform.source_from_deformed(p.as_dvec3()) - p.as_dvec3();
         (p + d.as_vec3() * strength, 1.0)
     };
-    if let [Step::Field(field)] = &transform.steps[..]
-        && resolution.is_none()
-        && field.grid.size.iter().product::<usize>() <= MOST_TEXELS
-    {
-        return Ok(sampled(&f, &placement_of(&field.grid)?, field.grid.size, storage));
-    }
     // Backwards through the chain: where the scene's matter can be seen.
     let mut bounds = *scene_box;
     for step in transform.steps.iter().rev() {
-        bounds = match step {
-            Step::Affine(m) => bounds.transformed(&to_f32(&m.inverse())),
-            Step::Field(v) => bounds.grown(v.vectors.par_iter().map(|d| d.length()).reduce(|| 0.0, f32::max)),
-            Step::BSpline(b) => bounds.grown(b.coefficients.iter().map(|d| d.length()).fold(0.0, f32::max)),
-        };
+        bounds = before(step, &bounds);
     }
     let bounds = bounds.union(scene_box);
     let bounds = bounds.grown(0.01 * bounds.size().max_element());

@@ -139,7 +139,7 @@ impl DisplacementMap {
     }
 
     /// J_D (column a = ∂D/∂x_a) and the mask's gradient, both in map space, by differences over one texel to each side (shortened at
-    /// the cube's faces).
+    /// the cube's faces, taken at the face beyond it).
     pub fn derivatives(&self, x: Vec3) -> (Mat3, Vec3) {
         let mut columns = [Vec3::ZERO; 3];
         let mut slope = Vec3::ZERO;
@@ -149,8 +149,8 @@ impl DisplacementMap {
             }
             let step = 1.0 / (self.size[axis] - 1) as f32;
             let (mut low, mut high) = (x, x);
-            low[axis] = (x[axis] - step).max(0.0);
-            high[axis] = (x[axis] + step).min(1.0);
+            low[axis] = (x[axis] - step).clamp(0.0, 1.0 - step);
+            high[axis] = (x[axis] + step).clamp(step, 1.0);
             let d = (self.fetch(high) - self.fetch(low)) / (high[axis] - low[axis]);
             columns[axis] = d.xyz() * self.scale;
             slope[axis] = d.w;

@@ -24,6 +24,9 @@ pub struct PlacedMap {
     pub placement: Placement,
     /// Whether its displacement is added to that of the map before it, instead of applied after it.
     pub added: bool,
+    /// How far beyond the cube's faces its outermost texels go on, map units: half a voxel for a registration's field, whose outermost vectors hold
+    /// for the whole of their voxels.
+    pub reach: Vec3,
     /// `world_from_map`'s linear part times the map's scale: stored displacement to mm.
     world_from_stored: Mat3,
 }
@@ -76,7 +79,7 @@ impl PlacedMap {
     /// Puts a map into the world.
     pub fn new(map: Arc<DisplacementMap>, placement: Placement) -> Self {
         let world_from_stored = Mat3::from(placement.world_from_map.matrix3) * map.scale;
-        Self { map, placement, added: false, world_from_stored }
+        Self { map, placement, added: false, reach: Vec3::ZERO, world_from_stored }
     }
 
     /// One step of the walk: the point before this map was applied, and the mask.
@@ -86,11 +89,21 @@ impl PlacedMap {
         (p + d, alpha)
     }
 
+    #[inline(always)]
+    fn is_outside(&self, x: Vec3) -> bool {
+        x.cmplt(-self.reach).any() || x.cmpgt(Vec3::ONE + self.reach).any()
+    }
+
+    /// Where the map acts, in map units.
+    fn domain(&self) -> Bounds {
+        Bounds::new(-self.reach, Vec3::ONE + self.reach)
+    }
+
     /// Displacement, mm, and mask at a point.
     #[inline(always)]
     fn displacement(&self, p: Vec3) -> (Vec3, f32) {
         let x = self.placement.map_from_world.transform_point3(p);
-        if x.cmplt(Vec3::ZERO).any() || x.cmpgt(Vec3::ONE).any() {
+        if self.is_outside(x) {
             return (Vec3::ZERO, 1.0);
         }
         let t = self.map.fetch(x);
@@ -100,7 +113,7 @@ impl PlacedMap {
     /// J_G and the mask's gradient per mm at a point, or none outside the cube. J_G = I + A J_D A⁻¹.
     pub fn derivatives(&self, p: Vec3) -> Option<(Mat3, Vec3)> {
         let x = self.placement.map_from_world.transform_point3(p);
-        if x.cmplt(Vec3::ZERO).any() || x.cmpgt(Vec3::ONE).any() {
+        if self.is_outside(x) {
             return None;
         }
         let (j, slope) = self.map.derivatives(x);
@@ -111,7 +124,7 @@ impl PlacedMap {
 
     /// The cube in the world.
     pub fn bounds_in_world(&self) -> Bounds {
-        Bounds::UNIT.transformed(&self.placement.world_from_map)
+        self.domain().transformed(&self.placement.world_from_map)
     }
 
     /// Bounds on what this map does to the points of a box (`model.md` section 9): a box that holds their displacements, and the highest
@@ -121,12 +134,12 @@ impl PlacedMap {
         // The transform of a sample rounds; a hundredth of a texel covers it.
         let texel = 0.01 / Vec3::from(self.map.size.map(|n| n.max(2) as f32));
         let in_map = Bounds::new(in_map.min - texel, in_map.max + texel);
-        let inside = in_map.intersection(&Bounds::UNIT);
+        let inside = in_map.intersection(&self.domain());
         if inside.is_empty() {
             return (Bounds::new(Vec3::ZERO, Vec3::ZERO), [1.0, 1.0]);
         }
         let range = self.map.bounds(inside.min, inside.max);
-        let stays = !Bounds::UNIT.contains(&in_map);
+        let stays = !self.domain().contains(&in_map);
         let (mut low, mut high) = (Vec3::from_slice(&range.min[..3]), Vec3::from_slice(&range.max[..3]));
         if stays {
             // Part of the box is outside the cube, where nothing moves and nothing is cut.

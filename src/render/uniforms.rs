@@ -52,6 +52,8 @@ pub struct PlacedMapUniform {
     pub world_from_stored: [f32; 16],
     pub size: [f32; 3],
     pub added: f32,
+    pub reach: [f32; 3],
+    pub padding: f32,
 }
 
 fn affine(m: &Affine3A) -> [f32; 16] {
@@ -109,6 +111,8 @@ impl PlacedMapUniform {
             world_from_stored: Mat4::from_mat3(world_from_stored).to_cols_array(),
             size: Vec3::from(placed.map.size.map(|n| n as f32)).into(),
             added: if placed.added { 1.0 } else { 0.0 },
+            reach: placed.reach.into(),
+            padding: 0.0,
         }
     }
 }

@@ -70,8 +70,12 @@ pub struct Composition {
 /// # Errors
 /// Any parameter that cannot be used, by name.
 pub fn stack(deformations: &[Deformation], making: &Making, more: Vec<PlacedMap>) -> Result<Stack> {
-    let own = deformations.iter().filter(|d| d.enabled).map(|d| place(d, making));
-    Ok(Stack::new(own.chain(more.into_iter().map(Ok)).collect::<Result<_>>()?))
+    let mut maps = Vec::new();
+    for d in deformations.iter().filter(|d| d.enabled) {
+        maps.extend(place(d, making)?);
+    }
+    maps.extend(more);
+    Ok(Stack::new(maps))
 }
 
 /// The stack as one pass can evaluate it: if it has more maps than [`MAX_MAPS`], or if asked to, the first ones are composed into one.
@@ -101,19 +105,24 @@ pub fn bounded(stack: Stack, within_mm: Option<f32>, default_mm: f32) -> Result<
     Ok((Stack::new(all), Some(Composition { maps: first, worst_mm, p99_mm })))
 }
 
-/// Samples one deformation into a map and puts it into the world.
-fn place(deformation: &Deformation, making: &Making) -> Result<PlacedMap> {
+/// Samples one deformation into a map and puts it into the world; a chain of transforms becomes several.
+fn place(deformation: &Deformation, making: &Making) -> Result<Vec<PlacedMap>> {
     let named = |e: Error| match e {
         Error::Value { name, problem } if !name.starts_with(&deformation.kind) => Error::value(format!("{}: {name}", deformation.kind), problem),
         other => other,
     };
     let mut placed = match deformation.kind.as_str() {
         "field" => place_field(deformation, making),
-        "map" => place_map(deformation, making),
-        _ => place_kind(deformation, making),
+        "map" => place_map(deformation, making).map(|m| vec![m]),
+        _ => place_kind(deformation, making).map(|m| vec![m]),
     }
     .map_err(named)?;
-    placed.added = deformation.add;
+    if deformation.add {
+        if placed.len() > 1 {
+            return Err(named(Error::value("add", "several transforms in a row cannot be added; bake them into one field first")));
+        }
+        placed.iter_mut().for_each(|m| m.added = true);
+    }
     Ok(placed)
 }
 
@@ -173,7 +182,7 @@ fn check_settings(arguments: &Arguments, kind: &str) -> Result<()> {
     }
 }
 
-fn place_field(deformation: &Deformation, making: &Making) -> Result<PlacedMap> {
+fn place_field(deformation: &Deformation, making: &Making) -> Result<Vec<PlacedMap>> {
     check_settings(&deformation.parameters, "field")?;
     if deformation.center.is_some() || deformation.size.is_some() || deformation.rotate.is_some() || deformation.matrix.is_some() {
         return Err(Error::value("center, size, rotate, matrix", "a field lies where its file says; leave them out"));
@@ -183,18 +192,26 @@ fn place_field(deformation: &Deformation, making: &Making) -> Result<PlacedMap> 
     }
     let settings = &deformation.parameters;
     let transform = making.library.transform(settings)?;
+    for warning in &transform.warnings {
+        making.library.notice(format!("field: {warning}"));
+    }
     let storage = making.storage.or(deformation.storage).unwrap_or(Storage::F32);
     let progress = progress(deformation)?;
-    if settings.flag("invert")? {
-        return match transform.affine_inverse() {
-            Some(inverse) => Ok(compose::transform(&inverse, &making.scene_box, progress, deformation.resolution, storage)?.placed),
-            None => {
-                let inverse = crate::deform::invert::transform(&transform, &making.scene_box, deformation.resolution)?;
-                inverse.placed(storage, progress)
-            }
-        };
+    if !settings.flag("invert")? {
+        return compose::transform_maps(&transform, &making.scene_box, progress, deformation.resolution, storage);
     }
-    Ok(compose::transform(&transform, &making.scene_box, progress, deformation.resolution, storage)?.placed)
+    match transform.affine_inverse() {
+        Some(inverse) => compose::transform_maps(&inverse, &making.scene_box, progress, deformation.resolution, storage),
+        None => {
+            let inverse = crate::deform::invert::transform(&transform, &making.scene_box, deformation.resolution)?;
+            let r = inverse.report;
+            making.library.notice(format!(
+                "field: inverted; residual 99 % {:.4} mm, largest {:.4} mm, {} of {} points have no source and are cut away",
+                r.p99_mm, r.max_mm, r.not_found, r.points
+            ));
+            inverse.placed(storage, progress).map(|m| vec![m])
+        }
+    }
 }
 
 fn place_map(deformation: &Deformation, making: &Making) -> Result<PlacedMap> {

@@ -30,7 +30,8 @@ impl BSplineGrid {
         let v = self.voxel_from_world.transform_point3(p);
         let [nx, ny, nz] = self.grid.size;
         let top = DVec3::new(nx as f64 - 2.0, ny as f64 - 2.0, nz as f64 - 2.0);
-        if v.cmplt(DVec3::ONE).any() || v.cmpgt(top).any() {
+        // Points on the region's faces stay inside whatever the transform rounds.
+        if v.cmplt(DVec3::splat(1.0 - 1e-9)).any() || v.cmpgt(top + 1e-9).any() {
             return p;
         }
         let first = v.floor().min(top - 1.0).max(DVec3::ONE);
@@ -48,13 +49,14 @@ impl BSplineGrid {
         p + sum
     }
 
-    /// A grid fine enough to sample the splines on: eight points per coefficient, within bounds.
+    /// A grid fine enough to sample the splines on, over the region where all their coefficients are there.
     pub fn fine_grid(&self) -> GridGeometry {
-        let refine = self.grid.size.map(|n| (160.0 / n as f64).clamp(1.0, 8.0).floor());
+        let spans = self.grid.size.map(|n| n.saturating_sub(3).max(1));
+        let refine = spans.map(|n| (192.0 / n as f64).clamp(1.0, 32.0).floor());
         let scale = DVec3::from_array(refine.map(f64::recip));
         GridGeometry {
-            size: std::array::from_fn(|a| (self.grid.size[a] - 1) * refine[a] as usize + 1),
-            world_from_voxel: self.grid.world_from_voxel * DAffine3::from_scale(scale),
+            size: std::array::from_fn(|a| spans[a] * refine[a] as usize + 1),
+            world_from_voxel: self.grid.world_from_voxel * DAffine3::from_translation(DVec3::ONE) * DAffine3::from_scale(scale),
         }
     }
 }

@@ -114,12 +114,11 @@ impl VectorField {
         trilinear(&self.vectors, self.grid.size, voxel.as_vec3())
     }
 
-    /// The displacement at a world point; nothing moves beyond the outermost voxels' centres, as ITK has it.
+    /// The displacement at a world point. The outermost vectors hold to the faces of their voxels; nothing moves beyond, as ITK has it.
     pub fn displacement(&self, p: DVec3) -> Vec3 {
         let v = self.voxel_from_world(p);
-        let top = DVec3::from_array(self.grid.size.map(|n| (n - 1) as f64));
-        // A point on the outermost plane stays inside whatever the transform rounds.
-        if v.cmplt(DVec3::splat(-1e-6)).any() || v.cmpgt(top + 1e-6).any() {
+        let top = DVec3::from_array(self.grid.size.map(|n| n as f64 - 0.5));
+        if v.cmplt(DVec3::splat(-0.5)).any() || v.cmpgt(top).any() {
             return Vec3::ZERO;
         }
         self.at_voxel(v)
