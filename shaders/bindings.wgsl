@@ -15,6 +15,14 @@
 @group(0) @binding(12) var map_6: texture_3d<f32>;
 @group(0) @binding(13) var map_7: texture_3d<f32>;
 
+@group(0) @binding(14) var<uniform> cuts: array<CutShape, 8>;
+
+// Number of cuts that are shapes.
+override CUTS: u32 = 8u;
+// 1: the faces of cuts are painted grey.
+override GREY_FACES: u32 = 0u;
+// 0 the volume; its surface at frame.iso, lit 1 by the gradient, 2 by the derivative towards the light.
+override ISO: u32 = 0u;
 // Number of maps in the stack.
 override MAPS: u32 = 8u;
 // 0 none, 1 source, 2 transformed, 3 blended.

@@ -37,6 +37,7 @@ fn fragment(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
         var stop = false;
         var found: Sample;
         var at: Look;
+        var share = 1.0;
         while i < end && !stop {
             let deformed = ray.origin + ray.direction * ((f32(i) + 0.5) * step);
             let t = empty_until(deformed, ray.origin, inverse_direction);
@@ -46,9 +47,16 @@ fn fragment(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
                 i = next;
                 continue;
             }
+            let part = kept_part(ray.origin, ray.direction, (f32(i) + 0.5) * step, step);
             i += 1;
+            if part.share <= 0.0 {
+                skipped += 1u;
+                continue;
+            }
             taken += 1u;
-            at = look(deformed);
+            share = part.share;
+            let sampled = ray.origin + ray.direction * part.t;
+            at = look(sampled);
             if BLEND != 0u {
                 if at.present {
                     matter += 1.0;
@@ -60,11 +68,24 @@ fn fragment(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
                 }
                 continue;
             }
-            found = visible(at, deformed);
-            stop = found.depth > 0.0 || near_a_cut(at);
+            found = visible(at, sampled);
+            if ISO != 0u {
+                stop = (at.present && at.value >= frame.iso) || (GREY_FACES != 0u && at.present && near_a_face(at, sampled, step));
+            } else {
+                stop = found.depth > 0.0 || near_a_cut(at) || (GREY_FACES != 0u && at.present && near_a_face(at, sampled, step));
+            }
         }
         if stop {
-            color += shaded_sample(at, found, ray.direction, step, length) * (1.0 - color.a);
+            let face = opaque_face(at, found.deformed, ray.direction, step);
+            if face.a > 0.0 {
+                color += face * (1.0 - color.a);
+                terminated += u32(max(end - i, 0));
+                break;
+            }
+            if ISO != 0u {
+                continue;
+            }
+            color += shaded_sample(at, found, ray.direction, step, length * share) * (1.0 - color.a);
             if 1.0 - color.a < OPAQUE && frame.early_termination != 0u {
                 terminated += u32(max(end - i, 0));
                 break;

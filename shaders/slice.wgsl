@@ -23,8 +23,14 @@ fn fragment(slice: Slice) -> @location(0) vec4<f32> {
         count(slice.position.xy, vec3<u32>(0u, 1u, 0u));
         discard;
     }
+    let part = kept_part(ray.origin, ray.direction, slice.depth_mm / slant, step);
+    if part.share <= 0.0 {
+        count(slice.position.xy, vec3<u32>(0u, 1u, 0u));
+        discard;
+    }
     count(slice.position.xy, vec3<u32>(1u, 0u, 0u));
-    let at = look(deformed);
+    let sampled = ray.origin + ray.direction * part.t;
+    let at = look(sampled);
     if BLEND != 0u {
         if !at.present {
             discard;
@@ -32,9 +38,20 @@ fn fragment(slice: Slice) -> @location(0) vec4<f32> {
         // Red: the value (negated for the minimum), for the blend unit's maximum or sum; green: whether, or how often.
         return vec4<f32>(select(at.value, -at.value, BLEND == 2u), 1.0, 0.0, 0.0);
     }
-    let s = visible(at, deformed);
+    if ISO != 0u && at.present && at.value >= frame.iso && !enters_iso(sampled, ray.direction, step) {
+        // The surface in front of it hides it, unless it is the face of a cut.
+        discard;
+    }
+    let face = opaque_face(at, sampled, ray.direction, step);
+    if face.a > 0.0 {
+        return face;
+    }
+    if ISO != 0u {
+        discard;
+    }
+    let s = visible(at, sampled);
     if s.depth <= 0.0 && !near_a_cut(at) {
         discard;
     }
-    return shaded_sample(at, s, ray.direction, step, step / frame.reference_mm);
+    return shaded_sample(at, s, ray.direction, step, step / frame.reference_mm * part.share);
 }

@@ -8,8 +8,9 @@ use crate::scenes;
 use glam::Vec3;
 use incise::cpu;
 use incise::gpu::{Device, Want};
+use incise::math::Bounds;
 use incise::render::Renderer;
-use incise::scene::{Deformation, Mode, Prepared, Scene};
+use incise::scene::{CutFaces, Deformation, IsoLight, Mode, Prepared, Scene};
 use incise::transfer::{Blend, GradientPoint};
 use incise::volume::{GradientFilter, Grid, GridVoxels, Sampler};
 use libtest_mimic::Trial;
@@ -79,7 +80,9 @@ fn numbers_agree(kind: &str) {
     let mut deformation = Deformation::new(kind);
     deformation.rotate = Some([20.0, -30.0, 40.0]);
     deformation.center = Some([4.0, 6.0, -8.0]);
+    deformation.parameters = incise::deform::kinds::kind(kind).unwrap().example(&Bounds::new(Vec3::splat(-60.0), Vec3::splat(60.0)));
     scene.deformation.push(deformation);
+    scene.render.exact_cuts = false;
     let assets = scenes::assets(&scene);
     let prepared = Prepared::new(&scene, &assets).unwrap();
     let at: Vec<[f32; 3]> = points(10_000).map(|x| ((x - 0.5) * 150.0).to_array()).collect();
@@ -142,6 +145,37 @@ fn options_agree() {
     add("minip", &|s| s.transfer.preset = Some("ct-minip".into()));
     add("average", &|s| s.transfer.preset = Some("ct-xray".into()));
     add("step 0.5", &|s| s.render.step = 0.5);
+    let cut = |kind: &str, center: [f32; 3], settings: &[(&str, &str)]| {
+        let mut d = Deformation::new(kind);
+        d.center = Some(center);
+        settings.iter().for_each(|(name, value)| d.parameters.insert(*name, *value));
+        d
+    };
+    // Every shape, a group and an inversion, after a map that moves.
+    let cuts = [
+        cut("half-space", [0.0, 0.0, 30.0], &[("group", "a"), ("combine", "and")]),
+        Deformation { rotate: Some([0.0, 70.0, 0.0]), ..cut("half-space", [10.0, 0.0, 0.0], &[("group", "a")]) },
+        cut("sphere", [40.0, -50.0, 10.0], &[]),
+        cut("box", [-40.0, -50.0, -10.0], &[]),
+        cut("wedge", [0.0, 40.0, 0.0], &[]),
+        cut("cylinder", [0.0, -60.0, 0.0], &[("invert", "false")]),
+        cut("view-cone", [0.0, -20.0, 20.0], &[]),
+        Deformation { size: Some(incise::scene::Size::Cube(170.0)), ..cut("sphere", [0.0; 3], &[("invert", "true")]) },
+    ];
+    add("exact cuts", &|s| s.deformation.extend(cuts.clone()));
+    add("grey faces", &|s| {
+        s.deformation.extend(cuts.clone());
+        s.render.cut_faces = CutFaces::Grey;
+    });
+    add("grey faces of masks", &|s| s.render.cut_faces = CutFaces::Grey);
+    add("iso-surface", &|s| {
+        s.deformation.push(cuts[0].clone());
+        s.render.iso = Some(200.0);
+    });
+    add("iso-surface by derivative", &|s| {
+        s.render.iso = Some(-100.0);
+        s.render.iso_light = IsoLight::Derivative;
+    });
     for (name, scene) in variants {
         for mode in [Mode::Slice, Mode::Raycast] {
             let mut s = scene.clone();
@@ -171,7 +205,7 @@ fn eight_maps_agree() {
     let mut scene = Scene::of_volume("phantom:tomato:size=64");
     scene.render.size = [96, 96];
     scene.camera.view = "30,30".parse().unwrap();
-    for kind in ["wave", "twist", "pull", "seam", "knife", "slab", "peel", "wedge"] {
+    for kind in ["wave", "twist", "pull", "seam", "knife", "slab", "peel", "book"] {
         scene.deformation.push(Deformation { progress: Some(0.4), resolution: Some(32), ..Deformation::new(kind) });
     }
     let assets = scenes::assets(&scene);

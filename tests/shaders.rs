@@ -1,7 +1,7 @@
 //! Shaders without a GPU: every program parses and validates, and the Rust mirrors of its structs have its layout.
 
 use incise::gpu::shaders::Program;
-use incise::render::uniforms::{FrameUniform, PlacedMapUniform};
+use incise::render::uniforms::{CutShapeUniform, FrameUniform, PlacedMapUniform};
 
 fn module(program: Program, counting: bool) -> naga::Module {
     let source = program.source(counting);
@@ -46,7 +46,8 @@ pub fn uniforms_match_their_structs() {
     let m = module(Program::Raycast, false);
     same_layout!(&m, "Frame", FrameUniform: clip_from_world, voxel_from_world, eye, perspective, forward, step_mm, right, reference_mm, up,
         blend_near_mm, to_light, blend_far_mm, proxy_min, ambient, proxy_max, diffuse, grid_size, specular, cells_origin, shininess, cell_mm,
-        value_scale, cells, value_offset, picture, table_scale, table_offset, gradient_top, two_sided, has_holes, early_termination);
+        value_scale, cells, value_offset, picture, table_scale, table_offset, gradient_top, two_sided, has_holes, early_termination, grey_low, grey_high, iso, padding);
+    same_layout!(&m, "CutShape", CutShapeUniform: local_from_world, half, shape, half_angle, sense, joined, and_group);
     same_layout!(&m, "PlacedMap", PlacedMapUniform: map_from_world, world_from_stored, size, added, reach, padding);
 }
 
@@ -61,10 +62,12 @@ pub fn counterparts_exist() {
             &[
                 ("EVEN_LIGHT: f32 = 0.6", "EVEN_LIGHT: f32 = 0.6"),
                 ("ENTRY_STEPS: i32 = 4", "ENTRY_STEPS: u32 = 4"),
+                ("FACE_STEPS: i32 = 10", "FACE_STEPS: u32 = 10"),
                 ("SURFACE_LOW: f32 = 0.004", "SURFACE: [f32; 2] = [0.004, 0.04]"),
                 ("SURFACE_HIGH: f32 = 0.04", "SURFACE: [f32; 2] = [0.004, 0.04]"),
             ][..],
         ),
+        ("shaders/lib/cut.wgsl", "src/deform/cut.rs", &[("ROOT_STEPS: i32 = 4", "ROOT_STEPS: u32 = 4")][..]),
         ("shaders/raycast.wgsl", "src/cpu/mod.rs", &[("OPAQUE: f32 = 1.0 / 512.0", "OPAQUE: f32 = 1.0 / 512.0")][..]),
         (
             "shaders/lib/transfer.wgsl",

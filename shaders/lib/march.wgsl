@@ -53,6 +53,24 @@ fn shaded_sample(at: Look, s: Sample, direction: vec3<f32>, step: f32, length: f
     return vec4<f32>(shaded.color * alpha, alpha);
 }
 
+// What hides everything behind it at a sample: the grey face of a cut, or the surface of the volume. Alpha 0: nothing does.
+fn opaque_face(at: Look, deformed: vec3<f32>, direction: vec3<f32>, step: f32) -> vec4<f32> {
+    if GREY_FACES != 0u && at.present {
+        let grey = grey_face(at, deformed, direction, step);
+        if grey >= 0.0 {
+            return vec4<f32>(vec3<f32>(grey), 1.0);
+        }
+    }
+    if ISO != 0u && at.present && at.value >= frame.iso {
+        return vec4<f32>(iso_surface(deformed, direction, step), 1.0);
+    }
+    return vec4<f32>(0.0);
+}
+
+fn near_a_face(at: Look, deformed: vec3<f32>, step: f32) -> bool {
+    return at.alpha < 1.0 || (CUTS > 0u && cuts_kept(deformed) < 1.5 * step);
+}
+
 fn near_a_cut(at: Look) -> bool {
     return at.alpha > 0.0 && at.alpha < 1.0;
 }

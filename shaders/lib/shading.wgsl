@@ -158,6 +158,112 @@ fn shade_with(s: Sample, j: Jet, cut: Cut, direction: vec3<f32>) -> Shaded {
     return Shaded(light(n, direction, s.color), depth_factor);
 }
 
+// The nearer of a cut and the surface of the cuts that are shapes.
+fn or_shape(cut: Cut, deformed: vec3<f32>) -> Cut {
+    if CUTS == 0u {
+        return cut;
+    }
+    let kept = cuts_kept(deformed);
+    if kept > frame.blend_far_mm {
+        return cut;
+    }
+    return or_nearer(cut, kept, cuts_gradient(deformed, 0.05 * frame.reference_mm));
+}
+
+const FACE_STEPS: i32 = 10;
+
+fn is_cut(deformed: vec3<f32>) -> bool {
+    return (CUTS > 0u && cuts_kept(deformed) < 0.0) || walk(deformed).w < 0.5;
+}
+
+// The scan's grey value on the face of a cut that the ray came out of within the last step; negative if it did not.
+fn grey_face(at: Look, deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> f32 {
+    let near = at.alpha < 1.0 || (CUTS > 0u && cuts_kept(deformed) < 1.5 * step_mm);
+    var outside = deformed - direction * step_mm;
+    if !near || !is_cut(outside) {
+        return -1.0;
+    }
+    var inside = deformed;
+    for (var n = 0; n < FACE_STEPS; n += 1) {
+        let middle = (inside + outside) * 0.5;
+        if is_cut(middle) {
+            outside = middle;
+        } else {
+            inside = middle;
+        }
+    }
+    let face = look(inside);
+    if !face.present || face.value <= frame.grey_low {
+        return -1.0;
+    }
+    return clamp((face.value - frame.grey_low) / max(frame.grey_high - frame.grey_low, 1e-6), 0.0, 1.0);
+}
+
+fn value_or_nothing(p: vec3<f32>) -> f32 {
+    let at = look(p);
+    return select(0.0, at.value, at.present);
+}
+
+fn derivative_facing(at: vec3<f32>) -> f32 {
+    let h = frame.reference_mm;
+    let n = frame.to_light;
+    // As glam's any_orthonormal_pair (Duff et al. 2017).
+    let s = select(-1.0, 1.0, n.z >= 0.0);
+    let a = -1.0 / (s + n.z);
+    let b = n.x * n.y * a;
+    let u = vec3<f32>(1.0 + s * n.x * n.x * a, s * b, -s * n.x);
+    let v = vec3<f32>(b, s + n.y * n.y * a, -n.y);
+    let d = vec3<f32>(
+        value_or_nothing(at - n * h) - value_or_nothing(at + n * h),
+        value_or_nothing(at - u * h) - value_or_nothing(at + u * h),
+        value_or_nothing(at - v * h) - value_or_nothing(at + v * h),
+    );
+    let facing = d.x / max(length(d), 1e-6);
+    return select(max(facing, 0.0), abs(facing), frame.two_sided != 0u);
+}
+
+// Whether the volume's surface, or a cut through its inside, lies within the step before a sample.
+fn enters_iso(deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> bool {
+    let before = look(deformed - direction * step_mm);
+    return !(before.present && before.value >= frame.iso);
+}
+
+// Colour of the surface where the volume has the value frame.iso, met within the step before `deformed`.
+fn iso_surface(deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> vec3<f32> {
+    var inside = deformed;
+    var outside = deformed - direction * step_mm;
+    var through_cut = false;
+    let before = look(outside);
+    if !(before.present && before.value >= frame.iso) {
+        through_cut = !before.present;
+        for (var n = 0; n < FACE_STEPS; n += 1) {
+            let middle = (inside + outside) * 0.5;
+            let at = look(middle);
+            if at.present && at.value >= frame.iso {
+                inside = middle;
+            } else {
+                outside = middle;
+                through_cut = !at.present;
+            }
+        }
+    }
+    let hit = look(inside);
+    let color = lookup(select(frame.iso, hit.value, through_cut)).rgb;
+    if !is_lit() {
+        return color;
+    }
+    if ISO == 2u && !through_cut {
+        return clamp(color * (frame.ambient + frame.diffuse * derivative_facing(inside)), vec3<f32>(0.0), vec3<f32>(1.0));
+    }
+    let j = jet(inside);
+    var cut = NO_CUT;
+    if through_cut {
+        cut = or_shape(nearest_cut(j, hit.in_voxel), inside);
+    }
+    let n = shaded_normal(j.d_source_d_deformed, voxel_covector(gradient(hit.in_voxel)), cut, direction);
+    return light(n, direction, color);
+}
+
 // One call of shade_with serves samples, entries and slivers: what differs is prepared before it.
 struct Seen {
     s: Sample,
@@ -171,7 +277,7 @@ fn shade_seen(e: Seen, direction: vec3<f32>) -> Shaded {
     let j = jet(e.s.deformed);
     var cut = NO_CUT;
     if !e.entered || e.through_cut {
-        cut = nearest_cut(j, e.s.in_voxel);
+        cut = or_shape(nearest_cut(j, e.s.in_voxel), e.s.deformed);
     }
     let shaded = shade_with(e.s, j, cut, direction);
     return Shaded(shaded.color, shaded.depth_factor * e.share);

@@ -11,6 +11,9 @@ struct Look {
 }
 
 fn look(deformed: vec3<f32>) -> Look {
+    if CUTS > 0u && cuts_kept(deformed) < 0.0 {
+        return Look(vec3<f32>(0.0), 0.0, false, 0.0);
+    }
     let source = walk(deformed);
     let in_voxel = transform_point(frame.voxel_from_world, source.xyz);
     if source.w < 0.5 || any(in_voxel < vec3<f32>(-0.5)) || any(in_voxel > frame.grid_size - 0.5) {

@@ -38,6 +38,25 @@ struct Frame {
     two_sided: u32,
     has_holes: u32,
     early_termination: u32,
+    // Normalised values that are black and white on grey faces of cuts.
+    grey_low: f32,
+    grey_high: f32,
+    // Normalised value of the surface that is shown.
+    iso: f32,
+    padding: f32,
+}
+
+// A cut that is a shape (src/deform/cut.rs).
+struct CutShape {
+    // Rigid; the last row is unused.
+    local_from_world: mat4x4<f32>,
+    half: vec3<f32>,
+    shape: u32,
+    half_angle: f32,
+    // 1 or -1.
+    sense: f32,
+    joined: u32,
+    and_group: u32,
 }
 
 struct PlacedMap {

@@ -2,6 +2,7 @@
 
 use super::arguments;
 use super::progress::Progress;
+use crate::deform::cut::Cuts;
 use crate::deform::{Stack, Storage};
 use crate::export::{Output, bake};
 use crate::scene::deformations::{self, Making};
@@ -46,12 +47,12 @@ pub struct Arguments {
     quiet: bool,
 }
 
-/// The exact stack of a scene: every map in single precision, none composed.
-pub(super) fn exact_stack(scene: &Scene, assets: &Assets) -> Result<Stack> {
+/// The exact stack of a scene: every map in single precision, none composed; and its cuts, as shapes if asked for.
+pub(super) fn exact_stack(scene: &Scene, assets: &Assets, exact_cuts: bool) -> Result<(Stack, Cuts)> {
     let scene_box = assets.volume.bounds_in_world();
     let view = scene.camera.frame(&scene_box, scene.render.size)?;
     let least_ramp_mm = 1.5 * assets.volume.spacing_mm().min_element() as f32;
-    let making = Making { library: &assets.library, scene_box, least_ramp_mm, view: &view, storage: Some(Storage::F32) };
+    let making = Making { library: &assets.library, scene_box, least_ramp_mm, view: &view, storage: Some(Storage::F32), exact_cuts };
     deformations::stack(&scene.deformation, &making, Vec::new())
 }
 
@@ -74,7 +75,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let bar = Progress::new(arguments.quiet);
     let assets = Assets::load(&scene, &mut |done, all| bar.set("reading", done as f32 / all.max(1) as f32))?;
     let volume = &assets.volume;
-    let stack = exact_stack(&scene, &assets)?;
+    let (stack, cuts) = exact_stack(&scene, &assets, true)?;
+    let deformation = bake::Deformation { stack: &stack, cuts: &cuts };
     if !arguments.quiet {
         for note in volume.warnings.iter().map(|w| format!("{}: {w}", scene.volume.path)).chain(assets.library.notices()) {
             eprintln!("incise: {note}");
@@ -92,10 +94,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     output.finish_with(|out| {
         let progress = |share| bar.set("baking", share);
         if arguments.field {
-            cut = bake::field(&stack, &grid, format, out, &progress)?;
+            cut = bake::field(&deformation, &grid, format, out, &progress)?;
             Ok(())
         } else {
-            bake::volume(volume, &stack, &grid, interpolation, arguments.fill.unwrap_or(volume.range[0]), format, out, &progress)
+            bake::volume(volume, &deformation, &grid, interpolation, arguments.fill.unwrap_or(volume.range[0]), format, out, &progress)
         }
     })?;
     bar.finish();

@@ -113,7 +113,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             scene.deformation[0].resolution = arguments.resolution;
         }
         let assets = Assets::load(&scene, &mut |_, _| ())?;
-        let stack = bake::exact_stack(&scene, &assets)?;
+        let (stack, _) = bake::exact_stack(&scene, &assets, false)?;
         assets.library.notices().into_iter().for_each(note);
         // A chain of transforms is several maps; a file holds one.
         let made = match stack.maps() {

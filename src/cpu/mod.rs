@@ -13,6 +13,7 @@
 
 pub mod shading;
 
+use crate::deform::cut::Kept;
 use crate::scene::{Mode, Picture, Prepared, RenderStats, Rendered, Stages};
 use crate::transfer::Blend;
 use crate::volume::{GridVoxels, Sampler, Voxel};
@@ -76,6 +77,9 @@ struct Look {
 /// Looks at a point of the deformed scene.
 #[inline(always)]
 fn look<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, deformed: Vec3) -> Look {
+    if scene.cuts.kept(deformed) < 0.0 {
+        return Look { in_voxel: Vec3::ZERO, value: 0.0, present: false, alpha: 0.0 };
+    }
     let (source, alpha) = scene.stack.walk(deformed);
     let in_voxel = scene.frame.voxel_from_world.transform_point3(source);
     if alpha < 0.5 || in_voxel.cmplt(Vec3::splat(-0.5)).any() || in_voxel.cmpgt(scene.frame.grid_size - 0.5).any() {
@@ -113,12 +117,39 @@ fn march<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, u: f32, v: f32, stats
             i = next;
             continue;
         }
+        let kept = if scene.cuts.is_empty() {
+            Kept { at: (i as f32 + 0.5) * step, share: 1.0 }
+        } else {
+            scene.cuts.kept_part(origin, direction, (i as f32 + 0.5) * step, step)
+        };
         i += 1;
+        if kept.share <= 0.0 {
+            stats.samples_skipped += 1;
+            continue;
+        }
         stats.samples_taken += 1;
+        let deformed = origin + direction * kept.at;
         let at = look(scene, sampler, deformed);
         if scene.blend != Blend::Composite {
             if at.present {
                 projection.insert(at.value);
+            }
+            continue;
+        }
+        if at.present && scene.grey_faces() {
+            if let Some(grey) = shading::grey_face(scene, sampler, &at, deformed, direction, step) {
+                color += Vec3::splat(grey * transmittance);
+                transmittance = 0.0;
+                stats.samples_terminated += (end - i).max(0) as u64;
+                break;
+            }
+        }
+        if let Some(iso) = scene.iso {
+            if at.present && at.value >= iso {
+                color = shading::iso_surface(scene, sampler, iso, deformed, direction, step) * transmittance + color;
+                transmittance = 0.0;
+                stats.samples_terminated += (end - i).max(0) as u64;
+                break;
             }
             continue;
         }
@@ -130,7 +161,7 @@ fn march<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, u: f32, v: f32, stats
             },
             None => continue,
         };
-        let pass = (-depth * shaded.depth_factor * length).exp2();
+        let pass = (-depth * shaded.depth_factor * kept.share * length).exp2();
         color += shaded.color * (transmittance * (1.0 - pass));
         transmittance *= pass;
         if transmittance < OPAQUE && scene.settings.early_termination {

@@ -15,6 +15,7 @@
 //!   bisection), not wherever within the step the sample happens to lie: else surfaces show the sampling as rings.
 //! - Matter thinner than a step between a cut and the next sample is looked for, by bisection, where a cut is near and the sample shows
 //!   nothing: else the thin end of what a cut crosses at a slant is hit or missed by turns, and its edge is a comb.
+//! - Cuts that are shapes (`deform::cut`) are met exactly: the sample stands for the part of its step that is kept, and needs no share.
 //! - Which side of a surface is outside is asked of the transfer function: where opacity falls. (Only one-sided light needs to know.)
 //! - Where the volume is uniform its gradient is noise. Its share fades with its size, and what has no normal is lit evenly.
 //!
@@ -24,7 +25,7 @@
 use super::Look;
 use crate::deform::{Cut, Jet};
 use crate::math::{normalize_or, smoothstep};
-use crate::scene::{Normals, Prepared};
+use crate::scene::{IsoLight, Normals, Prepared};
 use crate::volume::{Sampler, Voxel};
 use glam::{Mat3, Vec3};
 
@@ -85,7 +86,7 @@ pub fn shade<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, sample: &Sample, 
     let share = path_share(scene, sampler, &cut, sample.deformed, direction, step_mm);
     let mut shaded = match entry(scene, sampler, sample, direction, step_mm) {
         Some(entry) => shade_entry(scene, sampler, &entry, direction),
-        None => shade_with(scene, sampler, sample, &jet_here, &cut, direction),
+        None => shade_with(scene, sampler, sample, &jet_here, &or_shape(scene, cut, sample.deformed), direction),
     };
     shaded.depth_factor *= share;
     shaded
@@ -95,7 +96,7 @@ pub fn shade<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, sample: &Sample, 
 fn shade_entry<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, entry: &Entry, direction: Vec3) -> Shaded {
     let first = &entry.first;
     let jet = jet(scene, first.deformed);
-    let cut = if entry.through_cut { nearest_cut(scene, &jet, first.in_voxel) } else { Cut::NONE };
+    let cut = if entry.through_cut { or_shape(scene, nearest_cut(scene, &jet, first.in_voxel), first.deformed) } else { Cut::NONE };
     shade_with(scene, sampler, first, &jet, &cut, direction)
 }
 
@@ -214,6 +215,91 @@ pub fn nearest_cut(scene: &Prepared, jet: &Jet, in_voxel: Vec3) -> Cut {
         cut = cut.or_nearer(inside, jet.d_source_d_deformed.transpose() * per_mm);
     }
     cut
+}
+
+/// The nearer of a cut and the surface of the cuts that are shapes.
+fn or_shape(scene: &Prepared, cut: Cut, deformed: Vec3) -> Cut {
+    let kept = scene.cuts.kept(deformed);
+    // Beyond the reach of the blend it matters no more.
+    if kept > scene.frame.blend_mm[1] { cut } else { cut.or_nearer(kept, scene.cuts.gradient(deformed, 0.05 * scene.frame.reference_mm)) }
+}
+
+/// Bisections of the step in which a ray meets the face of a cut, or a surface.
+const FACE_STEPS: u32 = 10;
+
+/// Whether a point of the deformed scene is cut away.
+fn is_cut(scene: &Prepared, deformed: Vec3) -> bool {
+    scene.cuts.kept(deformed) < 0.0 || scene.stack.walk(deformed).1 < 0.5
+}
+
+/// The scan's grey value by window and level on the face of a cut, if the ray came out of one within the last step.
+pub(super) fn grey_face<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, at: &Look, deformed: Vec3, direction: Vec3, step_mm: f32) -> Option<f32> {
+    let near = at.alpha < 1.0 || scene.cuts.kept(deformed) < 1.5 * step_mm;
+    if !near || !is_cut(scene, deformed - direction * step_mm) {
+        return None;
+    }
+    let (mut inside, mut outside) = (deformed, deformed - direction * step_mm);
+    for _ in 0..FACE_STEPS {
+        let middle = (inside + outside) * 0.5;
+        if is_cut(scene, middle) { outside = middle } else { inside = middle }
+    }
+    // The ray may have left the volume's box between the cut and here.
+    let face = super::look(scene, sampler, inside);
+    let [low, high] = scene.grey_window;
+    // What is black in the window (the air around a body) is not painted.
+    (face.present && face.value > low).then(|| ((face.value - low) / (high - low).max(1e-6)).clamp(0.0, 1.0))
+}
+
+/// Cosine of the angle between an iso-surface and the light: the derivative of the deformed volume towards the light over that in all directions,
+/// by differences of looks. Neither the source's gradient nor the Jacobian is needed.
+fn derivative_facing<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, at: Vec3) -> f32 {
+    let h = scene.frame.reference_mm;
+    let value = |p: Vec3| {
+        let at = super::look(scene, sampler, p);
+        if at.present { at.value } else { 0.0 }
+    };
+    let to_light = scene.frame.to_light;
+    let (u, v) = to_light.any_orthonormal_pair();
+    // Values fall out of the surface: towards a light that it faces.
+    let [l, u, v] = [to_light, u, v].map(|e| value(at - e * h) - value(at + e * h));
+    let facing = l / (l * l + u * u + v * v).sqrt().max(1e-6);
+    if scene.light.two_sided { facing.abs() } else { facing.max(0.0) }
+}
+
+/// Colour of the surface where the volume has the value `iso`, which the ray met within the step before `deformed` (\[RVD01\] section 3.3).
+pub(super) fn iso_surface<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, iso: f32, deformed: Vec3, direction: Vec3, step_mm: f32) -> Vec3 {
+    let inside_at = |p: Vec3| {
+        let at = super::look(scene, sampler, p);
+        (at, at.present && at.value >= iso)
+    };
+    let (mut inside, mut outside) = (deformed, deformed - direction * step_mm);
+    let mut through_cut = false;
+    let (before, already) = inside_at(outside);
+    if !already {
+        through_cut = !before.present;
+        for _ in 0..FACE_STEPS {
+            let middle = (inside + outside) * 0.5;
+            match inside_at(middle) {
+                (_, true) => inside = middle,
+                (at, false) => (outside, through_cut) = (middle, !at.present),
+            }
+        }
+    }
+    let hit = super::look(scene, sampler, inside);
+    let [r, g, b, _] = scene.table.lookup(if through_cut { hit.value } else { iso });
+    let color = Vec3::new(r, g, b);
+    if !scene.is_lit() {
+        return color;
+    }
+    let jet = jet(scene, inside);
+    let cut = if through_cut { or_shape(scene, nearest_cut(scene, &jet, hit.in_voxel), inside) } else { Cut::NONE };
+    let gradient = voxel_covector(scene, sampler.gradient(hit.in_voxel, scene.gradient_filter()));
+    if !through_cut && scene.settings.iso_light == IsoLight::Derivative {
+        let facing = derivative_facing(scene, sampler, inside);
+        return (color * (scene.light.ambient + scene.light.diffuse * facing)).clamp(Vec3::ZERO, Vec3::ONE);
+    }
+    let normal = normal(scene, &jet.d_source_d_deformed, gradient, &cut, direction);
+    light(scene, normal, direction, color)
 }
 
 /// Share of a sample's length that lies in matter.

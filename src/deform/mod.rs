@@ -13,6 +13,7 @@
 
 mod argument;
 pub mod compose;
+pub mod cut;
 pub mod distance;
 pub mod elastic;
 pub mod health;

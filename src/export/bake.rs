@@ -2,6 +2,7 @@
 //! nothing but the source and one slab is in memory.
 
 use crate::deform::Stack;
+use crate::deform::cut::Cuts;
 use crate::math::Bounds;
 use crate::volume::load::ScalarType;
 use crate::volume::save::{Content, Format, Writer};
@@ -23,6 +24,15 @@ pub enum Interpolation {
     Linear,
     /// Cubic convolution with a = -1/2 (Keys 1981): third order, passes through the voxels.
     Cubic,
+}
+
+/// What is baked.
+#[derive(Clone, Copy)]
+pub struct Deformation<'a> {
+    /// The maps.
+    pub stack: &'a Stack,
+    /// The cuts that come after them.
+    pub cuts: &'a Cuts,
 }
 
 /// The grid of a volume, grown by whole voxels until it holds the deformed scene.
@@ -155,7 +165,7 @@ fn slabs(
 #[allow(clippy::too_many_arguments, reason = "each is one choice of the caller")]
 pub fn volume(
     volume: &Volume,
-    stack: &Stack,
+    deformation: &Deformation,
     grid: &GridGeometry,
     interpolation: Interpolation,
     fill: f64,
@@ -174,7 +184,8 @@ pub fn volume(
             let p = grid.world_from_voxel.transform_point3(DVec3::new(i as f64, j as f64, k as f64));
             // The walk gives the displacement in single precision; the point itself keeps its digits.
             let deformed = p.as_vec3();
-            let value = stack.source_from_deformed(deformed).and_then(|source| {
+            let seen = deformation.cuts.kept(deformed) >= 0.0;
+            let value = seen.then(|| deformation.stack.source_from_deformed(deformed)).flatten().and_then(|source| {
                 let exact = p + (source - deformed).as_dvec3();
                 stored.sample(voxel_from_world.transform_point3(exact))
             });
@@ -189,26 +200,26 @@ pub fn volume(
 ///
 /// # Errors
 /// As [`volume`].
-pub fn field(stack: &Stack, grid: &GridGeometry, format: Format, out: &mut dyn Write, progress: &dyn Fn(f32)) -> Result<usize> {
+pub fn field(deformation: &Deformation, grid: &GridGeometry, format: Format, out: &mut dyn Write, progress: &dyn Fn(f32)) -> Result<usize> {
     let fail = |e: String| Error::value("output", e);
     let mut writer = Writer::new(out, format, grid, Content::Field).map_err(fail)?;
     let cut = std::sync::atomic::AtomicUsize::new(0);
     let displacement = |i: usize, j: usize, k: usize| {
         let p = grid.world_from_voxel.transform_point3(DVec3::new(i as f64, j as f64, k as f64)).as_vec3();
-        let (source, alpha) = stack.walk_through(p);
-        (source - p, alpha)
+        let (source, alpha) = deformation.stack.walk_through(p);
+        (source - p, alpha >= 0.5 && deformation.cuts.kept(p) >= 0.0)
     };
     // NIfTI wants whole components one after the other: the walk is done once for each rather than kept.
     let passes: &[Option<usize>] = if format.planar() { &[Some(0), Some(1), Some(2)] } else { &[None] };
     for (n, pass) in passes.iter().enumerate() {
         let row = |j: usize, k: usize, bytes: &mut Vec<u8>| {
             for i in 0..grid.size[0] {
-                let (d, alpha) = displacement(i, j, k);
+                let (d, seen) = displacement(i, j, k);
                 match pass {
                     Some(c) => bytes.extend(d[*c].to_le_bytes()),
                     None => d.to_array().iter().for_each(|v| bytes.extend(v.to_le_bytes())),
                 }
-                if n == 0 && alpha < 0.5 {
+                if n == 0 && !seen {
                     cut.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
                 }
             }

@@ -19,11 +19,12 @@ macro_rules! piece {
     };
 }
 
-const SHARED: [&str; 7] = [
+const SHARED: [&str; 8] = [
     piece!("types/frame.wgsl"),
     piece!("bindings.wgsl"),
     piece!("lib/math.wgsl"),
     piece!("lib/stack.wgsl"),
+    piece!("lib/cut.wgsl"),
     piece!("lib/transfer.wgsl"),
     piece!("lib/volume.wgsl"),
     piece!("lib/shading.wgsl"),

@@ -14,10 +14,11 @@
 mod slices;
 pub mod uniforms;
 
+use crate::deform::cut::MAX_CUTS;
 use crate::deform::{DisplacementMap, MAX_MAPS, Storage};
 use crate::gpu::shaders::Program;
 use crate::gpu::{Device, checked, read_buffer, read_rgba16f, wait};
-use crate::scene::{Mode, Normals, Picture, Prepared, RenderStats, Rendered, Stages};
+use crate::scene::{IsoLight, Mode, Normals, Picture, Prepared, RenderStats, Rendered, Stages};
 use crate::transfer::{Blend, GRADIENT_ENTRIES, TABLE_ENTRIES};
 use crate::volume::{GradientFilter, Grid, GridVoxels};
 use crate::{Error, Result};
@@ -25,7 +26,7 @@ use half::f16;
 use rayon::prelude::*;
 use std::collections::HashMap;
 use std::sync::Arc;
-use uniforms::{FrameUniform, PlacedMapUniform};
+use uniforms::{CutShapeUniform, FrameUniform, PlacedMapUniform};
 use wgpu::util::DeviceExt;
 use wgpu::{Features, TextureFormat};
 
@@ -47,6 +48,9 @@ struct Variant {
     normals: Normals,
     blend: u32,
     gradient: GradientFilter,
+    cuts: usize,
+    grey_faces: bool,
+    iso: u32,
 }
 
 /// A device with what it has compiled and uploaded.
@@ -183,6 +187,14 @@ impl Renderer {
                 Blend::Average => 3,
             },
             gradient: scene.gradient_filter(),
+            cuts: scene.cuts.primitives().len(),
+            grey_faces: scene.grey_faces(),
+            iso: match (scene.iso, scene.settings.iso_light) {
+                _ if scene.blend != Blend::Composite => 0,
+                (None, _) => 0,
+                (Some(_), IsoLight::Gradient) => 1,
+                (Some(_), IsoLight::Derivative) => 2,
+            },
         }
     }
 
@@ -207,7 +219,7 @@ impl Renderer {
             label: Some(&format!("{:?}", variant.program)),
             source: wgpu::ShaderSource::Wgsl(variant.program.source(variant.counting).into()),
         });
-        let constants = overrides(variant.maps, variant.normals, variant.blend, variant.gradient);
+        let constants = overrides(&variant);
         let options = wgpu::PipelineCompilationOptions { constants: &constants, ..Default::default() };
         let over = wgpu::BlendState::PREMULTIPLIED_ALPHA_BLENDING;
         let gather = |operation| {
@@ -479,6 +491,11 @@ impl Renderer {
         let uniform = |bytes: &[u8]| {
             device.create_buffer_init(&wgpu::util::BufferInitDescriptor { label: None, contents: bytes, usage: wgpu::BufferUsages::UNIFORM })
         };
+        let mut shapes = [bytemuck::Zeroable::zeroed(); MAX_CUTS];
+        for (shape, cut) in shapes.iter_mut().zip(scene.cuts.primitives()) {
+            *shape = CutShapeUniform::new(cut);
+        }
+        let shapes = uniform(bytemuck::cast_slice::<CutShapeUniform, u8>(&shapes));
         let (frame, placed) = (uniform(bytemuck::bytes_of(&frame)), uniform(bytemuck::cast_slice::<PlacedMapUniform, u8>(&placed)));
         let table = self.upload_table(scene);
         let cells = {
@@ -502,6 +519,7 @@ impl Renderer {
                 .enumerate()
                 .map(|(k, view)| wgpu::BindGroupEntry { binding: 6 + k as u32, resource: wgpu::BindingResource::TextureView(view) }),
         );
+        entries.push(wgpu::BindGroupEntry { binding: 14, resource: shapes.as_entire_binding() });
         Ok(device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("scene"), layout: &self.shared_layout, entries: &entries }))
     }
 
@@ -582,7 +600,7 @@ impl Renderer {
                 source: wgpu::ShaderSource::Wgsl(Program::Probe.source(false).into()),
             });
             let variant = Self::variant(scene, Program::Probe, false);
-            let constants = overrides(variant.maps, variant.normals, variant.blend, variant.gradient);
+            let constants = overrides(&variant);
             let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
                 label: Some("probe"),
                 layout: Some(&layout),
@@ -615,15 +633,23 @@ impl Renderer {
 }
 
 /// Values of the shaders' `override` constants.
-fn overrides(maps: usize, normals: Normals, blend: u32, gradient: GradientFilter) -> [(&'static str, f64); 4] {
-    let normals = match normals {
+fn overrides(variant: &Variant) -> [(&'static str, f64); 7] {
+    let normals = match variant.normals {
         Normals::None => 0.0,
         Normals::Source => 1.0,
         Normals::Transformed => 2.0,
         Normals::Blended => 3.0,
     };
-    let gradient = if gradient == GradientFilter::Sobel { 1.0 } else { 0.0 };
-    [("MAPS", maps as f64), ("NORMALS", normals), ("BLEND", f64::from(blend)), ("GRADIENT", gradient)]
+    let gradient = if variant.gradient == GradientFilter::Sobel { 1.0 } else { 0.0 };
+    [
+        ("MAPS", variant.maps as f64),
+        ("NORMALS", normals),
+        ("BLEND", f64::from(variant.blend)),
+        ("GRADIENT", gradient),
+        ("CUTS", variant.cuts as f64),
+        ("GREY_FACES", f64::from(u8::from(variant.grey_faces))),
+        ("ISO", f64::from(variant.iso)),
+    ]
 }
 
 fn extent(size: [usize; 3]) -> wgpu::Extent3d {
@@ -668,6 +694,7 @@ fn shared_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
         entry(5, texture(wgpu::TextureSampleType::Uint, wgpu::TextureViewDimension::D3)),
     ];
     entries.extend((0..MAX_MAPS as u32).map(|k| entry(6 + k, texture(filtered, wgpu::TextureViewDimension::D3))));
+    entries.push(entry(14, uniform));
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some("scene"), entries: &entries })
 }
 

@@ -1,6 +1,7 @@
 //! What the shaders read besides textures: `shaders/types/frame.wgsl` in Rust. A test compares names, offsets and sizes.
 
 use crate::deform::PlacedMap;
+use crate::deform::cut::Primitive;
 use crate::scene::{Prepared, Projection};
 use bytemuck::{Pod, Zeroable};
 use glam::{Affine3A, Mat3, Mat4, Vec3};
@@ -41,6 +42,39 @@ pub struct FrameUniform {
     pub two_sided: u32,
     pub has_holes: u32,
     pub early_termination: u32,
+    pub grey_low: f32,
+    pub grey_high: f32,
+    pub iso: f32,
+    pub padding: f32,
+}
+
+/// `CutShape` of the shaders.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[allow(missing_docs, reason = "documented in shaders/types/frame.wgsl")]
+pub struct CutShapeUniform {
+    pub local_from_world: [f32; 16],
+    pub half: [f32; 3],
+    pub shape: u32,
+    pub half_angle: f32,
+    pub sense: f32,
+    pub joined: u32,
+    pub and_group: u32,
+}
+
+impl CutShapeUniform {
+    /// One cut.
+    pub fn new(p: &Primitive) -> Self {
+        Self {
+            local_from_world: affine(&p.local_from_world),
+            half: p.half.into(),
+            shape: p.shape as u32,
+            half_angle: p.half_angle,
+            sense: if p.inverted { -1.0 } else { 1.0 },
+            joined: u32::from(p.joined),
+            and_group: u32::from(p.and),
+        }
+    }
 }
 
 /// `PlacedMap` of the shaders.
@@ -98,6 +132,10 @@ impl FrameUniform {
             two_sided: u32::from(light.two_sided),
             has_holes: u32::from(scene.grid.has_holes),
             early_termination: u32::from(scene.settings.early_termination),
+            grey_low: scene.grey_window[0],
+            grey_high: scene.grey_window[1],
+            iso: scene.iso.unwrap_or(0.0),
+            padding: 0.0,
         }
     }
 }

@@ -2,7 +2,8 @@
 
 use super::{Deformation, ViewFrame};
 use crate::deform::compose::{self, Composed, Resolution};
-use crate::deform::kinds::{self, DefaultSize, Inputs, Sampling};
+use crate::deform::cut::{Cuts, MAX_CUTS, Primitive};
+use crate::deform::kinds::{self, DefaultSize, Inputs, Kind, Sampling};
 use crate::deform::{Arguments, DisplacementMap, Library, MAX_MAPS, PlacedMap, Placement, Stack, Storage, saved};
 use crate::error::suggestion;
 use crate::math::Bounds;
@@ -52,6 +53,8 @@ pub struct Making<'a> {
     pub view: &'a ViewFrame,
     /// Overrides every storage format.
     pub storage: Option<Storage>,
+    /// Whether removals that nothing moves afterwards are kept as shapes.
+    pub exact_cuts: bool,
 }
 
 /// What composing has cost in exactness, for reports.
@@ -65,17 +68,91 @@ pub struct Composition {
     pub p99_mm: f32,
 }
 
-/// The stack of a scene's deformations, and further maps made by other means.
+/// The stack of a scene's deformations and further maps made by other means, and the cuts that come after all of them.
 ///
 /// # Errors
 /// Any parameter that cannot be used, by name.
-pub fn stack(deformations: &[Deformation], making: &Making, more: Vec<PlacedMap>) -> Result<Stack> {
+pub fn stack(deformations: &[Deformation], making: &Making, more: Vec<PlacedMap>) -> Result<(Stack, Cuts)> {
+    let enabled: Vec<&Deformation> = deformations.iter().filter(|d| d.enabled).collect();
+    let mut first_cut = enabled.len();
+    if making.exact_cuts && more.is_empty() {
+        while first_cut > 0 && enabled.len() - first_cut < MAX_CUTS && is_exact(enabled[first_cut - 1]) {
+            first_cut -= 1;
+        }
+    }
     let mut maps = Vec::new();
-    for d in deformations.iter().filter(|d| d.enabled) {
+    for d in &enabled[..first_cut] {
+        if let Some(name) = CUT_ONLY.iter().find(|n| kinds::kind(&d.kind).is_ok_and(|k| k.shape.is_some()) && d.parameters.0.contains_key(**n)) {
+            return Err(Error::value(
+                format!("{}: {name}", d.kind),
+                format!("needs the cut to come after every deformation that moves matter, and at most {MAX_CUTS} cuts in all; move it to the end"),
+            ));
+        }
         maps.extend(place(d, making)?);
     }
     maps.extend(more);
-    Ok(Stack::new(maps))
+    Ok((Stack::new(maps), cuts(&enabled[first_cut..], making)?))
+}
+
+/// Settings that only a shape can follow: a mask ends with its box.
+const CUT_ONLY: [&str; 3] = ["invert", "group", "combine"];
+
+/// Whether a deformation is a removal that a formula can say.
+fn is_exact(deformation: &Deformation) -> bool {
+    kinds::kind(&deformation.kind).is_ok_and(|k| k.shape.is_some())
+        && !deformation.add
+        && deformation.matrix.is_none()
+        && !["spare", "mapping"].iter().any(|n| deformation.parameters.0.contains_key(*n))
+}
+
+/// Removals as shapes, the members of each group together.
+fn cuts(deformations: &[&Deformation], making: &Making) -> Result<Cuts> {
+    let mut named: Vec<(Option<String>, Primitive)> = Vec::new();
+    for d in deformations {
+        let kind = kinds::kind(&d.kind)?;
+        let in_kind = |e: Error| match e {
+            Error::Value { name, problem } if !name.starts_with(kind.name) => Error::value(format!("{}: {name}", kind.name), problem),
+            other => other,
+        };
+        let (group, primitive) = primitive(d, kind, making).map_err(in_kind)?;
+        let Some(primitive) = primitive else { continue };
+        // After the last member of its group, if it has one.
+        let at = named.iter().rposition(|(g, _)| g.is_some() && *g == group).map_or(named.len(), |n| n + 1);
+        named.insert(at, (group, primitive));
+    }
+    for n in 1..named.len() {
+        named[n].1.joined = named[n].0.is_some() && named[n].0 == named[n - 1].0;
+    }
+    // A group is an intersection if any member says so.
+    for n in 0..named.len() {
+        let and = named.iter().any(|(g, p)| g.is_some() && *g == named[n].0 && p.and);
+        named[n].1.and = and;
+    }
+    Ok(Cuts::new(named.into_iter().map(|(_, p)| p).collect()))
+}
+
+/// A removal as a shape, and its group; no shape if its strength is 0.
+fn primitive(d: &Deformation, kind: &Kind, making: &Making) -> Result<(Option<String>, Option<Primitive>)> {
+    let placement = kind_placement(d, kind, making)?;
+    let size_mm = placement.size_mm();
+    let progress = progress(d)?;
+    let (values, settings) = kind.resolve(&d.parameters, size_mm)?;
+    let group = settings.text("group")?.map(str::to_owned);
+    let and = settings.choice("combine", &["or", "and"])? == "and";
+    let inverted = settings.flag("invert")?;
+    let shape = kinds::shape_of(kind, &values, progress, size_mm).map(|(shape, half, half_angle)| {
+        let local_from_map = Affine3A::from_scale(size_mm) * Affine3A::from_translation(Vec3::splat(-0.5));
+        Primitive { shape, local_from_world: local_from_map * placement.map_from_world, half, half_angle, inverted, joined: false, and }
+    });
+    Ok((group, shape))
+}
+
+/// Where a kind's box lies.
+fn kind_placement(d: &Deformation, kind: &Kind, making: &Making) -> Result<Placement> {
+    if matches!(kind.size, DefaultSize::Across(_)) && d.size.is_some() {
+        return Err(Error::value("size", "this kind reaches across everything and has no size; give center and rotate"));
+    }
+    stated_placement(d, making, || kind.default_size(&making.scene_box), kind.locked_to_view)
 }
 
 /// The stack as one pass can evaluate it: if it has more maps than [`MAX_MAPS`], or if asked to, the first ones are composed into one.
@@ -152,10 +229,7 @@ fn stated_placement(deformation: &Deformation, making: &Making, default_size: im
 
 fn place_kind(deformation: &Deformation, making: &Making) -> Result<PlacedMap> {
     let kind = kinds::kind(&deformation.kind)?;
-    if matches!(kind.size, DefaultSize::Across(_)) && deformation.size.is_some() {
-        return Err(Error::value("size", "this kind reaches across everything and has no size; give center and rotate"));
-    }
-    let placement = stated_placement(deformation, making, || kind.default_size(&making.scene_box), kind.locked_to_view)?;
+    let placement = kind_placement(deformation, kind, making)?;
     let size_mm = placement.size_mm();
     let progress = progress(deformation)?;
     // At most 2^24 texels: 128 MiB in half precision.

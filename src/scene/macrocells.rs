@@ -8,6 +8,7 @@
 //! the whole block of empty cells around it in one step.
 
 use crate::deform::Stack;
+use crate::deform::cut::Cuts;
 use crate::math::{Bounds, MinMaxPyramid};
 use crate::transfer::{Blend, Table};
 use glam::{Affine3A, UVec3, Vec3};
@@ -34,6 +35,12 @@ pub struct Macrocells {
 pub struct Contents<'a> {
     /// The deformation.
     pub stack: &'a Stack,
+    /// The cuts after it.
+    pub cuts: &'a Cuts,
+    /// Normalised value of the surface that is shown instead of the volume.
+    pub iso: Option<f32>,
+    /// Whether the faces of cuts show whatever they cut.
+    pub grey_faces: bool,
     /// World to voxel.
     pub voxel_from_world: &'a Affine3A,
     /// Extent of the volume in voxels: its box is -1/2 .. n - 1/2.
@@ -49,18 +56,25 @@ pub struct Contents<'a> {
 impl Contents<'_> {
     /// Whether anything can be seen in a box of the deformed scene.
     fn visible(&self, deformed: &Bounds) -> bool {
-        let (source, alpha) = self.stack.source_bounds(deformed);
-        if alpha < 0.5 {
+        let [least_kept, most_kept] = self.cuts.bounds(deformed);
+        if most_kept < 0.0 {
+            return false;
+        }
+        let (source, [least_alpha, most_alpha]) = self.stack.source_and_mask_bounds(deformed);
+        if most_alpha < 0.5 {
             return false;
         }
         let in_voxel = source.transformed(self.voxel_from_world).grown(0.01).intersection(&self.voxel_box);
         if in_voxel.is_empty() {
             return false;
         }
-        if self.blend != Blend::Composite {
+        if self.blend != Blend::Composite || (self.grey_faces && (least_kept < 0.0 || least_alpha < 0.5)) {
             return true;
         }
         let values = self.pyramid.query(in_voxel.min, in_voxel.max);
+        if let Some(iso) = self.iso {
+            return values.max[0] >= iso;
+        }
         self.table.max_depth(values.min[0], values.max[0]) > 0.0
     }
 }

@@ -199,6 +199,28 @@ pub enum Normals {
     Blended,
 }
 
+/// How the faces of cuts look.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum CutFaces {
+    /// As the matter that is cut, by the transfer function, lit.
+    #[default]
+    Lit,
+    /// The scan's grey value by window and level, opaque and without light, as on a slice; what is black there is not painted.
+    Grey,
+}
+
+/// How an iso-surface is lit (\[RVD01\] section 3.3).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum IsoLight {
+    /// By the gradient, transformed with the deformation.
+    #[default]
+    Gradient,
+    /// By the difference of the deformed volume towards the light: no gradient, no Jacobian, no highlight.
+    Derivative,
+}
+
 /// The `[render]` section.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -219,6 +241,15 @@ pub struct RenderSettings {
     pub empty_space_skipping: bool,
     /// Stop a ray where nothing behind can be seen.
     pub early_termination: bool,
+    /// Evaluate removals that nothing moves afterwards as formulas, exactly along each ray, instead of as masks.
+    pub exact_cuts: bool,
+    /// How the faces of cuts look.
+    pub cut_faces: CutFaces,
+    /// Show the surface where the volume has this value (data units) instead of the volume: the first hit along each ray.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub iso: Option<f64>,
+    /// How that surface is lit.
+    pub iso_light: IsoLight,
     /// Compose all deformations into one map that is this exact, mm: the cost of a picture no longer depends on their number.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub precompose: Option<f32>,
@@ -235,6 +266,10 @@ impl Default for RenderSettings {
             gradient: GradientFilter::Central,
             empty_space_skipping: true,
             early_termination: true,
+            exact_cuts: true,
+            cut_faces: CutFaces::Lit,
+            iso: None,
+            iso_light: IsoLight::Gradient,
             precompose: None,
         }
     }

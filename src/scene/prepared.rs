@@ -1,7 +1,8 @@
 //! A scene resolved for rendering, and the picture that comes out: the same types for every backend.
 
 use super::deformations::{self, Composition, Making};
-use super::{Light, Macrocells, Normals, RenderSettings, Scene, ViewFrame, macrocells::Contents};
+use super::{CutFaces, Light, Macrocells, Normals, RenderSettings, Scene, ViewFrame, macrocells::Contents};
+use crate::deform::cut::Cuts;
 use crate::deform::{Library, PlacedMap, Stack};
 use crate::math::{Bounds, MinMaxPyramid, normalize_or, to_f32};
 use crate::transfer::{Blend, Table, default_preset};
@@ -105,6 +106,12 @@ pub struct Prepared<'a> {
     pub blend: Blend,
     /// The deformation.
     pub stack: Stack,
+    /// Cuts that come after every map.
+    pub cuts: Cuts,
+    /// Normalised value of the surface that is shown instead of the volume, if one is.
+    pub iso: Option<f32>,
+    /// Normalised values that are black and white on grey faces of cuts.
+    pub grey_window: [f32; 2],
     /// What composing maps into one has cost in exactness, if any were.
     pub composition: Option<Composition>,
     /// Constants.
@@ -153,11 +160,23 @@ impl<'a> Prepared<'a> {
         let reference_mm = volume.spacing_mm().min_element() as f32;
         let step_mm = settings.step * reference_mm;
         let blend_mm = [step_mm.max(reference_mm), BLEND_SAMPLES * step_mm.max(reference_mm)];
-        let (stack, composition) = stages.time("maps", || -> Result<_> {
-            let making = Making { library: &assets.library, scene_box: volume_box, least_ramp_mm: 1.2 * blend_mm[1], view: &view, storage: None };
-            let stack = deformations::stack(&scene.deformation, &making, more)?;
-            deformations::bounded(stack, settings.precompose, UNSEEN * reference_mm)
+        let (stack, cuts, composition) = stages.time("maps", || -> Result<_> {
+            let making = Making {
+                library: &assets.library,
+                scene_box: volume_box,
+                least_ramp_mm: 1.2 * blend_mm[1],
+                view: &view,
+                storage: None,
+                exact_cuts: settings.exact_cuts,
+            };
+            let (stack, cuts) = deformations::stack(&scene.deformation, &making, more)?;
+            let (stack, composition) = deformations::bounded(stack, settings.precompose, UNSEEN * reference_mm)?;
+            Ok((stack, cuts, composition))
         })?;
+        let span = (volume.range[1] - volume.range[0]).max(f64::MIN_POSITIVE);
+        let normalised = |v: f64| ((v - volume.range[0]) / span) as f32;
+        let iso = settings.iso.map(normalised);
+        let grey_window = volume.window(scene.transfer.window, scene.transfer.level).map(normalised);
         let grid_size = Vec3::from(assets.grid.size.map(|n| n as f32));
         let voxel_from_world = to_f32(&volume.world_from_voxel.inverse());
         if !voxel_from_world.is_finite() {
@@ -171,6 +190,9 @@ impl<'a> Prepared<'a> {
             }
             let contents = Contents {
                 stack: &stack,
+                cuts: &cuts,
+                iso,
+                grey_faces: settings.cut_faces == CutFaces::Grey,
                 voxel_from_world: &voxel_from_world,
                 voxel_box: Bounds::new(Vec3::splat(-0.5), grid_size - 0.5),
                 pyramid: &assets.pyramid,
@@ -178,7 +200,7 @@ impl<'a> Prepared<'a> {
                 blend: function.blend,
             };
             let slant = scene.camera.slant(settings.size);
-            let reach_mm = if stack.is_empty() { 0.0 } else { 1.01 * step_mm * slant };
+            let reach_mm = if stack.is_empty() && cuts.is_empty() && iso.is_none() { 0.0 } else { 1.01 * step_mm * slant };
             // What looks back a step may lie beyond the box of the scene itself.
             Macrocells::new(deformed.grown(reach_mm), reference_mm, reach_mm, &contents)
         });
@@ -200,12 +222,31 @@ impl<'a> Prepared<'a> {
             to_light: normalize_or(to_light, -view.forward),
             blend_mm,
         };
-        Ok(Self { grid: &assets.grid, table, blend: function.blend, stack, composition, frame, light, settings, macrocells, stages })
+        Ok(Self {
+            grid: &assets.grid,
+            table,
+            blend: function.blend,
+            stack,
+            cuts,
+            iso,
+            grey_window,
+            composition,
+            frame,
+            light,
+            settings,
+            macrocells,
+            stages,
+        })
     }
 
     /// Whether samples are lit.
     pub fn is_lit(&self) -> bool {
         self.settings.normals != Normals::None && self.blend == Blend::Composite
+    }
+
+    /// Whether the faces of cuts are painted with the scan's grey value.
+    pub fn grey_faces(&self) -> bool {
+        self.settings.cut_faces == CutFaces::Grey && self.blend == Blend::Composite && (!self.cuts.is_empty() || !self.stack.is_empty())
     }
 
     /// Whether the gradient is needed before the opacity.
@@ -231,6 +272,9 @@ fn check_settings(settings: &RenderSettings, light: &Light) -> Result<()> {
     }
     if !(settings.step.is_finite() && (0.01..=100.0).contains(&settings.step)) {
         return Err(Error::value("step", format!("{} is outside 0.01 to 100 voxels", settings.step)));
+    }
+    if settings.iso.is_some_and(|v| !v.is_finite()) {
+        return Err(Error::value("iso", "must be a finite value"));
     }
     if settings.precompose.is_some_and(|mm| !(mm.is_finite() && mm > 0.0)) {
         return Err(Error::value("precompose", "is an error bound in mm; it must be positive"));

@@ -163,6 +163,23 @@ impl Volume {
         low + 0.125 * (top - low)
     }
 
+    /// Values that a grey picture shows as black and white: by a window's width and middle where they are given; else -160 to 240 where the values are
+    /// Hounsfield units, and from a 25th of the way to the robust maximum up to it elsewhere (what is around a body is black).
+    pub fn window(&self, width: Option<f64>, level: Option<f64>) -> [f64; 2] {
+        let [low, high] = self.range;
+        let own = if low <= -900.0 && high >= 200.0 {
+            [-160.0, 240.0]
+        } else {
+            {
+                let top = self.histogram(2048).percentile(0.995, true);
+                [low + 0.04 * (top - low), top]
+            }
+        };
+        let width = width.unwrap_or(own[1] - own[0]);
+        let level = level.unwrap_or(0.5 * (own[0] + own[1]));
+        [level - 0.5 * width, level + 0.5 * width]
+    }
+
     /// The number of distinct labels besides 0, if this is a label map: an unscaled integer volume without negative values that its file
     /// declares to be one, or that looks like one (at most 1000 labels; at least 90 % of all voxels, and 75 % of those with a label,
     /// equal their neighbour along i).

@@ -25,6 +25,7 @@ pub(super) const KIND: Kind = Kind {
     resolution: 96,
     leaks: [true, true, true, true, false, true],
     locked_to_view: false,
+    shape: None,
     build: Build::Formula(|c| {
         let angle = (c.values[0] * c.progress).to_radians();
         Box::new(Bend { curvature: angle.abs() / c.size_mm.z, sense: angle.signum(), half_z: c.half().z, height: c.size_mm.z })

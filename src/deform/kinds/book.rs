@@ -36,6 +36,7 @@ pub(super) const KIND: Kind = Kind {
     resolution: 128,
     leaks: [true; 6],
     locked_to_view: false,
+    shape: None,
     build: Build::Formula(|c| {
         Box::new(Book { angle: (c.values[0] * c.progress).to_radians(), spine_z: (c.values[1] - 0.5) * c.size_mm.z, gaps: c.gaps() })
     }),

@@ -24,6 +24,7 @@ pub(super) const KIND: Kind = Kind {
     resolution: 80,
     leaks: [false; 6],
     locked_to_view: false,
+    shape: None,
     build: Build::Formula(|c| Box::new(Bulge { amount: c.values[0] * c.progress, half: c.half() })),
 };
 

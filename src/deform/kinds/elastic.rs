@@ -35,6 +35,7 @@ pub(super) const KIND: Kind = Kind {
     resolution: 64,
     leaks: [false; 6],
     locked_to_view: false,
+    shape: None,
     build: Build::Sourced {
         settings: &[
             Setting { name: "grab", about: "x,y,z,radius,dx,dy,dz in mm: what is dragged, and by how much; place after place" },

@@ -33,6 +33,7 @@ pub(super) const KIND: Kind = Kind {
     resolution: 128,
     leaks: [true; 6],
     locked_to_view: false,
+    shape: None,
     build: Build::Formula(|c| {
         let axis = |a: usize| {
             let count = c.values[1 + a].round().max(1.0);

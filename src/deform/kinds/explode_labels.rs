@@ -34,6 +34,7 @@ pub(super) const KIND: Kind = Kind {
     resolution: 128,
     leaks: [true; 6],
     locked_to_view: false,
+    shape: None,
     build: Build::Sourced {
         settings: &[Setting { name: "label", about: "the labels" }, Setting { name: "rest", about: "hide or keep what has none of the labels" }],
         example,

@@ -56,6 +56,7 @@ const fn kind(
         resolution: 144,
         leaks: [false; 6],
         locked_to_view: false,
+        shape: None,
         build: Build::Sourced { settings: SURFACE, example, build },
     }
 }

@@ -35,6 +35,7 @@ pub(super) const KIND: Kind = Kind {
     resolution: 96,
     leaks: [false, false, false, false, false, true],
     locked_to_view: false,
+    shape: None,
     build: Build::Formula(|c| {
         let half = c.half();
         Box::new(Knife {

@@ -27,6 +27,7 @@ pub(super) const KIND: Kind = Kind {
     resolution: 160,
     leaks: [true; 6],
     locked_to_view: true,
+    shape: None,
     build: Build::Sourced {
         settings: &[
             Setting { name: "points", about: "x,y of the outline in the box's plane through its centre, mm (x right, y up in the view)" },

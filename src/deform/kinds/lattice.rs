@@ -25,6 +25,7 @@ pub(super) const KIND: Kind = Kind {
     resolution: 56,
     leaks: [false; 6],
     locked_to_view: false,
+    shape: None,
     build: Build::Sourced {
         settings: &[
             Setting { name: "lattice", about: "control points along x, y, z; 4,4,4 by default" },

@@ -32,6 +32,7 @@ mod taper;
 mod twist;
 mod wave;
 
+use super::cut::Shape;
 use super::{Argument, Arguments, DisplacementMap, Library, Storage, TexelSample};
 use crate::error::suggestion;
 use crate::math::Bounds;
@@ -153,6 +154,8 @@ pub struct Kind {
     pub leaks: [bool; 6],
     /// Its box turns with the camera: x right, y up, z towards the viewer.
     pub locked_to_view: bool,
+    /// The shape it removes, if it only removes and a formula can say it.
+    pub shape: Option<Shape>,
     /// What makes its field.
     pub build: Build,
 }
@@ -231,6 +234,13 @@ impl Gaps {
 
 /// Nothing is cut anywhere.
 const UNCUT: f32 = 1e6;
+
+/// Settings of removals that a formula can say.
+pub const CUT_SETTINGS: &[Setting] = &[
+    Setting { name: "invert", about: "true removes what is outside instead" },
+    Setting { name: "group", about: "a name: cuts of one group count together" },
+    Setting { name: "combine", about: "or (what any cut of the group removes) or and (only what every one does)" },
+];
 
 const KINDS: &[&Kind] = &[
     &pull::KIND,
@@ -398,7 +408,8 @@ impl Kind {
 
     /// All settings that are no numbers: the kind's own and those of every kind.
     pub fn settings(&self) -> impl Iterator<Item = &'static Setting> {
-        self.own_settings().iter().chain(modifiers::SETTINGS)
+        let of_cuts: &[Setting] = if self.shape.is_some() { CUT_SETTINGS } else { &[] };
+        self.own_settings().iter().chain(of_cuts).chain(modifiers::SETTINGS)
     }
 
     /// Settings that show the kind at work in a box of the given bounds (mm, world).
@@ -433,6 +444,13 @@ impl Kind {
         }
         Ok((self.values(numbers, size_mm)?, settings))
     }
+}
+
+/// The shape that a kind removes, its lengths (mm) and half its angle (radians); none if it is not said by a formula, or not yet there.
+pub fn shape_of(kind: &Kind, values: &[f32], progress: f32, size_mm: Vec3) -> Option<(Shape, Vec3, f32)> {
+    let shape = kind.shape.filter(|_| progress > 0.0)?;
+    let (half, half_angle) = removal::shape_of(shape, values, progress, size_mm);
+    Some((shape, half, half_angle))
 }
 
 /// Where a source point goes, by inverting the backward map; none where that does not succeed or the point is cut away.

@@ -47,6 +47,7 @@ pub(super) const KIND: Kind = Kind {
     resolution: 128,
     leaks: [false; 6],
     locked_to_view: false,
+    shape: None,
     build: Build::Formula(|c| Box::new(Peel::new(c))),
 };
 

@@ -35,6 +35,7 @@ pub(super) const KIND: Kind = Kind {
     resolution: 64,
     leaks: [true; 6],
     locked_to_view: false,
+    shape: None,
     build: Build::Sourced {
         settings: &[
             Setting { name: "pairs", about: "from x,y,z and to x,y,z in mm, pair after pair; or a .csv file of six columns" },

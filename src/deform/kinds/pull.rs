@@ -34,6 +34,7 @@ pub(super) const KIND: Kind = Kind {
     resolution: 64,
     leaks: [false, false, false, false, false, true],
     locked_to_view: false,
+    shape: None,
     build: Build::Formula(|c| {
         let [amount, sigma] = [c.values[0], c.values[1]];
         Box::new(Pull { half_z: c.half().z, strength: amount * c.progress / c.size_mm.z, sigma })

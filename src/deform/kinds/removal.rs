@@ -4,6 +4,7 @@
 //! at any angle. `progress` grows the shape from nothing (for the half-space: moves the plane down from the box's top).
 
 use super::{Amount, Backward, Build, Context, DefaultSize, Field, Kind, Parameter, Unit};
+use crate::deform::cut::Shape;
 use glam::{Vec2, Vec3, Vec3Swizzles};
 
 struct Removal<F> {
@@ -32,7 +33,7 @@ fn vanish(c: &Context, distance: f32) -> f32 {
     distance + if c.progress <= 0.0 { 1e6 } else { 0.0 }
 }
 
-const fn removal(name: &'static str, about: &'static str, build: fn(&Context) -> Box<dyn Field>) -> Kind {
+const fn removal(name: &'static str, about: &'static str, shape: Shape, build: fn(&Context) -> Box<dyn Field>) -> Kind {
     Kind {
         name,
         about,
@@ -44,16 +45,17 @@ const fn removal(name: &'static str, about: &'static str, build: fn(&Context) ->
         resolution: 96,
         leaks: [false; 6],
         locked_to_view: false,
+        shape: Some(shape),
         build: Build::Formula(build),
     }
 }
 
-pub(super) const BOX: Kind = removal("box", "removes a box", |c| {
+pub(super) const BOX: Kind = removal("box", "removes a box", Shape::Box, |c| {
     let (half, gone) = (c.half() * c.progress, vanish(c, 0.0));
     Box::new(Removal { outside: move |q: Vec3| cuboid(q, half) + gone })
 });
 
-pub(super) const SPHERE: Kind = removal("sphere", "removes a sphere (an ellipsoid, in a box of unequal sides)", |c| {
+pub(super) const SPHERE: Kind = removal("sphere", "removes a sphere (an ellipsoid, in a box of unequal sides)", Shape::Ellipsoid, |c| {
     let (radii, gone) = ((c.half() * c.progress).max(Vec3::splat(1e-3)), vanish(c, 0.0));
     Box::new(Removal {
         outside: move |q: Vec3| {
@@ -64,7 +66,7 @@ pub(super) const SPHERE: Kind = removal("sphere", "removes a sphere (an ellipsoi
     })
 });
 
-pub(super) const CYLINDER: Kind = removal("cylinder", "removes a cylinder along the box's z axis", |c| {
+pub(super) const CYLINDER: Kind = removal("cylinder", "removes a cylinder along the box's z axis", Shape::Cylinder, |c| {
     let (half, gone) = (c.half() * Vec3::new(c.progress, c.progress, 1.0), vanish(c, 0.0));
     let radius = half.x.min(half.y);
     Box::new(Removal {
@@ -84,7 +86,7 @@ pub(super) const WEDGE: Kind = Kind {
         max: Amount::Fixed(359.0),
         about: "of the wedge, about the box's z axis, centred on +x",
     }],
-    ..removal("wedge", "removes a slice of cake about the box's z axis", |c| {
+    ..removal("wedge", "removes a slice of cake about the box's z axis", Shape::Wedge, |c| {
         let (half, gone) = (c.half(), vanish(c, 0.0));
         let half_angle = (c.values[0] * c.progress).to_radians() / 2.0;
         let radius = half.x.min(half.y);
@@ -106,7 +108,7 @@ pub(super) const HALF_SPACE: Kind = Kind {
     varies: [false, false, true],
     resolution: 512,
     leaks: [false; 6],
-    ..removal("half-space", "removes everything above the plane through the box's centre, across its z axis", |c| {
+    ..removal("half-space", "removes everything above the plane through the box's centre, across its z axis", Shape::HalfSpace, |c| {
         let plane = c.half().z * (1.0 - c.progress);
         let gone = vanish(c, 0.0);
         Box::new(Removal { outside: move |q: Vec3| plane - q.z + gone })
@@ -130,7 +132,7 @@ pub(super) const VIEW_CONE: Kind = Kind {
     size: DefaultSize::Across(1.1),
     inflate: 1.0,
     leaks: [true; 6],
-    ..removal("view-cone", "removes a cone that opens from the box's centre towards the viewer", |c| {
+    ..removal("view-cone", "removes a cone that opens from the box's centre towards the viewer", Shape::Cone, |c| {
         let half_angle = (c.values[0] * c.progress).to_radians() / 2.0;
         let (axis, gone) = (Vec2::from_angle(half_angle), vanish(c, 0.0));
         Box::new(Removal {
@@ -143,3 +145,17 @@ pub(super) const VIEW_CONE: Kind = Kind {
         })
     })
 };
+
+/// The shape that a kind removes, its lengths (mm) and half its angle (radians) at a strength above 0.
+pub(super) fn shape_of(shape: Shape, values: &[f32], progress: f32, size_mm: Vec3) -> (Vec3, f32) {
+    let half = size_mm / 2.0;
+    let half_angle = values.first().map_or(0.0, |a| (a * progress).to_radians() / 2.0);
+    let radius = half.x.min(half.y);
+    match shape {
+        Shape::HalfSpace => (Vec3::new(0.0, 0.0, half.z * (1.0 - progress)), 0.0),
+        Shape::Box | Shape::Ellipsoid => ((half * progress).max(Vec3::splat(1e-3)), 0.0),
+        Shape::Cylinder => (Vec3::new(radius * progress, 0.0, half.z), 0.0),
+        Shape::Wedge => (Vec3::new(radius, 0.0, half.z), half_angle),
+        Shape::Cone => (Vec3::ZERO, half_angle),
+    }
+}

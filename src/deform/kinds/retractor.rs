@@ -44,6 +44,7 @@ pub(super) const KIND: Kind = Kind {
     resolution: 96,
     leaks: [false, false, false, false, false, true],
     locked_to_view: false,
+    shape: None,
     build: Build::Formula(|c| {
         let half = c.half();
         let focus = c.values[0] / 2.0;

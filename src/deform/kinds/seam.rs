@@ -34,6 +34,7 @@ pub(super) const KIND: Kind = Kind {
     resolution: 96,
     leaks: [false; 6],
     locked_to_view: false,
+    shape: None,
     build: Build::Formula(|c| {
         let half = c.half();
         let radius = half.x.min((1.0 - HINGE) * c.size_mm.z);

@@ -43,6 +43,7 @@ pub(super) const KIND: Kind = Kind {
     resolution: 512,
     leaks: [true; 6],
     locked_to_view: false,
+    shape: None,
     build: Build::Formula(|c| {
         Box::new(Slab { thickness: c.values[0], gap: c.values[1] * c.progress, fixed_z: (c.values[2] - 0.5) * c.size_mm.z, gaps: c.gaps() })
     }),

@@ -25,6 +25,7 @@ pub(super) const KIND: Kind = Kind {
     resolution: 64,
     leaks: [false; 6],
     locked_to_view: false,
+    shape: None,
     build: Build::Formula(|c| Box::new(SplinePull { amount: c.values[0] * c.progress, half: c.half() })),
 };
 

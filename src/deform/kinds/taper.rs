@@ -21,6 +21,7 @@ pub(super) const TAPER: Kind = Kind {
     resolution: 64,
     leaks: [true, true, true, true, false, true],
     locked_to_view: false,
+    shape: None,
     build: Build::Formula(|c| Box::new(Taper { growth: (c.values[0] - 1.0) * c.progress, height: c.size_mm.z })),
 };
 
@@ -75,6 +76,7 @@ pub(super) const SHEAR: Kind = Kind {
     resolution: 48,
     leaks: [true, true, true, true, false, true],
     locked_to_view: false,
+    shape: None,
     build: Build::Formula(|c| {
         let slope = |n: usize| c.values[n].to_radians().tan() * c.progress;
         Box::new(Shear { slope: Vec3::new(slope(0), slope(1), 0.0), half_z: c.half().z })

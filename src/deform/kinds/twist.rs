@@ -34,6 +34,7 @@ pub(super) const KIND: Kind = Kind {
     resolution: 96,
     leaks: [false, false, false, false, false, true],
     locked_to_view: false,
+    shape: None,
     build: Build::Formula(|c| {
         Box::new(Twist {
             angle: (c.values[0] * c.progress).to_radians(),

@@ -59,6 +59,7 @@ pub(super) const RADIAL: Kind = Kind {
     resolution: 96,
     leaks: [false; 6],
     locked_to_view: false,
+    shape: None,
     build: Build::Formula(|c| wave(c, true)),
 };
 

@@ -1,0 +1,130 @@
+// Counterpart of src/deform/cut.rs.
+
+const ROOT_STEPS: i32 = 4;
+const HALF_PI: f32 = 1.5707964;
+
+fn shape_kept(k: u32, world: vec3<f32>) -> f32 {
+    let q = transform_point(cuts[k].local_from_world, world);
+    let half = cuts[k].half;
+    var outside = 0.0;
+    switch cuts[k].shape {
+        case 0u: { outside = half.z - q.z; }
+        case 1u: {
+            let d = abs(q) - half;
+            outside = length(max(d, vec3<f32>(0.0))) + min(max(d.x, max(d.y, d.z)), 0.0);
+        }
+        case 2u: { outside = (length(q / half) - 1.0) * min(half.x, min(half.y, half.z)); }
+        case 3u: {
+            let d = vec2<f32>(length(q.xy) - half.x, abs(q.z) - half.z);
+            outside = length(max(d, vec2<f32>(0.0))) + min(max(d.x, d.y), 0.0);
+        }
+        case 4u: {
+            let r = length(q.xy);
+            let beyond = atan2(abs(q.y), q.x) - cuts[k].half_angle;
+            let side = select(r * sign(beyond), r * sin(beyond), abs(beyond) < HALF_PI);
+            outside = max(max(side, r - half.x), abs(q.z) - half.z);
+        }
+        default: {
+            let v = vec2<f32>(q.z, length(q.xy));
+            let axis = vec2<f32>(cos(cuts[k].half_angle), sin(cuts[k].half_angle));
+            outside = select(length(v), axis.x * v.y - axis.y * v.x, dot(v, axis) > 0.0);
+        }
+    }
+    return outside * cuts[k].sense;
+}
+
+// Distance from what is removed, mm, positive where matter stays.
+fn cuts_kept(world: vec3<f32>) -> f32 {
+    var all = 1e30;
+    var group = 1e30;
+    for (var k = 0u; k < CUTS; k += 1u) {
+        let d = shape_kept(k, world);
+        if cuts[k].joined == 0u {
+            all = min(all, group);
+            group = d;
+        } else if cuts[k].and_group != 0u {
+            group = max(group, d);
+        } else {
+            group = min(group, d);
+        }
+    }
+    return min(all, group);
+}
+
+fn cuts_gradient(world: vec3<f32>, h: f32) -> vec3<f32> {
+    let x = vec3<f32>(h, 0.0, 0.0);
+    let y = vec3<f32>(0.0, h, 0.0);
+    let z = vec3<f32>(0.0, 0.0, h);
+    return vec3<f32>(
+        cuts_kept(world + x) - cuts_kept(world - x),
+        cuts_kept(world + y) - cuts_kept(world - y),
+        cuts_kept(world + z) - cuts_kept(world - z),
+    ) / (2.0 * h);
+}
+
+// The part of a step that is kept: where its sample lies, and its share of the step.
+struct Kept {
+    t: f32,
+    share: f32,
+}
+
+fn cut_root(origin: vec3<f32>, direction: vec3<f32>, kept_start: vec2<f32>, cut_start: vec2<f32>) -> f32 {
+    var kept = kept_start;
+    var cut = cut_start;
+    for (var n = 0; n < ROOT_STEPS; n += 1) {
+        let t = kept.x + (cut.x - kept.x) * clamp(kept.y / (kept.y - cut.y), 0.0, 1.0);
+        let v = cuts_kept(origin + direction * t);
+        if abs(v) < 1e-4 {
+            return t;
+        }
+        if v >= 0.0 {
+            kept = vec2<f32>(t, v);
+        } else {
+            cut = vec2<f32>(t, v);
+        }
+    }
+    return kept.x + (cut.x - kept.x) * clamp(kept.y / (kept.y - cut.y), 0.0, 1.0);
+}
+
+fn kept_part(origin: vec3<f32>, direction: vec3<f32>, t: f32, step: f32) -> Kept {
+    if CUTS == 0u {
+        return Kept(t, 1.0);
+    }
+    let half = 0.5 * step;
+    let middle = vec2<f32>(t, cuts_kept(origin + direction * t));
+    if abs(middle.y) > half {
+        return Kept(t, select(0.0, 1.0, middle.y > 0.0));
+    }
+    let low = vec2<f32>(t - half, cuts_kept(origin + direction * (t - half)));
+    let high = vec2<f32>(t + half, cuts_kept(origin + direction * (t + half)));
+    if middle.y >= 0.0 {
+        var a = low.x;
+        var b = high.x;
+        if low.y < 0.0 {
+            a = cut_root(origin, direction, middle, low);
+        }
+        if high.y < 0.0 {
+            b = cut_root(origin, direction, middle, high);
+        }
+        return Kept(0.5 * (a + b), (b - a) / step);
+    }
+    var a = low.x;
+    var b = high.x;
+    if low.y >= 0.0 {
+        a = cut_root(origin, direction, low, middle);
+    }
+    if high.y >= 0.0 {
+        b = cut_root(origin, direction, high, middle);
+    }
+    if low.y >= 0.0 && high.y >= 0.0 {
+        // Of two kept ends the nearer one is sampled; both count.
+        return Kept(0.5 * (low.x + a), (a - low.x + high.x - b) / step);
+    }
+    if low.y >= 0.0 {
+        return Kept(0.5 * (low.x + a), (a - low.x) / step);
+    }
+    if high.y >= 0.0 {
+        return Kept(0.5 * (b + high.x), (high.x - b) / step);
+    }
+    return Kept(t, 0.0);
+}
