@@ -49,11 +49,10 @@ fn fragment(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
             }
             let part = kept_part(ray.origin, ray.direction, (f32(i) + 0.5) * step, step);
             i += 1;
+            taken += 1u;
             if part.share <= 0.0 {
-                skipped += 1u;
                 continue;
             }
-            taken += 1u;
             share = part.share;
             let sampled = ray.origin + ray.direction * part.t;
             at = look(sampled);

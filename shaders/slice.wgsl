@@ -24,11 +24,10 @@ fn fragment(slice: Slice) -> @location(0) vec4<f32> {
         discard;
     }
     let part = kept_part(ray.origin, ray.direction, slice.depth_mm / slant, step);
+    count(slice.position.xy, vec3<u32>(1u, 0u, 0u));
     if part.share <= 0.0 {
-        count(slice.position.xy, vec3<u32>(0u, 1u, 0u));
         discard;
     }
-    count(slice.position.xy, vec3<u32>(1u, 0u, 0u));
     let sampled = ray.origin + ray.direction * part.t;
     let at = look(sampled);
     if BLEND != 0u {

@@ -11,7 +11,7 @@ const ORDER: [(&str, &[&str]); 10] = [
     ("cpu", &["math", "volume", "transfer", "deform", "scene"]),
     ("gpu", &["math"]),
     ("render", &["math", "volume", "transfer", "deform", "scene", "gpu"]),
-    ("export", &["scene"]),
+    ("export", &["math", "volume", "deform", "scene"]),
     ("cli", &["math", "volume", "transfer", "deform", "scene", "cpu", "gpu", "render", "export"]),
 ];
 

@@ -130,7 +130,8 @@ fn normal_at(prepared: &Prepared, grid: &Grid, deformed: Vec3, with_cut: bool) -
         _ => panic!("phantoms are u8 or f32"),
     };
     let gradient = shading::voxel_covector(prepared, gradient);
-    let cut = if with_cut { shading::nearest_cut(prepared, &jet, in_voxel) } else { incise::deform::Cut::NONE };
+    let cut =
+        if with_cut { shading::or_shape(prepared, shading::nearest_cut(prepared, &jet, in_voxel), deformed) } else { incise::deform::Cut::NONE };
     Some(shading::normal(prepared, &jet.d_source_d_deformed, gradient, &cut, Vec3::ZERO).normal)
 }
 
@@ -223,13 +224,22 @@ pub fn normals_under_a_twist() {
 pub fn normals_on_cut_faces() {
     let uniform = Volume::new(vec![1.0f32; 64 * 64 * 64].into(), [64; 3], Rescale::NONE, glam::DAffine3::from_translation(glam::DVec3::splat(-31.5)));
     let assets = assets(uniform);
+    for exact in [false, true] {
+        faces(&assets, exact);
+    }
+}
+
+/// By masks or by shapes.
+fn faces(assets: &Assets, exact: bool) {
     let rotate = [25.0, -40.0, 15.0];
     let turned = Mat3::from_quat(Quat::from_euler(EulerRot::ZYX, 15f32.to_radians(), (-40f32).to_radians(), 25f32.to_radians()));
     let face = |kind: &str, size: f32, surface: &dyn Fn(Vec3) -> Option<(Vec3, Vec3)>| {
         let mut s = scene(&[(0.0, 0.9), (1.0, 0.9)]);
         let sized = deformation(kind, [3.0, -2.0, 1.0], [size; 3], rotate);
         s.deformation.push(Deformation { size: sized.size.filter(|_| kind != "half-space"), ..sized });
-        let prepared = Prepared::new(&s, &assets).unwrap();
+        s.render.exact_cuts = exact;
+        let prepared = Prepared::new(&s, assets).unwrap();
+        assert_eq!(prepared.cuts.is_empty(), !exact || kind == "slab");
         let (mut seen, mut worst) = (0, 0.0f32);
         for x in points(3000) {
             // A point of the cut and its normal out of what stays, local to the box; half a voxel deep.
@@ -244,7 +254,7 @@ pub fn normals_on_cut_faces() {
             worst = worst.max(off);
             assert!(off <= 3.0, "{kind}: {off} degrees at {deformed}");
         }
-        println!("normals on the face of a {kind}: off by at most {worst:.2} degrees");
+        println!("normals on the face of a {kind} (shape: {exact}): off by at most {worst:.2} degrees");
         assert!(seen > 300, "{kind}: {seen}");
     };
     face("half-space", 200.0, &|x| Some((Vec3::new(60.0 * x.x, 60.0 * x.y, 0.0), Vec3::Z)));

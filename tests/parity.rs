@@ -101,6 +101,9 @@ fn numbers_agree(kind: &str) {
         moved += usize::from(jet.source.distance(p) > 1.0 || jet.alpha < 1.0);
         let j = jet.d_source_d_deformed;
         let jacobian = [(4, j.x_axis), (8, j.y_axis), (12, j.z_axis)].map(|(n, c)| (v(n) - c).length()).into_iter().fold(0.0, f32::max);
+        if v(0).distance(jet.source) > 0.05 {
+            println!("{kind} at {p}: off by {} mm, mask {}, displaced by {} mm, J {j}", v(0).distance(jet.source), jet.alpha, jet.source.distance(p));
+        }
         let steep = 1.0 + j.x_axis.length().max(j.y_axis.length()).max(j.z_axis.length());
         for (w, e) in worst.iter_mut().zip([
             v(0).distance(jet.source),

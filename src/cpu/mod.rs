@@ -123,11 +123,10 @@ fn march<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, u: f32, v: f32, stats
             scene.cuts.kept_part(origin, direction, (i as f32 + 0.5) * step, step)
         };
         i += 1;
+        stats.samples_taken += 1;
         if kept.share <= 0.0 {
-            stats.samples_skipped += 1;
             continue;
         }
-        stats.samples_taken += 1;
         let deformed = origin + direction * kept.at;
         let at = look(scene, sampler, deformed);
         if scene.blend != Blend::Composite {

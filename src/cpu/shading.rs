@@ -218,7 +218,7 @@ pub fn nearest_cut(scene: &Prepared, jet: &Jet, in_voxel: Vec3) -> Cut {
 }
 
 /// The nearer of a cut and the surface of the cuts that are shapes.
-fn or_shape(scene: &Prepared, cut: Cut, deformed: Vec3) -> Cut {
+pub fn or_shape(scene: &Prepared, cut: Cut, deformed: Vec3) -> Cut {
     let kept = scene.cuts.kept(deformed);
     // Beyond the reach of the blend it matters no more.
     if kept > scene.frame.blend_mm[1] { cut } else { cut.or_nearer(kept, scene.cuts.gradient(deformed, 0.05 * scene.frame.reference_mm)) }

@@ -175,18 +175,20 @@ impl Surface {
         (0..=steps).map(z).find(|z| self.height(Vec3::new(0.0, 0.0, *z)) < 0.0).unwrap_or(0.0)
     }
 
-    /// The point above (x, y) at a height, searched along z from a first guess.
-    fn at_height(&self, x: f32, y: f32, height: f32, guess: f32) -> Vec3 {
+    /// The point above (x, y) at a height, searched along z within `reach` of a first guess, and how far off its height is. Where the surface
+    /// stands upright no point of the line has the height.
+    fn at_height(&self, x: f32, y: f32, height: f32, guess: f32, reach: f32) -> (Vec3, f32) {
         let mut z = guess;
-        for _ in 0..10 {
-            let off = self.height(Vec3::new(x, y, z)) - height;
+        let mut off = self.height(Vec3::new(x, y, z)) - height;
+        for _ in 0..12 {
             if off.abs() < 1e-3 {
                 break;
             }
             let slope = (self.height(Vec3::new(x, y, z + 0.5)) - self.height(Vec3::new(x, y, z - 0.5))).clamp(0.3, 1.5);
-            z -= off / slope;
+            z = (z - off / slope).clamp(guess - reach, guess + reach);
+            off = self.height(Vec3::new(x, y, z)) - height;
         }
-        Vec3::new(x, y, z)
+        (Vec3::new(x, y, z), off.abs())
     }
 }
 
@@ -280,8 +282,9 @@ impl SurfacePeel {
         Vec3::new(q.x, q.y, self.surface.height(q) + self.peel.top())
     }
 
-    fn raised(&self, flat: Vec3, guess: f32) -> Vec3 {
-        self.surface.at_height(flat.x, flat.y, flat.z - self.peel.top(), guess)
+    /// The point of flattened coordinates, and how far off its height is.
+    fn raised(&self, flat: Vec3, guess: f32) -> (Vec3, f32) {
+        self.surface.at_height(flat.x, flat.y, flat.z - self.peel.top(), guess, self.peel.reach())
     }
 }
 
@@ -292,8 +295,11 @@ impl Field for SurfacePeel {
         }
         let flat = self.flattened(q);
         let inner = self.peel.backward(flat);
-        let source = if inner.source == flat { q } else { self.raised(inner.source, q.z + inner.source.z - flat.z) };
-        Backward { source, cut_mm: inner.cut_mm }
+        if inner.source == flat {
+            return Backward { source: q, cut_mm: inner.cut_mm };
+        }
+        let (source, off) = self.raised(inner.source, q.z + inner.source.z - flat.z);
+        Backward { source, cut_mm: if off < 1.0 { inner.cut_mm } else { -UNCUT } }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
@@ -302,7 +308,7 @@ impl Field for SurfacePeel {
         }
         let flat = self.flattened(q);
         let to = self.peel.forward(flat)?;
-        let there = if to == flat { q } else { self.raised(to, q.z + to.z - flat.z) };
+        let there = if to == flat { q } else { self.raised(to, q.z + to.z - flat.z).0 };
         // Where the search along z did not end on the height asked for, the surface has no such point.
         (self.backward(there).source.distance_squared(q) < 1e-6).then_some(there)
     }

@@ -100,6 +100,11 @@ impl Peel {
         }
     }
 
+    /// How far anything is moved, mm.
+    pub(super) fn reach(&self) -> f32 {
+        2.0 * (self.radius + self.depth)
+    }
+
     /// z of the layer's upper side.
     pub(super) fn top(&self) -> f32 {
         self.floor + self.depth
