@@ -8,6 +8,7 @@ mod architecture;
 mod closed_forms;
 mod command_line;
 mod contract;
+mod fields;
 mod metrics;
 mod nifti;
 #[cfg(feature = "gpu")]
@@ -40,6 +41,10 @@ fn main() {
         slices_approach_rays, order_of_deformations_matters, left_is_left));
     all.extend(trials!(nifti:
         every_type_and_byte_order, rescale_is_sanitised, sform_qform_and_spacing, damaged_files_are_named, the_first_of_a_series_is_taken, the_bundled_head));
+    all.extend(trials!(fields:
+        baking_is_itk_resampling, affine_conventions_agree, vectors_turn_with_their_axes, all_orientations_agree, live_is_the_baked_picture,
+        long_stacks_are_composed, composition_keeps_its_bound, fsl_warp_is_inverted, radial_field_is_inverted, written_files_come_back,
+        composed_stacks_are_one_map));
     #[cfg(feature = "gpu")]
     all.extend(trials!(shaders: every_program_is_valid, uniforms_match_their_structs, counterparts_exist));
     all.extend(trials!(command_line:

@@ -118,7 +118,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         // A chain of transforms is several maps; a file holds one.
         let made = match stack.maps() {
             [one] => one.clone(),
-            _ => compose::stack(&stack, compose::Resolution::Within(0.05), Storage::F32)?.ok_or_else(|| Error::value(what, "makes no map"))?.placed,
+            _ => {
+                compose::stack(&stack, &assets.volume.bounds_in_world(), compose::Resolution::Within(0.05), Storage::F32)?
+                    .ok_or_else(|| Error::value(what, "makes no map"))?
+                    .placed
+            }
         };
         if arguments.invert { inverse_of_map(&made, &note)? } else { made }
     } else {

@@ -5,7 +5,7 @@
 //! is made, compared with the exact walk in the middles of its cells, and refined until the error is within the bound.
 //!
 //! Where the stack cuts, D only has to be continuous; cells that a cut crosses are left out of the comparison, because what is seen there
-//! is decided by the mask.
+//! is decided by the mask. So are points whose source lies beyond the scene: a map that does not vanish on its faces tears there, in empty space.
 
 use super::transform::{Step, Transform};
 use super::{DisplacementMap, PlacedMap, Placement, Stack, Storage, TexelSample};
@@ -45,15 +45,21 @@ fn cubes(stack: &Stack) -> Option<Bounds> {
     stack.maps().iter().map(PlacedMap::bounds_in_world).reduce(|a, b| a.union(&b))
 }
 
-/// Composes a stack into one map; none if the stack is empty.
+/// What is sampled: source and mask of a deformed point, and the box beyond which there is no matter.
+struct Mapping<'a> {
+    source_and_alpha: &'a (dyn Fn(Vec3) -> (Vec3, f32) + Sync),
+    scene_box: Bounds,
+}
+
+/// Composes a stack into one map, exact where the source lies in `scene_box`; none if the stack is empty.
 ///
 /// # Errors
 /// A placement that cannot be used.
-pub fn stack(stack: &Stack, resolution: Resolution, storage: Storage) -> Result<Option<Composed>> {
+pub fn stack(stack: &Stack, scene_box: &Bounds, resolution: Resolution, storage: Storage) -> Result<Option<Composed>> {
     let Some(bounds) = cubes(stack) else { return Ok(None) };
     let placement = Placement::new(bounds.center(), bounds.size(), Vec3::ZERO)?;
     let f = |p: Vec3| stack.walk_through(p);
-    search(&f, &placement, resolution, storage).map(Some)
+    search(&Mapping { source_and_alpha: &f, scene_box: *scene_box }, &placement, resolution, storage).map(Some)
 }
 
 /// Grid points for a box whose longest axis gets `texels`.
@@ -63,12 +69,7 @@ fn grid_for(size_mm: Vec3, texels: usize) -> [usize; 3] {
 }
 
 /// Samples `source_and_alpha` over a placement, finely enough.
-fn search(
-    source_and_alpha: &(dyn Fn(Vec3) -> (Vec3, f32) + Sync),
-    placement: &Placement,
-    resolution: Resolution,
-    storage: Storage,
-) -> Result<Composed> {
+fn search(mapping: &Mapping, placement: &Placement, resolution: Resolution, storage: Storage) -> Result<Composed> {
     let size_mm = placement.size_mm();
     let (mut texels, bound) = match resolution {
         Resolution::Fixed(n) => (n, f32::INFINITY),
@@ -80,33 +81,33 @@ fn search(
             texels = texels * 9 / 10;
             size = grid_for(size_mm, texels);
         }
-        let composed = sampled(source_and_alpha, placement, size, storage);
+        let composed = sampled(mapping, placement, size, storage);
         let finer = texels * 3 / 2;
         if composed.p99_mm <= bound || grid_for(size_mm, finer).iter().product::<usize>() > MOST_TEXELS {
             return Ok(composed);
         }
         // The error falls with the square of the texel, but not below what the storage rounds to.
         let needed = (texels as f32 * (composed.p99_mm / bound).sqrt() * 1.05) as usize;
-        let next = needed.clamp(finer, texels * 3);
+        let next = needed.clamp(finer, texels * 2);
         texels = if grid_for(size_mm, next).iter().product::<usize>() > MOST_TEXELS { finer } else { next };
     }
 }
 
-/// The map of a function from deformed point to source and mask, with its error.
-pub fn sampled(source_and_alpha: &(dyn Fn(Vec3) -> (Vec3, f32) + Sync), placement: &Placement, size: [usize; 3], storage: Storage) -> Composed {
+/// The map of a mapping, with its error.
+fn sampled(mapping: &Mapping, placement: &Placement, size: [usize; 3], storage: Storage) -> Composed {
     let map_from_world = Mat3::from(placement.map_from_world.matrix3);
     let map = DisplacementMap::from_fn(size, storage, |x| {
         let p = placement.world_from_map.transform_point3(x);
-        let (source, alpha) = source_and_alpha(p);
+        let (source, alpha) = (mapping.source_and_alpha)(p);
         TexelSample { displacement: map_from_world * (source - p), alpha }
     });
     let placed = PlacedMap::new(Arc::new(map), *placement);
-    let (worst_mm, p99_mm) = error(source_and_alpha, &placed);
+    let (worst_mm, p99_mm) = error(mapping, &placed);
     Composed { placed, worst_mm, p99_mm }
 }
 
 /// Largest error and 99th percentile in the middles of cells that no cut crosses, mm.
-fn error(source_and_alpha: &(dyn Fn(Vec3) -> (Vec3, f32) + Sync), placed: &PlacedMap) -> (f32, f32) {
+fn error(mapping: &Mapping, placed: &PlacedMap) -> (f32, f32) {
     let size = placed.map.size;
     let cells = size.map(|n| n.saturating_sub(1).max(1));
     let count = cells[0] * cells[1] * cells[2];
@@ -124,8 +125,9 @@ fn error(source_and_alpha: &(dyn Fn(Vec3) -> (Vec3, f32) + Sync), placed: &Place
                 return None;
             }
             let p = placed.placement.world_from_map.transform_point3(low + cell * 0.5);
-            let (source, alpha) = source_and_alpha(p);
-            (alpha >= 0.5).then(|| placed.backward(p).0.distance(source))
+            let (source, alpha) = (mapping.source_and_alpha)(p);
+            let seen = alpha >= 0.5 && mapping.scene_box.contains(&Bounds::new(source, source));
+            seen.then(|| placed.backward(p).0.distance(source))
         })
         .collect();
     if errors.is_empty() {
@@ -205,6 +207,7 @@ pub fn transform(transform: &Transform, scene_box: &Bounds, strength: f32, resol
         let d = transform.source_from_deformed(p.as_dvec3()) - p.as_dvec3();
         (p + d.as_vec3() * strength, 1.0)
     };
+    let mapping = Mapping { source_and_alpha: &f, scene_box: *scene_box };
     // Backwards through the chain: where the scene's matter can be seen.
     let mut bounds = *scene_box;
     for step in transform.steps.iter().rev() {
@@ -214,7 +217,7 @@ pub fn transform(transform: &Transform, scene_box: &Bounds, strength: f32, resol
     let bounds = bounds.grown(0.01 * bounds.size().max_element());
     let placement = Placement::new(bounds.center(), bounds.size(), Vec3::ZERO)?;
     if transform.as_affine().is_some() {
-        return Ok(sampled(&f, &placement, [2; 3], storage));
+        return Ok(sampled(&mapping, &placement, [2; 3], storage));
     }
     let texels = resolution.unwrap_or_else(|| {
         let spacing = transform.grid().map_or(1.0, |g| {
@@ -223,7 +226,7 @@ pub fn transform(transform: &Transform, scene_box: &Bounds, strength: f32, resol
         });
         (bounds.size().max_element() / spacing as f32).ceil() as usize + 1
     });
-    search(&f, &placement, Resolution::Fixed(texels.clamp(8, 1024)), storage)
+    search(&mapping, &placement, Resolution::Fixed(texels.clamp(8, 1024)), storage)
 }
 
 /// The placement whose unit cube spans the centres of a grid's outermost voxels.

@@ -159,7 +159,7 @@ fn kind_placement(d: &Deformation, kind: &Kind, making: &Making) -> Result<Place
 ///
 /// # Errors
 /// A placement that cannot be used.
-pub fn bounded(stack: Stack, within_mm: Option<f32>, default_mm: f32) -> Result<(Stack, Option<Composition>)> {
+pub fn bounded(stack: Stack, scene_box: &Bounds, within_mm: Option<f32>, default_mm: f32) -> Result<(Stack, Option<Composition>)> {
     let maps = stack.maps();
     let first = match within_mm {
         Some(_) => maps.len(),
@@ -174,7 +174,8 @@ pub fn bounded(stack: Stack, within_mm: Option<f32>, default_mm: f32) -> Result<
         None => return Ok((stack, None)),
     };
     let head = Stack::new(maps[..first].to_vec());
-    let Some(Composed { placed, worst_mm, p99_mm }) = compose::stack(&head, Resolution::Within(within_mm.unwrap_or(default_mm)), Storage::F16)?
+    let Some(Composed { placed, worst_mm, p99_mm }) =
+        compose::stack(&head, scene_box, Resolution::Within(within_mm.unwrap_or(default_mm)), Storage::F16)?
     else {
         return Ok((stack, None));
     };

@@ -170,7 +170,7 @@ impl<'a> Prepared<'a> {
                 exact_cuts: settings.exact_cuts,
             };
             let (stack, cuts) = deformations::stack(&scene.deformation, &making, more)?;
-            let (stack, composition) = deformations::bounded(stack, settings.precompose, UNSEEN * reference_mm)?;
+            let (stack, composition) = deformations::bounded(stack, &volume_box, settings.precompose, UNSEEN * reference_mm)?;
             Ok((stack, cuts, composition))
         })?;
         let span = (volume.range[1] - volume.range[0]).max(f64::MIN_POSITIVE);
