@@ -75,21 +75,17 @@ fn search(mapping: &Mapping, placement: &Placement, resolution: Resolution, stor
         Resolution::Fixed(n) => (n, f32::INFINITY),
         Resolution::Within(mm) => (FIRST_RESOLUTION, mm),
     };
+    let fits = |texels: usize| grid_for(size_mm, texels).iter().product::<usize>() <= MOST_TEXELS;
+    let finest = (2..=4096).rev().find(|&n| fits(n)).unwrap_or(2);
+    texels = texels.min(finest);
     loop {
-        let mut size = grid_for(size_mm, texels);
-        while size.iter().product::<usize>() > MOST_TEXELS {
-            texels = texels * 9 / 10;
-            size = grid_for(size_mm, texels);
-        }
-        let composed = sampled(mapping, placement, size, storage);
-        let finer = texels * 3 / 2;
-        if composed.p99_mm <= bound || grid_for(size_mm, finer).iter().product::<usize>() > MOST_TEXELS {
+        let composed = sampled(mapping, placement, grid_for(size_mm, texels), storage);
+        if composed.p99_mm <= bound || texels == finest {
             return Ok(composed);
         }
         // The error falls with the square of the texel, but not below what the storage rounds to.
         let needed = (texels as f32 * (composed.p99_mm / bound).sqrt() * 1.05) as usize;
-        let next = needed.clamp(finer, texels * 2);
-        texels = if grid_for(size_mm, next).iter().product::<usize>() > MOST_TEXELS { finer } else { next };
+        texels = needed.clamp(texels * 5 / 4, texels * 2).min(finest);
     }
 }
 
