@@ -108,7 +108,7 @@ fn step(path: &Path, entry: &Entry) -> Result<Step> {
     }
     Ok(match name {
         "IdentityTransform" => Step::Affine(DAffine3::IDENTITY),
-        "AffineTransform" | "MatrixOffsetTransformBase" | "ScaleSkewVersor3DTransform" if p.len() == 12 => {
+        "AffineTransform" | "MatrixOffsetTransformBase" => {
             needs(12, 3)?;
             about(rows(p), vec3(f), vec3(&p[9..]))
         }
