@@ -19,7 +19,7 @@ struct Probe {
 @group(1) @binding(1) var<storage, read_write> probes: array<Probe>;
 
 @compute @workgroup_size(64)
-fn probe(@builtin(global_invocation_id) id: vec3<u32>) {
+fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     if id.x >= arrayLength(&points) {
         return;
     }

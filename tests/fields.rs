@@ -301,7 +301,8 @@ pub fn composition_keeps_its_bound() {
     let (stack, _) = stack_of(&scene, &assets, None);
     let (mut last, mut first) = (0, usize::MAX);
     for bound in [2.0, 0.3, 0.1] {
-        let composed = compose::stack(&stack, &assets.volume.bounds_in_world(), Resolution::Within(bound), Storage::F32).unwrap().unwrap();
+        let composed =
+            compose::stack(&stack, &assets.volume.bounds_in_world(), Resolution::Within(bound), Storage::F32, &compose::evaluate).unwrap().unwrap();
         let texels = composed.placed.map.size.iter().product::<usize>();
         assert!(composed.p99_mm <= bound && texels >= last, "{} mm for {bound} with {texels} texels", composed.p99_mm);
         println!("composed within {bound} mm: {:?} texels, 99 % within {:.3} mm", composed.placed.map.size, composed.p99_mm);

@@ -119,7 +119,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         let made = match stack.maps() {
             [one] => one.clone(),
             _ => {
-                compose::stack(&stack, &assets.volume.bounds_in_world(), compose::Resolution::Within(0.05), Storage::F32)?
+                compose::stack(&stack, &assets.volume.bounds_in_world(), compose::Resolution::Within(0.05), Storage::F32, &compose::evaluate)?
                     .ok_or_else(|| Error::value(what, "makes no map"))?
                     .placed
             }

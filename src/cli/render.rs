@@ -166,14 +166,15 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             eprintln!("incise: {}: {warning}", scene.volume.path);
         }
     }
-    let prepared = Prepared::new(&scene, &assets)?;
+    let mut gpu = Gpu::open(arguments)?;
+    let prepared = gpu.prepare(&scene, &assets)?;
     if !arguments.quiet {
         for notice in assets.library.notices() {
             eprintln!("incise: {notice}");
         }
     }
     let wants_stats = arguments.stats.is_some() || arguments.json;
-    let done = render_on(arguments, &prepared, wants_stats, &bar)?;
+    let done = render_on(arguments, gpu, &prepared, wants_stats, &bar)?;
     bar.finish();
     let mut stages = assets.stages.clone();
     stages.0.extend(prepared.stages.0.iter().copied());
@@ -225,24 +226,54 @@ fn on_cpu(prepared: &Prepared, bar: &Progress) -> Done {
     Done { rendered, backend: "cpu", adapter: format!("CPU, {} threads", rayon::current_num_threads()), details: Value::Null }
 }
 
+/// The GPU, if one is to be used.
 #[cfg(feature = "gpu")]
-fn render_on(arguments: &Arguments, prepared: &Prepared, wants_stats: bool, bar: &Progress) -> Result<Done> {
-    use crate::gpu::{Device, Want};
-    use crate::render::Renderer;
-    let want = match arguments.backend {
-        Backend::Cpu => return Ok(on_cpu(prepared, bar)),
-        Backend::Auto => Want::Hardware,
-        Backend::Gpu => Want::Any,
+struct Gpu {
+    renderer: Option<crate::render::Renderer>,
+    setup: Stages,
+    /// Why `auto` has none.
+    refusal: Option<Error>,
+}
+
+#[cfg(feature = "gpu")]
+impl Gpu {
+    fn open(arguments: &Arguments) -> Result<Self> {
+        use crate::gpu::{Device, Want};
+        let want = match arguments.backend {
+            Backend::Cpu => return Ok(Self { renderer: None, setup: Stages::default(), refusal: None }),
+            Backend::Auto => Want::Hardware,
+            Backend::Gpu => Want::Any,
+        };
+        let mut setup = Stages::default();
+        match setup.time("gpu setup", || Device::open(want)) {
+            Ok(device) => Ok(Self { renderer: Some(crate::render::Renderer::new(device)), setup, refusal: None }),
+            Err(error) if arguments.backend == Backend::Auto => Ok(Self { renderer: None, setup, refusal: Some(error) }),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// The scene resolved; what has to be composed is composed on the device, if there is one.
+    fn prepare<'a>(&mut self, scene: &Scene, assets: &'a Assets) -> Result<Prepared<'a>> {
+        match &self.renderer {
+            Some(renderer) => Prepared::composed_by(scene, assets, &|stack, points| renderer.evaluate(stack, points)),
+            None => Prepared::new(scene, assets),
+        }
+    }
+}
+
+#[cfg(feature = "gpu")]
+fn render_on(arguments: &Arguments, gpu: Gpu, prepared: &Prepared, wants_stats: bool, bar: &Progress) -> Result<Done> {
+    let attempt = match (gpu.renderer, gpu.refusal) {
+        (None, None) => return Ok(on_cpu(prepared, bar)),
+        (None, Some(error)) => Err(error),
+        (Some(mut renderer), _) => {
+            let (info, details) = (renderer.device().info(), renderer.device().report());
+            renderer.render(prepared, wants_stats, &|share| bar.set("rendering", share)).map(|mut rendered| {
+                rendered.stages.0.splice(0..0, gpu.setup.0);
+                Done { rendered, backend: "gpu", adapter: info, details }
+            })
+        }
     };
-    let mut setup = Stages::default();
-    let attempt = setup.time("gpu setup", || Device::open(want)).and_then(|device| {
-        let info = device.info();
-        let details = device.report();
-        let mut renderer = Renderer::new(device);
-        let mut rendered = renderer.render(prepared, wants_stats, &|share| bar.set("rendering", share))?;
-        rendered.stages.0.splice(0..0, setup.0);
-        Ok(Done { rendered, backend: "gpu", adapter: info, details })
-    });
     match attempt {
         Err(error) if arguments.backend == Backend::Auto => {
             if !arguments.quiet {
@@ -254,11 +285,26 @@ fn render_on(arguments: &Arguments, prepared: &Prepared, wants_stats: bool, bar:
     }
 }
 
+/// No GPU.
 #[cfg(not(feature = "gpu"))]
-fn render_on(arguments: &Arguments, prepared: &Prepared, _wants_stats: bool, bar: &Progress) -> Result<Done> {
-    if arguments.backend == Backend::Gpu {
-        return Err(Error::Gpu("this build has no GPU renderer; use --backend cpu, or build with the feature `gpu`".into()));
+struct Gpu;
+
+#[cfg(not(feature = "gpu"))]
+impl Gpu {
+    fn open(arguments: &Arguments) -> Result<Self> {
+        if arguments.backend == Backend::Gpu {
+            return Err(Error::Gpu("this build has no GPU renderer; use --backend cpu, or build with the feature `gpu`".into()));
+        }
+        Ok(Self)
     }
+
+    fn prepare<'a>(&mut self, scene: &Scene, assets: &'a Assets) -> Result<Prepared<'a>> {
+        Prepared::new(scene, assets)
+    }
+}
+
+#[cfg(not(feature = "gpu"))]
+fn render_on(_arguments: &Arguments, _gpu: Gpu, prepared: &Prepared, _wants_stats: bool, bar: &Progress) -> Result<Done> {
     Ok(on_cpu(prepared, bar))
 }
 

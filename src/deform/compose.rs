@@ -45,9 +45,22 @@ fn cubes(stack: &Stack) -> Option<Bounds> {
     stack.maps().iter().map(PlacedMap::bounds_in_world).reduce(|a, b| a.union(&b))
 }
 
+/// Evaluates a stack at many points: source and smallest mask of each. The CPU's own, or a device's.
+pub type Evaluate<'a> = &'a dyn Fn(&Stack, &[Vec3]) -> Result<Vec<(Vec3, f32)>>;
+
+/// The stack at many points, on all cores.
+///
+/// # Errors
+/// None.
+pub fn evaluate(stack: &Stack, points: &[Vec3]) -> Result<Vec<(Vec3, f32)>> {
+    Ok(points.par_iter().map(|p| stack.walk_through(*p)).collect())
+}
+
 /// What is sampled: source and mask of a deformed point, and the box beyond which there is no matter.
 struct Mapping<'a> {
     source_and_alpha: &'a (dyn Fn(Vec3) -> (Vec3, f32) + Sync),
+    /// The same for all points of a grid at once.
+    many: &'a dyn Fn(&[Vec3]) -> Result<Vec<(Vec3, f32)>>,
     scene_box: Bounds,
 }
 
@@ -55,11 +68,12 @@ struct Mapping<'a> {
 ///
 /// # Errors
 /// A placement that cannot be used.
-pub fn stack(stack: &Stack, scene_box: &Bounds, resolution: Resolution, storage: Storage) -> Result<Option<Composed>> {
+pub fn stack(stack: &Stack, scene_box: &Bounds, resolution: Resolution, storage: Storage, evaluate: Evaluate) -> Result<Option<Composed>> {
     let Some(bounds) = cubes(stack) else { return Ok(None) };
     let placement = Placement::new(bounds.center(), bounds.size(), Vec3::ZERO)?;
     let f = |p: Vec3| stack.walk_through(p);
-    search(&Mapping { source_and_alpha: &f, scene_box: *scene_box }, &placement, resolution, storage).map(Some)
+    let many = |points: &[Vec3]| evaluate(stack, points);
+    search(&Mapping { source_and_alpha: &f, many: &many, scene_box: *scene_box }, &placement, resolution, storage).map(Some)
 }
 
 /// Grid points for a box whose longest axis gets `texels`.
@@ -79,7 +93,7 @@ fn search(mapping: &Mapping, placement: &Placement, resolution: Resolution, stor
     let finest = (2..=4096).rev().find(|&n| fits(n)).unwrap_or(2);
     texels = texels.min(finest);
     loop {
-        let composed = sampled(mapping, placement, grid_for(size_mm, texels), storage);
+        let composed = sampled(mapping, placement, grid_for(size_mm, texels), storage)?;
         if composed.p99_mm <= bound || texels == finest {
             return Ok(composed);
         }
@@ -90,16 +104,21 @@ fn search(mapping: &Mapping, placement: &Placement, resolution: Resolution, stor
 }
 
 /// The map of a mapping, with its error.
-fn sampled(mapping: &Mapping, placement: &Placement, size: [usize; 3], storage: Storage) -> Composed {
+fn sampled(mapping: &Mapping, placement: &Placement, size: [usize; 3], storage: Storage) -> Result<Composed> {
     let map_from_world = Mat3::from(placement.map_from_world.matrix3);
-    let map = DisplacementMap::from_fn(size, storage, |x| {
-        let p = placement.world_from_map.transform_point3(x);
-        let (source, alpha) = (mapping.source_and_alpha)(p);
-        TexelSample { displacement: map_from_world * (source - p), alpha }
-    });
+    let points: Vec<Vec3> = (0..size.iter().product::<usize>())
+        .into_par_iter()
+        .map(|n| placement.world_from_map.transform_point3(DisplacementMap::grid_point(size, n)))
+        .collect();
+    let samples = (mapping.many)(&points)?
+        .into_par_iter()
+        .zip(&points)
+        .map(|((source, alpha), p)| TexelSample { displacement: map_from_world * (source - *p), alpha })
+        .collect();
+    let map = DisplacementMap::from_samples(size, storage, samples);
     let placed = PlacedMap::new(Arc::new(map), *placement);
     let (worst_mm, p99_mm) = error(mapping, &placed);
-    Composed { placed, worst_mm, p99_mm }
+    Ok(Composed { placed, worst_mm, p99_mm })
 }
 
 /// Largest error and 99th percentile in the middles of cells that no cut crosses, mm.
@@ -110,6 +129,8 @@ fn error(mapping: &Mapping, placed: &PlacedMap) -> (f32, f32) {
     // A quarter of a million cells tell as much as all.
     let stride = (count / 250_000).max(1) | 1;
     let cell = Vec3::from(cells.map(|n| 1.0 / n as f32));
+    // `many` may hold a device, which is not shared between threads.
+    let (source_and_alpha, scene_box) = (mapping.source_and_alpha, mapping.scene_box);
     let mut errors: Vec<f32> = (0..count)
         .into_par_iter()
         .step_by(stride)
@@ -121,8 +142,8 @@ fn error(mapping: &Mapping, placed: &PlacedMap) -> (f32, f32) {
                 return None;
             }
             let p = placed.placement.world_from_map.transform_point3(low + cell * 0.5);
-            let (source, alpha) = (mapping.source_and_alpha)(p);
-            let seen = alpha >= 0.5 && mapping.scene_box.contains(&Bounds::new(source, source));
+            let (source, alpha) = source_and_alpha(p);
+            let seen = alpha >= 0.5 && scene_box.contains(&Bounds::new(source, source));
             seen.then(|| placed.backward(p).0.distance(source))
         })
         .collect();
@@ -203,7 +224,8 @@ pub fn transform(transform: &Transform, scene_box: &Bounds, strength: f32, resol
         let d = transform.source_from_deformed(p.as_dvec3()) - p.as_dvec3();
         (p + d.as_vec3() * strength, 1.0)
     };
-    let mapping = Mapping { source_and_alpha: &f, scene_box: *scene_box };
+    let many = |points: &[Vec3]| Ok(points.par_iter().map(|p| f(*p)).collect());
+    let mapping = Mapping { source_and_alpha: &f, many: &many, scene_box: *scene_box };
     // Backwards through the chain: where the scene's matter can be seen.
     let mut bounds = *scene_box;
     for step in transform.steps.iter().rev() {
@@ -213,7 +235,7 @@ pub fn transform(transform: &Transform, scene_box: &Bounds, strength: f32, resol
     let bounds = bounds.grown(0.01 * bounds.size().max_element());
     let placement = Placement::new(bounds.center(), bounds.size(), Vec3::ZERO)?;
     if transform.as_affine().is_some() {
-        return Ok(sampled(&mapping, &placement, [2; 3], storage));
+        return sampled(&mapping, &placement, [2; 3], storage);
     }
     let texels = resolution.unwrap_or_else(|| {
         let spacing = transform.grid().map_or(1.0, |g| {

@@ -70,18 +70,24 @@ impl DisplacementMap {
     ///
     /// A value that is not finite becomes no displacement and no matter.
     pub fn from_fn(size: [usize; 3], storage: Storage, f: impl Fn(Vec3) -> TexelSample + Sync) -> Self {
-        assert!(size.iter().all(|&n| n >= 1));
+        let samples = (0..size.iter().product::<usize>()).into_par_iter().map(|n| f(Self::grid_point(size, n))).collect();
+        Self::from_samples(size, storage, samples)
+    }
+
+    /// Map coordinates of the grid point with a flat index.
+    pub fn grid_point(size: [usize; 3], n: usize) -> Vec3 {
         let coordinate = |i: usize, n: usize| if n > 1 { i as f32 / (n - 1) as f32 } else { 0.5 };
-        let samples: Vec<Vec4> = (0..size[1] * size[2])
+        Vec3::new(coordinate(n % size[0], size[0]), coordinate(n / size[0] % size[1], size[1]), coordinate(n / (size[0] * size[1]), size[2]))
+    }
+
+    /// A map of given samples, x fastest.
+    ///
+    /// A value that is not finite becomes no displacement and no matter.
+    pub fn from_samples(size: [usize; 3], storage: Storage, samples: Vec<TexelSample>) -> Self {
+        assert!(size.iter().all(|&n| n >= 1) && samples.len() == size.iter().product::<usize>(), "sample count and size disagree");
+        let samples: Vec<Vec4> = samples
             .into_par_iter()
-            .flat_map_iter(|row| {
-                let f = &f;
-                (0..size[0]).map(move |i| {
-                    let x = Vec3::new(coordinate(i, size[0]), coordinate(row % size[1], size[1]), coordinate(row / size[1], size[2]));
-                    let s = f(x);
-                    if s.displacement.is_finite() && s.alpha.is_finite() { s.displacement.extend(s.alpha.clamp(0.0, 1.0)) } else { Vec4::ZERO }
-                })
-            })
+            .map(|s| if s.displacement.is_finite() && s.alpha.is_finite() { s.displacement.extend(s.alpha.clamp(0.0, 1.0)) } else { Vec4::ZERO })
             .collect();
         let largest = samples.par_iter().map(|s| s.xyz().abs().max_element()).reduce(|| 0.0, f32::max);
         let scale = if largest > 0.0 { largest } else { 1.0 };

@@ -11,6 +11,8 @@ pub enum Program {
     Resolve,
     /// Shared functions at given points, for tests.
     Probe,
+    /// A stack at given points, to compose it.
+    Compose,
 }
 
 macro_rules! piece {
@@ -32,7 +34,7 @@ const SHARED: [&str; 8] = [
 
 impl Program {
     /// All programs.
-    pub const ALL: [Self; 4] = [Self::Raycast, Self::Slice, Self::Resolve, Self::Probe];
+    pub const ALL: [Self; 5] = [Self::Raycast, Self::Slice, Self::Resolve, Self::Probe, Self::Compose];
 
     /// The program's whole text; `counting` keeps the sample counts.
     pub fn source(self, counting: bool) -> String {
@@ -42,6 +44,7 @@ impl Program {
             Self::Slice => &[piece!("lib/march.wgsl"), count, piece!("slice.wgsl")],
             Self::Resolve => &[piece!("lib/projection.wgsl"), piece!("resolve.wgsl")],
             Self::Probe => &[piece!("probe.wgsl")],
+            Self::Compose => &[piece!("compose.wgsl")],
         };
         SHARED.iter().chain(own).copied().collect::<Vec<_>>().join("\n")
     }

@@ -11,11 +11,12 @@
 //! Large pictures are drawn in bands and many slices in batches, each its own submission: a driver that watches for hung commands must
 //! not take a long one for it.
 
+mod evaluate;
 mod slices;
 pub mod uniforms;
 
 use crate::deform::cut::MAX_CUTS;
-use crate::deform::{DisplacementMap, MAX_MAPS, Storage};
+use crate::deform::{DisplacementMap, MAX_MAPS, Stack, Storage};
 use crate::gpu::shaders::Program;
 use crate::gpu::{Device, checked, read_buffer, read_rgba16f, wait};
 use crate::scene::{IsoLight, Mode, Normals, Picture, Prepared, RenderStats, Rendered, Stages};
@@ -479,6 +480,12 @@ impl Renderer {
         Ok(texture.create_view(&wgpu::TextureViewDescriptor::default()))
     }
 
+    /// A stack's maps; the bindings that it leaves free get the identity.
+    fn upload_maps(&self, stack: &Stack) -> Result<Vec<wgpu::TextureView>> {
+        let unused = DisplacementMap::identity([1; 3]);
+        (0..MAX_MAPS).map(|k| self.upload_map(stack.maps().get(k).map_or(&unused, |m| &m.map))).collect()
+    }
+
     /// Everything that the shared shader functions read.
     fn bind(&self, scene: &Prepared) -> Result<wgpu::BindGroup> {
         let device = &self.device.device;
@@ -504,8 +511,7 @@ impl Renderer {
             self.write_layers(&texture, 0, &scene.macrocells.distance, size);
             texture.create_view(&wgpu::TextureViewDescriptor::default())
         };
-        let unused = DisplacementMap::identity([1; 3]);
-        let maps = (0..MAX_MAPS).map(|k| self.upload_map(scene.stack.maps().get(k).map_or(&unused, |m| &m.map))).collect::<Result<Vec<_>>>()?;
+        let maps = self.upload_maps(&scene.stack)?;
         let mut entries = vec![
             wgpu::BindGroupEntry { binding: 0, resource: frame.as_entire_binding() },
             wgpu::BindGroupEntry { binding: 1, resource: placed.as_entire_binding() },
@@ -547,88 +553,6 @@ impl Renderer {
             bytemuck::cast_slice(&texels),
         );
         texture.create_view(&wgpu::TextureViewDescriptor::default())
-    }
-
-    /// Evaluates the shaders' shared functions at points of the deformed scene, 24 floats each as `Probe` in `shaders/probe.wgsl` has them: numbers to
-    /// compare with the CPU's.
-    ///
-    /// # Errors
-    /// Whatever the device reports.
-    pub fn probe(&mut self, scene: &Prepared, points: &[[f32; 3]]) -> Result<Vec<[f32; 24]>> {
-        let device = self.device.device.clone();
-        checked(&device, || {
-            self.upload_volume(scene.grid)?;
-            let bindings = self.bind(scene)?;
-            let padded: Vec<[f32; 4]> = points.iter().map(|p| [p[0], p[1], p[2], 0.0]).collect();
-            let input = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
-                label: None,
-                contents: bytemuck::cast_slice(&padded),
-                usage: wgpu::BufferUsages::STORAGE,
-            });
-            let bytes = (points.len() * size_of::<[f32; 24]>()) as u64;
-            let output = device.create_buffer(&wgpu::BufferDescriptor {
-                label: None,
-                size: bytes,
-                usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC,
-                mapped_at_creation: false,
-            });
-            let back = device.create_buffer(&wgpu::BufferDescriptor {
-                label: None,
-                size: bytes,
-                usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-                mapped_at_creation: false,
-            });
-            let storage = |binding, read_only| wgpu::BindGroupLayoutEntry {
-                binding,
-                visibility: wgpu::ShaderStages::COMPUTE,
-                ty: wgpu::BindingType::Buffer {
-                    ty: wgpu::BufferBindingType::Storage { read_only },
-                    has_dynamic_offset: false,
-                    min_binding_size: None,
-                },
-                count: None,
-            };
-            let own =
-                device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: None, entries: &[storage(0, true), storage(1, false)] });
-            let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-                label: None,
-                bind_group_layouts: &[Some(&self.shared_layout), Some(&own)],
-                immediate_size: 0,
-            });
-            let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
-                label: Some("probe"),
-                source: wgpu::ShaderSource::Wgsl(Program::Probe.source(false).into()),
-            });
-            let variant = Self::variant(scene, Program::Probe, false);
-            let constants = overrides(&variant);
-            let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-                label: Some("probe"),
-                layout: Some(&layout),
-                module: &module,
-                entry_point: Some("probe"),
-                compilation_options: wgpu::PipelineCompilationOptions { constants: &constants, ..Default::default() },
-                cache: None,
-            });
-            let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
-                label: None,
-                layout: &own,
-                entries: &[
-                    wgpu::BindGroupEntry { binding: 0, resource: input.as_entire_binding() },
-                    wgpu::BindGroupEntry { binding: 1, resource: output.as_entire_binding() },
-                ],
-            });
-            let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-            {
-                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-                pass.set_pipeline(&pipeline);
-                pass.set_bind_group(0, &bindings, &[]);
-                pass.set_bind_group(1, &group, &[]);
-                pass.dispatch_workgroups((points.len() as u32).div_ceil(64), 1, 1);
-            }
-            encoder.copy_buffer_to_buffer(&output, 0, &back, 0, bytes);
-            self.device.queue.submit([encoder.finish()]);
-            Ok(bytemuck::pod_collect_to_vec(&read_buffer(&device, &back)?))
-        })
     }
 }
 

@@ -1,7 +1,7 @@
 //! A scene's deformations as a stack of maps.
 
 use super::{Deformation, ViewFrame};
-use crate::deform::compose::{self, Composed, Resolution};
+use crate::deform::compose::{self, Composed, Evaluate, Resolution};
 use crate::deform::cut::{Cuts, MAX_CUTS, Primitive};
 use crate::deform::kinds::{self, DefaultSize, Inputs, Kind, Sampling};
 use crate::deform::{Arguments, DisplacementMap, Library, MAX_MAPS, PlacedMap, Placement, Stack, Storage, saved};
@@ -159,7 +159,13 @@ fn kind_placement(d: &Deformation, kind: &Kind, making: &Making) -> Result<Place
 ///
 /// # Errors
 /// A placement that cannot be used.
-pub fn bounded(stack: Stack, scene_box: &Bounds, within_mm: Option<f32>, default_mm: f32) -> Result<(Stack, Option<Composition>)> {
+pub fn bounded(
+    stack: Stack,
+    scene_box: &Bounds,
+    within_mm: Option<f32>,
+    default_mm: f32,
+    evaluate: Evaluate,
+) -> Result<(Stack, Option<Composition>)> {
     let maps = stack.maps();
     let first = match within_mm {
         Some(_) => maps.len(),
@@ -175,7 +181,7 @@ pub fn bounded(stack: Stack, scene_box: &Bounds, within_mm: Option<f32>, default
     };
     let head = Stack::new(maps[..first].to_vec());
     let Some(Composed { placed, worst_mm, p99_mm }) =
-        compose::stack(&head, scene_box, Resolution::Within(within_mm.unwrap_or(default_mm)), Storage::F16)?
+        compose::stack(&head, scene_box, Resolution::Within(within_mm.unwrap_or(default_mm)), Storage::F16, evaluate)?
     else {
         return Ok((stack, None));
     };

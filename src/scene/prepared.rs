@@ -2,6 +2,7 @@
 
 use super::deformations::{self, Composition, Making};
 use super::{CutFaces, Light, Macrocells, Normals, RenderSettings, Scene, ViewFrame, macrocells::Contents};
+use crate::deform::compose::{self, Evaluate};
 use crate::deform::cut::Cuts;
 use crate::deform::{Library, PlacedMap, Stack};
 use crate::math::{Bounds, MinMaxPyramid, normalize_or, to_f32};
@@ -135,11 +136,23 @@ impl<'a> Prepared<'a> {
         Self::with_maps(scene, assets, Vec::new())
     }
 
+    /// As [`Self::new`]; where maps have to be composed into one, `evaluate` does it.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn composed_by(scene: &Scene, assets: &'a Assets, evaluate: Evaluate) -> Result<Self> {
+        Self::with(scene, assets, Vec::new(), evaluate)
+    }
+
     /// Resolves a scene and applies further maps, made by other means than a kind, after its own.
     ///
     /// # Errors
     /// As [`Self::new`].
     pub fn with_maps(scene: &Scene, assets: &'a Assets, more: Vec<PlacedMap>) -> Result<Self> {
+        Self::with(scene, assets, more, &compose::evaluate)
+    }
+
+    fn with(scene: &Scene, assets: &'a Assets, more: Vec<PlacedMap>, evaluate: Evaluate) -> Result<Self> {
         let mut stages = Stages::default();
         let settings = scene.render.clone();
         check_settings(&settings, &scene.light)?;
@@ -170,7 +183,7 @@ impl<'a> Prepared<'a> {
                 exact_cuts: settings.exact_cuts,
             };
             let (stack, cuts) = deformations::stack(&scene.deformation, &making, more)?;
-            let (stack, composition) = deformations::bounded(stack, &volume_box, settings.precompose, UNSEEN * reference_mm)?;
+            let (stack, composition) = deformations::bounded(stack, &volume_box, settings.precompose, UNSEEN * reference_mm, evaluate)?;
             Ok((stack, cuts, composition))
         })?;
         let span = (volume.range[1] - volume.range[0]).max(f64::MIN_POSITIVE);

@@ -1,0 +1,22 @@
+// Source and smallest mask of given points under the stack, through every map whatever the masks say. Counterpart of walk_through in
+// src/deform/stack.rs.
+
+@group(1) @binding(0) var<storage, read> points: array<vec4<f32>>;
+@group(1) @binding(1) var<storage, read_write> composed: array<vec4<f32>>;
+
+@compute @workgroup_size(64)
+fn main(@builtin(global_invocation_id) id: vec3<u32>) {
+    if id.x >= arrayLength(&points) {
+        return;
+    }
+    var p = vec4<f32>(points[id.x].xyz, 1.0);
+    var here = p.xyz;
+    for (var n = MAPS; n > 0u; n -= 1u) {
+        let d = displacement(n - 1u, here);
+        p = vec4<f32>(p.xyz + d.xyz, min(p.w, d.w));
+        if maps[n - 1u].added < 0.5 {
+            here = p.xyz;
+        }
+    }
+    composed[id.x] = p;
+}

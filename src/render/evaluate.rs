@@ -1,0 +1,182 @@
+//! The shaders' functions at many points: numbers for tests, and stacks composed on the device.
+
+use super::uniforms::PlacedMapUniform;
+use super::{Renderer, overrides};
+use crate::deform::{MAX_MAPS, Stack};
+use crate::gpu::shaders::Program;
+use crate::gpu::{checked, read_buffer};
+use crate::scene::Prepared;
+use crate::{Error, Result};
+use glam::Vec3;
+use wgpu::util::DeviceExt;
+
+/// Points of one submission: their results stay below the storage that any device binds.
+const POINTS_AT_ONCE: usize = 1 << 20;
+
+impl Renderer {
+    /// Evaluates the shaders' shared functions at points of the deformed scene, 24 floats each as `Probe` in `shaders/probe.wgsl` has them: numbers to
+    /// compare with the CPU's.
+    ///
+    /// # Errors
+    /// Whatever the device reports.
+    pub fn probe(&mut self, scene: &Prepared, points: &[[f32; 3]]) -> Result<Vec<[f32; 24]>> {
+        let device = self.device.device.clone();
+        checked(&device, || {
+            self.upload_volume(scene.grid)?;
+            let bindings = self.bind(scene)?;
+            let variant = Self::variant(scene, Program::Probe, false);
+            let pipeline = self.compute_pipeline(Program::Probe, &self.shared_layout, &overrides(&variant));
+            self.compute(&pipeline, &bindings, points)
+        })
+    }
+
+    /// Source and smallest mask of points under a stack, through every map whatever the masks say: what [`crate::deform::compose`] samples.
+    ///
+    /// # Errors
+    /// More maps than a pass binds; whatever the device reports.
+    pub fn evaluate(&self, stack: &Stack, points: &[Vec3]) -> Result<Vec<(Vec3, f32)>> {
+        let device = &self.device.device;
+        let mut results = points.iter().map(|p| (*p, 1.0f32)).collect::<Vec<_>>();
+        // The last maps act first; a map that is added to the one before it stays with it.
+        let mut end = stack.maps().len();
+        while end > 0 {
+            let mut first = end.saturating_sub(MAX_MAPS);
+            while first > 0 && stack.maps()[first].added && first + 1 < end {
+                first += 1;
+            }
+            if stack.maps()[first].added && first > 0 {
+                return Err(Error::Gpu(format!(
+                    "more than {MAX_MAPS} deformations are added to each other, which this pass cannot hold; use --backend cpu"
+                )));
+            }
+            let part = Stack::new(stack.maps()[first..end].to_vec());
+            let positions: Vec<[f32; 3]> = results.iter().map(|(p, _)| p.to_array()).collect();
+            let moved: Vec<[f32; 4]> = checked(device, || {
+                let bindings = self.bind_stack(&part)?;
+                let pipeline = self.compute_pipeline(Program::Compose, &self.stack_layout(), &[("MAPS", part.maps().len() as f64)]);
+                self.compute(&pipeline, &bindings, &positions)
+            })?;
+            for (result, m) in results.iter_mut().zip(moved) {
+                *result = (Vec3::new(m[0], m[1], m[2]), result.1.min(m[3]));
+            }
+            end = first;
+        }
+        Ok(results)
+    }
+
+    fn stack_layout(&self) -> wgpu::BindGroupLayout {
+        let stages = wgpu::ShaderStages::COMPUTE;
+        let entry = |binding, ty| wgpu::BindGroupLayoutEntry { binding, visibility: stages, ty, count: None };
+        let mut entries = vec![
+            entry(1, wgpu::BindingType::Buffer { ty: wgpu::BufferBindingType::Uniform, has_dynamic_offset: false, min_binding_size: None }),
+            entry(3, wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering)),
+        ];
+        let texture = wgpu::BindingType::Texture {
+            sample_type: wgpu::TextureSampleType::Float { filterable: true },
+            view_dimension: wgpu::TextureViewDimension::D3,
+            multisampled: false,
+        };
+        entries.extend((0..MAX_MAPS as u32).map(|k| entry(6 + k, texture)));
+        self.device.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some("stack"), entries: &entries })
+    }
+
+    /// The maps of a stack alone.
+    fn bind_stack(&self, stack: &Stack) -> Result<wgpu::BindGroup> {
+        let device = &self.device.device;
+        let mut placed = [bytemuck::Zeroable::zeroed(); MAX_MAPS];
+        for (uniform, map) in placed.iter_mut().zip(stack.maps()) {
+            *uniform = PlacedMapUniform::new(map);
+        }
+        let uniform = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+            label: None,
+            contents: bytemuck::cast_slice::<PlacedMapUniform, u8>(&placed),
+            usage: wgpu::BufferUsages::UNIFORM,
+        });
+        let views = self.upload_maps(stack)?;
+        let mut entries = vec![
+            wgpu::BindGroupEntry { binding: 1, resource: uniform.as_entire_binding() },
+            wgpu::BindGroupEntry { binding: 3, resource: wgpu::BindingResource::Sampler(&self.sampler) },
+        ];
+        entries.extend(
+            views
+                .iter()
+                .enumerate()
+                .map(|(k, view)| wgpu::BindGroupEntry { binding: 6 + k as u32, resource: wgpu::BindingResource::TextureView(view) }),
+        );
+        Ok(device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("stack"), layout: &self.stack_layout(), entries: &entries }))
+    }
+
+    fn points_layout(&self) -> wgpu::BindGroupLayout {
+        let storage = |binding, read_only| wgpu::BindGroupLayoutEntry {
+            binding,
+            visibility: wgpu::ShaderStages::COMPUTE,
+            ty: wgpu::BindingType::Buffer { ty: wgpu::BufferBindingType::Storage { read_only }, has_dynamic_offset: false, min_binding_size: None },
+            count: None,
+        };
+        self.device.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: None, entries: &[storage(0, true), storage(1, false)] })
+    }
+
+    fn compute_pipeline(&self, program: Program, shared: &wgpu::BindGroupLayout, constants: &[(&str, f64)]) -> wgpu::ComputePipeline {
+        let device = &self.device.device;
+        let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: None,
+            bind_group_layouts: &[Some(shared), Some(&self.points_layout())],
+            immediate_size: 0,
+        });
+        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: Some(&format!("{program:?}")),
+            source: wgpu::ShaderSource::Wgsl(program.source(false).into()),
+        });
+        device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: Some(&format!("{program:?}")),
+            layout: Some(&layout),
+            module: &module,
+            entry_point: Some("main"),
+            compilation_options: wgpu::PipelineCompilationOptions { constants, ..Default::default() },
+            cache: None,
+        })
+    }
+
+    /// Runs a program with one invocation per point; `T` is what it writes for each.
+    fn compute<T: bytemuck::AnyBitPattern + bytemuck::NoUninit>(
+        &self,
+        pipeline: &wgpu::ComputePipeline,
+        bindings: &wgpu::BindGroup,
+        points: &[[f32; 3]],
+    ) -> Result<Vec<T>> {
+        let device = &self.device.device;
+        let mut results = Vec::with_capacity(points.len());
+        for part in points.chunks(POINTS_AT_ONCE) {
+            let padded: Vec<[f32; 4]> = part.iter().map(|p| [p[0], p[1], p[2], 0.0]).collect();
+            let input = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+                label: None,
+                contents: bytemuck::cast_slice(&padded),
+                usage: wgpu::BufferUsages::STORAGE,
+            });
+            let size = (part.len() * size_of::<T>()) as u64;
+            let buffer = |usage| device.create_buffer(&wgpu::BufferDescriptor { label: None, size, usage, mapped_at_creation: false });
+            let output = buffer(wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC);
+            let back = buffer(wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST);
+            let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: None,
+                layout: &self.points_layout(),
+                entries: &[
+                    wgpu::BindGroupEntry { binding: 0, resource: input.as_entire_binding() },
+                    wgpu::BindGroupEntry { binding: 1, resource: output.as_entire_binding() },
+                ],
+            });
+            let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            {
+                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+                pass.set_pipeline(pipeline);
+                pass.set_bind_group(0, bindings, &[]);
+                pass.set_bind_group(1, &group, &[]);
+                pass.dispatch_workgroups((part.len() as u32).div_ceil(64), 1, 1);
+            }
+            encoder.copy_buffer_to_buffer(&output, 0, &back, 0, size);
+            self.device.queue.submit([encoder.finish()]);
+            results.extend(bytemuck::pod_collect_to_vec::<u8, T>(&read_buffer(device, &back)?));
+        }
+        Ok(results)
+    }
+}
