@@ -154,6 +154,15 @@ pub fn bad_deformations_are_named() {
         "#Insight Transform File V1.0\nTransform: AffineTransform_double_3_3\nParameters: 1 2\nFixedParameters: 0 0 0\n",
     )
     .unwrap();
+    let itk = |name: &str, kind: &str, parameters: usize, fixed: &str| {
+        let text = format!(
+            "#Insight Transform File V1.0\nTransform: {kind}_double_3_3\nParameters: {}\nFixedParameters: {fixed}\n",
+            "0 ".repeat(parameters)
+        );
+        std::fs::write(f.join(name), text).unwrap();
+    };
+    itk("zero.tfm", "AffineTransform", 12, "0 0 0");
+    itk("coarse.tfm", "BSplineTransform", 81, "3 3 3 0 0 0 9 9 9 1 0 0 0 1 0 0 0 1");
     std::fs::write(f.join("singular.1D"), "1 0 0 0 1 0 0 0 0 0 1 0").unwrap();
     std::fs::write(f.join("bad.csv"), "1,2,3,4,5\n").unwrap();
     std::fs::write(f.join("bad.mrk.json"), "{\"markups\": 3}").unwrap();
@@ -166,6 +175,8 @@ pub fn bad_deformations_are_named() {
         ("field:path=other.tfm", "ThinPlateSpline"),
         ("field:path=flat.tfm", "2 parameters"),
         ("field:path=singular.1D", "singular"),
+        ("field:path=zero.tfm", "singular"),
+        ("field:path=coarse.tfm", "4 along each axis"),
         ("field:path=nowhere.nii.gz", "nowhere.nii.gz"),
         ("field", "path"),
         ("field:pth=affine.tfm", "path"),
@@ -196,6 +207,7 @@ pub fn bad_deformations_are_named() {
         ("sphere:mapping=polar", "cylindrical"),
         ("elastic", "grab"),
         ("elastic:grab=1,2,3", "7"),
+        ("elastic:grab=500,0,0,1,1,0,0", "no node"),
         ("elastic:grab=0,0,0,5,1,0,0,incision=0,0,0,0,0,0,5", "normal"),
         ("peel:depth=deep", "deep"),
         ("wave:spare=words", "numbers"),
@@ -230,6 +242,9 @@ pub fn bad_deformations_are_named() {
         (&["map", "peal", "-o", "out.nrrd"], "peel"),
         (&["map", "field.nrrd", "-o", "field.nrrd"], "read"),
         (&["map", "check", "words.txt"], "words.txt"),
+        (&["map", "peel", "--volume", "volume.nii.gz", "-o", "volume.nii.gz"], "read"),
+        (&["map", "check", "field.nrrd", "--csv", "field.nrrd"], "read"),
+        (&["bake", "volume.nii.gz", "--deform", "field:path=field.nrrd", "-o", "field.nrrd"], "read"),
         (&["map", "check", "volume.nii.gz"], "1 values"),
         (&["gallery", "-o", "gallery", "--kind", "peal"], "peel"),
     ] {

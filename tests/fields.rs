@@ -406,3 +406,35 @@ pub fn composed_stacks_are_one_map() {
     assert_eq!(prepared.stack.maps().len(), 1);
     assert!(prepared.composition.is_some_and(|c| c.maps == 8 && c.p99_mm <= 0.5));
 }
+
+/// An intersection with a cut that is not there yet removes nothing; a union with it removes the rest.
+pub fn groups_with_a_vanished_member() {
+    let mut scene = Scene::of_volume("phantom:ball:size=32");
+    let cut = |kind: &str, combine: &str, progress: f32| {
+        let mut d = Deformation { progress: Some(progress), ..Deformation::new(kind) };
+        d.parameters.insert("group", "g");
+        d.parameters.insert("combine", combine);
+        d
+    };
+    for (combine, progress, removed) in [("and", 0.0, false), ("or", 0.0, true), ("and", 1.0, true)] {
+        scene.deformation = vec![cut("box", combine, 1.0), cut("sphere", "or", progress)];
+        let assets = assets(&scene);
+        let (_, cuts) = stack_of(&scene, &assets, None);
+        assert_eq!(cuts.kept(Vec3::new(3.0, 2.0, 1.0)) < 0.0, removed, "{combine} {progress}");
+    }
+}
+
+/// A voxel without a value does not spread it to its neighbours.
+pub fn baking_keeps_nan_in_its_place() {
+    let folder = tempfile::tempdir().unwrap();
+    let grid = GridGeometry { size: [5; 3], world_from_voxel: DAffine3::from_rotation_z(0.3) };
+    let values: Vec<f32> = (0..125).map(|n| if n == 62 { f32::NAN } else { n as f32 }).collect();
+    let path = folder.path().join("nan.nii");
+    let content = Content::Scalar(load::ScalarType::F32, Rescale::NONE);
+    std::fs::write(&path, save::encode(Format::Nifti, &grid, content, &values).unwrap()).unwrap();
+    for interpolation in [Interpolation::Linear, Interpolation::Cubic] {
+        let out = baked(&Scene::of_volume(path.to_str().unwrap()), 0.0, interpolation);
+        let bad: Vec<usize> = (0..125).filter(|n| out.voxels.get(*n).is_nan()).collect();
+        assert_eq!(bad, [62], "{interpolation:?}");
+    }
+}

@@ -44,7 +44,7 @@ fn main() {
     all.extend(trials!(fields:
         baking_is_itk_resampling, affine_conventions_agree, vectors_turn_with_their_axes, all_orientations_agree, live_is_the_baked_picture,
         long_stacks_are_composed, composition_keeps_its_bound, fsl_warp_is_inverted, radial_field_is_inverted, written_files_come_back,
-        composed_stacks_are_one_map));
+        composed_stacks_are_one_map, groups_with_a_vanished_member, baking_keeps_nan_in_its_place));
     #[cfg(feature = "gpu")]
     all.extend(trials!(shaders: every_program_is_valid, uniforms_match_their_structs, counterparts_exist));
     all.extend(trials!(command_line:

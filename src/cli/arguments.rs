@@ -4,7 +4,7 @@ use crate::deform::{Argument, Storage};
 use crate::scene::deformations::FILE_KINDS;
 use crate::scene::{Deformation, Scene, Size};
 use crate::{Error, Result};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// The scene that an input names: a scene file, or a volume with all defaults.
 ///
@@ -24,6 +24,24 @@ pub fn scene_of(input: &Path) -> Result<Scene> {
 /// Whether two paths name one file.
 pub fn same_file(a: &Path, b: &Path) -> bool {
     a == b || matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
+}
+
+/// Files that a scene reads: its volume and what its deformations name.
+pub fn read_by(scene: &Scene) -> Vec<PathBuf> {
+    const NAMES: [&str; 10] = ["path", "moving", "reference", "labels", "mask", "pairs", "from", "to", "offsets", "points"];
+    let named = scene.deformation.iter().flat_map(|d| NAMES.iter().flat_map(|n| d.parameters.texts(n).ok().flatten().unwrap_or_default()));
+    std::iter::once(scene.volume_path()).chain(named.map(|p| scene.folder.join(p))).collect()
+}
+
+/// Nothing is ever written to a file that is read.
+///
+/// # Errors
+/// The output is one of the files that are read.
+pub fn protect<'a>(option: &str, output: &Path, read: impl IntoIterator<Item = &'a Path>) -> Result<()> {
+    if read.into_iter().any(|r| same_file(output, r)) {
+        return Err(Error::value(format!("{option} {}", output.display()), "is a file that is read; choose another name"));
+    }
+    Ok(())
 }
 
 /// `512x512`.

@@ -63,11 +63,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     for text in &arguments.deform {
         scene.deformation.push(arguments::deformation(text)?);
     }
-    for read in [&arguments.input, &scene.volume_path()] {
-        if arguments::same_file(&arguments.output, read) {
-            return Err(Error::value(format!("--output {}", arguments.output.display()), "is a file that is read; choose another name"));
-        }
-    }
+    let read = arguments::read_by(&scene);
+    arguments::protect("--output", &arguments.output, read.iter().map(PathBuf::as_path).chain([arguments.input.as_path()]))?;
     if arguments.fill.is_some_and(|f| !f.is_finite()) {
         return Err(Error::value("--fill", "must be a finite number"));
     }

@@ -88,9 +88,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     };
     let format = Format::of(path)?;
     let input = Path::new(what);
-    if arguments::same_file(input, path) {
-        return Err(Error::value(format!("--output {}", path.display()), "is the file that is read; choose another name"));
-    }
+    arguments::protect("--output", path, arguments.volume.as_deref().into_iter().chain([input]))?;
     if let Some(n) = arguments.resolution.filter(|n| !(8..=512).contains(n)) {
         return Err(Error::value("--resolution", format!("{n} is outside 8 to 512 points")));
     }
@@ -109,6 +107,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             None => Scene::of_volume("phantom:ball:size=8"),
         };
         scene.deformation = vec![arguments::deformation(what)?];
+        arguments::protect("--output", path, arguments::read_by(&scene).iter().map(PathBuf::as_path))?;
         if scene.deformation[0].resolution.is_none() && arguments.resolution.is_some() {
             scene.deformation[0].resolution = arguments.resolution;
         }
@@ -221,6 +220,15 @@ fn saved_map(path: &Path) -> Result<Option<PlacedMap>> {
 
 fn run_check(arguments: &CheckArguments) -> Result<()> {
     let path = &arguments.file;
+    let read = || arguments.volume.as_deref().into_iter().chain([path.as_path()]);
+    for (option, written) in [("--csv", &arguments.csv), ("--picture", &arguments.picture)] {
+        if let Some(written) = written {
+            arguments::protect(option, written, read())?;
+        }
+    }
+    if let (Some(csv), Some(picture)) = (&arguments.csv, &arguments.picture) {
+        arguments::protect("--picture", picture, [csv.as_path()])?;
+    }
     let csv = arguments.csv.as_deref().map(Output::create).transpose()?;
     let picture = arguments.picture.as_deref().map(Output::create).transpose()?;
     let (examined, warnings) = match saved_map(path)? {

@@ -41,7 +41,7 @@ enum ProjectionName {
 /// Options as typed.
 #[derive(Args)]
 pub struct Arguments {
-    /// A scene (.toml), a volume (.nii, .nii.gz) or phantom:NAME[:size=N].
+    /// A scene (.toml), a volume (.nii, .nii.gz, .nrrd, .mha) or phantom:NAME[:size=N].
     input: PathBuf,
     /// The picture to write (.png).
     #[arg(short, long, value_name = "OUT.png")]
@@ -200,12 +200,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 
 /// Nothing is ever written to a file that is read, nor two things to one file.
 fn protect_inputs(arguments: &Arguments, scene: &Scene) -> Result<()> {
-    let volume = scene.volume_path();
+    let read = arguments::read_by(scene);
     let written = [Some(("--output", &arguments.output)), arguments.stats.as_ref().map(|s| ("--stats", s))];
     for (option, path) in written.into_iter().flatten() {
-        if arguments::same_file(path, &arguments.input) || arguments::same_file(path, &volume) {
-            return Err(Error::value(format!("{option} {}", path.display()), "is a file that is read; choose another name"));
-        }
+        arguments::protect(option, path, read.iter().map(PathBuf::as_path).chain([arguments.input.as_path()]))?;
     }
     if arguments.stats.as_ref().is_some_and(|s| arguments::same_file(s, &arguments.output)) {
         return Err(Error::value("--stats", "names the same file as --output; choose another name"));

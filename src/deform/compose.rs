@@ -156,8 +156,8 @@ fn error(mapping: &Mapping, placed: &PlacedMap) -> (f32, f32) {
     (above.iter().fold(p99, |a, b| a.max(*b)), p99)
 }
 
-/// A transform as the maps of a stack, first applied first, without loss: a field keeps its own grid, an affine needs eight texels. (A stack's
-/// last map is the first that a deformed point goes through.)
+/// A transform as the maps of a stack, first applied first: a field keeps its own grid, an affine needs eight texels, B-splines are sampled at
+/// least four times per control point. (A stack's last map is the first that a deformed point goes through.)
 ///
 /// Where that cannot be done (a field of too many points, a strength other than 1 of several steps, a resolution that is asked for) the whole is
 /// sampled into one map ([`transform`]).
@@ -199,15 +199,20 @@ pub fn transform_maps(
             }
             Step::Affine(m) => self::transform(&Transform::affine(*m), &bounds, strength, None, storage)?.placed,
         });
-        bounds = bounds.union(&before(step, &bounds));
+        bounds = bounds.union(&before(step, &bounds, strength));
     }
     Ok(maps)
 }
 
 /// The box in which matter of a box can be seen before a step of a chain.
-fn before(step: &Step, bounds: &Bounds) -> Bounds {
+fn before(step: &Step, bounds: &Bounds, strength: f32) -> Bounds {
     match step {
-        Step::Affine(m) => bounds.transformed(&to_f32(&m.inverse())),
+        Step::Affine(m) => {
+            // Part of the way to an affine is one of its own, whose inverse may reach further than the whole's.
+            let t = f64::from(strength);
+            let part = glam::DAffine3 { matrix3: glam::DMat3::IDENTITY * (1.0 - t) + m.matrix3 * t, translation: m.translation * t };
+            bounds.transformed(&to_f32(&part.inverse()))
+        }
         Step::Field(v) => bounds.grown(v.vectors.par_iter().map(|d| d.length()).reduce(|| 0.0, f32::max)),
         Step::BSpline(b) => bounds.grown(b.coefficients.iter().map(|d| d.length()).fold(0.0, f32::max)),
     }
@@ -229,7 +234,13 @@ pub fn transform(transform: &Transform, scene_box: &Bounds, strength: f32, resol
     // Backwards through the chain: where the scene's matter can be seen.
     let mut bounds = *scene_box;
     for step in transform.steps.iter().rev() {
-        bounds = before(step, &bounds);
+        bounds = before(step, &bounds, strength);
+    }
+    if !(bounds.min.is_finite() && bounds.max.is_finite()) {
+        return Err(crate::Error::value(
+            "progress",
+            format!("{strength} of the way to this transform everything falls into a plane; choose another strength"),
+        ));
     }
     let bounds = bounds.union(scene_box);
     let bounds = bounds.grown(0.01 * bounds.size().max_element());

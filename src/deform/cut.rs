@@ -99,7 +99,7 @@ pub struct Kept {
     pub share: f32,
 }
 
-/// Bisections after the secant: three halve a secant's error on a curved surface often enough.
+/// Steps of regula falsi: a plane needs one, a curved surface within a step of the ray few more.
 const ROOT_STEPS: u32 = 4;
 
 impl Cuts {
@@ -184,7 +184,7 @@ impl Cuts {
 }
 
 /// Where a function changes its sign between `kept` (where it is not negative) and `cut` (where it is): regula falsi, which finds a plane in
-/// one step, then bisection.
+/// one step.
 #[inline(always)]
 fn root(f: &impl Fn(f32) -> f32, mut kept: f32, mut at_kept: f32, mut cut: f32, mut at_cut: f32) -> f32 {
     for _ in 0..ROOT_STEPS {

@@ -79,6 +79,8 @@ pub struct Solver {
     direction: Vec<DVec3>,
     /// Size of the unbalanced forces at the start.
     start: f64,
+    /// Nodes that each grab holds.
+    caught: Vec<usize>,
 }
 
 fn dot(a: &[DVec3], b: &[DVec3]) -> f64 {
@@ -95,15 +97,31 @@ impl Solver {
         let count = nx * ny * nz;
         let mut displacement = vec![DVec3::ZERO; count];
         let mut free = vec![true; count];
+        let mut caught = vec![0usize; setup.grabs.len()];
         for n in 0..count {
             let (c, p) = (at(n), place(n));
             let on_face = (0..3).any(|a| c[a] == 0 || c[a] + 1 == setup.nodes[a]);
             free[n] = !on_face && !setup.fixed.iter().any(|(center, radius)| p.distance(*center) <= *radius);
-            if let Some(g) = setup.grabs.iter().find(|g| p.distance(g.center) <= g.radius)
+            if let Some(g) = setup.grabs.iter().position(|g| p.distance(g.center) <= g.radius)
                 && free[n]
             {
                 free[n] = false;
-                displacement[n] = g.offset.as_dvec3();
+                displacement[n] = setup.grabs[g].offset.as_dvec3();
+                caught[g] += 1;
+            }
+        }
+        // A place smaller than a cell holds the node that is nearest, if one is within a cell.
+        for (g, grab) in setup.grabs.iter().enumerate() {
+            if caught[g] > 0 {
+                continue;
+            }
+            let nearest = (0..count)
+                .filter(|n| free[*n])
+                .min_by(|a, b| place(*a).distance_squared(grab.center).total_cmp(&place(*b).distance_squared(grab.center)));
+            if let Some(n) = nearest.filter(|n| (place(*n) - grab.center).abs().cmple(step).all()) {
+                free[n] = false;
+                displacement[n] = grab.offset.as_dvec3();
+                caught[g] = 1;
             }
         }
         let crosses = |a: Vec3, b: Vec3| {
@@ -142,6 +160,7 @@ impl Solver {
             unbalanced: Vec::new(),
             direction: Vec::new(),
             start: 0.0,
+            caught,
         };
         solver.unbalanced = solver.forces(&solver.displacement);
         solver.direction = solver.unbalanced.clone();
@@ -223,6 +242,11 @@ impl Solver {
             sum += self.displacement[n] * (weight(a, f.x) * weight(b, f.y) * weight(c, f.z));
         }
         sum
+    }
+
+    /// Nodes that each grab holds.
+    pub fn caught(&self) -> &[usize] {
+        &self.caught
     }
 
     /// The cuts.

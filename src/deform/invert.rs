@@ -146,7 +146,10 @@ impl Inverse {
     /// A placement that cannot be used.
     pub fn placed(&self, storage: Storage, strength: f32) -> Result<PlacedMap> {
         let placement = placement_of(&self.field.grid)?;
-        Ok(sampled_grid(&self.field, Some(&self.found), &placement, storage, strength))
+        let mut placed = sampled_grid(&self.field, Some(&self.found), &placement, storage, strength);
+        // As the field that was inverted, to the faces of its outermost voxels.
+        placed.reach = Vec3::from(self.field.grid.size.map(|n| if n > 1 { 0.5 / (n - 1) as f32 } else { 0.0 }));
+        Ok(placed)
     }
 }
 
@@ -200,10 +203,14 @@ pub fn transform(transform: &Transform, scene_box: &Bounds, resolution: Option<u
         return Ok(field(f));
     }
     let mut bounds = *scene_box;
-    for corner in scene_box.corners() {
-        let p = transform.source_from_deformed(corner.as_dvec3()).as_vec3();
-        bounds = bounds.union(&Bounds::new(p, p));
+    for step in &transform.steps {
+        bounds = match step {
+            Step::Affine(m) => bounds.transformed(&crate::math::to_f32(m)),
+            Step::Field(v) => bounds.grown(v.vectors.par_iter().map(|d| d.length()).reduce(|| 0.0, f32::max)),
+            Step::BSpline(b) => bounds.grown(b.coefficients.iter().map(|d| d.length()).fold(0.0, f32::max)),
+        };
     }
+    let bounds = bounds.union(scene_box);
     let bounds = bounds.grown(0.02 * bounds.size().max_element());
     let longest = f64::from(bounds.size().max_element());
     let spacing = transform.grid().map_or(longest / 64.0, |g| {

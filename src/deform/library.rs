@@ -181,7 +181,7 @@ impl Library {
 fn some_labels(volume: &Volume) -> String {
     let mut seen = std::collections::BTreeSet::new();
     for n in 0..volume.voxels.len() {
-        let v = volume.voxels.get(n);
+        let v = volume.voxels.get(n) * volume.rescale.slope + volume.rescale.intercept;
         if v > 0.0 && v.fract() == 0.0 && v <= 65_535.0 {
             seen.insert(v as u32);
         }

@@ -70,14 +70,14 @@ impl Interpolant {
                         format!("pair {} ends at {} as another one does, but they begin at {} and {}; remove one", n + 1, p.to, k.from, p.from),
                     ));
                 }
+                None if kept.len() == MOST_PAIRS => {
+                    return Err(Error::value("pairs", format!("are more than {MOST_PAIRS}, the most that can be interpolated")));
+                }
                 None => kept.push(*p),
             }
         }
         if kept.is_empty() {
             return Err(Error::value("pairs", "are missing; give at least one pair of points"));
-        }
-        if kept.len() > MOST_PAIRS {
-            return Err(Error::value("pairs", format!("are {}; at most {MOST_PAIRS} can be interpolated", kept.len())));
         }
         let points: Vec<DVec3> = kept.iter().map(|p| p.to).collect();
         let values: Vec<DVec3> = kept.iter().map(|p| p.from - p.to).collect();

@@ -111,12 +111,17 @@ impl Stored<'_> {
     }
 
     fn weighted<const N: usize>(&self, c: [i64; 3], first: i64, w: &[[f64; N]; 3]) -> f64 {
+        // A voxel that counts for nothing must not spread its NaN.
+        const NOTHING: f64 = 1e-9;
         let mut sum = 0.0;
         for (k, wz) in w[2].iter().enumerate() {
             for (j, wy) in w[1].iter().enumerate() {
+                if wz.abs() < NOTHING || wy.abs() < NOTHING {
+                    continue;
+                }
                 let mut row = 0.0;
                 for (i, wx) in w[0].iter().enumerate() {
-                    if *wx != 0.0 {
+                    if wx.abs() >= NOTHING {
                         row += wx * self.at([c[0] + first + i as i64, c[1] + first + j as i64, c[2] + first + k as i64]);
                     }
                 }

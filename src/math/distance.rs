@@ -98,9 +98,23 @@ impl Envelope {
     }
 }
 
+/// Face neighbours of a grid point.
+fn neighbours(n: usize, [nx, ny, nz]: [usize; 3]) -> impl Iterator<Item = usize> {
+    let (i, j, k) = (n % nx, n / nx % ny, n / (nx * ny));
+    [
+        (i > 0).then(|| n - 1),
+        (i + 1 < nx).then(|| n + 1),
+        (j > 0).then(|| n - nx),
+        (j + 1 < ny).then(|| n + nx),
+        (k > 0).then(|| n - nx * ny),
+        (k + 1 < nz).then(|| n + nx * ny),
+    ]
+    .into_iter()
+    .flatten()
+}
+
 /// The points of `mask` connected (across faces) to any of `seeds`.
 pub fn connected(mask: &[bool], size: [usize; 3], seeds: impl IntoIterator<Item = usize>) -> Vec<bool> {
-    let [nx, ny, nz] = size;
     let mut reached = vec![false; mask.len()];
     let mut open: Vec<usize> = Vec::new();
     for s in seeds {
@@ -110,16 +124,7 @@ pub fn connected(mask: &[bool], size: [usize; 3], seeds: impl IntoIterator<Item 
         }
     }
     while let Some(n) = open.pop() {
-        let (i, j, k) = (n % nx, n / nx % ny, n / (nx * ny));
-        let neighbours = [
-            (i > 0).then(|| n - 1),
-            (i + 1 < nx).then(|| n + 1),
-            (j > 0).then(|| n - nx),
-            (j + 1 < ny).then(|| n + nx),
-            (k > 0).then(|| n - nx * ny),
-            (k + 1 < nz).then(|| n + nx * ny),
-        ];
-        for m in neighbours.into_iter().flatten() {
+        for m in neighbours(n, size) {
             if mask[m] && !reached[m] {
                 reached[m] = true;
                 open.push(m);
@@ -129,24 +134,33 @@ pub fn connected(mask: &[bool], size: [usize; 3], seeds: impl IntoIterator<Item 
     reached
 }
 
-/// The largest connected part of a mask.
+/// The largest connected part of a mask, by one pass that numbers all parts.
 pub fn largest_part(mask: &[bool], size: [usize; 3]) -> Vec<bool> {
-    let mut rest = mask.to_vec();
-    let (mut best, mut most) = (vec![false; mask.len()], 0);
-    let mut left = mask.iter().filter(|m| **m).count();
-    let mut next = 0;
-    while left > most {
-        let Some(seed) = (next..rest.len()).find(|&n| rest[n]) else { break };
-        next = seed + 1;
-        let part = connected(&rest, size, [seed]);
-        let count = part.iter().filter(|p| **p).count();
-        rest.iter_mut().zip(&part).for_each(|(r, p)| *r &= !p);
-        left -= count;
+    let mut part = vec![0u32; mask.len()];
+    let (mut last, mut best, mut most) = (0u32, 0u32, 0usize);
+    let mut open = Vec::new();
+    for seed in 0..mask.len() {
+        if !mask[seed] || part[seed] != 0 {
+            continue;
+        }
+        last += 1;
+        part[seed] = last;
+        open.push(seed);
+        let mut count = 0;
+        while let Some(n) = open.pop() {
+            count += 1;
+            for m in neighbours(n, size) {
+                if mask[m] && part[m] == 0 {
+                    part[m] = last;
+                    open.push(m);
+                }
+            }
+        }
         if count > most {
-            (best, most) = (part, count);
+            (best, most) = (last, count);
         }
     }
-    best
+    part.into_iter().map(|p| p != 0 && p == best).collect()
 }
 
 #[cfg(test)]

@@ -83,10 +83,14 @@ pub fn stack(deformations: &[Deformation], making: &Making, more: Vec<PlacedMap>
     let mut maps = Vec::new();
     for d in &enabled[..first_cut] {
         if let Some(name) = CUT_ONLY.iter().find(|n| kinds::kind(&d.kind).is_ok_and(|k| k.shape.is_some()) && d.parameters.0.contains_key(**n)) {
-            return Err(Error::value(
-                format!("{}: {name}", d.kind),
-                format!("needs the cut to come after every deformation that moves matter, and at most {MAX_CUTS} cuts in all; move it to the end"),
-            ));
+            let problem = if !making.exact_cuts {
+                "needs cuts to be shapes, which they are not here (render.exact_cuts is false, or a map is being made)".to_owned()
+            } else if is_exact(d) {
+                format!("needs the cut to come after every deformation that moves matter, and at most {MAX_CUTS} cuts in all; move it to the end")
+            } else {
+                "does not go with matrix, add, spare or mapping".to_owned()
+            };
+            return Err(Error::value(format!("{}: {name}", d.kind), problem));
         }
         maps.extend(place(d, making)?);
     }
@@ -108,18 +112,26 @@ fn is_exact(deformation: &Deformation) -> bool {
 /// Removals as shapes, the members of each group together.
 fn cuts(deformations: &[&Deformation], making: &Making) -> Result<Cuts> {
     let mut named: Vec<(Option<String>, Primitive)> = Vec::new();
+    // Members without strength: empty shapes, with which an intersection is empty.
+    let mut vanished: Vec<(String, bool)> = Vec::new();
     for d in deformations {
         let kind = kinds::kind(&d.kind)?;
         let in_kind = |e: Error| match e {
             Error::Value { name, problem } if !name.starts_with(kind.name) => Error::value(format!("{}: {name}", kind.name), problem),
             other => other,
         };
-        let (group, primitive) = primitive(d, kind, making).map_err(in_kind)?;
-        let Some(primitive) = primitive else { continue };
+        let (group, and, primitive) = primitive(d, kind, making).map_err(in_kind)?;
+        let Some(primitive) = primitive else {
+            vanished.extend(group.map(|g| (g, and)));
+            continue;
+        };
         // After the last member of its group, if it has one.
         let at = named.iter().rposition(|(g, _)| g.is_some() && *g == group).map_or(named.len(), |n| n + 1);
         named.insert(at, (group, primitive));
     }
+    let says_and = |g: &str| vanished.iter().any(|(v, a)| v == g && *a) || named.iter().any(|(n, p)| n.as_deref() == Some(g) && p.and);
+    let gone: Vec<String> = vanished.iter().map(|(g, _)| g.clone()).filter(|g| says_and(g)).collect();
+    named.retain(|(g, _)| g.as_ref().is_none_or(|g| !gone.contains(g)));
     for n in 1..named.len() {
         named[n].1.joined = named[n].0.is_some() && named[n].0 == named[n - 1].0;
     }
@@ -131,8 +143,8 @@ fn cuts(deformations: &[&Deformation], making: &Making) -> Result<Cuts> {
     Ok(Cuts::new(named.into_iter().map(|(_, p)| p).collect()))
 }
 
-/// A removal as a shape, and its group; no shape if its strength is 0.
-fn primitive(d: &Deformation, kind: &Kind, making: &Making) -> Result<(Option<String>, Option<Primitive>)> {
+/// A removal's group, whether that is an intersection, and its shape; no shape if its strength is 0.
+fn primitive(d: &Deformation, kind: &Kind, making: &Making) -> Result<(Option<String>, bool, Option<Primitive>)> {
     let placement = kind_placement(d, kind, making)?;
     let size_mm = placement.size_mm();
     let progress = progress(d)?;
@@ -144,7 +156,7 @@ fn primitive(d: &Deformation, kind: &Kind, making: &Making) -> Result<(Option<St
         let local_from_map = Affine3A::from_scale(size_mm) * Affine3A::from_translation(Vec3::splat(-0.5));
         Primitive { shape, local_from_world: local_from_map * placement.map_from_world, half, half_angle, inverted, joined: false, and }
     });
-    Ok((group, shape))
+    Ok((group, and, shape))
 }
 
 /// Where a kind's box lies.
@@ -240,7 +252,8 @@ fn place_kind(deformation: &Deformation, making: &Making) -> Result<PlacedMap> {
     let size_mm = placement.size_mm();
     let progress = progress(deformation)?;
     // At most 2^24 texels: 128 MiB in half precision.
-    let finest = if kind.varies == [true; 3] { 256 } else { 512 };
+    let varies_all = kind.varies == [true; 3] || kinds::vary_everywhere(&deformation.parameters);
+    let finest = if varies_all { 256 } else { 512 };
     if let Some(n) = deformation.resolution.filter(|n| !(8..=finest).contains(n)) {
         return Err(Error::value("resolution", format!("{n} is outside 8 to {finest} texels")));
     }
@@ -310,6 +323,11 @@ fn place_map(deformation: &Deformation, making: &Making) -> Result<PlacedMap> {
     let (own_center, own_size) = (saved.placement.world_from_map.transform_point3(Vec3::splat(0.5)), saved.placement.size_mm());
     let mut stated = deformation.clone();
     stated.center.get_or_insert(own_center.into());
+    if stated.size.is_none() && stated.rotate.is_none() && stated.matrix.is_none() {
+        // Only moved: it keeps its own axes.
+        let shift = Affine3A::from_translation(Vec3::from(stated.center.unwrap_or_default()) - own_center);
+        return Ok(PlacedMap::new(saved.map.clone(), Placement::from_affine(shift * saved.placement.world_from_map)?));
+    }
     let placement = stated_placement(&stated, making, || own_size, false)?;
     let map: Arc<DisplacementMap> = saved.map.clone();
     Ok(PlacedMap::new(map, placement))

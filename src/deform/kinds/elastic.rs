@@ -102,6 +102,10 @@ fn build(c: &Context, inputs: &Inputs) -> Result<Box<dyn Field>> {
     let count = c.values[0].round();
     let nodes = c.size_mm.to_array().map(|s| ((s / longest * count).round() as usize).max(4));
     let mut solver = Solver::new(&Setup { size_mm: c.size_mm, nodes, grabs: &grabs, fixed: &fixed, incisions: &incisions, stiffness: &stiffness });
+    if let Some(n) = solver.caught().iter().position(|c| *c == 0) {
+        let problem = format!("place {} holds no node of the lattice; give a larger radius, or a place inside the box", n + 1);
+        return Err(Error::value("grab", problem));
+    }
     if c.progress > 0.0 {
         let steps = solver.settle(MOST_STEPS, RESIDUAL);
         inputs.library.notice(format!(

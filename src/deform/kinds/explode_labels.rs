@@ -78,7 +78,7 @@ fn middle(volume: &Volume, label: usize) -> DVec3 {
     let [nx, ny, _] = volume.size;
     let (mut sum, mut count) = (DVec3::ZERO, 0.0);
     for n in 0..volume.voxels.len() {
-        if volume.voxels.get(n) == label as f64 {
+        if volume.value(n % nx, n / nx % ny, n / (nx * ny)) == label as f64 {
             sum += DVec3::new((n % nx) as f64, (n / nx % ny) as f64, (n / (nx * ny)) as f64);
             count += 1.0;
         }

@@ -32,6 +32,8 @@ mod taper;
 mod twist;
 mod wave;
 
+pub use modifiers::vary_everywhere;
+
 use super::cut::Shape;
 use super::{Argument, Arguments, DisplacementMap, Library, Storage, TexelSample};
 use crate::error::suggestion;

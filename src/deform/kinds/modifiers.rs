@@ -17,7 +17,7 @@ pub(super) const SETTINGS: &[Setting] = &[
 ];
 
 /// Whether the settings make a map vary along all axes.
-pub(super) fn vary_everywhere(settings: &Arguments) -> bool {
+pub fn vary_everywhere(settings: &Arguments) -> bool {
     settings.0.contains_key("spare") || settings.0.contains_key("mapping")
 }
 

@@ -52,7 +52,7 @@ impl BSplineGrid {
     /// A grid fine enough to sample the splines on, over the region where all their coefficients are there.
     pub fn fine_grid(&self) -> GridGeometry {
         let spans = self.grid.size.map(|n| n.saturating_sub(3).max(1));
-        let refine = spans.map(|n| (192.0 / n as f64).clamp(1.0, 32.0).floor());
+        let refine = spans.map(|n| (192.0 / n as f64).clamp(4.0, 32.0).floor());
         let scale = DVec3::from_array(refine.map(f64::recip));
         GridGeometry {
             size: std::array::from_fn(|a| spans[a] * refine[a] as usize + 1),

@@ -106,7 +106,7 @@ fn step(path: &Path, entry: &Entry) -> Result<Step> {
     if !rest.is_empty() && !rest.ends_with("_3_3") && !rest.ends_with("_3") {
         return Err(Error::file(path, format!("holds a {}, which is not three-dimensional", entry.kind)));
     }
-    Ok(match name {
+    let made = match name {
         "IdentityTransform" => Step::Affine(DAffine3::IDENTITY),
         "AffineTransform" | "MatrixOffsetTransformBase" => {
             needs(12, 3)?;
@@ -136,6 +136,9 @@ fn step(path: &Path, entry: &Entry) -> Result<Step> {
         }
         "BSplineTransform" => {
             let grid = grid(path, f)?;
+            if grid.size.iter().any(|&n| n < 4) {
+                return Err(Error::file(path, format!("has a B-spline grid of {:?} points; cubic splines need 4 along each axis", grid.size)));
+            }
             let n = grid.size.iter().product::<usize>();
             needs(3 * n, 18)?;
             // All x, then all y, then all z.
@@ -152,7 +155,13 @@ fn step(path: &Path, entry: &Entry) -> Result<Step> {
             Step::Field(VectorField::new(grid, vectors))
         }
         _ => return Err(Error::file(path, format!("holds a {}, which cannot be read; save it as an affine or a displacement field", entry.kind))),
-    })
+    };
+    if let Step::Affine(m) = &made
+        && !(m.is_finite() && m.matrix3.determinant().abs() > 1e-9)
+    {
+        return Err(Error::file(path, format!("holds a {name} with a singular matrix")));
+    }
+    Ok(made)
 }
 
 /// Reads a MATLAB level 4 file, if it is one: ANTs' `0GenericAffine.mat`.

@@ -9,7 +9,7 @@ use crate::{Error, Result};
 use flate2::read::MultiGzDecoder;
 use glam::{DAffine3, DMat3, DVec3};
 use std::collections::HashMap;
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
 /// Longest header that is read: a file without an empty line is no NRRD.
@@ -81,9 +81,12 @@ pub fn read(path: &Path, progress: &mut dyn FnMut(u64, u64)) -> Result<Image> {
             if bytes > file_bytes {
                 return Err(fail(format!("declares {bytes} bytes of values, more than the file holds: it is truncated or its header is damaged")));
             }
-            let skip = if skip < 0 { file_bytes.saturating_sub(bytes) } else { skip as u64 };
-            std::io::copy(&mut (&mut reader).take(if data.is_some() || fields.contains_key("byte skip") { skip } else { 0 }), &mut std::io::sink())
-                .map_err(|e| read_error(path, e))?;
+            if skip < 0 {
+                // From the file's end.
+                reader.seek(SeekFrom::End(-(bytes as i64))).map_err(|e| read_error(path, e))?;
+            } else {
+                std::io::copy(&mut (&mut reader).take(skip as u64), &mut std::io::sink()).map_err(|e| read_error(path, e))?;
+            }
             Source { path, reader, swap, count, progress }.read_as(scalar)?
         }
         "gzip" | "gz" => {
@@ -96,7 +99,7 @@ pub fn read(path: &Path, progress: &mut dyn FnMut(u64, u64)) -> Result<Image> {
         }
         "ascii" | "text" | "txt" => {
             let mut text = String::new();
-            reader.take(count as u64 * 64 + 1024).read_to_string(&mut text).map_err(|e| read_error(path, e))?;
+            reader.take((count as u64).saturating_mul(64).saturating_add(1024)).read_to_string(&mut text).map_err(|e| read_error(path, e))?;
             let values: Vec<f64> = text.split_ascii_whitespace().take(count).map_while(|w| w.parse().ok()).collect();
             if values.len() < count {
                 return Err(fail(format!("holds {} values of {count}: it is truncated or no text", values.len())));
@@ -174,9 +177,8 @@ fn component_axis(fields: &HashMap<String, String>, axes: usize) -> Result<Optio
         let spatial = |k: &str| matches!(k, "domain" | "space" | "???" | "none");
         kinds.split_whitespace().enumerate().filter(|(_, k)| !spatial(k)).map(|(a, _)| a).collect()
     });
-    let by_direction: Vec<usize> = fields
-        .get("space directions")
-        .map_or(Vec::new(), |d| d.split_whitespace().enumerate().filter(|(_, d)| *d == "none").map(|(a, _)| a).collect());
+    let by_direction: Vec<usize> =
+        fields.get("space directions").map_or(Vec::new(), |d| words(d).iter().enumerate().filter(|(_, d)| *d == "none").map(|(a, _)| a).collect());
     let found = if by_direction.is_empty() { by_kind } else { by_direction };
     match found[..] {
         [] if axes == 4 => Err("has four axes and does not say which holds the components (kinds, or \"none\" in space directions)".into()),
