@@ -135,13 +135,14 @@ fn march<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, u: f32, v: f32, stats
             }
             continue;
         }
-        if at.present && scene.grey_faces() {
-            if let Some(grey) = shading::grey_face(scene, sampler, &at, deformed, direction, step) {
-                color += Vec3::splat(grey * transmittance);
-                transmittance = 0.0;
-                stats.samples_terminated += (end - i).max(0) as u64;
-                break;
-            }
+        if at.present
+            && scene.grey_faces()
+            && let Some(grey) = shading::grey_face(scene, sampler, &at, deformed, direction, step)
+        {
+            color += Vec3::splat(grey * transmittance);
+            transmittance = 0.0;
+            stats.samples_terminated += (end - i).max(0) as u64;
+            break;
         }
         if let Some(iso) = scene.iso {
             if at.present && at.value >= iso {

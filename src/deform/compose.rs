@@ -45,14 +45,17 @@ fn cubes(stack: &Stack) -> Option<Bounds> {
     stack.maps().iter().map(PlacedMap::bounds_in_world).reduce(|a, b| a.union(&b))
 }
 
-/// Evaluates a stack at many points: source and smallest mask of each. The CPU's own, or a device's.
-pub type Evaluate<'a> = &'a dyn Fn(&Stack, &[Vec3]) -> Result<Vec<(Vec3, f32)>>;
+/// Source and smallest mask of each of many points.
+pub type Sources = Vec<(Vec3, f32)>;
+
+/// Evaluates a stack at many points. The CPU's own, or a device's.
+pub type Evaluate<'a> = &'a dyn Fn(&Stack, &[Vec3]) -> Result<Sources>;
 
 /// The stack at many points, on all cores.
 ///
 /// # Errors
 /// None.
-pub fn evaluate(stack: &Stack, points: &[Vec3]) -> Result<Vec<(Vec3, f32)>> {
+pub fn evaluate(stack: &Stack, points: &[Vec3]) -> Result<Sources> {
     Ok(points.par_iter().map(|p| stack.walk_through(*p)).collect())
 }
 
@@ -60,7 +63,7 @@ pub fn evaluate(stack: &Stack, points: &[Vec3]) -> Result<Vec<(Vec3, f32)>> {
 struct Mapping<'a> {
     source_and_alpha: &'a (dyn Fn(Vec3) -> (Vec3, f32) + Sync),
     /// The same for all points of a grid at once.
-    many: &'a dyn Fn(&[Vec3]) -> Result<Vec<(Vec3, f32)>>,
+    many: &'a dyn Fn(&[Vec3]) -> Result<Sources>,
     scene_box: Bounds,
 }
 

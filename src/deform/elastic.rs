@@ -193,9 +193,11 @@ impl Solver {
             return;
         }
         let length = before / curvature;
-        for n in 0..self.displacement.len() {
-            self.displacement[n] += self.direction[n] * length;
-            self.unbalanced[n] += made[n] * length;
+        for (u, d) in self.displacement.iter_mut().zip(&self.direction) {
+            *u += *d * length;
+        }
+        for (r, m) in self.unbalanced.iter_mut().zip(&made) {
+            *r += *m * length;
         }
         let share = dot(&self.unbalanced, &self.unbalanced) / before;
         for (d, r) in self.direction.iter_mut().zip(&self.unbalanced) {

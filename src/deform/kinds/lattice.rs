@@ -128,8 +128,8 @@ impl Lattice {
             for j in 0..span[1].1 {
                 let row = ((span[2].0 + k) * self.size[1] + span[1].0 + j) * self.size[0] + span[0].0;
                 let wkj = w[2][k] * w[1][j];
-                for i in 0..span[0].1 {
-                    sum += self.offsets[row + i] * (wkj * w[0][i]);
+                for (offset, wi) in self.offsets[row..row + span[0].1].iter().zip(&w[0]) {
+                    sum += *offset * (wkj * wi);
                 }
             }
         }

@@ -47,12 +47,15 @@ fn fsl(path: &Path, v: &[f64], context: &Context) -> Result<Transform> {
     Ok(Transform::affine(source_from_deformed))
 }
 
+/// `name = numbers` lines.
+type Fields = Vec<(String, Vec<f64>)>;
+
 /// FreeSurfer's linear transform array, `LINEAR_VOX_TO_VOX` or `LINEAR_RAS_TO_RAS`.
 fn lta(path: &Path, text: &str) -> Result<Transform> {
     let fail = |problem: String| Error::file(path, problem);
     let mut kind = None;
     let mut rows: Vec<[f64; 4]> = Vec::new();
-    let mut volumes: [Option<Vec<(String, Vec<f64>)>>; 2] = [None, None];
+    let mut volumes: [Option<Fields>; 2] = [None, None];
     let mut current: Option<usize> = None;
     for line in text.lines() {
         let line = line.split('#').next().unwrap_or("").trim();

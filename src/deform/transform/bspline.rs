@@ -39,10 +39,11 @@ impl BSplineGrid {
         let (wx, wy, wz) = (cubic_weights(f.x), cubic_weights(f.y), cubic_weights(f.z));
         let (i, j, k) = (first.x as usize - 1, first.y as usize - 1, first.z as usize - 1);
         let mut sum = DVec3::ZERO;
-        for c in 0..4 {
-            for b in 0..4 {
-                for a in 0..4 {
-                    sum += self.coefficients[((k + c) * ny + j + b) * nx + i + a].as_dvec3() * (wx[a] * wy[b] * wz[c]);
+        for (c, wz) in wz.iter().enumerate() {
+            for (b, wy) in wy.iter().enumerate() {
+                let row = ((k + c) * ny + j + b) * nx + i;
+                for (coefficient, wx) in self.coefficients[row..row + 4].iter().zip(&wx) {
+                    sum += coefficient.as_dvec3() * (wx * wy * wz);
                 }
             }
         }
