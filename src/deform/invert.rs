@@ -17,7 +17,7 @@ use glam::{DAffine3, DMat3, DVec3, Vec3};
 use rayon::prelude::*;
 
 /// A point counts as found when the residual is below this share of a voxel.
-const TOLERANCE_VOXELS: f64 = 1e-3;
+const TOLERANCE_VOXELS: f64 = 1e-4;
 const FIXED_POINT_STEPS: u32 = 20;
 const NEWTON_STEPS: u32 = 12;
 
