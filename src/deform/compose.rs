@@ -297,12 +297,10 @@ pub fn sampled_grid(
 ) -> PlacedMap {
     let size = field.grid.size;
     let map_from_world = Mat3::from(placement.map_from_world.matrix3);
-    let top = Vec3::from(size.map(|n| n.saturating_sub(1) as f32));
-    let map = DisplacementMap::from_fn(size, storage, |x| {
-        let at = (x * top).round();
-        let n = (at.z as usize * size[1] + at.y as usize) * size[0] + at.x as usize;
-        let alpha = if seen.is_none_or(|s| s[n]) { 1.0 } else { 0.0 };
-        TexelSample { displacement: map_from_world * field.vectors[n] * strength, alpha }
-    });
+    let sample = |n: usize| TexelSample {
+        displacement: map_from_world * field.vectors[n] * strength,
+        alpha: if seen.is_none_or(|s| s[n]) { 1.0 } else { 0.0 },
+    };
+    let map = DisplacementMap::from_samples(size, storage, (0..field.vectors.len()).map(sample).collect());
     PlacedMap::new(Arc::new(map), *placement)
 }

@@ -32,13 +32,13 @@ pub fn read(path: &Path, storage: Storage, strength: f32) -> Result<PlacedMap> {
     let placement = placement_of(&grid)?;
     let map_from_world = Mat3::from(placement.map_from_world.matrix3);
     let channels: [Vec<f32>; 4] = std::array::from_fn(|c| image.component(c));
-    let top = Vec3::from(image.size.map(|n| n.saturating_sub(1) as f32));
-    let map = DisplacementMap::from_fn(image.size, storage, |x| {
-        let at = (x * top).round();
-        let n = (at.z as usize * image.size[1] + at.y as usize) * image.size[0] + at.x as usize;
-        let world = Vec3::new(channels[0][n], channels[1][n], channels[2][n]);
-        TexelSample { displacement: map_from_world * world * strength, alpha: 1.0 - (1.0 - channels[3][n]) * if strength > 0.0 { 1.0 } else { 0.0 } }
-    });
+    let [x, y, z, alpha] = &channels;
+    let sample = |n: usize| TexelSample {
+        displacement: map_from_world * Vec3::new(x[n], y[n], z[n]) * strength,
+        // Without strength nothing is cut either.
+        alpha: if strength > 0.0 { alpha[n] } else { 1.0 },
+    };
+    let map = DisplacementMap::from_samples(image.size, storage, (0..x.len()).map(sample).collect());
     Ok(PlacedMap::new(Arc::new(map), placement))
 }
 
