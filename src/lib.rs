@@ -30,6 +30,7 @@ pub mod export;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 pub mod math;
+pub mod mesh;
 #[cfg(feature = "gpu")]
 pub mod render;
 pub mod scene;

@@ -5,7 +5,7 @@ use crate::scene::Scene;
 use crate::scene::deformations::FILE_KINDS;
 use crate::transfer;
 use crate::volume::{Volume, load, phantom};
-use crate::{Error, Result};
+use crate::{Result, mesh};
 use clap::Args;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 /// Options as typed.
 #[derive(Args)]
 pub struct Arguments {
-    /// A volume, a scene or phantom:NAME.
+    /// A volume, a mesh, a scene or phantom:NAME.
     file: PathBuf,
     /// Machine-readable output.
     #[arg(long)]
@@ -25,9 +25,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let path = &arguments.file;
     let report = match path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
         Some("toml") => scene_report(path)?,
-        Some("stl" | "obj" | "ply" | "off" | "gltf" | "glb" | "gii") => {
-            return Err(Error::file(path, "is a mesh, and meshes cannot be read yet"));
-        }
+        _ if mesh::load::is_mesh(path) => mesh_report(&mesh::load::mesh(path)?),
         _ => volume_report(&load::volume(path, &mut |_, _| ())?),
     };
     super::print(&if arguments.json { format!("{report:#}") } else { plain(&report) });
@@ -70,6 +68,28 @@ fn volume_report(volume: &Volume) -> Value {
         entries.insert("labels".into(), json!(labels));
     }
     report
+}
+
+fn mesh_report(mesh: &mesh::Mesh) -> Value {
+    let (t, bounds) = (mesh.topology(), mesh.bounds());
+    json!({
+        "kind": "mesh",
+        "triangles": mesh.triangles.len(),
+        "vertices": mesh.positions.len(),
+        "bounds_mm": [bounds.min.to_array(), bounds.max.to_array()],
+        "extent_mm": bounds.size().to_array(),
+        "watertight": t.watertight,
+        "orientation": t.orientation(),
+        "components": t.components,
+        "open_edges": t.open_edges,
+        "non_manifold_edges": t.non_manifold_edges,
+        "flipped_edges": t.flipped_edges,
+        "volume_mm3": t.watertight.then_some(t.volume),
+        "welded_vertices": mesh.welded,
+        "degenerate_triangles": mesh.degenerate,
+        "memory_bytes": mesh.positions.len() * 12 + mesh.triangles.len() * 12,
+        "warnings": mesh.warnings,
+    })
 }
 
 fn scene_report(path: &Path) -> Result<Value> {

@@ -7,6 +7,7 @@ mod info;
 mod map;
 mod progress;
 mod render;
+mod sdf;
 
 use crate::scene::file::schema;
 use clap::{Parser, Subcommand};
@@ -33,6 +34,8 @@ enum Command {
     Map(Box<map::Arguments>),
     /// Show every kind of deformation: pictures and a page.
     Gallery(gallery::Arguments),
+    /// Write the signed distance field of a mesh.
+    Sdf(sdf::Arguments),
     /// Say what a file holds.
     Info(info::Arguments),
     /// Print the JSON schema of scene files.
@@ -49,6 +52,7 @@ pub fn main() -> ExitCode {
         Some(Command::Bake(arguments)) => bake::run(&arguments),
         Some(Command::Map(arguments)) => map::run(&arguments),
         Some(Command::Gallery(arguments)) => gallery::run(&arguments),
+        Some(Command::Sdf(arguments)) => sdf::run(&arguments),
         Some(Command::Info(arguments)) => info::run(&arguments),
         Some(Command::Schema) => {
             print(&format!("{:#}", schema()));

@@ -4,22 +4,15 @@
 //! The distance is exact to the voxels' own boxes, and one pass of a 1-2-1 filter takes their stairs off it.
 
 use crate::math::distance::{connected, largest_part, squared_distance};
-use crate::math::{to_f32, trilinear};
+use crate::math::{DistanceGrid, to_f32};
 use crate::volume::Volume;
-use glam::{Affine3A, Mat3, Vec3};
+use glam::{Affine3A, Vec3};
 use rayon::prelude::*;
 
 /// Openings of a body that are narrower than twice this are closed, mm.
 const CLOSING_MM: f32 = 6.0;
 /// Most voxels of a field; larger volumes are taken at every second voxel, or every fourth.
 const MOST_VOXELS: usize = 1 << 25;
-
-/// A signed distance on the grid of a volume.
-pub struct DistanceField {
-    size: [usize; 3],
-    distance_mm: Vec<f32>,
-    voxel_from_world: Affine3A,
-}
 
 /// Which voxels are inside.
 pub enum Region<'a> {
@@ -31,9 +24,8 @@ pub enum Region<'a> {
     Body(f64),
 }
 
-impl DistanceField {
-    /// The distance field of a region; none if the region is empty or everything.
-    pub fn new(volume: &Volume, region: &Region) -> Option<Self> {
+/// The distance field of a region; none if the region is empty or everything. `smooth` takes the stairs of the voxels off it.
+pub fn of_region(volume: &Volume, region: &Region, smooth: bool) -> Option<DistanceGrid> {
         let mut stride = 1;
         while volume.size.iter().map(|n| n.div_ceil(stride)).product::<usize>() > MOST_VOXELS {
             stride *= 2;
@@ -62,23 +54,7 @@ impl DistanceField {
         let to_outside = squared_distance(&mask, size, spacing.into());
         let signed: Vec<f32> = to_outside.par_iter().zip(&to_inside).map(|(o, i)| o.sqrt() - i.sqrt()).collect();
         let world_from_grid = to_f32(&volume.world_from_voxel) * Affine3A::from_scale(Vec3::splat(stride as f32));
-        Some(Self { size, distance_mm: smoothed(signed, size), voxel_from_world: world_from_grid.inverse() })
-    }
-
-    /// Signed distance at a world point, mm; beyond the grid it falls by the distance from the grid.
-    pub fn sample(&self, world: Vec3) -> f32 {
-        let p = self.voxel_from_world.transform_point3(world);
-        let top = Vec3::from(self.size.map(|n| (n - 1) as f32));
-        let nearest = p.clamp(Vec3::ZERO, top);
-        let beyond = if nearest == p { 0.0 } else { Mat3::from(self.voxel_from_world.matrix3).inverse().mul_vec3(p - nearest).length() };
-        trilinear(&self.distance_mm, self.size, p) - beyond
-    }
-
-    /// Gradient at a world point by central differences over `step_mm`: about a unit vector into the region.
-    pub fn gradient(&self, world: Vec3, step_mm: f32) -> Vec3 {
-        let d = |e: Vec3| (self.sample(world + e * step_mm) - self.sample(world - e * step_mm)) / (2.0 * step_mm);
-        Vec3::new(d(Vec3::X), d(Vec3::Y), d(Vec3::Z))
-    }
+        Some(DistanceGrid::new(size, if smooth { smoothed(signed, size) } else { signed }, world_from_grid))
 }
 
 /// A body without its openings and cavities: closed by [`CLOSING_MM`] (so that a nostril or an ear does not let the outside in), then filled.
@@ -139,7 +115,7 @@ mod tests {
     fn a_ball_has_its_distance_and_its_cavity_counts_only_for_a_mask() {
         let volume = ball();
         let center = volume.world_from_voxel.transform_point3(DVec3::new(30.0, 20.0, 15.0)).as_vec3();
-        let body = DistanceField::new(&volume, &Region::Body(50.0)).unwrap_or_else(|| panic!());
+        let body = of_region(&volume, &Region::Body(50.0), true).unwrap_or_else(|| panic!());
         for (direction, r) in [(Vec3::X, 5.0), (Vec3::Y, 12.0), (Vec3::new(0.6, 0.0, 0.8), 18.0), (Vec3::Z, 24.0)] {
             let d = body.sample(center + direction * r);
             assert!((d - (20.0 - r)).abs() < 1.2, "{d} at {r} mm");
@@ -148,9 +124,9 @@ mod tests {
         assert!((-46.0..=-39.0).contains(&body.sample(center + Vec3::NEG_Y * 60.0)));
         let g = body.gradient(center + Vec3::X * 15.0, 1.0);
         assert!((g - Vec3::NEG_X).length() < 0.15, "{g}");
-        let mask = DistanceField::new(&volume, &Region::Mask).unwrap_or_else(|| panic!());
+        let mask = of_region(&volume, &Region::Mask, true).unwrap_or_else(|| panic!());
         assert!(mask.sample(center) < 0.0 && body.sample(center) > 15.0);
-        assert!(DistanceField::new(&volume, &Region::Labels(&[7])).is_none());
-        assert!(DistanceField::new(&volume, &Region::Labels(&[100])).is_some_and(|f| f.sample(center) < 0.0));
+        assert!(of_region(&volume, &Region::Labels(&[7]), true).is_none());
+        assert!(of_region(&volume, &Region::Labels(&[100]), true).is_some_and(|f| f.sample(center) < 0.0));
     }
 }

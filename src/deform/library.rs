@@ -2,8 +2,9 @@
 //! and kept as long as the scene's assets are.
 
 use super::Arguments;
-use super::distance::{DistanceField, Region};
+use super::distance::{Region, of_region};
 use super::transform::{Context, Transform};
+use crate::math::DistanceGrid;
 use crate::volume::{GridGeometry, Volume, load};
 use crate::{Error, Result};
 use std::collections::HashMap;
@@ -16,7 +17,7 @@ pub struct Library {
     volume: Option<Arc<Volume>>,
     folder: PathBuf,
     volumes: Mutex<HashMap<PathBuf, Arc<Volume>>>,
-    distances: Mutex<HashMap<String, Arc<DistanceField>>>,
+    distances: Mutex<HashMap<String, Arc<DistanceGrid>>>,
     transforms: Mutex<HashMap<String, Arc<Transform>>>,
     notices: Mutex<Vec<String>>,
 }
@@ -127,11 +128,11 @@ impl Library {
     ///
     /// # Errors
     /// No voxel has any of the labels (the ones that exist are named).
-    pub fn label_distance(&self, settings: &Arguments, wanted: &[usize]) -> Result<Arc<DistanceField>> {
+    pub fn label_distance(&self, settings: &Arguments, wanted: &[usize]) -> Result<Arc<DistanceGrid>> {
         let volume = self.labels(settings)?;
         let key = format!("{:?} {wanted:?}", settings.text("labels")?);
         self.distance(key, || {
-            DistanceField::new(&volume, &Region::Labels(wanted))
+            of_region(&volume, &Region::Labels(wanted), true)
                 .ok_or_else(|| Error::value("label", format!("{wanted:?}: no voxel has this label; the label map holds {}", some_labels(&volume))))
         })
     }
@@ -140,7 +141,7 @@ impl Library {
     ///
     /// # Errors
     /// A region without voxels, files that cannot be read, more than one way of naming the region.
-    pub fn region(&self, settings: &Arguments) -> Result<Arc<DistanceField>> {
+    pub fn region(&self, settings: &Arguments) -> Result<Arc<DistanceGrid>> {
         let label = settings.whole("label")?;
         let mask = settings.text("mask")?;
         let iso = settings.number("iso")?;
@@ -149,7 +150,7 @@ impl Library {
             (None, Some(path), None) => {
                 let volume = self.load_volume(path)?;
                 self.distance(format!("mask {path}"), || {
-                    DistanceField::new(&volume, &Region::Mask)
+                    of_region(&volume, &Region::Mask, true)
                         .ok_or_else(|| Error::value("mask", format!("{path} has no surface: it is all inside or all outside")))
                 })
             }
@@ -157,7 +158,7 @@ impl Library {
                 let volume = self.volume()?;
                 let iso = iso.map_or_else(|| volume.body_threshold(), f64::from);
                 self.distance(format!("iso {iso}"), || {
-                    DistanceField::new(volume, &Region::Body(iso)).ok_or_else(|| {
+                    of_region(volume, &Region::Body(iso), true).ok_or_else(|| {
                         let [low, high] = volume.range;
                         Error::value("iso", format!("the volume has no surface at {iso}; its values go from {low} to {high}"))
                     })
@@ -167,7 +168,7 @@ impl Library {
         }
     }
 
-    fn distance(&self, key: String, make: impl FnOnce() -> Result<DistanceField>) -> Result<Arc<DistanceField>> {
+    fn distance(&self, key: String, make: impl FnOnce() -> Result<DistanceGrid>) -> Result<Arc<DistanceGrid>> {
         if let Some(field) = lock(&self.distances).get(&key) {
             return Ok(field.clone());
         }

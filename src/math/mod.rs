@@ -2,10 +2,12 @@
 
 pub mod bounds;
 pub mod distance;
+mod distance_grid;
 pub mod interpolate;
 pub mod pyramid;
 
 pub use bounds::Bounds;
+pub use distance_grid::DistanceGrid;
 pub use interpolate::trilinear;
 pub use pyramid::MinMaxPyramid;
 

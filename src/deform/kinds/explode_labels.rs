@@ -6,7 +6,7 @@
 
 use super::{Amount, Backward, Build, Context, DefaultSize, Field, Inputs, Kind, Parameter, Setting, UNCUT, Unit};
 use crate::deform::Argument;
-use crate::deform::distance::DistanceField;
+use crate::math::DistanceGrid;
 use crate::math::{Bounds, normalize_or};
 use crate::volume::Volume;
 use crate::{Error, Result};
@@ -87,7 +87,7 @@ fn middle(volume: &Volume, label: usize) -> DVec3 {
 }
 
 struct Piece {
-    distance: Arc<DistanceField>,
+    distance: Arc<DistanceGrid>,
     /// In the box's own millimetres.
     way: Vec3,
 }

@@ -13,7 +13,7 @@ use super::peel::Peel;
 use super::{Amount, Backward, Build, Context, DefaultSize, Field, Gaps, Inputs, Kind, Parameter, Setting, UNCUT, Unit, forward_numerically};
 use crate::Result;
 use crate::deform::Argument;
-use crate::deform::distance::DistanceField;
+use crate::math::DistanceGrid;
 use crate::math::{Bounds, normalize_or, smoothstep};
 use glam::{Affine3A, Mat3, Vec3};
 use std::sync::Arc;
@@ -146,7 +146,7 @@ pub(super) const PEEL: Kind = Kind {
 
 /// A surface in the box's own millimetres.
 struct Surface {
-    distance: Arc<DistanceField>,
+    distance: Arc<DistanceGrid>,
     world_from_local: Affine3A,
     local_from_world: Mat3,
 }

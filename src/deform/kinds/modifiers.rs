@@ -3,7 +3,7 @@
 use super::{Backward, Context, Field, Inputs, Setting};
 use crate::Result;
 use crate::deform::Arguments;
-use crate::deform::distance::DistanceField;
+use crate::math::DistanceGrid;
 use crate::math::smoothstep;
 use glam::{Affine3A, Vec3, Vec3Swizzles};
 use std::f32::consts::TAU;
@@ -83,7 +83,7 @@ impl Field for Cylindrical {
 /// Labels that are left alone: neither cut nor moved, and not shown a second time by matter that was moved from them.
 struct Spared {
     inner: Box<dyn Field>,
-    distance: Arc<DistanceField>,
+    distance: Arc<DistanceGrid>,
     world_from_local: Affine3A,
     /// Width over which the displacement fades towards a spared label.
     fade_mm: f32,

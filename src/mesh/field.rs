@@ -1,0 +1,509 @@
+//! The signed distance field of a mesh, and of an iso-value of a scan: millimetres, positive inside.
+//!
+//! *Distance*: exact, by a tree of boxes, in a narrow band around the surface (and everywhere if asked); from there the closest points are
+//! passed on from neighbour to neighbour in eight sweeps (Danielsson 1980; Zhao 2005 for the order), each keeping the nearest of what its
+//! neighbours know. The result never lies below the true distance.
+//!
+//! *Sign*: the generalised winding number is above 1/2. It is harmonic away from the surface and changes slowly there, so blocks of the
+//! grid that the surface does not reach are decided by few of their points; the others are divided down to single points.
+//! A mesh with contradicting triangles is turned to face one way first ([`Mesh::oriented`]).
+//!
+//! *An iso-value*: the volume's own interpolation places the surface on each grid edge that it crosses; those points with the planes
+//! through them seed the same sweeps, and the sign is the value's.
+
+use super::{Mesh, Topology, Tree};
+use crate::math::{Bounds, DistanceGrid, normalize_or, to_f32, trilinear};
+use crate::volume::Volume;
+use glam::{Affine3A, Mat3, Vec3};
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+/// Half the width of the band of exact distances, cells.
+const BAND: f32 = 3.0;
+/// Cells left free around the mesh on every side.
+const MARGIN: f32 = 3.0;
+/// Edge of the blocks that are decided together, points.
+const BLOCK: usize = 16;
+/// A winding number this near to 1/2 is not certain.
+const DOUBT: f32 = 0.2;
+/// Times the foot of a point is slid along an interpolated surface.
+const SLIDES: usize = 3;
+/// Most points of a field.
+pub const MOST_POINTS: usize = 1 << 29;
+
+/// What is made of a mesh.
+#[derive(Clone, Copy, Debug)]
+pub struct FieldSettings {
+    /// Points along the longest axis; `cell_mm` comes first.
+    pub resolution: usize,
+    /// Distance between points, mm.
+    pub cell_mm: Option<f32>,
+    /// Only this part (\[DS07\] section 3), mm.
+    pub region: Option<Bounds>,
+    /// Exact distances everywhere, not only in the band.
+    pub exact: bool,
+}
+
+impl Default for FieldSettings {
+    fn default() -> Self {
+        Self { resolution: 128, cell_mm: None, region: None, exact: false }
+    }
+}
+
+/// A field with what was found on the way.
+pub struct MeshField {
+    /// The distances.
+    pub grid: DistanceGrid,
+    /// How the mesh hangs together, as it was read.
+    pub topology: Topology,
+    /// Triangles that were turned to face one way.
+    pub turned: usize,
+    /// Points whose winding number was taken.
+    pub windings: usize,
+    /// Share of them within a quarter of 1/2: where inside and outside are a matter of opinion.
+    pub doubtful: f64,
+    /// Share of the grid's points that are inside.
+    pub inside: f64,
+    /// | |∇f| - 1 | in the band: its mean and its 99th percentile.
+    pub eikonal: [f64; 2],
+}
+
+/// Tells how far the work is and whether to go on.
+pub struct Watch<'a> {
+    /// Share of the work done, from several threads.
+    pub progress: &'a (dyn Fn(f32) + Sync),
+    /// Set to stop.
+    pub cancel: &'a AtomicBool,
+}
+
+/// Never asked to stop.
+static GO_ON: AtomicBool = AtomicBool::new(false);
+
+impl Watch<'static> {
+    /// Tells nobody.
+    pub const NOBODY: Self = Self { progress: &|_| (), cancel: &GO_ON };
+}
+
+/// The lattice of a field over a box.
+struct Lattice {
+    size: [usize; 3],
+    origin: Vec3,
+    cell: f32,
+}
+
+impl Lattice {
+    fn over(bounds: &Bounds, settings: &FieldSettings) -> Result<Self, String> {
+        let cell = match settings.cell_mm {
+            Some(cell) if cell.is_finite() && cell > 0.0 => cell,
+            Some(cell) => return Err(format!("a cell of {cell} mm cannot be used")),
+            None => bounds.size().max_element() / (settings.resolution.max(8) as f32 - 1.0 - 2.0 * MARGIN).max(1.0),
+        };
+        let part = match settings.region {
+            Some(region) => bounds.grown(MARGIN * cell).intersection(&region),
+            None => bounds.grown(MARGIN * cell),
+        };
+        if part.is_empty() {
+            return Err("no part of the mesh lies in the box".into());
+        }
+        let size = (part.size() / cell - 1e-3).ceil().max(Vec3::ONE).to_array().map(|n| n as usize + 1);
+        let points = size.iter().try_fold(1usize, |p, &n| p.checked_mul(n)).unwrap_or(usize::MAX);
+        if points > MOST_POINTS {
+            return Err(format!("a field of {} x {} x {} points is too large; make its cells larger", size[0], size[1], size[2]));
+        }
+        // What the rounding added is shared by both sides.
+        let more = Vec3::from(size.map(|n| (n - 1) as f32)) * cell - part.size();
+        Ok(Self { size, origin: part.min - more * 0.5, cell })
+    }
+
+    fn point(&self, i: usize, j: usize, k: usize) -> Vec3 {
+        self.origin + Vec3::new(i as f32, j as f32, k as f32) * self.cell
+    }
+
+    fn len(&self) -> usize {
+        self.size.iter().product()
+    }
+
+    fn world_from_grid(&self) -> Affine3A {
+        Affine3A::from_translation(self.origin) * Affine3A::from_scale(Vec3::splat(self.cell))
+    }
+}
+
+impl MeshField {
+    /// The signed distance field of a mesh.
+    ///
+    /// # Errors
+    /// A box without any of the mesh, a grid too large, or that the work was cancelled; in a sentence.
+    pub fn new(mesh: &Mesh, settings: &FieldSettings, watch: &Watch) -> Result<Self, String> {
+        let topology = mesh.topology();
+        let bounds = mesh.bounds();
+        let lattice = Lattice::over(&bounds, settings)?;
+        let turned_mesh;
+        let (mesh, turned) = if topology.flipped_edges > 0 || topology.volume < 0.0 {
+            let (m, n) = mesh.clone().oriented();
+            turned_mesh = m;
+            (&turned_mesh, n)
+        } else {
+            (mesh, 0)
+        };
+        let tree = Tree::new(mesh);
+        let (mut distance, mut nearest) = band(&tree, &lattice, settings.exact, watch)?;
+        if !settings.exact {
+            sweep(&mut distance, &mut nearest, lattice.size, lattice.origin, Mat3::from_diagonal(Vec3::splat(lattice.cell)));
+        }
+        drop(nearest);
+        let seen = signs(&tree, &lattice, topology.watertight, &mut distance, watch)?;
+        let inside = distance.par_iter().filter(|d| **d > 0.0).count() as f64 / distance.len() as f64;
+        let eikonal = eikonal(&distance, &lattice);
+        (watch.progress)(1.0);
+        let grid = DistanceGrid::new(lattice.size, distance, lattice.world_from_grid());
+        Ok(Self { grid, topology, turned, windings: seen[0], doubtful: seen[1] as f64 / seen[0].max(1) as f64, inside, eikonal })
+    }
+}
+
+fn stopped(watch: &Watch) -> bool {
+    watch.cancel.load(Ordering::Relaxed)
+}
+
+const CANCELLED: &str = "was cancelled";
+
+/// Exact distances and nearest points near the surface, or everywhere; infinite elsewhere.
+fn band(tree: &Tree, lattice: &Lattice, exact: bool, watch: &Watch) -> Result<(Vec<f32>, Vec<Vec3>), String> {
+    const EDGE: usize = 8;
+    let [nx, ny, nz] = lattice.size;
+    let reach = BAND * lattice.cell;
+    let mut distance = vec![f32::INFINITY; lattice.len()];
+    let mut nearest = vec![Vec3::NAN; if exact { 0 } else { lattice.len() }];
+    // Without the points, empty slices stand in for them.
+    let slab = nx * ny * EDGE;
+    let mut points: Vec<&mut [Vec3]> = if exact { (0..nz.div_ceil(EDGE)).map(|_| &mut [][..]).collect() } else { nearest.chunks_mut(slab).collect() };
+    let done = AtomicUsize::new(0);
+    let slabs = points.len();
+    distance.par_chunks_mut(slab).zip(points.par_iter_mut()).enumerate().for_each(|(s, (distance, points))| {
+        let k0 = s * EDGE;
+        let layers = distance.len() / (nx * ny);
+        for j0 in (0..ny).step_by(EDGE) {
+            if stopped(watch) {
+                return;
+            }
+            for i0 in (0..nx).step_by(EDGE) {
+                let (i1, j1, k1) = ((i0 + EDGE).min(nx), (j0 + EDGE).min(ny), k0 + layers);
+                let (low, high) = (lattice.point(i0, j0, k0), lattice.point(i1 - 1, j1 - 1, k1 - 1));
+                let middle = (low + high) * 0.5;
+                let limit = if exact { f32::INFINITY } else { reach + middle.distance(high) };
+                let Some(mut last) = tree.nearest(middle, limit * 1.001) else { continue };
+                for k in k0..k1 {
+                    for j in j0..j1 {
+                        for i in i0..i1 {
+                            let Some(found) = tree.nearest_from(lattice.point(i, j, k), last.slot) else { continue };
+                            last = found;
+                            let n = ((k - k0) * ny + j) * nx + i;
+                            distance[n] = found.squared.sqrt();
+                            if !exact {
+                                points[n] = found.point;
+                            }
+                        }
+                    }
+                }
+            }
+        }
+        (watch.progress)(0.6 * (done.fetch_add(1, Ordering::Relaxed) + 1) as f32 / slabs as f32);
+    });
+    if stopped(watch) { Err(CANCELLED.into()) } else { Ok((distance, nearest)) }
+}
+
+/// Passes nearest points on to neighbours in the eight orders of three axes.
+fn sweep(distance: &mut [f32], nearest: &mut [Vec3], size: [usize; 3], origin: Vec3, world_from_index: Mat3) {
+    let [nx, ny, nz] = size;
+    let (dj, dk) = (nx as isize, (nx * ny) as isize);
+    for order in 0..8 {
+        let (fi, fj, fk) = (order & 1 == 0, order & 2 == 0, order & 4 == 0);
+        let neighbours = [if fi { -1 } else { 1 }, if fj { -dj } else { dj }, if fk { -dk } else { dk }];
+        for k in 0..nz {
+            let k = if fk { k } else { nz - 1 - k };
+            for j in 0..ny {
+                let j = if fj { j } else { ny - 1 - j };
+                let has = [false, if fj { j > 0 } else { j + 1 < ny }, if fk { k > 0 } else { k + 1 < nz }];
+                for i in 0..nx {
+                    let i = if fi { i } else { nx - 1 - i };
+                    let has = [if fi { i > 0 } else { i + 1 < nx }, has[1], has[2]];
+                    let n = (k * ny + j) * nx + i;
+                    let here = origin + world_from_index * Vec3::new(i as f32, j as f32, k as f32);
+                    for (step, has) in neighbours.into_iter().zip(has) {
+                        if !has {
+                            continue;
+                        }
+                        let m = (n as isize + step) as usize;
+                        // A neighbour that is no nearer to anything than this point knows nothing better.
+                        if distance[m] < distance[n] {
+                            let d = here.distance(nearest[m]);
+                            if d < distance[n] {
+                                distance[n] = d;
+                                nearest[n] = nearest[m];
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Gives the distances inside their sign, here positive; says how many winding numbers were taken and how many were doubtful.
+fn signs(tree: &Tree, lattice: &Lattice, watertight: bool, distance: &mut [f32], watch: &Watch) -> Result<[usize; 2], String> {
+    let [nx, ny, _] = lattice.size;
+    let done = AtomicUsize::new(0);
+    let slabs = lattice.size[2].div_ceil(BLOCK);
+    let seen = distance
+        .par_chunks_mut(nx * ny * BLOCK)
+        .enumerate()
+        .map(|(s, slab)| {
+            let mut signs = Signs { tree, lattice, watertight, k0: s * BLOCK, seen: [0; 2] };
+            let layers = slab.len() / (nx * ny);
+            for j in (0..ny).step_by(BLOCK) {
+                for i in (0..nx).step_by(BLOCK) {
+                    if !stopped(watch) {
+                        signs.decide(slab, [i, j, s * BLOCK], [(i + BLOCK).min(nx), (j + BLOCK).min(ny), s * BLOCK + layers]);
+                    }
+                }
+            }
+            (watch.progress)(0.6 + 0.4 * (done.fetch_add(1, Ordering::Relaxed) + 1) as f32 / slabs as f32);
+            signs.seen
+        })
+        .reduce(|| [0; 2], |a, b| [a[0] + b[0], a[1] + b[1]]);
+    if stopped(watch) { Err(CANCELLED.into()) } else { Ok(seen) }
+}
+
+struct Signs<'a> {
+    tree: &'a Tree,
+    lattice: &'a Lattice,
+    watertight: bool,
+    /// First layer of the slab.
+    k0: usize,
+    seen: [usize; 2],
+}
+
+impl Signs<'_> {
+    fn at(&self, [i, j, k]: [usize; 3]) -> usize {
+        ((k - self.k0) * self.lattice.size[1] + j) * self.lattice.size[0] + i
+    }
+
+    fn winding(&mut self, [i, j, k]: [usize; 3]) -> f32 {
+        let w = self.tree.winding(self.lattice.point(i, j, k));
+        self.seen[0] += 1;
+        self.seen[1] += usize::from((w - 0.5).abs() < 0.25);
+        w
+    }
+
+    /// Decides the points of low..high.
+    fn decide(&mut self, slab: &mut [f32], low: [usize; 3], high: [usize; 3]) {
+        let edges: [usize; 3] = std::array::from_fn(|a| high[a] - low[a]);
+        let middle: [usize; 3] = std::array::from_fn(|a| low[a] + edges[a] / 2);
+        let single = edges == [1; 3];
+        let away = Vec3::from(std::array::from_fn(|a| (middle[a] - low[a]).max(high[a] - 1 - middle[a]) as f32)).length() * self.lattice.cell;
+        // Swept distances lie a little above the true ones.
+        let free = single || slab[self.at(middle)].abs() * 0.97 - 0.5 * self.lattice.cell > away;
+        if free {
+            let w = self.winding(middle);
+            let inside = w > 0.5;
+            let agreed = single
+                || self.watertight
+                || ((w - 0.5).abs() > DOUBT
+                    && (0..8).all(|c| {
+                        let corner = std::array::from_fn(|a| if c >> a & 1 == 0 { low[a] } else { high[a] - 1 });
+                        let w = self.winding(corner);
+                        (w > 0.5) == inside && (w - 0.5).abs() > DOUBT
+                    }));
+            if agreed {
+                for k in low[2]..high[2] {
+                    for j in low[1]..high[1] {
+                        let row = self.at([low[0], j, k]);
+                        for d in &mut slab[row..row + edges[0]] {
+                            *d = if inside { d.abs() } else { -d.abs() };
+                        }
+                    }
+                }
+                return;
+            }
+        }
+        for part in 0..8 {
+            let (mut a, mut b) = (low, high);
+            let mut empty = false;
+            for axis in 0..3 {
+                let split = low[axis] + edges[axis].div_ceil(2);
+                if part >> axis & 1 == 0 {
+                    b[axis] = split;
+                } else {
+                    a[axis] = split;
+                }
+                empty |= a[axis] >= b[axis];
+            }
+            if !empty {
+                self.decide(slab, a, b);
+            }
+        }
+    }
+}
+
+/// Mean and 99th percentile of | |∇f| - 1 | at points in the band whose neighbours are all on their side of the surface.
+fn eikonal(distance: &[f32], lattice: &Lattice) -> [f64; 2] {
+    let [nx, ny, nz] = lattice.size;
+    if nx < 3 || ny < 3 || nz < 3 {
+        return [0.0; 2];
+    }
+    let mut off: Vec<f32> = (1..nz - 1)
+        .into_par_iter()
+        .flat_map_iter(|k| (1..ny - 1).flat_map(move |j| (1..nx - 1).map(move |i| (k * ny + j) * nx + i)))
+        .filter(|&n| distance[n].abs() < BAND * lattice.cell)
+        .map(|n| {
+            let d = |m: usize| (distance[n + m] - distance[n - m]) / (2.0 * lattice.cell);
+            (Vec3::new(d(1), d(nx), d(nx * ny)).length() - 1.0).abs()
+        })
+        .collect();
+    if off.is_empty() {
+        return [0.0; 2];
+    }
+    let mean = off.iter().map(|v| f64::from(*v)).sum::<f64>() / off.len() as f64;
+    let at = (off.len() * 99 / 100).min(off.len() - 1);
+    off.select_nth_unstable_by(at, f32::total_cmp);
+    [mean, f64::from(off[at])]
+}
+
+/// The distance to the surface where a volume has a value, positive where it is higher, on the volume's own grid (every second or fourth
+/// voxel of a very large one). None if there is no such surface.
+pub fn of_iso_value(volume: &Volume, iso: f64) -> Option<DistanceGrid> {
+    let mut stride = 1;
+    while volume.size.iter().map(|n| n.div_ceil(stride)).product::<usize>() > MOST_POINTS / 8 {
+        stride *= 2;
+    }
+    let size = volume.size.map(|n| n.div_ceil(stride));
+    let [nx, ny, nz] = size;
+    let world_from_grid = to_f32(&volume.world_from_voxel) * Affine3A::from_scale(Vec3::splat(stride as f32));
+    let linear = Mat3::from(world_from_grid.matrix3);
+    let per_mm = linear.inverse().transpose();
+    let above = |i: usize, j: usize, k: usize| {
+        let v = (volume.value(i * stride, j * stride, k * stride) - iso) as f32;
+        if v.is_finite() { v } else { -1.0 }
+    };
+    let values: Vec<f32> = (0..nx * ny * nz).into_par_iter().map(|n| above(n % nx, n / nx % ny, n / (nx * ny))).collect();
+    if values.iter().all(|v| *v >= 0.0) || values.iter().all(|v| *v < 0.0) {
+        return None;
+    }
+    let strides = [1, nx, nx * ny];
+    let gradient = |n: usize, at: [usize; 3]| {
+        let d: [f32; 3] = std::array::from_fn(|a| {
+            let before = if at[a] > 0 { n - strides[a] } else { n };
+            let after = if at[a] + 1 < size[a] { n + strides[a] } else { n };
+            (values[after] - values[before]) / ((after - before) / strides[a]).max(1) as f32
+        });
+        per_mm * Vec3::from(d)
+    };
+    // The nearest crossing of the grid edges at a point: its distance by the plane through it, and the foot on that plane.
+    let seeds: Vec<(f32, Vec3)> = (0..values.len())
+        .into_par_iter()
+        .map(|n| {
+            let at = [n % nx, n / nx % ny, n / (nx * ny)];
+            let here = linear * Vec3::from(at.map(|c| c as f32));
+            let inside = values[n] >= 0.0;
+            let mut best = (f32::INFINITY, Vec3::NAN);
+            let mut own = None;
+            for a in 0..3 {
+                for m in [(at[a] > 0).then(|| n - strides[a]), (at[a] + 1 < size[a]).then(|| n + strides[a])].into_iter().flatten() {
+                    if (values[m] >= 0.0) == inside {
+                        continue;
+                    }
+                    let along = values[n] / (values[n] - values[m]);
+                    let there = [m % nx, m / nx % ny, m / (nx * ny)];
+                    let crossing = linear * Vec3::from(std::array::from_fn(|c| at[c] as f32 + (there[c] as f32 - at[c] as f32) * along));
+                    let near = *own.get_or_insert_with(|| gradient(n, at));
+                    let normal = normalize_or(near + (gradient(m, there) - near) * along, Vec3::ZERO);
+                    let foot = here + normal * (crossing - here).dot(normal);
+                    // The plane is a fair picture of the surface about a cell around the crossing, no farther.
+                    let reach = (crossing - here).length();
+                    let foot = if normal == Vec3::ZERO || foot.distance(crossing) > reach { crossing } else { foot };
+                    let d = foot.distance(here);
+                    if d < best.0 {
+                        best = (d, foot);
+                    }
+                }
+            }
+            best
+        })
+        .collect();
+    let (mut distance, mut nearest): (Vec<f32>, Vec<Vec3>) = seeds.into_iter().unzip();
+    sweep(&mut distance, &mut nearest, size, Vec3::ZERO, linear);
+    // Feet lie a cell apart; near the surface each is slid to the foot of its own point on the interpolated values.
+    let (grid_from_linear, reach) = (linear.inverse(), BAND * linear.x_axis.length().max(linear.y_axis.length()).max(linear.z_axis.length()));
+    let value_at = |x: Vec3| trilinear(&values, size, grid_from_linear * x);
+    let slope_at = |x: Vec3| {
+        let g = grid_from_linear * x;
+        per_mm * Vec3::from(Vec3::AXES.map(|e| trilinear(&values, size, g + e * 0.5) - trilinear(&values, size, g - e * 0.5)))
+    };
+    distance.par_iter_mut().zip(&nearest).enumerate().filter(|(_, (d, _))| **d < reach).for_each(|(n, (d, foot))| {
+        let here = linear * Vec3::new((n % nx) as f32, (n / nx % ny) as f32, (n / (nx * ny)) as f32);
+        let mut x = *foot;
+        for _ in 0..SLIDES {
+            let g = slope_at(x);
+            let steep = g.length_squared();
+            if steep < 1e-20 {
+                return;
+            }
+            let along = here - x;
+            x += along - g * (along.dot(g) / steep);
+            let g = slope_at(x);
+            x -= g * (value_at(x) / g.length_squared().max(1e-20));
+        }
+        // A slide that went astray is not taken.
+        let found = x.distance(here);
+        if found.is_finite() && found < *d * 1.5 + 1e-3 {
+            *d = found;
+        }
+    });
+    distance.par_iter_mut().zip(&values).for_each(|(d, v)| {
+        if *v < 0.0 {
+            *d = -*d;
+        }
+    });
+    Some(DistanceGrid::new(size, distance, world_from_grid))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::volume::{Rescale, Volume};
+    use glam::{DAffine3, DVec3};
+
+    #[test]
+    fn an_iso_value_of_a_smooth_ball_is_a_sphere() {
+        let world_from_voxel = DAffine3::from_rotation_y(0.3) * DAffine3::from_scale(DVec3::new(1.0, 1.2, 0.9));
+        let size = [50usize, 44, 56];
+        let middle = world_from_voxel.transform_point3(DVec3::new(25.0, 22.0, 28.0));
+        let voxels: Vec<f32> = (0..size.iter().product::<usize>())
+            .map(|n| {
+                let v = DVec3::new((n % 50) as f64, (n / 50 % 44) as f64, (n / 2200) as f64);
+                (100.0 - world_from_voxel.transform_point3(v).distance(middle)) as f32
+            })
+            .collect();
+        let volume = Volume::new(voxels.into(), size, Rescale::NONE, world_from_voxel);
+        let field = of_iso_value(&volume, 85.0).unwrap_or_else(|| panic!());
+        let (mut worst_near, mut worst) = (0.0f32, 0.0f32);
+        for (n, d) in field.distance_mm.iter().enumerate() {
+            let v = Vec3::new((n % 50) as f32, (n / 50 % 44) as f32, (n / 2200) as f32);
+            let want = 15.0 - field.world_from_grid.transform_point3(v).distance(middle.as_vec3());
+            // The medial point of a ball is nobody's band.
+            worst = worst.max((d - want).abs());
+            if want.abs() < 2.0 {
+                worst_near = worst_near.max((d - want).abs());
+            }
+        }
+        assert!(worst_near < 0.05 && worst < 0.25, "{worst_near} near the surface, {worst} at worst");
+        assert!(of_iso_value(&volume, 1e9).is_none());
+    }
+
+    #[test]
+    fn work_can_be_cancelled() {
+        let mesh = Mesh::new(vec![Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::Z], vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], vec![]);
+        let cancel = AtomicBool::new(true);
+        let result = MeshField::new(&mesh, &FieldSettings::default(), &Watch { progress: &|_| (), cancel: &cancel });
+        assert_eq!(result.err().as_deref(), Some(CANCELLED));
+    }
+}

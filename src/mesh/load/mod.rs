@@ -1,0 +1,105 @@
+//! Mesh files: one module per format. A format that a library reads well is left to the library.
+
+mod gifti;
+mod gltf;
+mod obj;
+mod off;
+mod ply;
+mod stl;
+
+use super::Mesh;
+use crate::{Error, Result};
+use glam::Vec3;
+use std::path::Path;
+
+/// Endings of mesh files.
+pub const ENDINGS: [&str; 8] = ["stl", "obj", "ply", "off", "gltf", "glb", "gii", "gii.gz"];
+
+/// Largest file that is read whole, bytes.
+const MOST_BYTES: u64 = 4 << 30;
+/// Most triangles: indices are 32 bits wide, and distances to more would take hours.
+const MOST_TRIANGLES: usize = 200_000_000;
+
+/// What a reader finds in a file.
+#[derive(Default)]
+struct Listing {
+    positions: Vec<Vec3>,
+    triangles: Vec<[u32; 3]>,
+    warnings: Vec<String>,
+    /// Faces that could not be used.
+    unusable: usize,
+}
+
+impl Listing {
+    /// A face of any number of corners, as a fan.
+    fn face(&mut self, corners: &[u32]) {
+        if corners.len() < 3 {
+            self.unusable += 1;
+            return;
+        }
+        for n in 1..corners.len() - 1 {
+            self.triangles.push([corners[0], corners[n], corners[n + 1]]);
+        }
+    }
+}
+
+/// Whether a path looks like a mesh file.
+pub fn is_mesh(path: &Path) -> bool {
+    ending(path).is_some()
+}
+
+fn ending(path: &Path) -> Option<&'static str> {
+    let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
+    ENDINGS.into_iter().find(|e| name.strip_suffix(e).is_some_and(|stem| stem.ends_with('.')))
+}
+
+/// Reads a mesh.
+///
+/// # Errors
+/// A file that cannot be read or holds no triangle, by name, with what is wrong.
+pub fn mesh(path: &Path) -> Result<Mesh> {
+    let ending = ending(path).ok_or_else(|| Error::file(path, format!("is not a mesh by its name; known endings: {}", ENDINGS.join(", "))))?;
+    let io = |e| Error::io(path, "reading", e);
+    let size = std::fs::metadata(path).map_err(io)?.len();
+    if size > MOST_BYTES {
+        return Err(Error::file(path, format!("is {size} bytes long; meshes up to {MOST_BYTES} bytes are read")));
+    }
+    let bytes = std::fs::read(path).map_err(io)?;
+    parse(&bytes, ending, path.parent()).map_err(|problem| Error::file(path, problem))
+}
+
+/// Reads a mesh from memory; `folder` is where files that it names are looked for.
+///
+/// # Errors
+/// What is wrong, in a sentence without the file's name.
+pub fn parse(bytes: &[u8], ending: &str, folder: Option<&Path>) -> Result<Mesh, String> {
+    if bytes.iter().all(u8::is_ascii_whitespace) {
+        return Err("is empty".into());
+    }
+    let mut listing = match ending {
+        "stl" => stl::read(bytes),
+        "obj" => obj::read(bytes),
+        "ply" => ply::read(bytes),
+        "off" => off::read(bytes),
+        "gltf" | "glb" => gltf::read(bytes, folder),
+        _ => gifti::read(bytes),
+    }?;
+    if listing.unusable > 0 {
+        listing.warnings.push(format!("{} faces with fewer than three corners were left out", listing.unusable));
+    }
+    if listing.triangles.len() > MOST_TRIANGLES {
+        return Err(format!("has {} triangles; at most {MOST_TRIANGLES} are read", listing.triangles.len()));
+    }
+    let count = listing.positions.len();
+    if let Some(bad) = listing.triangles.iter().flatten().find(|&&v| v as usize >= count) {
+        return Err(format!("has a face that names vertex {bad} (counted from 0), but only {count} vertices"));
+    }
+    let mesh = Mesh::new(listing.positions, listing.triangles, listing.warnings);
+    if mesh.triangles.is_empty() {
+        return Err(match mesh.degenerate {
+            0 => "holds no triangle".into(),
+            n => format!("holds no triangle with an area ({n} without)"),
+        });
+    }
+    Ok(mesh)
+}

@@ -1,0 +1,25 @@
+//! Wavefront OBJ, by the tobj library. Materials and their files are not read.
+
+use super::Listing;
+use glam::Vec3;
+
+pub fn read(bytes: &[u8]) -> Result<Listing, String> {
+    let options = tobj::LoadOptions { triangulate: true, ignore_points: true, ignore_lines: true, ..tobj::LoadOptions::default() };
+    let no_materials = |_: &std::path::Path| Err(tobj::LoadError::OpenFileFailed);
+    // A line about materials that is wrong is no reason to refuse the shape.
+    let shape: Vec<u8> = bytes
+        .split_inclusive(|b| *b == b'\n')
+        .filter(|line| !line.trim_ascii_start().starts_with(b"mtllib") && !line.trim_ascii_start().starts_with(b"usemtl"))
+        .flatten()
+        .copied()
+        .collect();
+    let (models, _materials) = tobj::load_obj_buf(&mut std::io::Cursor::new(shape), &options, no_materials)
+        .map_err(|e| format!("is not a readable OBJ: {e}; a face may name a vertex that is not there"))?;
+    let mut listing = Listing::default();
+    for model in models {
+        let first = listing.positions.len() as u32;
+        listing.positions.extend(model.mesh.positions.chunks_exact(3).map(Vec3::from_slice));
+        listing.triangles.extend(model.mesh.indices.chunks_exact(3).map(|t| [t[0] + first, t[1] + first, t[2] + first]));
+    }
+    Ok(listing)
+}
