@@ -15,7 +15,7 @@ fn scene(deformation: Option<&str>) -> Scene {
 }
 
 fn stages(c: &mut Criterion) {
-    let assets = Assets::load(&scene(None), &mut |_, _| ()).expect("a phantom");
+    let assets = Assets::load(&scene(None), &|_, _| ()).expect("a phantom");
     for (name, deformation) in [("undeformed", None), ("twist", Some("twist")), ("peel", Some("peel"))] {
         for mode in [Mode::Raycast, Mode::Slice] {
             let mut scene = scene(deformation);

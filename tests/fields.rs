@@ -41,7 +41,7 @@ fn stack_of(scene: &Scene, assets: &Assets, storage: Option<Storage>) -> (Stack,
 }
 
 fn assets(scene: &Scene) -> Assets {
-    Assets::load(scene, &mut |_, _| ()).unwrap()
+    Assets::load(scene, &|_, _| ()).unwrap()
 }
 
 /// Bakes a scene and reads the result back.

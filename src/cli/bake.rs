@@ -70,12 +70,15 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let output = Output::create(&arguments.output)?;
     let bar = Progress::new(arguments.quiet);
-    let assets = Assets::load(&scene, &mut |done, all| bar.set("reading", done as f32 / all.max(1) as f32))?;
+    if scene.volume.is_none() {
+        return Err(Error::file(&arguments.input, "has no volume to bake; its meshes are rendered, not baked"));
+    }
+    let assets = Assets::load(&scene, &|what, share| bar.set(what, share))?;
     let volume = &assets.volume;
     let (stack, cuts) = exact_stack(&scene, &assets, true)?;
     let deformation = bake::Deformation { stack: &stack, cuts: &cuts };
     if !arguments.quiet {
-        for note in volume.warnings.iter().map(|w| format!("{}: {w}", scene.volume.path)).chain(assets.library.notices()) {
+        for note in volume.warnings.iter().map(|w| format!("{}: {w}", scene.volume_name())).chain(assets.library.notices()) {
             eprintln!("incise: {note}");
         }
     }

@@ -95,7 +95,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let own = arguments.volume.to_str().ok_or_else(|| Error::file(&arguments.volume, "has a name that is not valid Unicode; rename it"))?;
     let bar = Progress::new(arguments.quiet);
     let volumes = [("volume", own), ("checker", "phantom:checker")];
-    let loaded = volumes.map(|(_, path)| Assets::load(&Scene::of_volume(path), &mut |_, _| ()));
+    let loaded = volumes.map(|(_, path)| Assets::load(&Scene::of_volume(path), &|_, _| ()));
     let [a, b] = loaded;
     let assets = [a?, b?];
     let mut rows = String::new();

@@ -94,10 +94,14 @@ fn mesh_report(mesh: &mesh::Mesh) -> Value {
 
 fn scene_report(path: &Path) -> Result<Value> {
     let scene = Scene::load(path)?;
-    let volume = load::volume(&scene.volume_path(), &mut |_, _| ())?;
+    let volume = scene.volume_path().map(|p| load::volume(&p, &mut |_, _| ())).transpose()?;
+    let meshes = scene.mesh.iter().filter_map(|m| m.path.as_ref()).map(|p| -> Result<Value> {
+        Ok(json!({ "path": p, "report": mesh_report(&mesh::load::mesh(&scene.folder.join(p))?) }))
+    });
     Ok(json!({
         "kind": "scene",
-        "volume": { "path": scene.volume.path, "report": volume_report(&volume) },
+        "volume": volume.map(|v| json!({ "path": scene.volume_name(), "report": volume_report(&v) })),
+        "meshes": meshes.collect::<Result<Vec<_>>>()?,
         "deformations": scene.deformation.iter().map(|d| d.kind.as_str()).collect::<Vec<_>>(),
         "picture": scene.render.size,
         "warnings": [],

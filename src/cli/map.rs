@@ -111,7 +111,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         if scene.deformation[0].resolution.is_none() && arguments.resolution.is_some() {
             scene.deformation[0].resolution = arguments.resolution;
         }
-        let assets = Assets::load(&scene, &mut |_, _| ())?;
+        let assets = Assets::load(&scene, &|_, _| ())?;
         let (stack, _) = bake::exact_stack(&scene, &assets, false)?;
         assets.library.notices().into_iter().for_each(note);
         // A chain of transforms is several maps; a file holds one.

@@ -110,7 +110,7 @@ impl Arguments {
         match self.mode {
             Some(ModeName::Slice) => render.mode = Mode::Slice,
             Some(ModeName::Raycast) => render.mode = Mode::Raycast,
-            Some(ModeName::Surface) => return Err(Error::value("--mode surface", "surfaces cannot be rendered yet; use slice or raycast")),
+            Some(ModeName::Surface) => render.mode = Mode::Surface,
             None => {}
         }
         render.size = self.size.unwrap_or(render.size);
@@ -160,10 +160,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().map_err(|e| Error::value("--threads", e.to_string()))?;
     }
     let bar = Progress::new(arguments.quiet);
-    let assets = Assets::load(&scene, &mut |done, all| bar.set("reading", done as f32 / all.max(1) as f32))?;
+    let assets = Assets::load(&scene, &|what, share| bar.set(what, share))?;
     if !arguments.quiet {
         for warning in &assets.volume.warnings {
-            eprintln!("incise: {}: {warning}", scene.volume.path);
+            eprintln!("incise: {}: {warning}", scene.volume_name());
         }
     }
     let mut gpu = Gpu::open(arguments)?;

@@ -12,6 +12,7 @@
 //! `shaders/raycast.wgsl` and `shaders/lib` say the same in the same words.
 
 pub mod shading;
+pub mod surface;
 
 use crate::deform::cut::Kept;
 use crate::scene::{Mode, Picture, Prepared, RenderStats, Rendered, Stages};
@@ -48,7 +49,14 @@ fn rows<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, progress: &(dyn Fn(f32
             for (x, pixel) in row.iter_mut().enumerate() {
                 let u = (x as f32 + 0.5) / width as f32 * 2.0 - 1.0;
                 let v = 1.0 - (y as f32 + 0.5) / height as f32 * 2.0;
-                *pixel = march(scene, sampler, u, v, &mut stats);
+                let (origin, direction) = scene.frame.view.ray(u, v);
+                let behind = surface::nearest(scene, origin, direction, &mut stats.samples_taken);
+                let until = behind.map_or(f32::INFINITY, |hit| hit.t);
+                *pixel = march(scene, sampler, origin, direction, until, &mut stats);
+                if let Some(hit) = behind {
+                    let [r, g, b, a] = *pixel;
+                    *pixel = (Vec3::new(r, g, b) + hit.color * (1.0 - a)).extend(1.0).to_array();
+                }
             }
             progress((done.fetch_add(1, Ordering::Relaxed) + 1) as f32 / height as f32);
             stats
@@ -94,16 +102,15 @@ fn first_sample_after(t: f32, step: f32) -> i32 {
     (t / step - 0.5).ceil().max(0.0) as i32
 }
 
-/// One pixel: premultiplied colour.
-fn march<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, u: f32, v: f32, stats: &mut RenderStats) -> [f32; 4] {
+/// The volume along one ray as far as `until`: premultiplied colour.
+fn march<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, origin: Vec3, direction: Vec3, until: f32, stats: &mut RenderStats) -> [f32; 4] {
     let frame = &scene.frame;
-    let (origin, direction) = frame.view.ray(u, v);
     let Some((near, far)) = frame.proxy.intersect_ray(origin, direction) else { return [0.0; 4] };
     let step = match scene.settings.mode {
-        Mode::Raycast => frame.step_mm,
+        Mode::Raycast | Mode::Surface => frame.step_mm,
         Mode::Slice => frame.step_mm / direction.dot(frame.view.forward),
     };
-    let (mut i, end) = (first_sample_after(near, step), first_sample_after(far, step));
+    let (mut i, end) = (first_sample_after(near, step), first_sample_after(far.min(until), step));
     let length = step / frame.reference_mm;
     let inverse_direction = direction.recip();
     let mut projection = Projection::new(scene.blend);

@@ -33,6 +33,11 @@ impl Library {
         Self { volume: Some(volume), folder, ..Self::default() }
     }
 
+    /// The library of a scene without a volume.
+    pub fn without_volume(folder: PathBuf) -> Self {
+        Self { folder, ..Self::default() }
+    }
+
     /// The scene's volume.
     ///
     /// # Errors

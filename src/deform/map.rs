@@ -102,6 +102,11 @@ impl DisplacementMap {
         Self { size, storage, scale, texels, pyramid }
     }
 
+    /// Stored (D / scale, alpha) of a grid point.
+    pub fn texel(&self, [i, j, k]: [usize; 3]) -> Vec4 {
+        self.texels[(k * self.size[1] + j) * self.size[0] + i]
+    }
+
     /// The identity.
     pub fn identity(size: [usize; 3]) -> Self {
         Self::from_fn(size, Storage::F16, |_| TexelSample { displacement: Vec3::ZERO, alpha: 1.0 })

@@ -24,6 +24,7 @@ mod map;
 mod placement;
 pub mod points;
 pub mod saved;
+pub mod slope;
 mod stack;
 pub mod transform;
 

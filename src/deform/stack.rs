@@ -129,7 +129,7 @@ impl PlacedMap {
 
     /// Bounds on what this map does to the points of a box (`model.md` section 9): a box that holds their displacements, and the highest
     /// and lowest mask value among them.
-    fn displacement_bounds(&self, b: &Bounds) -> (Bounds, [f32; 2]) {
+    pub(super) fn displacement_bounds(&self, b: &Bounds) -> (Bounds, [f32; 2]) {
         let in_map = b.transformed(&self.placement.map_from_world);
         // The transform of a sample rounds; a hundredth of a texel covers it.
         let texel = 0.01 / Vec3::from(self.map.size.map(|n| n.max(2) as f32));

@@ -12,12 +12,14 @@ pub mod deformer;
 pub mod depth_map;
 pub mod field;
 pub mod formula;
+mod implicit;
 pub mod load;
 pub mod shapes;
 pub mod tessellate;
 mod topology;
 mod tree;
 
+pub use implicit::Implicit;
 pub use topology::Topology;
 pub use tree::{MeshHit, Nearest, Tree};
 

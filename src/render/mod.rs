@@ -169,6 +169,7 @@ impl Renderer {
         stages.time("draw", || match scene.settings.mode {
             Mode::Raycast => self.draw_rays(&draw),
             Mode::Slice => self.draw_slices(&draw),
+            Mode::Surface => Ok(()),
         })?;
         let pixels = stages.time("readback", || read_rgba16f(&self.device.device, &self.device.queue, &target))?;
         let stats = counter.map(|c| c.read(&self.device)).transpose()?;
@@ -201,6 +202,7 @@ impl Renderer {
 
     fn compile(&mut self, scene: &Prepared, counting: bool) {
         let programs: &[Program] = match (scene.settings.mode, scene.blend) {
+            (Mode::Surface, _) => &[],
             (Mode::Raycast, _) => &[Program::Raycast],
             (Mode::Slice, Blend::Composite) => &[Program::Slice],
             (Mode::Slice, _) => &[Program::Slice, Program::Resolve],

@@ -31,6 +31,9 @@ impl Scene {
         if scene.incise != FORMAT_VERSION {
             return Err(format!("is of format version {}; this program reads version {FORMAT_VERSION}", scene.incise));
         }
+        if scene.volume.is_none() && scene.mesh.is_empty() {
+            return Err("shows nothing; it needs a [volume] with a path or a [[mesh]]".into());
+        }
         Ok(scene)
     }
 
@@ -77,6 +80,10 @@ fn unknown_keys(root: &Value, schema: &Value, value: &Value, path: &str) -> Resu
                     continue;
                 }
                 let mut known: Vec<&str> = properties.keys().map(String::as_str).collect();
+                if path == "mesh.deformer" {
+                    // Numbers of a deformer are checked by its kind when it is made.
+                    continue;
+                }
                 if path == "deformation" {
                     // A deformation's further keys are its kind's parameters.
                     let Some(own) = entries.get("kind").and_then(Value::as_str).and_then(parameters) else { continue };

@@ -89,29 +89,37 @@ impl Macrocells {
     ///
     /// A sample within `reach_mm` of what can be seen counts as seeing it: beside a cut, samples look back one step.
     pub fn new(bounds: Bounds, voxel_mm: f32, reach_mm: f32, contents: &Contents) -> Self {
+        let edge = (bounds.size().max_element() / MOST_CELLS).max(3.0 * voxel_mm);
+        Self::classified(bounds, edge, reach_mm, |b| contents.visible(b))
+    }
+
+    /// A grid of cells of about `edge` mm, those occupied in whose box, grown by `reach_mm`, anything is visible.
+    pub fn classified(bounds: Bounds, edge: f32, reach_mm: f32, visible: impl Fn(&Bounds) -> bool + Sync) -> Self {
         let extent = bounds.size();
-        let edge = (extent.max_element() / MOST_CELLS).max(3.0 * voxel_mm);
         let size = (extent / edge).ceil().max(Vec3::ONE);
         let cell_mm = extent / size;
         let size = size.as_uvec3();
         // A sample that lies on a cell's face may be counted to either side.
         let margin = 1e-3 * cell_mm.max_element() + reach_mm;
-        let occupied: Vec<bool> = (0..size.element_product())
-            .into_par_iter()
-            .map(|index| {
-                let cell = UVec3::new(index % size.x, index / size.x % size.y, index / size.x / size.y).as_vec3();
-                let low = bounds.min + cell * cell_mm;
-                contents.visible(&Bounds::new(low, low + cell_mm).grown(margin))
-            })
-            .collect();
+        let occupied: Vec<bool> =
+            (0..size.element_product()).into_par_iter().map(|index| visible(&cell_box(&bounds, size, cell_mm, index).grown(margin))).collect();
         let mut all = Bounds::EMPTY;
         for (index, _) in occupied.iter().enumerate().filter(|(_, o)| **o) {
-            let index = index as u32;
-            let cell = UVec3::new(index % size.x, index / size.x % size.y, index / size.x / size.y).as_vec3();
-            let low = bounds.min + cell * cell_mm;
-            all = all.union(&Bounds::new(low, low + cell_mm));
+            all = all.union(&cell_box(&bounds, size, cell_mm, index as u32));
         }
         Self { origin: bounds.min, cell_mm, size, distance: chessboard_distance(&occupied, size), occupied: all }
+    }
+
+    /// The box of a cell by its flat index.
+    pub fn cell_box(&self, index: usize) -> Bounds {
+        cell_box(&Bounds::new(self.origin, self.origin), self.size, self.cell_mm, index as u32)
+    }
+
+    /// Flat index of the cell at a point; the nearest one outside the grid.
+    #[inline(always)]
+    pub fn index(&self, p: Vec3) -> usize {
+        let c = ((p - self.origin) / self.cell_mm).floor().clamp(Vec3::ZERO, (self.size - 1).as_vec3()).as_uvec3();
+        ((c.z * self.size.y + c.y) * self.size.x + c.x) as usize
     }
 
     /// Where a ray at `p` may go on: none in an occupied cell, else the parameter at which it leaves the empty block around it.
@@ -134,6 +142,12 @@ impl Macrocells {
         let far = a.max(b);
         Some(far.x.min(far.y).min(far.z))
     }
+}
+
+fn cell_box(bounds: &Bounds, size: UVec3, cell_mm: Vec3, index: u32) -> Bounds {
+    let cell = UVec3::new(index % size.x, index / size.x % size.y, index / size.x / size.y).as_vec3();
+    let low = bounds.min + cell * cell_mm;
+    Bounds::new(low, low + cell_mm)
 }
 
 /// Two sweeps over the 13 earlier neighbours, exact for the chessboard metric; saturates at 255.

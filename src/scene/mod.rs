@@ -7,7 +7,9 @@ mod camera;
 pub mod deformations;
 pub mod file;
 mod macrocells;
+pub mod objects;
 mod prepared;
+pub mod surface;
 
 pub use camera::{Camera, Projection, View, ViewFrame};
 pub use macrocells::Macrocells;
@@ -29,8 +31,15 @@ pub const FORMAT_VERSION: u32 = 1;
 pub struct Scene {
     /// Version of the format: 1.
     pub incise: u32,
-    /// What is shown.
-    pub volume: VolumeSource,
+    /// The volume that is shown, if one is.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub volume: Option<VolumeSource>,
+    /// Surfaces that are shown, with the volume or without one.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub mesh: Vec<surface::MeshSource>,
+    /// How surfaces look and are found.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub surface: surface::SurfaceSettings,
     /// Colour and opacity.
     #[serde(default, skip_serializing_if = "is_default")]
     pub transfer: TransferSettings,
@@ -182,6 +191,8 @@ pub enum Mode {
     /// Rays, front to back.
     #[default]
     Raycast,
+    /// Surfaces alone, by rays through their distance fields.
+    Surface,
 }
 
 /// Which normals light the volume: the steps of \[DDM06\] figure 4.
@@ -280,7 +291,9 @@ impl Scene {
     pub fn of_volume(path: impl Into<String>) -> Self {
         Self {
             incise: FORMAT_VERSION,
-            volume: VolumeSource { path: path.into() },
+            volume: Some(VolumeSource { path: path.into() }),
+            mesh: Vec::new(),
+            surface: surface::SurfaceSettings::default(),
             transfer: TransferSettings::default(),
             deformation: Vec::new(),
             camera: Camera::default(),
@@ -290,8 +303,23 @@ impl Scene {
         }
     }
 
-    /// The volume's path as this process finds it.
-    pub fn volume_path(&self) -> PathBuf {
-        if self.volume.path.starts_with("phantom:") { PathBuf::from(&self.volume.path) } else { self.folder.join(&self.volume.path) }
+    /// A scene that shows a mesh with all defaults.
+    pub fn of_mesh(path: impl Into<String>) -> Self {
+        let mut scene = Self::of_volume("");
+        scene.volume = None;
+        scene.mesh.push(surface::MeshSource::of_file(path));
+        scene.render.mode = Mode::Surface;
+        scene
+    }
+
+    /// The volume as the scene names it; empty if it has none.
+    pub fn volume_name(&self) -> &str {
+        self.volume.as_ref().map_or("", |v| &v.path)
+    }
+
+    /// The volume's path as this process finds it, if there is a volume.
+    pub fn volume_path(&self) -> Option<PathBuf> {
+        let path = &self.volume.as_ref()?.path;
+        Some(if path.starts_with("phantom:") { PathBuf::from(path) } else { self.folder.join(path) })
     }
 }

@@ -1,7 +1,8 @@
 //! A scene resolved for rendering, and the picture that comes out: the same types for every backend.
 
 use super::deformations::{self, Composition, Making};
-use super::{CutFaces, Light, Macrocells, Normals, RenderSettings, Scene, ViewFrame, macrocells::Contents};
+use super::objects::{Objects, Surfaces};
+use super::{CutFaces, Light, Macrocells, Mode, Normals, RenderSettings, Scene, ViewFrame, macrocells::Contents};
 use crate::deform::compose::{self, Evaluate};
 use crate::deform::cut::Cuts;
 use crate::deform::{Library, PlacedMap, Stack};
@@ -46,6 +47,12 @@ pub struct Assets {
     pub pyramid: MinMaxPyramid<1>,
     /// What deformations read besides.
     pub library: Library,
+    /// Meshes and distance fields.
+    pub objects: Objects,
+    /// Whether there is a volume, or an empty one stands in its place.
+    pub has_volume: bool,
+    /// The box around all meshes, mm; empty without any.
+    pub mesh_box: Bounds,
     /// Time that loading took.
     pub stages: Stages,
 }
@@ -55,10 +62,27 @@ impl Assets {
     ///
     /// # Errors
     /// What the readers report.
-    pub fn load(scene: &Scene, progress: &mut dyn FnMut(u64, u64)) -> Result<Self> {
+    pub fn load(scene: &Scene, progress: &(dyn Fn(&'static str, f32) + Sync)) -> Result<Self> {
         let mut stages = Stages::default();
-        let volume = stages.time("load", || load::volume(&scene.volume_path(), progress))?;
-        Ok(Self::in_folder(volume, scene.folder.clone(), stages))
+        let mut assets = match scene.volume_path() {
+            Some(path) => {
+                let volume = stages.time("load", || load::volume(&path, &mut |done, all| progress("reading", done as f32 / all.max(1) as f32)))?;
+                Self::in_folder(volume, scene.folder.clone(), stages)
+            }
+            None => Self::without_volume(scene.folder.clone()),
+        };
+        let mut stages = std::mem::take(&mut assets.stages);
+        if !scene.mesh.is_empty() || scene.render.mode == Mode::Surface {
+            assets.mesh_box = stages.time("meshes", || assets.load_objects(scene, &|share| progress("distances", share)))?;
+        }
+        if !assets.has_volume {
+            let empty = Volume::empty_over(&assets.mesh_box);
+            assets.grid = Grid::new(&empty);
+            assets.pyramid = MinMaxPyramid::new(assets.grid.size, 2, |i, j, k| [assets.grid.value(i, j, k)]);
+            assets.volume = Arc::new(empty);
+        }
+        assets.stages = stages;
+        Ok(assets)
     }
 
     /// The assets of a volume that is already in memory.
@@ -66,11 +90,20 @@ impl Assets {
         Self::in_folder(volume, std::path::PathBuf::new(), stages)
     }
 
+    /// An empty volume stands where there is none.
+    fn without_volume(folder: std::path::PathBuf) -> Self {
+        let mut assets = Self::in_folder(Volume::empty_over(&Bounds::UNIT), folder.clone(), Stages::default());
+        assets.library = Library::without_volume(folder);
+        assets.has_volume = false;
+        assets
+    }
+
     fn in_folder(volume: Volume, folder: std::path::PathBuf, mut stages: Stages) -> Self {
         let grid = stages.time("grid", || Grid::new(&volume));
         let pyramid = stages.time("bricks", || MinMaxPyramid::new(grid.size, 2, |i, j, k| [grid.value(i, j, k)]));
         let volume = Arc::new(volume);
-        Self { library: Library::new(volume.clone(), folder), volume, grid, pyramid, stages }
+        let library = Library::new(volume.clone(), folder);
+        Self { library, volume, grid, pyramid, objects: Objects::default(), has_volume: true, mesh_box: Bounds::EMPTY, stages }
     }
 }
 
@@ -113,6 +146,8 @@ pub struct Prepared<'a> {
     pub iso: Option<f32>,
     /// Normalised values that are black and white on grey faces of cuts.
     pub grey_window: [f32; 2],
+    /// Surfaces that are shown with the volume, or alone.
+    pub surfaces: Surfaces,
     /// What composing maps into one has cost in exactness, if any were.
     pub composition: Option<Composition>,
     /// Constants.
@@ -158,8 +193,7 @@ impl<'a> Prepared<'a> {
         check_settings(&settings, &scene.light)?;
         let volume = &assets.volume;
         let fallback = scene
-            .volume
-            .path
+            .volume_name()
             .strip_prefix("phantom:")
             .and_then(phantom::preset)
             .unwrap_or_else(|| if scene.transfer.preset.is_none() && scene.transfer.points.is_empty() { default_preset(volume) } else { "grey" });
@@ -168,7 +202,7 @@ impl<'a> Prepared<'a> {
             let table = Table::new(&function, volume.range);
             Ok((function, table))
         })?;
-        let volume_box = volume.bounds_in_world();
+        let volume_box = if assets.has_volume { volume.bounds_in_world().union(&assets.mesh_box) } else { assets.mesh_box };
         let mut view = scene.camera.frame(&volume_box, settings.size)?;
         let reference_mm = volume.spacing_mm().min_element() as f32;
         let step_mm = settings.step * reference_mm;
@@ -197,7 +231,12 @@ impl<'a> Prepared<'a> {
         }
         let deformed = stack.deformed_bounds(&volume_box);
         view.step_back_from(&deformed, step_mm);
+        let surfaces = stages.time("surfaces", || assets.surfaces(scene, &stack, &cuts))?;
+        let deformed = stack.deformed_bounds(&volume.bounds_in_world());
         let macrocells = stages.time("macrocells", || {
+            if settings.mode == Mode::Surface || !assets.has_volume {
+                return Macrocells::solid(Bounds::EMPTY);
+            }
             if !settings.empty_space_skipping {
                 return Macrocells::solid(deformed);
             }
@@ -244,6 +283,7 @@ impl<'a> Prepared<'a> {
             iso,
             grey_window,
             composition,
+            surfaces,
             frame,
             light,
             settings,

@@ -90,6 +90,17 @@ impl Volume {
         Self { voxels, size, rescale, world_from_voxel, range, non_finite, declared_labels: false, warnings: Vec::new() }
     }
 
+    /// A volume of nothing over a box, 128 voxels along its longest edge: what a scene of meshes alone is measured by.
+    pub fn empty_over(bounds: &crate::math::Bounds) -> Self {
+        let extent = if bounds.is_empty() { glam::Vec3::ONE } else { bounds.size().max(glam::Vec3::splat(f32::MIN_POSITIVE)) };
+        let spacing = extent.max_element() / 128.0;
+        let size = (extent / spacing).ceil().max(glam::Vec3::ONE).to_array().map(|n| n as usize);
+        let middle = if bounds.is_empty() { glam::Vec3::ZERO } else { bounds.center() };
+        let first = middle - glam::Vec3::from(size.map(|n| (n - 1) as f32)) * (0.5 * spacing);
+        let world_from_voxel = DAffine3::from_translation(first.as_dvec3()) * DAffine3::from_scale(DVec3::splat(f64::from(spacing)));
+        Self::new(vec![0u8; size.iter().product()].into(), size, Rescale::NONE, world_from_voxel)
+    }
+
     /// Where the voxels lie.
     pub fn geometry(&self) -> GridGeometry {
         GridGeometry { size: self.size, world_from_voxel: self.world_from_voxel }

@@ -1,0 +1,312 @@
+//! Surfaces by rays: signed distance fields under deformation, and triangles where nothing deforms them (\[DS07\]; `model.md` section 6).
+//!
+//! *Theory*: a ray goes through the deformed scene; every sample is carried back through the stack, and the first place where the source's
+//! field changes its sign is a hit, refined by bisection. The mask decides what a hit is worth: on a hollow surface one in a cut is
+//! passed by; in a solid one the ray then looks for the surface of the cut itself, where there is matter behind it. A thick skin is the
+//! solid of f̂ = τ - f where f > τ/2 (\[DS07\] eq 7).
+//!
+//! *What we changed against the paper*:
+//! - Both changes of sign within a step, the surface's and the cut's, are found and taken in their order along the ray, so that an edge
+//!   between them is sharp however long the step.
+//! - Jacobian steps divide by a bound on |J v| over the cell that the ray is in (`deform::slope`) instead of its value at the sample: a
+//!   narrow pull between two samples is not stepped over.
+//! - Sphere steps: |f| divided by the same bound is free of surface. Inside a cut, where the next thing to meet is the cut's own
+//!   surface, steps are even.
+//! - Empty cells are skipped: those that a mask has emptied (\[DS07\] 6.2, their distance to the nearest other cell in place of a distance
+//!   field of the cut), and those that the field itself shows to be far from its surface.
+//!
+//! Triangles outside the deformations' boxes are met by rays too: at a pixel's centre that is what rasterising gives.
+//!
+//! `shaders/surface.wgsl` and `shaders/lib/surface.wgsl` say the same.
+
+use crate::deform::{Cut, Jet};
+use crate::math::{normalize_or, smoothstep};
+use crate::mesh::MeshHit;
+use crate::scene::Prepared;
+use crate::scene::objects::{Stage, SurfaceObject, Triangles};
+use crate::scene::surface::{CutModel, Steps};
+use glam::{Mat3, Vec3};
+
+/// Bisections of a step.
+const REFINEMENTS: u32 = 14;
+/// Sphere steps are no shorter than this share of an even one.
+const SHORTEST: f32 = 0.25;
+/// Near the surface threshold steps are this share of an even one.
+const FINE: f32 = 0.25;
+/// Most samples along one ray: beyond any picture's need, and an end for broken fields.
+const MOST_SAMPLES: u32 = 100_000;
+
+/// What a ray sees of the surfaces.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SurfaceHit {
+    /// Distance along the ray, mm.
+    pub t: f32,
+    /// Colour after light.
+    pub color: Vec3,
+}
+
+/// Which surface was hit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Side {
+    /// The outside.
+    Outside,
+    /// The inside of a shell.
+    Inside,
+    /// The face of a cut.
+    Cut,
+}
+
+/// A point of a ray.
+#[derive(Clone, Copy)]
+struct Sample {
+    t: f32,
+    /// f, or f̂ of a thick skin; positive inside.
+    f: f32,
+    /// Positive in a cut.
+    cut: f32,
+}
+
+/// The nearest surface along a ray, and how many samples it took.
+pub fn nearest(scene: &Prepared, origin: Vec3, direction: Vec3, samples: &mut u64) -> Option<SurfaceHit> {
+    let mut best: Option<SurfaceHit> = None;
+    for object in &scene.surfaces.objects {
+        if let Some(hit) = object_hit(scene, object, origin, direction, samples)
+            && best.is_none_or(|b| hit.t < b.t)
+        {
+            best = Some(hit);
+        }
+    }
+    best
+}
+
+fn object_hit(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: Vec3, samples: &mut u64) -> Option<SurfaceHit> {
+    let mut by_field = || trace(scene, object, origin, direction, samples).map(|(t, side)| shade_field(scene, object, origin, direction, t, side));
+    match (object.stage, &object.triangles) {
+        (Stage::Rays, _) | (_, None) => by_field(),
+        (Stage::Triangles, Some(triangles)) => {
+            let hit = triangles.tree.ray(origin, direction, 0.0, f32::INFINITY, |_| true)?;
+            Some(shade_triangle(scene, object, triangles, &hit, direction))
+        }
+        (Stage::Both(seam), Some(triangles)) => {
+            let hit = triangles.tree.ray(origin, direction, 0.0, f32::INFINITY, |h| is_undeformed(scene, object, origin + direction * h.t, seam));
+            let drawn = hit.map(|h| shade_triangle(scene, object, triangles, &h, direction));
+            blend_seam(scene, object, drawn, by_field(), origin, direction, seam)
+        }
+    }
+}
+
+/// Depth of a point in the deformations' boxes, mm: how far inside the one it is deepest in; negative outside all.
+pub fn depth_in_boxes(scene: &Prepared, object: &SurfaceObject, p: Vec3, seam: f32) -> f32 {
+    if object.rigid {
+        return f32::NEG_INFINITY;
+    }
+    let mut depth = f32::NEG_INFINITY;
+    for map in scene.stack.maps() {
+        let x = map.placement.map_from_world.transform_point3(p);
+        let size = map.placement.size_mm();
+        let inside = (x + map.reach).min(Vec3::ONE + map.reach - x) * size;
+        depth = depth.max(inside.min_element());
+    }
+    // A cut that is a shape has no box: its neighbourhood takes its place.
+    if !scene.cuts.is_empty() {
+        depth = depth.max(2.0 * seam - scene.cuts.kept(p));
+    }
+    depth
+}
+
+/// Whether the triangles still show the scene at a point: outside the boxes, or within the seam where nothing moves and nothing is cut.
+fn is_undeformed(scene: &Prepared, object: &SurfaceObject, p: Vec3, seam: f32) -> bool {
+    let depth = depth_in_boxes(scene, object, p, seam);
+    if depth <= 0.0 {
+        return true;
+    }
+    if depth >= seam {
+        return false;
+    }
+    let (source, alpha) = scene.stack.walk_through(p);
+    alpha >= 0.5 && scene.cuts.kept(p) >= 0.0 && source.distance(p) < 0.25 * object.cell_mm
+}
+
+/// Joins what was drawn with what was cast: the nearer one, or, where both show one surface within the seam, a blend of their colours.
+fn blend_seam(
+    scene: &Prepared,
+    object: &SurfaceObject,
+    drawn: Option<SurfaceHit>,
+    cast: Option<SurfaceHit>,
+    origin: Vec3,
+    direction: Vec3,
+    seam: f32,
+) -> Option<SurfaceHit> {
+    let (Some(d), Some(c)) = (drawn, cast) else { return drawn.or(cast) };
+    if (d.t - c.t).abs() > 2.0 * object.cell_mm {
+        return Some(if d.t < c.t { d } else { c });
+    }
+    let weight = smoothstep(0.0, seam, depth_in_boxes(scene, object, origin + direction * d.t, seam));
+    Some(SurfaceHit { t: d.t + (c.t - d.t) * weight, color: d.color.lerp(c.color, weight) })
+}
+
+/// f of the object's model at a value of its field.
+fn modelled(object: &SurfaceObject, f: f32) -> f32 {
+    if object.thickness_mm > 0.0 && f > 0.5 * object.thickness_mm { object.thickness_mm - f } else { f }
+}
+
+fn sample(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: Vec3, t: f32) -> Sample {
+    let p = origin + direction * t;
+    let Some(implicit) = &object.implicit else { return Sample { t, f: -1.0, cut: -1.0 } };
+    if object.rigid {
+        return Sample { t, f: modelled(object, implicit.value(p)), cut: -1.0 };
+    }
+    let (source, alpha) = scene.stack.walk_through(p);
+    Sample { t, f: modelled(object, implicit.value(source)), cut: (0.5 - alpha).max(-scene.cuts.kept(p)) }
+}
+
+/// Walks a ray to the first hit of an object: where, and which side.
+pub fn trace(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: Vec3, samples: &mut u64) -> Option<(f32, Side)> {
+    let grid = &object.cells.grid;
+    let (near, far) = grid.occupied.intersect_ray(origin, direction)?;
+    let inverse = direction.recip();
+    let mut t = near.max(0.0);
+    let mut before: Option<Sample> = None;
+    let is_distance = object.implicit.as_ref().is_some_and(crate::mesh::Implicit::is_distance);
+    let mut count = 0;
+    while t < far && count < MOST_SAMPLES {
+        let p = origin + direction * t;
+        if let Some(exit) = grid.empty_until(p, origin, inverse) {
+            // A surface just within the next cell lies between its border and the first sample in it.
+            t = exit.max(t + 1e-4 * object.step_mm);
+            before = None;
+            continue;
+        }
+        count += 1;
+        let here = sample(scene, object, origin, direction, t);
+        if let Some(before) = before
+            && let Some(hit) = first_event(scene, object, origin, direction, before, here)
+        {
+            *samples += u64::from(count);
+            return Some(hit);
+        }
+        before = Some(here);
+        t += step(scene, object, &here, p, is_distance, origin, inverse, t);
+    }
+    // The last part of the ray, to the end of what can be seen.
+    let hit = before.filter(|b| b.t < far).and_then(|b| first_event(scene, object, origin, direction, b, sample(scene, object, origin, direction, far)));
+    *samples += u64::from(count);
+    hit
+}
+
+/// Distance to the next sample.
+#[allow(clippy::too_many_arguments, reason = "the state of one ray")]
+fn step(scene: &Prepared, object: &SurfaceObject, here: &Sample, p: Vec3, is_distance: bool, origin: Vec3, inverse: Vec3, t: f32) -> f32 {
+    let even = object.step_mm;
+    let grid = &object.cells.grid;
+    let slope = || object.cells.slope[grid.index(p)].max(1e-3);
+    // Bounds hold within the cell; the next sample is at most just beyond it.
+    let within = |length: f32| {
+        let cell = ((p - grid.origin) / grid.cell_mm).floor().clamp(Vec3::ZERO, (grid.size - 1).as_vec3());
+        let low = grid.origin + cell * grid.cell_mm;
+        let far = ((low - origin) * inverse).max((low + grid.cell_mm - origin) * inverse).min_element();
+        length.min((far - t).max(0.0) + 0.01 * even)
+    };
+    match scene.surfaces.steps {
+        Steps::Uniform => even,
+        Steps::Threshold => even * if here.f.abs() < scene.surfaces.threshold * object.cell_mm { FINE } else { 1.0 },
+        Steps::Jacobian => within(even / slope()),
+        Steps::Sphere if !is_distance => even,
+        Steps::Sphere => {
+            let slope = slope();
+            let shortest = SHORTEST * even / slope.max(1.0);
+            // In a cut the next thing to meet may be the cut itself.
+            let in_cut = here.cut > 0.0 && here.f > 0.0 && object.look.model != CutModel::Hollow;
+            if in_cut { even.min(even / slope).max(shortest) } else { within((0.9 * here.f.abs() / slope).max(shortest)) }
+        }
+    }
+}
+
+/// The first hit between two samples, if there is one.
+fn first_event(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: Vec3, a: Sample, b: Sample) -> Option<(f32, Side)> {
+    let at = |t: f32| sample(scene, object, origin, direction, t);
+    let solid = object.look.model != CutModel::Hollow;
+    let surface = ((a.f > 0.0) != (b.f > 0.0)).then(|| bisect(a, b, |s| s.f > 0.0, &at));
+    let face = (solid && a.cut > 0.0 && b.cut <= 0.0).then(|| bisect(a, b, |s| s.cut > 0.0, &at));
+    let surface_hit = surface.and_then(|(before, after)| {
+        let entering = before.f <= 0.0;
+        // A shell shows both its sides, a solid only what a ray enters.
+        if after.cut.max(before.cut) > 0.0 || (solid && !entering) {
+            return None;
+        }
+        let inner = object.thickness_mm > 0.0 && source_value(scene, object, origin + direction * after.t) > 0.5 * object.thickness_mm;
+        Some((after.t, if entering && !inner { Side::Outside } else { Side::Inside }))
+    });
+    let face_hit = face.filter(|(_, after)| after.f > 0.0).map(|(_, after)| (after.t, Side::Cut));
+    match (surface_hit, face_hit) {
+        (Some(s), Some(f)) => Some(if s.0 <= f.0 { s } else { f }),
+        (s, f) => s.or(f),
+    }
+}
+
+/// f itself at a point of the deformed scene.
+fn source_value(scene: &Prepared, object: &SurfaceObject, p: Vec3) -> f32 {
+    let source = if object.rigid { p } else { scene.stack.walk_through(p).0 };
+    object.implicit.as_ref().map_or(-1.0, |i| i.value(source))
+}
+
+/// The two sides of a change between two samples, closer and closer.
+fn bisect(mut a: Sample, mut b: Sample, is: impl Fn(&Sample) -> bool, at: &impl Fn(f32) -> Sample) -> (Sample, Sample) {
+    let first = is(&a);
+    for _ in 0..REFINEMENTS {
+        let middle = at(0.5 * (a.t + b.t));
+        if is(&middle) == first { a = middle } else { b = middle }
+    }
+    (a, b)
+}
+
+/// Unit normal of a hit, out of the matter.
+pub fn normal(scene: &Prepared, object: &SurfaceObject, p: Vec3, side: Side) -> Vec3 {
+    let jet = if object.rigid || scene.stack.is_empty() {
+        Jet { source: p, d_source_d_deformed: Mat3::IDENTITY, cut: Cut::NONE, alpha: 1.0 }
+    } else {
+        scene.stack.jet(p)
+    };
+    if side == Side::Cut {
+        let mut cut = jet.cut;
+        let kept = scene.cuts.kept(p);
+        if kept < object.step_mm {
+            cut = cut.or_nearer(kept.abs(), scene.cuts.gradient(p, 0.05 * object.cell_mm));
+        }
+        return cut.normal;
+    }
+    let gradient = object.implicit.as_ref().map_or(Vec3::ZERO, |i| i.gradient(jet.source, object.cell_mm));
+    let outward = normalize_or(-(jet.d_source_d_deformed.transpose() * gradient), Vec3::ZERO);
+    if side == Side::Inside { -outward } else { outward }
+}
+
+fn shade_field(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: Vec3, t: f32, side: Side) -> SurfaceHit {
+    let normal = normal(scene, object, origin + direction * t, side);
+    let color = Vec3::from(match side {
+        Side::Outside => object.look.color,
+        Side::Inside => object.look.inside,
+        Side::Cut => object.look.cut,
+    });
+    SurfaceHit { t, color: light(scene, object, normal, direction, color) }
+}
+
+fn shade_triangle(scene: &Prepared, object: &SurfaceObject, triangles: &Triangles, hit: &MeshHit, direction: Vec3) -> SurfaceHit {
+    let [a, b, c] = triangles.normals[hit.triangle as usize];
+    let [u, v] = hit.barycentric;
+    let normal = normalize_or(a * (1.0 - u - v) + b * u + c * v, a);
+    let color = Vec3::from(if hit.front { object.look.color } else { object.look.inside });
+    SurfaceHit { t: hit.t, color: light(scene, object, if hit.front { normal } else { -normal }, direction, color) }
+}
+
+/// Blinn-Phong under the scene's light with the object's highlight. A normal that points away from the eye by a little (an interpolated one
+/// at a silhouette) is bent back to the edge.
+fn light(scene: &Prepared, object: &SurfaceObject, normal: Vec3, direction: Vec3, color: Vec3) -> Vec3 {
+    let away = normal.dot(direction).max(0.0);
+    let normal = normalize_or(normal - direction * away, -direction);
+    let (light, to_light) = (&scene.light, scene.frame.to_light);
+    let facing = normal.dot(to_light);
+    let half = normalize_or(to_light - direction, to_light);
+    let [strength, exponent] = object.look.highlight;
+    let highlight = if facing > 0.0 { strength * normal.dot(half).max(0.0).powf(exponent) } else { 0.0 };
+    (color * (light.ambient + light.diffuse * facing.max(0.0)) + highlight).clamp(Vec3::ZERO, Vec3::ONE)
+}

@@ -1,0 +1,643 @@
+//! Surfaces resolved for rendering: every `[[mesh]]`, and the volume's own surface where the mode asks for it, as an implicit solid, as
+//! triangles, or both.
+
+use super::macrocells::Macrocells;
+use super::surface::{CutModel, DeformerSource, Look, MeshSource, Representation, ShapeSource, Steps, SurfaceSettings};
+use super::{Assets, Mode, Scene, Size};
+use crate::deform::cut::Cuts;
+use crate::deform::distance::{Region, of_region};
+use crate::deform::slope::Slopes;
+use crate::deform::{Placement, Stack};
+use crate::error::suggestion;
+use crate::math::{Bounds, DistanceGrid};
+use crate::mesh::deformer::{Deform, Deformer, LATTICE, MOST_DEFORMERS, NormalMethod, apply_all, deform_vertex};
+use crate::mesh::depth_map::{DepthMaps, FACES};
+use crate::mesh::field::{FieldSettings, MeshField, Watch, of_iso_value};
+use crate::mesh::formula::{Formula, Join, MOST_SOLIDS, PlacedSolid, Solid};
+use crate::mesh::{Implicit, Mesh, Tree, load};
+use crate::{Error, Result};
+use glam::{Affine3A, Mat3, Vec3};
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Cells of the empty-space grid along an object's longest edge.
+const CELLS: f32 = 64.0;
+/// Triangles that tessellation stops at.
+const MOST_TESSELLATED: usize = 4_000_000;
+/// Most objects of a scene.
+const MOST_OBJECTS: usize = 64;
+
+/// Loaded meshes and computed fields, kept as long as a scene's assets are.
+#[derive(Default)]
+pub struct Objects {
+    meshes: Mutex<HashMap<String, Arc<Mesh>>>,
+    fields: Mutex<HashMap<String, Arc<DistanceGrid>>>,
+    triangles: Mutex<HashMap<String, Arc<Triangles>>>,
+    depths: Mutex<HashMap<String, Arc<DepthMaps>>>,
+}
+
+fn lock<T>(m: &Mutex<T>) -> MutexGuard<'_, T> {
+    // Entries are only ever added whole.
+    m.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A mesh ready for rays: after its deformers, with normals and a tree; and as it was before them, for a vertex shader.
+pub struct Triangles {
+    /// The mesh after its deformers.
+    pub mesh: Mesh,
+    /// Its normals, per corner.
+    pub normals: Vec<[Vec3; 3]>,
+    /// Its triangles by place.
+    pub tree: Tree,
+    /// Before its deformers: positions and normals, per corner.
+    pub undeformed: Vec<[(Vec3, Vec3); 3]>,
+}
+
+/// Which renderer an object passes through.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Stage {
+    /// Rays through its field.
+    Rays,
+    /// Triangles outside the deformations' boxes, rays within, blended over a seam of this width, mm.
+    Both(f32),
+    /// Triangles alone.
+    Triangles,
+}
+
+/// Empty space around an object, and how fast the deformation changes, per cell.
+pub struct SurfaceCells {
+    /// The grid.
+    pub grid: Macrocells,
+    /// A bound on |J v| in each cell.
+    pub slope: Vec<f32>,
+}
+
+/// One surface.
+pub struct SurfaceObject {
+    /// Its name in messages.
+    pub name: String,
+    /// How it looks.
+    pub look: Look,
+    /// Thickness of a thick one, mm; 0 of others.
+    pub thickness_mm: f32,
+    /// What rays sample.
+    pub implicit: Option<Implicit>,
+    /// Its triangles, where they are drawn.
+    pub triangles: Option<Arc<Triangles>>,
+    /// Which renderer it passes through.
+    pub stage: Stage,
+    /// The scene's deformations pass it by.
+    pub rigid: bool,
+    /// Forward deformers, for the vertex shader.
+    pub deformers: Vec<Deformer>,
+    /// How they carry normals.
+    pub normals: NormalMethod,
+    /// What f is resolved to, mm.
+    pub cell_mm: f32,
+    /// Length of an even step, mm.
+    pub step_mm: f32,
+    /// Empty space.
+    pub cells: SurfaceCells,
+}
+
+/// All surfaces of a scene.
+#[derive(Default)]
+pub struct Surfaces {
+    /// The objects.
+    pub objects: Vec<SurfaceObject>,
+    /// How rays step.
+    pub steps: Steps,
+    /// Distance from the surface within which threshold steps are finer, cells.
+    pub threshold: f32,
+}
+
+impl MeshSource {
+    /// A mesh file with all defaults.
+    pub fn of_file(path: impl Into<String>) -> Self {
+        Self { path: Some(path.into()), ..Self::default() }
+    }
+
+    /// A name for messages.
+    fn label(&self, n: usize) -> String {
+        self.name.clone().or_else(|| self.path.clone()).unwrap_or_else(|| format!("mesh {}", n + 1))
+    }
+
+    fn representation(&self) -> Representation {
+        self.representation.unwrap_or(if self.deformer.is_empty() { Representation::Field } else { Representation::Triangles })
+    }
+
+    /// What decides the mesh after its deformers.
+    fn mesh_key(&self) -> String {
+        format!("{:?} {:?} {:?} {:?} {:?} {:?} {:?}", self.path, self.center, self.size, self.rotate, self.matrix, self.deformer, self.tessellate)
+    }
+
+    fn check(&self) -> Result<()> {
+        let sources = usize::from(self.path.is_some()) + usize::from(self.iso.is_some()) + usize::from(!self.label.is_empty()) + usize::from(!self.shape.is_empty());
+        if sources != 1 {
+            return Err(Error::value("path, iso, label, shape", "exactly one of them says what a mesh is made of"));
+        }
+        if self.path.is_none() {
+            let only_files = [
+                ("center, size, rotate, matrix", self.center.is_some() || self.size.is_some() || self.rotate.is_some() || self.matrix.is_some()),
+                ("deformer", !self.deformer.is_empty()),
+                ("representation", !matches!(self.representation, None | Some(Representation::Field))),
+                ("tessellate", self.tessellate.is_some()),
+            ];
+            if let Some((name, _)) = only_files.iter().find(|f| f.1) {
+                return Err(Error::value(*name, "is of meshes from files only; leave it out"));
+            }
+        }
+        if self.resolution.is_some_and(|n| !(16..=1024).contains(&n)) {
+            return Err(Error::value("resolution", "is outside 16 to 1024 points"));
+        }
+        if self.tessellate.is_some_and(|t| !(t.is_finite() && t > 0.0)) {
+            return Err(Error::value("tessellate", "must be a positive number of millimetres"));
+        }
+        Ok(())
+    }
+
+    /// From the file's coordinates to the world.
+    fn placement(&self, bounds: &Bounds) -> Result<Affine3A> {
+        if let Some(rows) = self.matrix {
+            if self.center.is_some() || self.size.is_some() || self.rotate.is_some() {
+                return Err(Error::value("matrix", "already says where the mesh goes; leave out center, size and rotate"));
+            }
+            let column = |c: usize| Vec3::new(rows[0][c], rows[1][c], rows[2][c]);
+            let m = Affine3A::from_mat3_translation(Mat3::from_cols(column(0), column(1), column(2)), column(3));
+            return if m.is_finite() && Mat3::from(m.matrix3).determinant() != 0.0 { Ok(m) } else { Err(Error::value("matrix", "is singular or not finite")) };
+        }
+        let scale = match self.size {
+            Some(s) if s.is_finite() && s > 0.0 => s / bounds.size().max_element(),
+            Some(s) => return Err(Error::value("size", format!("{s} is not a length"))),
+            None => 1.0,
+        };
+        let turn = rotation(self.rotate)?;
+        let center = self.center.map_or(bounds.center(), Vec3::from);
+        if !center.is_finite() {
+            return Err(Error::value("center", "must be finite"));
+        }
+        Ok(Affine3A::from_translation(center) * Affine3A::from_mat3(turn) * Affine3A::from_scale(Vec3::splat(scale)) * Affine3A::from_translation(-bounds.center()))
+    }
+}
+
+/// About x, then y, then z, as deformations turn.
+fn rotation(degrees: Option<[f32; 3]>) -> Result<Mat3> {
+    let Some(d) = degrees else { return Ok(Mat3::IDENTITY) };
+    let placement = Placement::new(Vec3::ZERO, Vec3::ONE, Vec3::from(d))?;
+    Ok(Mat3::from(placement.world_from_map.matrix3))
+}
+
+impl Objects {
+    /// A mesh file where it lies in the world, before its deformers.
+    fn placed(&self, assets: &Assets, source: &MeshSource) -> Result<Arc<Mesh>> {
+        let path = source.path.as_deref().unwrap_or_default();
+        let key = format!("{path} {:?} {:?} {:?} {:?}", source.center, source.size, source.rotate, source.matrix);
+        if let Some(mesh) = lock(&self.meshes).get(&key) {
+            return Ok(mesh.clone());
+        }
+        let mesh = load::mesh(&assets.library.path(path))?;
+        for warning in &mesh.warnings {
+            assets.library.notice(format!("{path}: {warning}"));
+        }
+        let placement = source.placement(&mesh.bounds())?;
+        let mesh = Arc::new(mesh.transformed(&placement));
+        lock(&self.meshes).insert(key, mesh.clone());
+        Ok(mesh)
+    }
+
+    /// A mesh with its deformers applied, ready for rays.
+    fn triangles(&self, assets: &Assets, source: &MeshSource) -> Result<Arc<Triangles>> {
+        let key = format!("{} {:?}", source.mesh_key(), source.normals);
+        if let Some(t) = lock(&self.triangles).get(&key) {
+            return Ok(t.clone());
+        }
+        let placed = self.placed(assets, source)?;
+        let deformers = deformers(source, &placed.bounds())?;
+        let mut mesh = (*placed).clone();
+        if let (Some(tolerance), false) = (source.tessellate, deformers.is_empty()) {
+            let (finer, reached) = mesh.tessellated(|p| apply_all(&deformers, p).0, tolerance, MOST_TESSELLATED);
+            if !reached {
+                assets.library.notice(format!("{}: tessellation stopped at {} triangles, before {tolerance} mm", source.label(0), finer.triangles.len()));
+            }
+            mesh = finer;
+        }
+        let normals = mesh.corner_normals();
+        let undeformed: Vec<[(Vec3, Vec3); 3]> =
+            normals.iter().enumerate().map(|(t, n)| { let p = mesh.corners(t); std::array::from_fn(|c| (p[c], n[c])) }).collect();
+        let normals = if deformers.is_empty() {
+            normals
+        } else {
+            let turned = undeformed.iter().map(|t| t.map(|(p, n)| deform_vertex(&deformers, p, n, source.normals).1)).collect();
+            mesh.positions.iter_mut().for_each(|p| *p = apply_all(&deformers, *p).0);
+            turned
+        };
+        let t = Arc::new(Triangles { tree: Tree::new(&mesh), mesh, normals, undeformed });
+        lock(&self.triangles).insert(key, t.clone());
+        Ok(t)
+    }
+
+    /// What rays sample of a source; only `region` of it, if one is given.
+    fn implicit(&self, assets: &Assets, source: &MeshSource, general: &SurfaceSettings, region: Option<Bounds>, watch: &Watch) -> Result<Implicit> {
+        let resolution = source.resolution.unwrap_or(general.resolution);
+        if !source.shape.is_empty() {
+            return formula(&source.shape).map(Implicit::Formula);
+        }
+        if source.path.is_none() {
+            return self.of_volume(assets, source).map(Implicit::Grid);
+        }
+        let triangles = self.triangles(assets, source)?;
+        match source.representation() {
+            Representation::DepthMap | Representation::DepthMapCube => {
+                let key = format!("{} {:?} {:?} {resolution}", source.mesh_key(), source.representation, source.face);
+                if let Some(d) = lock(&self.depths).get(&key) {
+                    return Ok(Implicit::Depth(d.clone()));
+                }
+                let faces: Vec<u32> = if source.representation == Some(Representation::DepthMapCube) {
+                    (0..6).collect()
+                } else {
+                    let name = source.face.as_deref().unwrap_or("-y");
+                    let face = FACES.iter().position(|f| *f == name);
+                    vec![face.ok_or_else(|| Error::value(format!("face \"{name}\""), format!("there is no such face; known: {}", FACES.join(", "))))? as u32]
+                };
+                let bounds = triangles.mesh.bounds();
+                let margin = 0.02 * bounds.size().max_element();
+                let maps = Arc::new(DepthMaps::new(&triangles.tree, bounds.grown(margin), resolution, &faces));
+                let full = 2 * resolution.pow(3);
+                assets.library.notice(format!("{}: depth maps of {} bytes, where a field of {resolution}³ takes {full}", source.label(0), maps.bytes()));
+                lock(&self.depths).insert(key, maps.clone());
+                Ok(Implicit::Depth(maps))
+            }
+            _ => {
+                let key = format!("{} {resolution} {} {region:?}", source.mesh_key(), source.exact);
+                if let Some(f) = lock(&self.fields).get(&key) {
+                    return Ok(Implicit::Grid(f.clone()));
+                }
+                let settings = FieldSettings {
+                    resolution,
+                    // A part has the cells that the whole would have.
+                    cell_mm: None,
+                    region,
+                    exact: source.exact,
+                };
+                let path = assets.library.path(source.path.as_deref().unwrap_or_default());
+                let field = MeshField::new(&triangles.mesh, &settings, watch).map_err(|problem| Error::file(&path, problem))?;
+                let t = &field.topology;
+                if !t.watertight {
+                    assets.library.notice(format!(
+                        "{}: not watertight ({} open edges); its inside is where the winding number is above 1/2, doubtful at {:.1} % of the points near the surface",
+                        source.label(0), t.open_edges, 100.0 * field.doubtful
+                    ));
+                }
+                let grid = Arc::new(field.grid);
+                lock(&self.fields).insert(key, grid.clone());
+                Ok(Implicit::Grid(grid))
+            }
+        }
+    }
+
+    /// The surface of a value or of labels of a volume.
+    fn of_volume(&self, assets: &Assets, source: &MeshSource) -> Result<Arc<DistanceGrid>> {
+        let key = format!("{:?} {:?} {:?}", source.volume, source.iso, source.label);
+        if let Some(f) = lock(&self.fields).get(&key) {
+            return Ok(f.clone());
+        }
+        let volume = match &source.volume {
+            Some(path) => assets.library.load_volume(path)?,
+            None => assets.library.volume()?.clone(),
+        };
+        let grid = match source.iso {
+            Some(iso) => of_iso_value(&volume, iso).ok_or_else(|| {
+                let [low, high] = volume.range;
+                Error::value("iso", format!("the volume has no surface at {iso}; its values go from {low} to {high}"))
+            }),
+            None => of_region(&volume, &Region::Labels(&source.label), true)
+                .ok_or_else(|| Error::value("label", format!("no surface has the labels {:?}: no voxel has them, or all do", source.label))),
+        }?;
+        let grid = Arc::new(grid);
+        lock(&self.fields).insert(key, grid.clone());
+        Ok(grid)
+    }
+}
+
+/// The deformers of a mesh that lies in `bounds`.
+fn deformers(source: &MeshSource, bounds: &Bounds) -> Result<Vec<Deformer>> {
+    if source.deformer.len() > MOST_DEFORMERS {
+        return Err(Error::value("deformer", format!("a mesh has at most {MOST_DEFORMERS}")));
+    }
+    source.deformer.iter().map(|d| deformer(d, bounds)).collect()
+}
+
+fn deformer(d: &DeformerSource, bounds: &Bounds) -> Result<Deformer> {
+    const KINDS: [(&str, &[&str]); 7] = [
+        ("twist", &["angle"]),
+        ("bend", &["angle"]),
+        ("taper", &["factor"]),
+        ("shear", &["amount"]),
+        ("bulge", &["amount", "width"]),
+        ("wave", &["amplitude", "length", "phase"]),
+        ("lattice", &[]),
+    ];
+    let Some((kind, known)) = KINDS.iter().find(|k| k.0 == d.kind) else {
+        return Err(Error::value(format!("deformer \"{}\"", d.kind), format!("there is no such deformer; {}", suggestion(&d.kind, KINDS.iter().map(|k| k.0)))));
+    };
+    if let Some(name) = d.numbers.keys().find(|n| !known.contains(&n.as_str())) {
+        return Err(Error::value(format!("{kind}: {name}"), format!("there is no such parameter; {}", suggestion(name, known.iter().copied()))));
+    }
+    if let Some((name, value)) = d.numbers.iter().find(|(_, v)| !v.is_finite()) {
+        return Err(Error::value(format!("{kind}: {name}"), format!("{value} is not finite")));
+    }
+    let progress = d.progress.unwrap_or(1.0);
+    if !(0.0..=1.0).contains(&progress) {
+        return Err(Error::value(format!("{kind}: progress"), format!("{progress} is outside 0 to 1")));
+    }
+    let size = d.size.map_or(bounds.size(), Size::xyz);
+    let placement = Placement::new(d.center.map_or(bounds.center(), Vec3::from), size, d.rotate.map_or(Vec3::ZERO, Vec3::from))?;
+    let half = size * 0.5;
+    let local_from_world = Affine3A::from_scale(size) * Affine3A::from_translation(Vec3::splat(-0.5)) * placement.map_from_world;
+    let number = |name: &str, default: f32| d.numbers.get(name).copied().unwrap_or(default);
+    let positive = |name: &str, default: f32| match number(name, default) {
+        v if v > 0.0 => Ok(v),
+        v => Err(Error::value(format!("{kind}: {name}"), format!("{v} is not positive"))),
+    };
+    let deform = match *kind {
+        "twist" => Deform::Twist(progress * number("angle", 90.0).to_radians() / size.z),
+        "bend" => Deform::Bend(progress * number("angle", 60.0).to_radians() / size.z),
+        "taper" => Deform::Taper(1.0 + progress * (positive("factor", 0.4)? - 1.0)),
+        "shear" => Deform::Shear(progress * number("amount", 0.4)),
+        "bulge" => Deform::Bulge(progress * number("amount", 0.4), positive("width", 0.25 * size.z)?),
+        "wave" => {
+            let length = positive("length", 0.4 * size.x.max(size.y))?;
+            Deform::Wave(progress * number("amplitude", 0.05 * size.max_element()), std::f32::consts::TAU / length, number("phase", 0.0).to_radians())
+        }
+        _ => {
+            let mut offsets = [Vec3::ZERO; LATTICE * LATTICE * LATTICE];
+            for p in &d.points {
+                let index = [p[0], p[1], p[2]];
+                if !index.iter().all(|i| (0.0..LATTICE as f32).contains(i) && i.fract() == 0.0) || !p.iter().all(|v| v.is_finite()) {
+                    return Err(Error::value("lattice: points", format!("{p:?} is not three indices from 0 to 3 and an offset")));
+                }
+                let n = (index[2] as usize * LATTICE + index[1] as usize) * LATTICE + index[0] as usize;
+                offsets[n] = Vec3::new(p[3], p[4], p[5]) * progress;
+            }
+            Deform::Lattice(Box::new(offsets))
+        }
+    };
+    Ok(Deformer { deform, local_from_world, half })
+}
+
+fn formula(shapes: &[ShapeSource]) -> Result<Formula> {
+    if shapes.len() > MOST_SOLIDS {
+        return Err(Error::value("shape", format!("at most {MOST_SOLIDS} solids are joined")));
+    }
+    let solids = shapes.iter().enumerate().map(|(n, s)| {
+        let of = |name: &str| format!("shape {}: {name}", n + 1);
+        let length = |name: &str, value: Option<f32>, default: f32| match value.unwrap_or(default) {
+            v if v.is_finite() && v > 0.0 => Ok(v),
+            v => Err(Error::value(of(name), format!("{v} is not a length"))),
+        };
+        let size = s.size.map_or(Vec3::splat(100.0), Size::xyz);
+        if !(size.is_finite() && size.min_element() > 0.0) {
+            return Err(Error::value(of("size"), "must be positive lengths"));
+        }
+        let solid = match s.kind.as_str() {
+            "sphere" => Solid::Sphere(length("radius", s.radius, 50.0)?),
+            "box" => Solid::Box(size * 0.5),
+            "torus" => Solid::Torus(length("radius", s.radius, 40.0)?, length("tube", s.tube, 12.0)?),
+            "cylinder" => Solid::Cylinder(length("radius", s.radius, 30.0)?, 0.5 * length("length", s.length, 100.0)?),
+            "gyroid" => Solid::Gyroid(length("period", s.period, 30.0)?, length("wall", s.wall, 3.0)?, size * 0.5),
+            other => {
+                let known = ["sphere", "box", "torus", "cylinder", "gyroid"];
+                return Err(Error::value(of(&format!("kind \"{other}\"")), format!("there is no such solid; {}", suggestion(other, known))));
+            }
+        };
+        let join = match s.join.as_deref() {
+            None | Some("union") => Join::Union,
+            Some("intersect") => Join::Intersect,
+            Some("subtract") => Join::Subtract,
+            Some(other) => return Err(Error::value(of(&format!("join \"{other}\"")), "is one of union, intersect, subtract")),
+        };
+        let world_from_local = Affine3A::from_mat3_translation(rotation(s.rotate)?, s.center.map_or(Vec3::ZERO, Vec3::from));
+        if !world_from_local.is_finite() {
+            return Err(Error::value(of("center"), "must be finite"));
+        }
+        Ok(PlacedSolid { solid, join, local_from_world: world_from_local.inverse() })
+    });
+    let formula = Formula(solids.collect::<Result<_>>()?);
+    let bounds = formula.bounds();
+    if bounds.is_empty() || bounds.size().min_element() <= 0.0 {
+        return Err(Error::value("shape", "what is joined leaves nothing"));
+    }
+    Ok(formula)
+}
+
+fn named<T>(result: Result<T>, label: &str) -> Result<T> {
+    result.map_err(|e| match e {
+        Error::Value { name, problem } => Error::value(format!("{label}: {name}"), problem),
+        other => other,
+    })
+}
+
+impl Scene {
+    /// The surfaces that the scene shows: its meshes, and the volume's own where the mode asks for it.
+    pub(super) fn surfaces(&self, assets: &Assets) -> Vec<MeshSource> {
+        let mut all: Vec<MeshSource> = self.mesh.iter().filter(|m| !m.hidden).cloned().collect();
+        if self.render.mode == Mode::Surface && self.volume.is_some() && (self.mesh.is_empty() || self.surface.iso.is_some()) {
+            let iso = self.surface.iso.unwrap_or_else(|| assets.volume.body_threshold());
+            all.push(MeshSource { iso: Some(iso), name: Some("volume".into()), ..MeshSource::default() });
+        }
+        all
+    }
+}
+
+impl Assets {
+    /// Loads the meshes that a scene names and computes their fields; the box around them.
+    ///
+    /// # Errors
+    /// Files that cannot be read, settings that cannot be used.
+    pub(super) fn load_objects(&self, scene: &Scene, progress: &(dyn Fn(f32) + Sync)) -> Result<Bounds> {
+        if scene.mesh.len() > MOST_OBJECTS {
+            return Err(Error::value("mesh", format!("a scene has at most {MOST_OBJECTS}")));
+        }
+        let watch = Watch { progress, ..Watch::NOBODY };
+        let mut all = Bounds::EMPTY;
+        for (n, source) in self.shown(scene).iter().enumerate() {
+            let bounds = || -> Result<Bounds> {
+                source.check()?;
+                if source.path.is_some() {
+                    let bounds = self.objects.triangles(self, source)?.mesh.bounds();
+                    // A part is made when the deformations are known.
+                    if source.representation() != Representation::Triangles && !scene.surface.two_stage {
+                        self.objects.implicit(self, source, &scene.surface, None, &watch)?;
+                    }
+                    return Ok(bounds);
+                }
+                Ok(self.objects.implicit(self, source, &scene.surface, None, &watch)?.bounds())
+            };
+            all = all.union(&named(bounds(), &source.label(n))?);
+        }
+        Ok(all)
+    }
+
+    fn shown(&self, scene: &Scene) -> Vec<MeshSource> {
+        scene.surfaces(self)
+    }
+
+    /// Resolves a scene's surfaces.
+    ///
+    /// # Errors
+    /// As [`Self::load_objects`].
+    pub(super) fn surfaces(&self, scene: &Scene, stack: &Stack, cuts: &Cuts) -> Result<Surfaces> {
+        let general = &scene.surface;
+        check(general)?;
+        let slopes = Slopes::new(stack);
+        let shown = self.shown(scene);
+        let objects = shown.iter().enumerate().map(|(n, source)| {
+            let object = || -> Result<SurfaceObject> {
+                source.check()?;
+                self.object(scene, source, n, stack, cuts, &slopes)
+            };
+            named(object(), &source.label(n))
+        });
+        Ok(Surfaces { objects: objects.collect::<Result<_>>()?, steps: general.steps, threshold: general.threshold })
+    }
+
+    fn object(&self, scene: &Scene, source: &MeshSource, n: usize, stack: &Stack, cuts: &Cuts, slopes: &Slopes) -> Result<SurfaceObject> {
+        let general = &scene.surface;
+        let look = source.appearance.resolve(&general.appearance)?;
+        let only_triangles = source.representation() == Representation::Triangles;
+        let untouched = source.rigid || (stack.is_empty() && cuts.is_empty());
+        let both = general.two_stage && source.path.is_some() && source.representation() == Representation::Field;
+        let triangles = if only_triangles || both { Some(self.objects.triangles(self, source)?) } else { None };
+        // In two stages only what the boxes' matter comes from is needed as a field.
+        let mut region = None;
+        if let (true, Some(t)) = (both && cuts.is_empty(), &triangles) {
+            let resolution = source.resolution.unwrap_or(general.resolution).max(8) as f32;
+            let cell = t.mesh.bounds().size().max_element() / resolution;
+            let part = stack.maps().iter().map(|m| stack.source_bounds(&m.bounds_in_world()).0).fold(Bounds::EMPTY, |a, b| a.union(&b));
+            let part = part.grown((4.0 + general.seam) * cell).intersection(&t.mesh.bounds().grown(4.0 * cell));
+            region = Some(part);
+        }
+        let nothing_to_cast = both && (untouched || region.is_some_and(|r| r.is_empty()));
+        let implicit = if only_triangles || nothing_to_cast { None } else { Some(self.objects.implicit(self, source, general, region, &Watch::NOBODY)?) };
+        let bounds = match (&implicit, &triangles) {
+            (Some(i), _) => i.bounds(),
+            (None, Some(t)) => t.mesh.bounds(),
+            (None, None) => Bounds::EMPTY,
+        };
+        let cell_mm = implicit.as_ref().map_or(bounds.size().max_element() / 128.0, Implicit::cell_mm);
+        let thickness_mm = if look.model == CutModel::Thick { look.thickness.unwrap_or(bounds.size().max_element() / 40.0) } else { 0.0 };
+        let stage = match (&implicit, both) {
+            (None, _) => Stage::Triangles,
+            (Some(_), true) => Stage::Both(general.seam * cell_mm),
+            (Some(_), false) => Stage::Rays,
+        };
+        let view = Casting {
+            implicit: implicit.as_ref(),
+            stack: if source.rigid { None } else { Some(stack) },
+            cuts,
+            slopes,
+            model: look.model,
+            thickness_mm,
+            skip_cuts: general.cut_skipping,
+            only_boxes: matches!(stage, Stage::Both(_)),
+            cell_mm,
+        };
+        let cells = view.cells(&bounds, scene.render.empty_space_skipping);
+        let deformers = if only_triangles { deformers(source, &self.objects.placed(self, source)?.bounds())? } else { Vec::new() };
+        Ok(SurfaceObject {
+            name: source.label(n),
+            look,
+            thickness_mm,
+            implicit,
+            triangles,
+            stage,
+            rigid: source.rigid,
+            deformers,
+            normals: source.normals,
+            cell_mm,
+            step_mm: scene.render.step * cell_mm,
+            cells,
+        })
+    }
+}
+
+fn check(general: &SurfaceSettings) -> Result<()> {
+    if !(general.threshold.is_finite() && general.threshold >= 0.0) {
+        return Err(Error::value("surface.threshold", "is a number of cells; it must not be negative"));
+    }
+    if !(general.seam.is_finite() && general.seam > 0.0) {
+        return Err(Error::value("surface.seam", "is a number of cells; it must be positive"));
+    }
+    if !(16..=1024).contains(&general.resolution) {
+        return Err(Error::value("surface.resolution", format!("{} is outside 16 to 1024 points", general.resolution)));
+    }
+    Ok(())
+}
+
+/// What decides where a ray can meet an object.
+struct Casting<'a> {
+    implicit: Option<&'a Implicit>,
+    /// None for an object that deformations pass by.
+    stack: Option<&'a Stack>,
+    cuts: &'a Cuts,
+    slopes: &'a Slopes<'a>,
+    model: CutModel,
+    thickness_mm: f32,
+    skip_cuts: bool,
+    only_boxes: bool,
+    cell_mm: f32,
+}
+
+impl Casting<'_> {
+    fn cells(&self, bounds: &Bounds, skipping: bool) -> SurfaceCells {
+        let deformed = self.stack.map_or(*bounds, |s| s.deformed_bounds(bounds)).grown(0.5 * self.cell_mm);
+        if deformed.is_empty() || self.implicit.is_none() {
+            return SurfaceCells { grid: Macrocells::solid(Bounds::EMPTY), slope: vec![1.0] };
+        }
+        let edge = (deformed.size().max_element() / CELLS).max(self.cell_mm);
+        // Without skipping every cell counts as occupied; their slopes are needed all the same.
+        let grid = Macrocells::classified(deformed, edge, 0.0, |b| !skipping || self.visible(b));
+        use rayon::prelude::*;
+        let slope = (0..grid.distance.len())
+            .into_par_iter()
+            .map(|n| if grid.distance[n] == 0 && self.stack.is_some() { self.slopes.bound(&grid.cell_box(n)) } else { 1.0 })
+            .collect();
+        SurfaceCells { grid, slope }
+    }
+
+    /// Whether a ray can meet the surface in a box of the deformed scene.
+    fn visible(&self, deformed: &Bounds) -> bool {
+        let Some(implicit) = self.implicit else { return false };
+        let (source, mut whole) = match self.stack {
+            None => (*deformed, true),
+            Some(stack) => {
+                let [least_kept, most_kept] = self.cuts.bounds(deformed);
+                let (source, [least, most]) = stack.source_and_mask_bounds(deformed);
+                if self.skip_cuts && (most_kept < 0.0 || most < 0.5) {
+                    return false;
+                }
+                if self.only_boxes && self.cuts.is_empty() && !stack.maps().iter().any(|m| !m.bounds_in_world().intersection(deformed).is_empty()) {
+                    return false;
+                }
+                (source, least_kept >= 0.0 && least >= 0.5)
+            }
+        };
+        if source.intersection(&implicit.bounds()).is_empty() {
+            return false;
+        }
+        if !implicit.is_distance() {
+            return true;
+        }
+        // Interpolation between the points of a field strays by less than a cell.
+        let (f, r) = (implicit.value(source.center()), source.size().length() * 0.5 + self.cell_mm);
+        if f + r < 0.0 {
+            return false;
+        }
+        // A thin shell has nothing inside whatever cuts it.
+        whole |= self.model == CutModel::Hollow;
+        match self.model {
+            CutModel::Thick => !(f - r > self.thickness_mm || (whole && f - r > 0.0 && f + r < self.thickness_mm)),
+            _ => !(whole && f - r > 0.0),
+        }
+    }
+}

@@ -1,0 +1,310 @@
+//! The `[[mesh]]` and `[surface]` sections: what is shown as a surface, and how.
+
+use super::Size;
+use crate::error::suggestion;
+use crate::mesh::deformer::NormalMethod;
+use crate::{Error, Result};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// What lies under a surface where it is cut (\[DS07\] section 5.1).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum CutModel {
+    /// Nothing: a thin shell, seen from inside.
+    Hollow,
+    /// Matter: a cut has a face.
+    #[default]
+    Solid,
+    /// A skin of some thickness around nothing.
+    Thick,
+}
+
+/// How far a ray goes from sample to sample.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Steps {
+    /// Always the same.
+    Uniform,
+    /// Finer near the surface (Hadwiger et al. 2005).
+    Threshold,
+    /// Even in the undeformed scene (\[DS07\] eq 4).
+    Jacobian,
+    /// As far as the distance field and the deformation's slope allow (Hart 1996, in deformed space).
+    #[default]
+    Sphere,
+}
+
+/// What a `[[mesh]]` becomes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Representation {
+    /// A signed distance field.
+    Field,
+    /// One depth map, from `face`.
+    DepthMap,
+    /// Six depth maps.
+    DepthMapCube,
+    /// Triangles as they are: moved by deformers, never cut.
+    Triangles,
+}
+
+/// How a surface looks; what is not given comes from the look, the `[surface]` section, or a default.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Appearance {
+    /// A preset by name: clay, skin, bone, apple, marble, jade, gold, muscle, porcelain.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub look: Option<String>,
+    /// Colour of the outside, red, green, blue in 0..1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub color: Option<[f32; 3]>,
+    /// Colour of the inside of a hollow or thick surface.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub inside_color: Option<[f32; 3]>,
+    /// Colour of the faces of cuts.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cut_color: Option<[f32; 3]>,
+    /// What lies under it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub model: Option<CutModel>,
+    /// Thickness of a thick surface, mm; a fortieth of its size by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub thickness: Option<f32>,
+}
+
+/// The `[surface]` section.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
+pub struct SurfaceSettings {
+    /// Value of the volume whose surface the mode "surface" shows where the scene has no mesh; found from the histogram by default.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub iso: Option<f64>,
+    /// How surfaces look that do not say.
+    #[serde(flatten)]
+    pub appearance: Appearance,
+    /// How rays step.
+    pub steps: Steps,
+    /// Distance from the surface, in cells, within which threshold steps are finer.
+    pub threshold: f32,
+    /// Leave out what a cut has emptied.
+    pub cut_skipping: bool,
+    /// Rasterise what lies outside every deformation's box and cast rays only through the boxes (\[DS07\] section 3).
+    pub two_stage: bool,
+    /// Width of the seam in which the two are blended, cells.
+    pub seam: f32,
+    /// Points of a distance field along its longest axis.
+    pub resolution: usize,
+}
+
+impl Default for SurfaceSettings {
+    fn default() -> Self {
+        Self {
+            iso: None,
+            appearance: Appearance::default(),
+            steps: Steps::Sphere,
+            threshold: 2.0,
+            cut_skipping: true,
+            two_stage: false,
+            seam: 2.0,
+            resolution: 128,
+        }
+    }
+}
+
+/// One solid of a `shape`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ShapeSource {
+    /// sphere, box, torus, cylinder or gyroid.
+    pub kind: String,
+    /// union, intersect or subtract.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub join: Option<String>,
+    /// Centre, mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub center: Option<[f32; 3]>,
+    /// Turn about x, then y, then z, degrees.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rotate: Option<[f32; 3]>,
+    /// Edges of a box or of what a gyroid fills, mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub size: Option<Size>,
+    /// Radius of a sphere, a cylinder, a torus's ring, mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub radius: Option<f32>,
+    /// Radius of a torus's tube, mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tube: Option<f32>,
+    /// Length of a cylinder, mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub length: Option<f32>,
+    /// Period of a gyroid, mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub period: Option<f32>,
+    /// Thickness of a gyroid's wall, mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub wall: Option<f32>,
+}
+
+/// One `[[mesh.deformer]]`: a forward deformer (\[GG42\]).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct DeformerSource {
+    /// twist, bend, taper, shear, bulge, wave or lattice.
+    pub kind: String,
+    /// Centre of its box, mm; the mesh's by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub center: Option<[f32; 3]>,
+    /// Extent of its box, mm; the mesh's by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub size: Option<Size>,
+    /// Turn about x, then y, then z, degrees; its axis is z.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rotate: Option<[f32; 3]>,
+    /// From nothing (0) to full (1).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub progress: Option<f32>,
+    /// Offsets of a lattice's control points: index along x, y, z (0 to 3), then the offset in mm.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub points: Vec<[f32; 6]>,
+    /// Its numbers: angle (twist, bend; degrees over the box), factor (taper), amount (shear, bulge), width (bulge, mm), amplitude (wave,
+    /// mm), length (wave, mm), phase (wave, degrees).
+    #[serde(flatten)]
+    pub numbers: BTreeMap<String, f32>,
+}
+
+/// One `[[mesh]]`: from a file, a value or label of a volume, or formulas.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct MeshSource {
+    /// A mesh file, relative to the scene file.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub path: Option<String>,
+    /// Instead of a file: the surface where a volume has this value.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub iso: Option<f64>,
+    /// Or the surface of these labels.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub label: Vec<usize>,
+    /// The volume of the value or labels; the scene's by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub volume: Option<String>,
+    /// Or solids by formula, joined in order.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub shape: Vec<ShapeSource>,
+    /// A name of the user's own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// true leaves it out of the picture.
+    #[serde(default, skip_serializing_if = "super::is_default")]
+    pub hidden: bool,
+    /// Where its middle goes, mm; where it is by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub center: Option<[f32; 3]>,
+    /// Its longest edge, mm; as it is by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub size: Option<f32>,
+    /// Turn about x, then y, then z, degrees.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rotate: Option<[f32; 3]>,
+    /// Instead of centre, size and rotation: rows of the affine transform from the file's coordinates to world mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub matrix: Option<[[f32; 4]; 3]>,
+    /// What it becomes: a field by default, triangles if it has deformers.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub representation: Option<Representation>,
+    /// Face of its box that a depth map lies on: -x, +x, -y, +y, -z or +z.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub face: Option<String>,
+    /// Points of its field along the longest axis, or of a depth map along each edge.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub resolution: Option<usize>,
+    /// Exact distances everywhere.
+    #[serde(default, skip_serializing_if = "super::is_default")]
+    pub exact: bool,
+    /// How it looks.
+    #[serde(flatten)]
+    pub appearance: Appearance,
+    /// true: the scene's deformations pass it by.
+    #[serde(default, skip_serializing_if = "super::is_default")]
+    pub rigid: bool,
+    /// Forward deformers, in order.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub deformer: Vec<DeformerSource>,
+    /// How deformers carry normals along.
+    #[serde(default, skip_serializing_if = "super::is_default")]
+    pub normals: NormalMethod,
+    /// Divides triangles that deformers bend by more than this, mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tessellate: Option<f32>,
+}
+
+/// A look with everything decided.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Look {
+    /// Colour of the outside.
+    pub color: [f32; 3],
+    /// Colour of the inside.
+    pub inside: [f32; 3],
+    /// Colour of the faces of cuts.
+    pub cut: [f32; 3],
+    /// Strength of the highlight and its exponent.
+    pub highlight: [f32; 2],
+    /// What lies under it.
+    pub model: CutModel,
+    /// Thickness, mm, of a thick surface.
+    pub thickness: Option<f32>,
+}
+
+/// Name, what it is for, and the look.
+type Preset = (&'static str, &'static str, Look);
+
+const fn look(color: [f32; 3], inside: [f32; 3], cut: [f32; 3], highlight: [f32; 2], model: CutModel) -> Look {
+    Look { color, inside, cut, highlight, model, thickness: None }
+}
+
+/// The presets.
+pub const LOOKS: [Preset; 9] = [
+    ("clay", "matt grey-brown, solid", look([0.78, 0.70, 0.62], [0.55, 0.42, 0.36], [0.72, 0.45, 0.35], [0.10, 16.0], CutModel::Solid)),
+    ("skin", "skin with red flesh under it, thick", look([0.87, 0.68, 0.57], [0.62, 0.25, 0.22], [0.75, 0.27, 0.25], [0.18, 24.0], CutModel::Thick)),
+    ("bone", "ivory, spongy inside, solid", look([0.93, 0.89, 0.78], [0.72, 0.58, 0.46], [0.84, 0.68, 0.53], [0.20, 32.0], CutModel::Solid)),
+    ("apple", "red with pale flesh, solid", look([0.78, 0.12, 0.10], [0.93, 0.87, 0.64], [0.95, 0.91, 0.72], [0.35, 40.0], CutModel::Solid)),
+    ("marble", "white, solid", look([0.92, 0.92, 0.94], [0.60, 0.62, 0.68], [0.78, 0.80, 0.86], [0.40, 60.0], CutModel::Solid)),
+    ("jade", "green, hollow", look([0.35, 0.68, 0.48], [0.80, 0.78, 0.50], [0.55, 0.80, 0.60], [0.35, 40.0], CutModel::Hollow)),
+    ("gold", "metal, hollow, dark inside", look([0.90, 0.70, 0.28], [0.42, 0.28, 0.14], [0.98, 0.84, 0.48], [0.60, 50.0], CutModel::Hollow)),
+    ("muscle", "dark red, solid", look([0.66, 0.24, 0.21], [0.45, 0.12, 0.12], [0.80, 0.38, 0.34], [0.25, 28.0], CutModel::Solid)),
+    ("porcelain", "blue-white, thick", look([0.82, 0.88, 0.96], [0.93, 0.90, 0.82], [0.62, 0.70, 0.82], [0.55, 70.0], CutModel::Thick)),
+];
+
+impl Appearance {
+    /// The look: what is given here, else in `general`, else by the preset that either names.
+    ///
+    /// # Errors
+    /// A preset that does not exist, a colour outside 0..1, a thickness that is not positive.
+    pub fn resolve(&self, general: &Self) -> Result<Look> {
+        let name = self.look.as_deref().or(general.look.as_deref()).unwrap_or("clay");
+        let preset = LOOKS.iter().find(|l| l.0 == name);
+        let mut look =
+            preset.ok_or_else(|| Error::value(format!("look \"{name}\""), format!("there is no such look; {}", suggestion(name, LOOKS.iter().map(|l| l.0)))))?.2;
+        // A preset of its own comes before a colour that holds for all.
+        let own = self.look.is_some();
+        let pick = |mine: Option<[f32; 3]>, all: Option<[f32; 3]>| mine.or(if own { None } else { all });
+        for (name, value, target) in [
+            ("color", pick(self.color, general.color), &mut look.color),
+            ("inside_color", pick(self.inside_color, general.inside_color), &mut look.inside),
+            ("cut_color", pick(self.cut_color, general.cut_color), &mut look.cut),
+        ] {
+            if let Some(c) = value {
+                if !c.iter().all(|v| (0.0..=1.0).contains(v)) {
+                    return Err(Error::value(name, "its components must lie within 0..1"));
+                }
+                *target = c;
+            }
+        }
+        look.model = self.model.or(if own { None } else { general.model }).unwrap_or(look.model);
+        look.thickness = self.thickness.or(general.thickness);
+        if look.thickness.is_some_and(|t| !(t.is_finite() && t > 0.0)) {
+            return Err(Error::value("thickness", "must be a positive number of millimetres"));
+        }
+        Ok(look)
+    }
+}
