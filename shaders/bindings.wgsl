@@ -17,6 +17,15 @@
 
 @group(0) @binding(14) var<uniform> cuts: array<CutShape, 8>;
 
+// Surfaces that were drawn before: their colour, and how far along each pixel's ray they lie, mm.
+@group(0) @binding(15) var behind: texture_2d<f32>;
+@group(0) @binding(16) var behind_t: texture_2d<f32>;
+
+// No surface.
+const FAR_AWAY: f32 = 1e30;
+
+// 1: there are surfaces behind the volume.
+override BEHIND: u32 = 0u;
 // Number of cuts that are shapes.
 override CUTS: u32 = 8u;
 // 1: the faces of cuts are painted grey.

@@ -9,14 +9,5 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     if id.x >= arrayLength(&points) {
         return;
     }
-    var p = vec4<f32>(points[id.x].xyz, 1.0);
-    var here = p.xyz;
-    for (var n = MAPS; n > 0u; n -= 1u) {
-        let d = displacement(n - 1u, here);
-        p = vec4<f32>(p.xyz + d.xyz, min(p.w, d.w));
-        if maps[n - 1u].added < 0.5 {
-            here = p.xyz;
-        }
-    }
-    composed[id.x] = p;
+    composed[id.x] = walk_through(points[id.x].xyz);
 }

@@ -17,9 +17,14 @@ fn fragment(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
     let nears = min(a, b);
     let fars = max(a, b);
     let near = max(nears.x, max(nears.y, nears.z));
-    let far = min(fars.x, min(fars.y, fars.z));
+    var far = min(fars.x, min(fars.y, fars.z));
+    var surface = vec4<f32>(0.0);
+    if BEHIND != 0u {
+        far = min(far, textureLoad(behind_t, vec2<i32>(position.xy), 0).r);
+        surface = textureLoad(behind, vec2<i32>(position.xy), 0);
+    }
     if near > far {
-        return vec4<f32>(0.0);
+        return surface;
     }
     let step = frame.step_mm;
     var i = first_sample_after(near, step);
@@ -92,8 +97,8 @@ fn fragment(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
         }
     }
     count(position.xy, vec3<u32>(taken, skipped, terminated));
-    if BLEND == 0u {
-        return color;
+    if BLEND != 0u {
+        color = projection_color(projected, matter);
     }
-    return projection_color(projected, matter);
+    return color + surface * (1.0 - color.a);
 }

@@ -10,5 +10,9 @@ fn vertex(@builtin(vertex_index) index: u32) -> @builtin(position) vec4<f32> {
 @fragment
 fn fragment(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
     let g = textureLoad(gathered, vec2<i32>(position.xy), 0);
-    return projection_color(select(g.r, -g.r, BLEND == 2u), g.g);
+    let color = projection_color(select(g.r, -g.r, BLEND == 2u), g.g);
+    if BEHIND == 0u {
+        return color;
+    }
+    return color + textureLoad(behind, vec2<i32>(position.xy), 0) * (1.0 - color.a);
 }

@@ -18,6 +18,10 @@ fn fragment(slice: Slice) -> @location(0) vec4<f32> {
     let ray = pixel_ray(slice.position.xy);
     let slant = dot(ray.direction, frame.forward);
     let step = frame.step_mm / slant;
+    // The near end of what this slice stands for decides, as a ray's last sample does.
+    if BEHIND != 0u && first_sample_after(textureLoad(behind_t, vec2<i32>(slice.position.xy), 0).r, step) <= i32(floor(slice.depth_mm / frame.step_mm)) {
+        discard;
+    }
     let deformed = ray.origin + ray.direction * (slice.depth_mm / slant);
     if empty_until(deformed, ray.origin, 1.0 / ray.direction) >= 0.0 {
         count(slice.position.xy, vec3<u32>(0u, 1u, 0u));

@@ -2,17 +2,18 @@
 
 use std::path::{Path, PathBuf};
 
-const ORDER: [(&str, &[&str]); 10] = [
+const ORDER: [(&str, &[&str]); 11] = [
     ("math", &[]),
     ("volume", &["math"]),
+    ("mesh", &["math", "volume"]),
     ("transfer", &["math", "volume"]),
     ("deform", &["math", "volume"]),
-    ("scene", &["math", "volume", "transfer", "deform"]),
-    ("cpu", &["math", "volume", "transfer", "deform", "scene"]),
+    ("scene", &["math", "volume", "mesh", "transfer", "deform"]),
+    ("cpu", &["math", "volume", "mesh", "transfer", "deform", "scene"]),
     ("gpu", &["math"]),
-    ("render", &["math", "volume", "transfer", "deform", "scene", "gpu"]),
+    ("render", &["math", "volume", "mesh", "transfer", "deform", "scene", "gpu"]),
     ("export", &["math", "volume", "deform", "scene"]),
-    ("cli", &["math", "volume", "transfer", "deform", "scene", "cpu", "gpu", "render", "export"]),
+    ("cli", &["math", "volume", "mesh", "transfer", "deform", "scene", "cpu", "gpu", "render", "export"]),
 ];
 
 fn files(folder: &Path, extension: &str) -> Vec<PathBuf> {

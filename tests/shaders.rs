@@ -1,7 +1,7 @@
 //! Shaders without a GPU: every program parses and validates, and the Rust mirrors of its structs have its layout.
 
 use incise::gpu::shaders::Program;
-use incise::render::uniforms::{CutShapeUniform, FrameUniform, PlacedMapUniform};
+use incise::render::uniforms::{CutShapeUniform, DeformerUniform, FrameUniform, PlacedMapUniform, PlacedSolidUniform, SurfaceObjectUniform};
 
 fn module(program: Program, counting: bool) -> naga::Module {
     let source = program.source(counting);
@@ -48,6 +48,12 @@ pub fn uniforms_match_their_structs() {
         blend_near_mm, to_light, blend_far_mm, proxy_min, ambient, proxy_max, diffuse, grid_size, specular, cells_origin, shininess, cell_mm,
         value_scale, cells, value_offset, picture, table_scale, table_offset, gradient_top, two_sided, has_holes, early_termination, grey_low, grey_high, iso, padding);
     same_layout!(&m, "CutShape", CutShapeUniform: local_from_world, half, shape, half_angle, sense, joined, and_group);
+    let s = module(Program::Surface, false);
+    same_layout!(&s, "SurfaceObject", SurfaceObjectUniform: grid_from_world, world_from_grid, size, kind, cells_origin, resolution_mm, cell_mm, step_mm,
+        cells, thickness_mm, occupied_min, solid, occupied_max, steps, color, highlight, inside, shininess, cut, threshold_mm, low, solids, high, face,
+        seam_mm, rigid, both, deformers, normal_method, beside_mm, padding);
+    same_layout!(&s, "PlacedSolid", PlacedSolidUniform: local_from_world, numbers, solid, join, period, wall);
+    same_layout!(&s, "Deformer", DeformerUniform: local_from_world, numbers, half, kind, offsets);
     same_layout!(&m, "PlacedMap", PlacedMapUniform: map_from_world, world_from_stored, size, added, reach, padding);
 }
 
@@ -67,6 +73,17 @@ pub fn counterparts_exist() {
                 ("SURFACE_HIGH: f32 = 0.04", "SURFACE: [f32; 2] = [0.004, 0.04]"),
             ][..],
         ),
+        (
+            "shaders/lib/surface.wgsl",
+            "src/cpu/surface.rs",
+            &[
+                ("REFINEMENTS: i32 = 14", "REFINEMENTS: u32 = 14"),
+                ("SHORTEST: f32 = 0.25", "SHORTEST: f32 = 0.25"),
+                ("FINE: f32 = 0.25", "FINE: f32 = 0.25"),
+                ("MOST_SAMPLES: u32 = 100000u", "MOST_SAMPLES: u32 = 100_000"),
+            ][..],
+        ),
+        ("shaders/lib/formula.wgsl", "src/mesh/formula.rs", &[("GYROID_SLOPE: f32 = 1.75", "GYROID_SLOPE: f32 = 1.75")][..]),
         ("shaders/lib/cut.wgsl", "src/deform/cut.rs", &[("ROOT_STEPS: i32 = 4", "ROOT_STEPS: u32 = 4")][..]),
         ("shaders/raycast.wgsl", "src/cpu/mod.rs", &[("OPAQUE: f32 = 1.0 / 512.0", "OPAQUE: f32 = 1.0 / 512.0")][..]),
         (

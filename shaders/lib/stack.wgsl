@@ -57,6 +57,20 @@ fn walk(deformed: vec3<f32>) -> vec4<f32> {
     return p;
 }
 
+// As walk, but through every map whatever the masks say.
+fn walk_through(deformed: vec3<f32>) -> vec4<f32> {
+    var p = vec4<f32>(deformed, 1.0);
+    var here = deformed;
+    for (var n = MAPS; n > 0u; n -= 1u) {
+        let d = displacement(n - 1u, here);
+        p = vec4<f32>(p.xyz + d.xyz, min(p.w, d.w));
+        if maps[n - 1u].added < 0.5 {
+            here = p.xyz;
+        }
+    }
+    return p;
+}
+
 fn jet(deformed: vec3<f32>) -> Jet {
     var j = Jet(deformed, 1.0, mat3x3<f32>(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), NO_CUT);
     var here = deformed;

@@ -5,7 +5,7 @@ mod readback;
 pub mod shaders;
 
 pub use device::{Device, Want};
-pub use readback::{read_buffer, read_rgba16f};
+pub use readback::{read_buffer, read_r32f, read_rgba16f};
 
 use crate::{Error, Result};
 

@@ -32,8 +32,23 @@ pub fn read_buffer(device: &wgpu::Device, buffer: &wgpu::Buffer) -> Result<Vec<u
 /// # Errors
 /// A lost device.
 pub fn read_rgba16f(device: &wgpu::Device, queue: &wgpu::Queue, texture: &wgpu::Texture) -> Result<Vec<[f32; 4]>> {
+    let bytes = read_texture(device, queue, texture, 8)?;
+    Ok(bytes.chunks_exact(8).map(|p| std::array::from_fn(|c| f16::from_le_bytes([p[2 * c], p[2 * c + 1]]).to_f32())).collect())
+}
+
+/// An R32Float texture as rows of pixels.
+///
+/// # Errors
+/// A lost device.
+pub fn read_r32f(device: &wgpu::Device, queue: &wgpu::Queue, texture: &wgpu::Texture) -> Result<Vec<f32>> {
+    let bytes = read_texture(device, queue, texture, 4)?;
+    Ok(bytes.chunks_exact(4).map(|p| f32::from_le_bytes([p[0], p[1], p[2], p[3]])).collect())
+}
+
+/// The texels of a 2D texture, without the padding of its rows.
+fn read_texture(device: &wgpu::Device, queue: &wgpu::Queue, texture: &wgpu::Texture, texel: u32) -> Result<Vec<u8>> {
     let (width, height) = (texture.width(), texture.height());
-    let row_bytes = (width * 8).next_multiple_of(ROW_ALIGNMENT);
+    let row_bytes = (width * texel).next_multiple_of(ROW_ALIGNMENT);
     let buffer = device.create_buffer(&wgpu::BufferDescriptor {
         label: Some("readback"),
         size: u64::from(row_bytes) * u64::from(height),
@@ -51,9 +66,5 @@ pub fn read_rgba16f(device: &wgpu::Device, queue: &wgpu::Queue, texture: &wgpu::
     );
     queue.submit([encoder.finish()]);
     let bytes = read_buffer(device, &buffer)?;
-    Ok(bytes
-        .chunks_exact(row_bytes as usize)
-        .flat_map(|row| row[..width as usize * 8].chunks_exact(8))
-        .map(|p| std::array::from_fn(|c| f16::from_le_bytes([p[2 * c], p[2 * c + 1]]).to_f32()))
-        .collect())
+    Ok(bytes.chunks_exact(row_bytes as usize).flat_map(|row| &row[..(width * texel) as usize]).copied().collect())
 }

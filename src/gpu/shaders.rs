@@ -13,6 +13,10 @@ pub enum Program {
     Probe,
     /// A stack at given points, to compose it.
     Compose,
+    /// One surface, by rays through its field.
+    Surface,
+    /// Triangles.
+    Mesh,
 }
 
 macro_rules! piece {
@@ -32,9 +36,12 @@ const SHARED: [&str; 8] = [
     piece!("lib/shading.wgsl"),
 ];
 
+/// What programs of surfaces share besides.
+const SURFACES: [&str; 4] = [piece!("types/surface.wgsl"), piece!("lib/implicit.wgsl"), piece!("lib/formula.wgsl"), piece!("lib/surface.wgsl")];
+
 impl Program {
     /// All programs.
-    pub const ALL: [Self; 5] = [Self::Raycast, Self::Slice, Self::Resolve, Self::Probe, Self::Compose];
+    pub const ALL: [Self; 7] = [Self::Raycast, Self::Slice, Self::Resolve, Self::Probe, Self::Compose, Self::Surface, Self::Mesh];
 
     /// The program's whole text; `counting` keeps the sample counts.
     pub fn source(self, counting: bool) -> String {
@@ -45,7 +52,13 @@ impl Program {
             Self::Resolve => &[piece!("lib/projection.wgsl"), piece!("resolve.wgsl")],
             Self::Probe => &[piece!("probe.wgsl")],
             Self::Compose => &[piece!("compose.wgsl")],
+            Self::Surface => &[piece!("lib/march.wgsl"), count, piece!("surface.wgsl")],
+            Self::Mesh => &[piece!("lib/march.wgsl"), piece!("lib/deformer.wgsl"), piece!("mesh.wgsl")],
         };
-        SHARED.iter().chain(own).copied().collect::<Vec<_>>().join("\n")
+        let of_surfaces: &[&str] = match self {
+            Self::Surface | Self::Mesh => &SURFACES,
+            _ => &[],
+        };
+        SHARED.iter().chain(of_surfaces).chain(own).copied().collect::<Vec<_>>().join("\n")
     }
 }

@@ -157,6 +157,11 @@ pub fn tangents(normal: Vec3) -> (Vec3, Vec3) {
     (t, normal.cross(t))
 }
 
+/// How far the points beside a vertex lie from it for [`NormalMethod::Numeric`], mm.
+pub fn beside_mm(chain: &[Deformer]) -> f32 {
+    BESIDE * chain.iter().map(|d| d.half.max_element()).fold(f32::INFINITY, f32::min).min(1e6)
+}
+
 /// A vertex and its unit normal under a chain of deformers. Where a deformer folds or flattens space there is no normal: the old one stays.
 pub fn deform_vertex(chain: &[Deformer], world: Vec3, normal: Vec3, method: NormalMethod) -> (Vec3, Vec3) {
     let (p, j) = apply_all(chain, world);
@@ -166,7 +171,7 @@ pub fn deform_vertex(chain: &[Deformer], world: Vec3, normal: Vec3, method: Norm
         NormalMethod::InverseTranspose => Mat3::from_cols(j.y_axis.cross(j.z_axis), j.z_axis.cross(j.x_axis), j.x_axis.cross(j.y_axis)) * normal,
         NormalMethod::Tangent => (j * t).cross(j * b),
         NormalMethod::Numeric => {
-            let beside = BESIDE * chain.iter().map(|d| d.half.max_element()).fold(f32::INFINITY, f32::min).min(1e6);
+            let beside = beside_mm(chain);
             (apply_all(chain, world + t * beside).0 - p).cross(apply_all(chain, world + b * beside).0 - p)
         }
     };

@@ -13,6 +13,7 @@
 
 mod evaluate;
 mod slices;
+mod surfaces;
 pub mod uniforms;
 
 use crate::deform::cut::MAX_CUTS;
@@ -27,6 +28,7 @@ use half::f16;
 use rayon::prelude::*;
 use std::collections::HashMap;
 use std::sync::Arc;
+use surfaces::Layer;
 use uniforms::{CutShapeUniform, FrameUniform, PlacedMapUniform};
 use wgpu::util::DeviceExt;
 use wgpu::{Features, TextureFormat};
@@ -52,6 +54,7 @@ struct Variant {
     cuts: usize,
     grey_faces: bool,
     iso: u32,
+    behind: bool,
 }
 
 /// A device with what it has compiled and uploaded.
@@ -63,11 +66,23 @@ pub struct Renderer {
     volume: Option<VolumeTexture>,
 }
 
+/// What the shaders' shared functions read, uploaded.
+struct Shared {
+    frame: wgpu::Buffer,
+    placed: wgpu::Buffer,
+    shapes: wgpu::Buffer,
+    table: wgpu::TextureView,
+    cells: wgpu::TextureView,
+    maps: Vec<wgpu::TextureView>,
+    nothing: Layer,
+}
+
 /// One picture being drawn.
 #[derive(Clone, Copy)]
 struct Draw<'a> {
     scene: &'a Prepared<'a>,
     bindings: &'a wgpu::BindGroup,
+    behind: Option<&'a Layer>,
     counter: Option<&'a Counter>,
     target: &'a wgpu::Texture,
     progress: &'a dyn Fn(f32),
@@ -153,7 +168,8 @@ impl Renderer {
                 "this device cannot blend 32-bit values, which projections by slices need; use --mode raycast or --backend cpu".into(),
             ));
         }
-        if scene.frame.proxy.is_empty() {
+        let shows_volume = scene.settings.mode != Mode::Surface && !scene.frame.proxy.is_empty();
+        if !shows_volume && scene.surfaces.objects.is_empty() {
             let pixels = vec![[0.0; 4]; width as usize * height as usize];
             return Ok(Rendered { picture: Picture { width, height, pixels }, stats: Some(RenderStats::default()), stages });
         }
@@ -161,11 +177,22 @@ impl Renderer {
             self.upload_volume(scene.grid)?;
             wait(&self.device.device)
         })?;
-        let bindings = stages.time("bind", || self.bind(scene))?;
+        let shared = stages.time("bind", || self.shared(scene))?;
         let counter = counting.then(|| Counter::new(&self.device.device));
+        let behind = if scene.surfaces.objects.is_empty() {
+            None
+        } else {
+            Some(stages.time("surfaces drawn", || self.draw_surfaces(scene, &shared, counter.as_ref(), progress))?)
+        };
+        if let (false, Some(layer)) = (shows_volume, &behind) {
+            let pixels = stages.time("readback", || read_rgba16f(&self.device.device, &self.device.queue, &layer.color))?;
+            let stats = counter.map(|c| c.read(&self.device)).transpose()?;
+            return Ok(Rendered { picture: Picture { width, height, pixels }, stats, stages });
+        }
+        let bindings = self.group(&shared, behind.as_ref());
         let target = self.target(width, height, TextureFormat::Rgba16Float);
         stages.time("pipelines", || self.compile(scene, counting));
-        let draw = Draw { scene, bindings: &bindings, counter: counter.as_ref(), target: &target, progress };
+        let draw = Draw { scene, bindings: &bindings, behind: behind.as_ref(), counter: counter.as_ref(), target: &target, progress };
         stages.time("draw", || match scene.settings.mode {
             Mode::Raycast => self.draw_rays(&draw),
             Mode::Slice => self.draw_slices(&draw),
@@ -197,6 +224,7 @@ impl Renderer {
                 (Some(_), IsoLight::Gradient) => 1,
                 (Some(_), IsoLight::Derivative) => 2,
             },
+            behind: matches!(program, Program::Raycast | Program::Slice | Program::Resolve) && !scene.surfaces.objects.is_empty(),
         }
     }
 
@@ -282,7 +310,10 @@ impl Renderer {
             sample_count: 1,
             dimension: wgpu::TextureDimension::D2,
             format,
-            usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC | wgpu::TextureUsages::TEXTURE_BINDING,
+            usage: wgpu::TextureUsages::RENDER_ATTACHMENT
+                | wgpu::TextureUsages::COPY_SRC
+                | wgpu::TextureUsages::COPY_DST
+                | wgpu::TextureUsages::TEXTURE_BINDING,
             view_formats: &[],
         })
     }
@@ -323,6 +354,12 @@ impl Renderer {
         let corners = slices::slices(&scene.frame, &scene.macrocells);
         let batches = batches(&corners, u64::from(width) * u64::from(height));
         self.pass(&canvas, wgpu::LoadOp::Clear(empty), |_| {});
+        if let (true, Some(layer)) = (composite, draw.behind) {
+            // Slices are blended over what lies behind them.
+            let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            encoder.copy_texture_to_texture(layer.color.as_image_copy(), target.as_image_copy(), target.size());
+            self.device.queue.submit([encoder.finish()]);
+        }
         if !corners.is_empty() {
             let vertices = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
                 label: Some("slices"),
@@ -488,8 +525,8 @@ impl Renderer {
         (0..MAX_MAPS).map(|k| self.upload_map(stack.maps().get(k).map_or(&unused, |m| &m.map))).collect()
     }
 
-    /// Everything that the shared shader functions read.
-    fn bind(&self, scene: &Prepared) -> Result<wgpu::BindGroup> {
+    /// Uploads everything that the shared shader functions read.
+    fn shared(&self, scene: &Prepared) -> Result<Shared> {
         let device = &self.device.device;
         let volume = self.volume.as_ref().ok_or_else(|| Error::Gpu("no volume was uploaded".into()))?;
         let frame = FrameUniform::new(scene, volume.scale, volume.offset);
@@ -504,31 +541,46 @@ impl Renderer {
         for (shape, cut) in shapes.iter_mut().zip(scene.cuts.primitives()) {
             *shape = CutShapeUniform::new(cut);
         }
-        let shapes = uniform(bytemuck::cast_slice::<CutShapeUniform, u8>(&shapes));
-        let (frame, placed) = (uniform(bytemuck::bytes_of(&frame)), uniform(bytemuck::cast_slice::<PlacedMapUniform, u8>(&placed)));
-        let table = self.upload_table(scene);
         let cells = {
             let size = scene.macrocells.size.to_array().map(|n| n as usize);
             let texture = self.texture_3d("macrocells", size, TextureFormat::R8Uint)?;
             self.write_layers(&texture, 0, &scene.macrocells.distance, size);
             texture.create_view(&wgpu::TextureViewDescriptor::default())
         };
-        let maps = self.upload_maps(&scene.stack)?;
+        Ok(Shared {
+            frame: uniform(bytemuck::bytes_of(&frame)),
+            placed: uniform(bytemuck::cast_slice::<PlacedMapUniform, u8>(&placed)),
+            shapes: uniform(bytemuck::cast_slice::<CutShapeUniform, u8>(&shapes)),
+            table: self.upload_table(scene),
+            cells,
+            maps: self.upload_maps(&scene.stack)?,
+            nothing: self.layer(1, 1),
+        })
+    }
+
+    /// The shared bindings, with what lies behind.
+    fn group(&self, shared: &Shared, behind: Option<&Layer>) -> wgpu::BindGroup {
+        let texture = |binding: u32, view| wgpu::BindGroupEntry { binding, resource: wgpu::BindingResource::TextureView(view) };
+        let buffer = |binding: u32, buffer: &'_ wgpu::Buffer| (binding, buffer.clone());
+        let buffers = [buffer(0, &shared.frame), buffer(1, &shared.placed), buffer(14, &shared.shapes)];
+        let volume = self.volume.as_ref().map_or(&shared.maps[0], |v| &v.view);
+        let [color, distance] = behind.unwrap_or(&shared.nothing).views();
         let mut entries = vec![
-            wgpu::BindGroupEntry { binding: 0, resource: frame.as_entire_binding() },
-            wgpu::BindGroupEntry { binding: 1, resource: placed.as_entire_binding() },
-            wgpu::BindGroupEntry { binding: 2, resource: wgpu::BindingResource::TextureView(&volume.view) },
+            texture(2, volume),
             wgpu::BindGroupEntry { binding: 3, resource: wgpu::BindingResource::Sampler(&self.sampler) },
-            wgpu::BindGroupEntry { binding: 4, resource: wgpu::BindingResource::TextureView(&table) },
-            wgpu::BindGroupEntry { binding: 5, resource: wgpu::BindingResource::TextureView(&cells) },
+            texture(4, &shared.table),
+            texture(5, &shared.cells),
+            texture(15, color),
+            texture(16, distance),
         ];
-        entries.extend(
-            maps.iter()
-                .enumerate()
-                .map(|(k, view)| wgpu::BindGroupEntry { binding: 6 + k as u32, resource: wgpu::BindingResource::TextureView(view) }),
-        );
-        entries.push(wgpu::BindGroupEntry { binding: 14, resource: shapes.as_entire_binding() });
-        Ok(device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("scene"), layout: &self.shared_layout, entries: &entries }))
+        entries.extend(buffers.iter().map(|(binding, b)| wgpu::BindGroupEntry { binding: *binding, resource: b.as_entire_binding() }));
+        entries.extend(shared.maps.iter().enumerate().map(|(k, view)| texture(6 + k as u32, view)));
+        self.device.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("scene"), layout: &self.shared_layout, entries: &entries })
+    }
+
+    /// The shared bindings of a scene with nothing behind.
+    fn bind(&self, scene: &Prepared) -> Result<wgpu::BindGroup> {
+        Ok(self.group(&self.shared(scene)?, None))
     }
 
     /// Row 0: colour and optical depth; row 1: gradient factors.
@@ -559,7 +611,7 @@ impl Renderer {
 }
 
 /// Values of the shaders' `override` constants.
-fn overrides(variant: &Variant) -> [(&'static str, f64); 7] {
+fn overrides(variant: &Variant) -> [(&'static str, f64); 8] {
     let normals = match variant.normals {
         Normals::None => 0.0,
         Normals::Source => 1.0,
@@ -575,6 +627,7 @@ fn overrides(variant: &Variant) -> [(&'static str, f64); 7] {
         ("CUTS", variant.cuts as f64),
         ("GREY_FACES", f64::from(u8::from(variant.grey_faces))),
         ("ISO", f64::from(variant.iso)),
+        ("BEHIND", f64::from(u8::from(variant.behind))),
     ]
 }
 
@@ -621,6 +674,8 @@ fn shared_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     ];
     entries.extend((0..MAX_MAPS as u32).map(|k| entry(6 + k, texture(filtered, wgpu::TextureViewDimension::D3))));
     entries.push(entry(14, uniform));
+    let unfiltered = wgpu::TextureSampleType::Float { filterable: false };
+    entries.extend([15, 16].map(|n| entry(n, texture(unfiltered, wgpu::TextureViewDimension::D2))));
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some("scene"), entries: &entries })
 }
 

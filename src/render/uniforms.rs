@@ -2,6 +2,11 @@
 
 use crate::deform::PlacedMap;
 use crate::deform::cut::Primitive;
+use crate::mesh::Implicit;
+use crate::mesh::deformer::{Deform, Deformer, NormalMethod};
+use crate::mesh::formula::{Join, PlacedSolid, Solid};
+use crate::scene::objects::{Stage, SurfaceObject};
+use crate::scene::surface::{CutModel, Steps};
 use crate::scene::{Prepared, Projection};
 use bytemuck::{Pod, Zeroable};
 use glam::{Affine3A, Mat3, Mat4, Vec3};
@@ -152,5 +157,166 @@ impl PlacedMapUniform {
             reach: placed.reach.into(),
             padding: 0.0,
         }
+    }
+}
+
+/// `SurfaceObject` of the shaders.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[allow(missing_docs, reason = "documented in shaders/types/surface.wgsl")]
+pub struct SurfaceObjectUniform {
+    pub grid_from_world: [f32; 16],
+    pub world_from_grid: [f32; 16],
+    pub size: [f32; 3],
+    pub kind: u32,
+    pub cells_origin: [f32; 3],
+    pub resolution_mm: f32,
+    pub cell_mm: [f32; 3],
+    pub step_mm: f32,
+    pub cells: [u32; 3],
+    pub thickness_mm: f32,
+    pub occupied_min: [f32; 3],
+    pub solid: u32,
+    pub occupied_max: [f32; 3],
+    pub steps: u32,
+    pub color: [f32; 3],
+    pub highlight: f32,
+    pub inside: [f32; 3],
+    pub shininess: f32,
+    pub cut: [f32; 3],
+    pub threshold_mm: f32,
+    pub low: [f32; 3],
+    pub solids: u32,
+    pub high: [f32; 3],
+    pub face: u32,
+    pub seam_mm: f32,
+    pub rigid: u32,
+    pub both: u32,
+    pub deformers: u32,
+    pub normal_method: u32,
+    pub beside_mm: f32,
+    pub padding: [f32; 2],
+}
+
+impl SurfaceObjectUniform {
+    /// One object.
+    pub fn new(scene: &Prepared, object: &SurfaceObject) -> Self {
+        let grid = &object.cells.grid;
+        let mut u = Self {
+            size: [1.0; 3],
+            cells_origin: grid.origin.into(),
+            resolution_mm: object.cell_mm,
+            cell_mm: grid.cell_mm.into(),
+            step_mm: object.step_mm,
+            cells: grid.size.to_array(),
+            thickness_mm: object.thickness_mm,
+            // An empty box has infinite corners, which arithmetic in a shader must not meet.
+            occupied_min: if grid.occupied.is_empty() { [1.0; 3] } else { grid.occupied.min.into() },
+            solid: u32::from(object.look.model != CutModel::Hollow),
+            occupied_max: if grid.occupied.is_empty() { [-1.0; 3] } else { grid.occupied.max.into() },
+            steps: match scene.surfaces.steps {
+                Steps::Uniform => 0,
+                Steps::Threshold => 1,
+                Steps::Jacobian => 2,
+                Steps::Sphere => 3,
+            },
+            color: object.look.color,
+            highlight: object.look.highlight[0],
+            inside: object.look.inside,
+            shininess: object.look.highlight[1],
+            cut: object.look.cut,
+            threshold_mm: scene.surfaces.threshold * object.cell_mm,
+            seam_mm: if let Stage::Both(seam) = object.stage { seam } else { 0.0 },
+            rigid: u32::from(object.rigid),
+            both: u32::from(matches!(object.stage, Stage::Both(_))),
+            deformers: object.deformers.len() as u32,
+            normal_method: match object.normals {
+                NormalMethod::InverseTranspose => 0,
+                NormalMethod::Tangent => 1,
+                NormalMethod::Numeric => 2,
+            },
+            beside_mm: crate::mesh::deformer::beside_mm(&object.deformers),
+            ..Self::zeroed()
+        };
+        match &object.implicit {
+            Some(Implicit::Grid(g)) => {
+                u.grid_from_world = affine(&g.grid_from_world);
+                u.world_from_grid = affine(&g.world_from_grid);
+                u.size = g.size.map(|n| n as f32);
+            }
+            Some(Implicit::Formula(f)) => (u.kind, u.solids) = (1, f.0.len() as u32),
+            Some(Implicit::Depth(d)) => {
+                (u.kind, u.face) = (2, d.faces[0]);
+                u.size = [d.size, d.size, d.faces.len()].map(|n| n as f32);
+                (u.low, u.high) = (d.bounds.min.into(), d.bounds.max.into());
+            }
+            None => {}
+        }
+        u
+    }
+}
+
+/// `PlacedSolid` of the shaders.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[allow(missing_docs, reason = "documented in shaders/types/surface.wgsl")]
+pub struct PlacedSolidUniform {
+    pub local_from_world: [f32; 16],
+    pub numbers: [f32; 4],
+    pub solid: u32,
+    pub join: u32,
+    pub period: f32,
+    pub wall: f32,
+}
+
+impl PlacedSolidUniform {
+    /// One solid.
+    pub fn new(s: &PlacedSolid) -> Self {
+        let (solid, numbers, period, wall) = match s.solid {
+            Solid::Sphere(r) => (0, [r, 0.0, 0.0, 0.0], 0.0, 0.0),
+            Solid::Box(half) => (1, half.extend(0.0).to_array(), 0.0, 0.0),
+            Solid::Torus(ring, tube) => (2, [ring, tube, 0.0, 0.0], 0.0, 0.0),
+            Solid::Cylinder(radius, half) => (3, [radius, half, 0.0, 0.0], 0.0, 0.0),
+            Solid::Gyroid(period, wall, half) => (4, half.extend(0.0).to_array(), period, wall),
+        };
+        let join = match s.join {
+            Join::Union => 0,
+            Join::Intersect => 1,
+            Join::Subtract => 2,
+        };
+        Self { local_from_world: affine(&s.local_from_world), numbers, solid, join, period, wall }
+    }
+}
+
+/// `Deformer` of the shaders.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[allow(missing_docs, reason = "documented in shaders/types/surface.wgsl")]
+pub struct DeformerUniform {
+    pub local_from_world: [f32; 16],
+    pub numbers: [f32; 4],
+    pub half: [f32; 3],
+    pub kind: u32,
+    pub offsets: [[f32; 4]; 64],
+}
+
+impl DeformerUniform {
+    /// One deformer.
+    pub fn new(d: &Deformer) -> Self {
+        let mut u = Self { local_from_world: affine(&d.local_from_world), half: d.half.into(), ..Self::zeroed() };
+        let three = |a: f32, b: f32, c: f32| [a, b, c, 0.0];
+        (u.kind, u.numbers) = match &d.deform {
+            Deform::Twist(rate) => (0, three(*rate, 0.0, 0.0)),
+            Deform::Bend(rate) => (1, three(*rate, 0.0, 0.0)),
+            Deform::Taper(factor) => (2, three(*factor, 0.0, 0.0)),
+            Deform::Shear(share) => (3, three(*share, 0.0, 0.0)),
+            Deform::Bulge(amount, width) => (4, three(*amount, *width, 0.0)),
+            Deform::Wave(amplitude, frequency, phase) => (5, three(*amplitude, *frequency, *phase)),
+            Deform::Lattice(offsets) => {
+                u.offsets.iter_mut().zip(offsets.iter()).for_each(|(u, o)| *u = o.extend(0.0).to_array());
+                (6, [0.0; 4])
+            }
+        };
+        u
     }
 }

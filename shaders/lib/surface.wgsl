@@ -1,0 +1,232 @@
+// Counterpart of src/cpu/surface.rs.
+
+const REFINEMENTS: i32 = 14;
+const SHORTEST: f32 = 0.25;
+const FINE: f32 = 0.25;
+const MOST_SAMPLES: u32 = 100000u;
+
+const OUTSIDE: u32 = 0u;
+const INSIDE: u32 = 1u;
+const CUT_FACE: u32 = 2u;
+
+struct SurfaceSample {
+    t: f32,
+    // f, or that of a thick skin; positive inside.
+    f: f32,
+    // Positive in a cut.
+    cut: f32,
+}
+
+struct SurfaceEvent {
+    // Negative: none.
+    t: f32,
+    side: u32,
+}
+
+struct Drawn {
+    @location(0) color: vec4<f32>,
+    @location(1) t: f32,
+    @builtin(frag_depth) depth: f32,
+}
+
+// Rises with t, within 0..1.
+fn depth_of(t: f32) -> f32 {
+    return t / (t + 100.0 * frame.reference_mm);
+}
+
+fn depth_in_boxes(p: vec3<f32>) -> f32 {
+    if object.rigid != 0u {
+        return -1e30;
+    }
+    var depth = -1e30;
+    for (var k = 0u; k < MAPS; k += 1u) {
+        let x = transform_point(maps[k].map_from_world, p);
+        let m = linear_part(maps[k].map_from_world);
+        // Edges of the box: map space is the unit cube, and its axes are the rows of the inverse.
+        let inverse = transpose(m);
+        let size = 1.0 / vec3<f32>(length(inverse[0]), length(inverse[1]), length(inverse[2]));
+        let inside = min(x + maps[k].reach, 1.0 + maps[k].reach - x) * size;
+        depth = max(depth, min(inside.x, min(inside.y, inside.z)));
+    }
+    if CUTS > 0u {
+        depth = max(depth, 2.0 * object.seam_mm - cuts_kept(p));
+    }
+    return depth;
+}
+
+fn is_undeformed(p: vec3<f32>) -> bool {
+    let depth = depth_in_boxes(p);
+    if depth <= 0.0 {
+        return true;
+    }
+    if depth >= object.seam_mm {
+        return false;
+    }
+    let s = walk_through(p);
+    return s.w >= 0.5 && cuts_kept(p) >= 0.0 && distance(s.xyz, p) < 0.25 * object.resolution_mm;
+}
+
+fn modelled(f: f32) -> f32 {
+    return select(f, object.thickness_mm - f, object.thickness_mm > 0.0 && f > 0.5 * object.thickness_mm);
+}
+
+fn surface_sample(ray: Ray, t: f32) -> SurfaceSample {
+    let p = ray.origin + ray.direction * t;
+    if object.rigid != 0u {
+        return SurfaceSample(t, modelled(implicit_value(p)), -1.0);
+    }
+    let s = walk_through(p);
+    return SurfaceSample(t, modelled(implicit_value(s.xyz)), max(0.5 - s.w, -cuts_kept(p)));
+}
+
+// The last sample on the near side of a change and the first on the far side; of the surface, or of the cut.
+fn bisect_near(ray: Ray, a_start: SurfaceSample, b_start: SurfaceSample, of_cut: bool) -> array<SurfaceSample, 2> {
+    var a = a_start;
+    var b = b_start;
+    let first = select(a.f > 0.0, a.cut > 0.0, of_cut);
+    for (var n = 0; n < REFINEMENTS; n += 1) {
+        let middle = surface_sample(ray, 0.5 * (a.t + b.t));
+        if select(middle.f > 0.0, middle.cut > 0.0, of_cut) == first {
+            a = middle;
+        } else {
+            b = middle;
+        }
+    }
+    return array<SurfaceSample, 2>(a, b);
+}
+
+fn first_event(ray: Ray, a: SurfaceSample, b: SurfaceSample) -> SurfaceEvent {
+    var best = SurfaceEvent(-1.0, OUTSIDE);
+    if (a.f > 0.0) != (b.f > 0.0) {
+        let s = bisect_near(ray, a, b, false);
+        let entering = s[0].f <= 0.0;
+        if max(s[0].cut, s[1].cut) <= 0.0 && (object.solid == 0u || entering) {
+            var inner = false;
+            if object.thickness_mm > 0.0 {
+                let p = ray.origin + ray.direction * s[1].t;
+                var source = p;
+                if object.rigid == 0u {
+                    source = walk_through(p).xyz;
+                }
+                inner = implicit_value(source) > 0.5 * object.thickness_mm;
+            }
+            best = SurfaceEvent(s[1].t, select(INSIDE, OUTSIDE, entering && !inner));
+        }
+    }
+    if object.solid != 0u && a.cut > 0.0 && b.cut <= 0.0 {
+        let s = bisect_near(ray, a, b, true);
+        if s[1].f > 0.0 && (best.t < 0.0 || s[1].t < best.t) {
+            best = SurfaceEvent(s[1].t, CUT_FACE);
+        }
+    }
+    return best;
+}
+
+fn object_cell(p: vec3<f32>) -> vec3<f32> {
+    return clamp(floor((p - object.cells_origin) / object.cell_mm), vec3<f32>(0.0), vec3<f32>(object.cells) - 1.0);
+}
+
+// Parameter at which a ray leaves a block of `reach` cells about the one with the low corner.
+fn leaves(cell: vec3<f32>, reach: f32, ray: Ray, inverse: vec3<f32>) -> f32 {
+    let low = object.cells_origin + (cell - (reach - 1.0)) * object.cell_mm;
+    let high = object.cells_origin + (cell + reach) * object.cell_mm;
+    let far = max((low - ray.origin) * inverse, (high - ray.origin) * inverse);
+    return min(far.x, min(far.y, far.z));
+}
+
+fn step_length(here: SurfaceSample, slope: f32, exit: f32) -> f32 {
+    let even = object.step_mm;
+    let room = max(exit - here.t, 0.0) + 0.01 * even;
+    switch object.steps {
+        case 0u: { return even; }
+        case 1u: { return select(even, even * FINE, abs(here.f) < object.threshold_mm); }
+        case 2u: { return min(even / slope, room); }
+        default: {
+            if object.kind == 2u {
+                return even;
+            }
+            let shortest = SHORTEST * even / max(slope, 1.0);
+            if here.cut > 0.0 && here.f > 0.0 && object.solid != 0u {
+                return max(min(even, even / slope), shortest);
+            }
+            return min(max(0.9 * abs(here.f) / slope, shortest), room);
+        }
+    }
+}
+
+// Walks a ray to the first hit; counts samples in `taken`.
+fn trace(ray: Ray, taken: ptr<function, u32>) -> SurfaceEvent {
+    let inverse = 1.0 / ray.direction;
+    let low = (object.occupied_min - ray.origin) * inverse;
+    let high = (object.occupied_max - ray.origin) * inverse;
+    let nears = min(low, high);
+    let fars = max(low, high);
+    let near = max(nears.x, max(nears.y, nears.z));
+    let far = min(fars.x, min(fars.y, fars.z));
+    var none = SurfaceEvent(-1.0, OUTSIDE);
+    if near > far {
+        return none;
+    }
+    var t = max(near, 0.0);
+    var before = SurfaceSample(-1.0, 0.0, 0.0);
+    var count = 0u;
+    while t < far && count < MOST_SAMPLES {
+        // Two loops instead of a branch: the rays of a group look for a change of sign each, then refine together.
+        var here = SurfaceSample(-1.0, 0.0, 0.0);
+        var last = before;
+        var changed = false;
+        while t < far && count < MOST_SAMPLES && !changed {
+            let cell = object_cell(ray.origin + ray.direction * t);
+            let c = textureLoad(object_cells, vec3<i32>(cell), 0);
+            if c.r > 0.5 {
+                t = max(leaves(cell, c.r, ray, inverse), t + 1e-4 * object.step_mm);
+                before.t = -1.0;
+                continue;
+            }
+            count += 1u;
+            here = surface_sample(ray, t);
+            last = before;
+            before = here;
+            changed = last.t >= 0.0 && ((last.f > 0.0) != (here.f > 0.0) || (object.solid != 0u && last.cut > 0.0 && here.cut <= 0.0));
+            t += step_length(here, max(c.g, 1e-3), leaves(cell, 1.0, ray, inverse));
+        }
+        if changed {
+            let event = first_event(ray, last, here);
+            if event.t >= 0.0 {
+                *taken = count;
+                return event;
+            }
+        }
+    }
+    *taken = count;
+    if before.t >= 0.0 && before.t < far {
+        return first_event(ray, before, surface_sample(ray, far));
+    }
+    return none;
+}
+
+fn surface_normal(p: vec3<f32>, side: u32) -> vec3<f32> {
+    var j = Jet(p, 1.0, mat3x3<f32>(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), NO_CUT);
+    if object.rigid == 0u {
+        j = jet(p);
+    }
+    if side == CUT_FACE {
+        var cut = j.cut;
+        let kept = cuts_kept(p);
+        if kept < object.step_mm {
+            cut = or_nearer(cut, abs(kept), cuts_gradient(p, 0.05 * object.resolution_mm));
+        }
+        return cut.normal;
+    }
+    let outward = normalize_or(-(transpose(j.d_source_d_deformed) * implicit_gradient(j.source, object.resolution_mm)), vec3<f32>(0.0));
+    return select(outward, -outward, side == INSIDE);
+}
+
+fn surface_light(normal_in: vec3<f32>, direction: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
+    let away = max(dot(normal_in, direction), 0.0);
+    let normal = normalize_or(normal_in - direction * away, -direction);
+    let facing = dot(normal, frame.to_light);
+    let half = normalize_or(frame.to_light - direction, frame.to_light);
+    let highlight = select(0.0, object.highlight * pow(max(dot(normal, half), 0.0), object.shininess), facing > 0.0);
+    return clamp(color * (frame.ambient + frame.diffuse * max(facing, 0.0)) + highlight, vec3<f32>(0.0), vec3<f32>(1.0));
+}

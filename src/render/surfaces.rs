@@ -1,0 +1,307 @@
+//! Surfaces on a GPU: triangles rasterised with their forward deformers in the vertex shader, fields by a ray per pixel, all into one
+//! layer of colour and distance that a volume is then drawn in front of.
+//!
+//! Each object is a pass of its own, with its own field bound, and the device's depth test between them: their number has no limit.
+//! An object in two stages has its triangles drawn into a layer beside, which its rays read and blend with.
+
+use super::uniforms::{DeformerUniform, PlacedSolidUniform, SurfaceObjectUniform};
+use super::{Counter, Renderer, Shared, Variant, extent, overrides};
+use crate::Result;
+use crate::gpu::shaders::Program;
+use crate::mesh::Implicit;
+use crate::mesh::deformer::MOST_DEFORMERS;
+use crate::mesh::formula::MOST_SOLIDS;
+use crate::scene::Prepared;
+use crate::scene::objects::{Stage, SurfaceObject};
+use half::f16;
+use rayon::prelude::*;
+use wgpu::TextureFormat;
+use wgpu::util::DeviceExt;
+
+/// Depth of a layer: the test between objects.
+const DEPTH: TextureFormat = TextureFormat::Depth32Float;
+/// No surface; as in `shaders/bindings.wgsl`.
+const FAR_AWAY: f64 = 1e30;
+/// Rows of a picture per submission of rays.
+const ROWS_AT_ONCE: u32 = 128;
+
+/// What surfaces are drawn into.
+pub(super) struct Layer {
+    /// Colour, premultiplied.
+    pub color: wgpu::Texture,
+    color_view: wgpu::TextureView,
+    /// Distance along each pixel's ray, mm.
+    pub distance: wgpu::Texture,
+    distance_view: wgpu::TextureView,
+    depth_view: wgpu::TextureView,
+}
+
+impl Layer {
+    pub(super) fn views(&self) -> [&wgpu::TextureView; 2] {
+        [&self.color_view, &self.distance_view]
+    }
+}
+
+/// A corner of a triangle: position and normal.
+type MeshCorner = [[f32; 3]; 2];
+
+impl Renderer {
+    pub(super) fn layer(&self, width: u32, height: u32) -> Layer {
+        let color = self.target(width, height, TextureFormat::Rgba16Float);
+        let distance = self.target(width, height, TextureFormat::R32Float);
+        let depth = self.target(width, height, DEPTH);
+        let view = |t: &wgpu::Texture| t.create_view(&wgpu::TextureViewDescriptor::default());
+        Layer { color_view: view(&color), distance_view: view(&distance), depth_view: view(&depth), color, distance }
+    }
+
+    /// Draws all surfaces of a scene.
+    pub(super) fn draw_surfaces(&mut self, scene: &Prepared, shared: &Shared, counter: Option<&Counter>, progress: &dyn Fn(f32)) -> Result<Layer> {
+        let [width, height] = scene.frame.size;
+        let layer = self.layer(width, height);
+        self.clear(&layer);
+        let count = scene.surfaces.objects.len();
+        for (n, object) in scene.surfaces.objects.iter().enumerate() {
+            let group = self.bind_object(scene, object)?;
+            let triangles = object.triangles.as_ref().map(|t| {
+                let corners: Vec<MeshCorner> = t.undeformed.iter().flatten().map(|(p, n)| [p.to_array(), n.to_array()]).collect();
+                (corners.len() as u32, self.vertices(bytemuck::cast_slice(&corners)))
+            });
+            let nothing_behind = self.group(shared, None);
+            match (object.stage, triangles) {
+                (Stage::Triangles, Some((count, vertices))) => self.draw_mesh(scene, &layer, &nothing_behind, &group, &vertices, count)?,
+                (Stage::Both(_), Some((count, vertices))) => {
+                    let drawn = self.layer(width, height);
+                    self.clear(&drawn);
+                    self.draw_mesh(scene, &drawn, &nothing_behind, &group, &vertices, count)?;
+                    let behind = self.group(shared, Some(&drawn));
+                    self.cast(scene, &layer, &behind, &group, counter)?;
+                }
+                _ => self.cast(scene, &layer, &nothing_behind, &group, counter)?,
+            }
+            progress((n + 1) as f32 / count as f32);
+        }
+        Ok(layer)
+    }
+
+    fn vertices(&self, contents: &[u8]) -> wgpu::Buffer {
+        self.device.device.create_buffer_init(&wgpu::util::BufferInitDescriptor { label: Some("triangles"), contents, usage: wgpu::BufferUsages::VERTEX })
+    }
+
+    fn clear(&self, layer: &Layer) {
+        self.surface_pass(layer, true, |_| {});
+    }
+
+    fn surface_pass(&self, layer: &Layer, clear: bool, record: impl FnOnce(&mut wgpu::RenderPass)) {
+        let color = |view, value| {
+            Some(wgpu::RenderPassColorAttachment {
+                view,
+                depth_slice: None,
+                resolve_target: None,
+                ops: wgpu::Operations { load: if clear { wgpu::LoadOp::Clear(value) } else { wgpu::LoadOp::Load }, store: wgpu::StoreOp::Store },
+            })
+        };
+        let mut encoder = self.device.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        {
+            let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+                label: Some("surfaces"),
+                color_attachments: &[
+                    color(&layer.color_view, wgpu::Color::TRANSPARENT),
+                    color(&layer.distance_view, wgpu::Color { r: FAR_AWAY, ..wgpu::Color::TRANSPARENT }),
+                ],
+                depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
+                    view: &layer.depth_view,
+                    depth_ops: Some(wgpu::Operations { load: if clear { wgpu::LoadOp::Clear(1.0) } else { wgpu::LoadOp::Load }, store: wgpu::StoreOp::Store }),
+                    stencil_ops: None,
+                }),
+                timestamp_writes: None,
+                occlusion_query_set: None,
+                multiview_mask: None,
+            });
+            record(&mut pass);
+        }
+        self.device.queue.submit([encoder.finish()]);
+    }
+
+    fn draw_mesh(&mut self, scene: &Prepared, layer: &Layer, shared: &wgpu::BindGroup, group: &wgpu::BindGroup, vertices: &wgpu::Buffer, count: u32) -> Result<()> {
+        let variant = Self::variant(scene, Program::Mesh, false);
+        self.compile_surface(variant);
+        let pipeline = &self.pipelines[&variant];
+        self.surface_pass(layer, false, |pass| {
+            pass.set_pipeline(pipeline);
+            pass.set_bind_group(0, shared, &[]);
+            pass.set_bind_group(2, group, &[]);
+            pass.set_vertex_buffer(0, vertices.slice(..));
+            pass.draw(0..count, 0..1);
+        });
+        crate::gpu::wait(&self.device.device)
+    }
+
+    fn cast(&mut self, scene: &Prepared, layer: &Layer, shared: &wgpu::BindGroup, group: &wgpu::BindGroup, counter: Option<&Counter>) -> Result<()> {
+        let variant = Self::variant(scene, Program::Surface, counter.is_some());
+        self.compile_surface(variant);
+        let pipeline = &self.pipelines[&variant];
+        let [width, height] = scene.frame.size;
+        for top in (0..height).step_by(ROWS_AT_ONCE as usize) {
+            self.surface_pass(layer, false, |pass| {
+                pass.set_scissor_rect(0, top, width, ROWS_AT_ONCE.min(height - top));
+                pass.set_pipeline(pipeline);
+                pass.set_bind_group(0, shared, &[]);
+                if let Some(counter) = counter {
+                    pass.set_bind_group(1, &counter.group, &[]);
+                }
+                pass.set_bind_group(2, group, &[]);
+                pass.draw(0..3, 0..1);
+            });
+            crate::gpu::wait(&self.device.device)?;
+        }
+        Ok(())
+    }
+
+    fn object_layout(&self) -> wgpu::BindGroupLayout {
+        let visibility = wgpu::ShaderStages::VERTEX_FRAGMENT;
+        let entry = |binding, ty| wgpu::BindGroupLayoutEntry { binding, visibility, ty, count: None };
+        let uniform = wgpu::BindingType::Buffer { ty: wgpu::BufferBindingType::Uniform, has_dynamic_offset: false, min_binding_size: None };
+        let texture = |filterable| wgpu::BindingType::Texture {
+            sample_type: wgpu::TextureSampleType::Float { filterable },
+            view_dimension: wgpu::TextureViewDimension::D3,
+            multisampled: false,
+        };
+        self.device.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some("object"),
+            entries: &[entry(0, uniform), entry(1, texture(true)), entry(2, texture(false)), entry(3, uniform), entry(4, uniform)],
+        })
+    }
+
+    /// Field, empty space, formulas and deformers of one object.
+    fn bind_object(&self, scene: &Prepared, object: &SurfaceObject) -> Result<wgpu::BindGroup> {
+        let device = &self.device.device;
+        let uniform = |contents: &[u8]| {
+            device.create_buffer_init(&wgpu::util::BufferInitDescriptor { label: None, contents, usage: wgpu::BufferUsages::UNIFORM })
+        };
+        let own = SurfaceObjectUniform::new(scene, object);
+        let mut solids: [PlacedSolidUniform; MOST_SOLIDS] = [bytemuck::Zeroable::zeroed(); MOST_SOLIDS];
+        if let Some(Implicit::Formula(f)) = &object.implicit {
+            solids.iter_mut().zip(&f.0).for_each(|(u, s)| *u = PlacedSolidUniform::new(s));
+        }
+        let mut deformers: [DeformerUniform; MOST_DEFORMERS] = [bytemuck::Zeroable::zeroed(); MOST_DEFORMERS];
+        deformers.iter_mut().zip(&object.deformers).for_each(|(u, d)| *u = DeformerUniform::new(d));
+        let (own, solids) = (uniform(bytemuck::bytes_of(&own)), uniform(bytemuck::cast_slice(&solids)));
+        let deformers = uniform(bytemuck::cast_slice(&deformers));
+        let field = self.upload_field(object.implicit.as_ref())?;
+        let grid = &object.cells.grid;
+        let size = grid.size.to_array().map(|n| n as usize);
+        let cells: Vec<[f32; 2]> = grid.distance.iter().zip(&object.cells.slope).map(|(d, s)| [f32::from(*d), *s]).collect();
+        let cells_texture = self.texture_3d("cells of a surface", size, TextureFormat::Rg32Float)?;
+        self.write_layers(&cells_texture, 0, bytemuck::cast_slice(&cells), size);
+        let cells = cells_texture.create_view(&wgpu::TextureViewDescriptor::default());
+        Ok(device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("object"),
+            layout: &self.object_layout(),
+            entries: &[
+                wgpu::BindGroupEntry { binding: 0, resource: own.as_entire_binding() },
+                wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::TextureView(&field) },
+                wgpu::BindGroupEntry { binding: 2, resource: wgpu::BindingResource::TextureView(&cells) },
+                wgpu::BindGroupEntry { binding: 3, resource: solids.as_entire_binding() },
+                wgpu::BindGroupEntry { binding: 4, resource: deformers.as_entire_binding() },
+            ],
+        }))
+    }
+
+    /// A field in half precision, whose steps are finest where it matters, at the surface.
+    fn upload_field(&self, implicit: Option<&Implicit>) -> Result<wgpu::TextureView> {
+        let (size, values): ([usize; 3], &[f32]) = match implicit {
+            Some(Implicit::Grid(g)) => (g.size, &g.distance_mm),
+            Some(Implicit::Depth(d)) => ([d.size, d.size, d.faces.len()], &d.depth_mm),
+            _ => ([1; 3], &[0.0]),
+        };
+        // Depths are compared with each other: they have no place where they are small.
+        let format = match implicit {
+            Some(Implicit::Depth(_)) if self.device.device.features().contains(wgpu::Features::FLOAT32_FILTERABLE) => TextureFormat::R32Float,
+            _ => TextureFormat::R16Float,
+        };
+        let texture = self.texture_3d("distance field", size, format)?;
+        let layer = size[0] * size[1];
+        let layers_at_once = ((16 << 20) / (layer * 4)).max(1);
+        for first in (0..size[2]).step_by(layers_at_once) {
+            let part = &values[first * layer..(first + layers_at_once).min(size[2]) * layer];
+            if format == TextureFormat::R32Float {
+                self.write_layers(&texture, first, bytemuck::cast_slice(part), size);
+            } else {
+                let halves: Vec<u16> = part.par_iter().map(|v| f16::from_f32(v.clamp(-60000.0, 60000.0)).to_bits()).collect();
+                self.write_layers(&texture, first, bytemuck::cast_slice(&halves), size);
+            }
+        }
+        debug_assert_eq!(texture.size(), extent(size));
+        Ok(texture.create_view(&wgpu::TextureViewDescriptor::default()))
+    }
+
+    fn compile_surface(&mut self, variant: Variant) {
+        if self.pipelines.contains_key(&variant) {
+            return;
+        }
+        let device = &self.device.device;
+        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: Some(&format!("{:?}", variant.program)),
+            source: wgpu::ShaderSource::Wgsl(variant.program.source(variant.counting).into()),
+        });
+        let constants = overrides(&variant);
+        let options = wgpu::PipelineCompilationOptions { constants: &constants, ..Default::default() };
+        let counts = variant.counting.then(|| Counter::layout(device));
+        let object = self.object_layout();
+        let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: None,
+            bind_group_layouts: &[Some(&self.shared_layout), counts.as_ref(), Some(&object)],
+            immediate_size: 0,
+        });
+        let corner = wgpu::VertexBufferLayout {
+            array_stride: size_of::<MeshCorner>() as u64,
+            step_mode: wgpu::VertexStepMode::Vertex,
+            attributes: &wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x3],
+        };
+        let buffers = [Some(corner)];
+        let target = |format| Some(wgpu::ColorTargetState { format, blend: None, write_mask: wgpu::ColorWrites::ALL });
+        let pipeline = device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+            label: Some(&format!("{:?}", variant.program)),
+            layout: Some(&layout),
+            vertex: wgpu::VertexState {
+                module: &module,
+                entry_point: Some("vertex"),
+                compilation_options: options.clone(),
+                buffers: if variant.program == Program::Mesh { &buffers } else { &[] },
+            },
+            primitive: wgpu::PrimitiveState::default(),
+            depth_stencil: Some(wgpu::DepthStencilState {
+                format: DEPTH,
+                depth_write_enabled: Some(true),
+                depth_compare: Some(wgpu::CompareFunction::Less),
+                stencil: wgpu::StencilState::default(),
+                bias: wgpu::DepthBiasState::default(),
+            }),
+            multisample: wgpu::MultisampleState::default(),
+            fragment: Some(wgpu::FragmentState {
+                module: &module,
+                entry_point: Some("fragment"),
+                compilation_options: options,
+                targets: &[target(TextureFormat::Rgba16Float), target(TextureFormat::R32Float)],
+            }),
+            multiview_mask: None,
+            cache: None,
+        });
+        self.pipelines.insert(variant, pipeline);
+    }
+
+    /// Distance along each pixel's ray to the nearest surface, mm; infinite where there is none. For tests and picking.
+    ///
+    /// # Errors
+    /// Whatever the device reports.
+    pub fn surface_distances(&mut self, scene: &Prepared) -> Result<Vec<f32>> {
+        let device = self.device.device.clone();
+        crate::gpu::checked(&device, || {
+            self.upload_volume(scene.grid)?;
+            let shared = self.shared(scene)?;
+            let layer = self.draw_surfaces(scene, &shared, None, &|_| ())?;
+            let distances = crate::gpu::read_r32f(&self.device.device, &self.device.queue, &layer.distance)?;
+            Ok(distances.into_iter().map(|t| if f64::from(t) < 0.99 * FAR_AWAY { t } else { f32::INFINITY }).collect())
+        })
+    }
+}
