@@ -37,7 +37,7 @@ fn stack_of(scene: &Scene, assets: &Assets, storage: Option<Storage>) -> (Stack,
     let scene_box = assets.volume.bounds_in_world();
     let view = scene.camera.frame(&scene_box, scene.render.size).unwrap();
     let making = Making { library: &assets.library, scene_box, least_ramp_mm: 1.5, view: &view, storage, exact_cuts: true };
-    deformations::stack(&scene.deformation, &making, Vec::new()).unwrap()
+    deformations::stack(&scene.deformation, &making, Vec::new(), Vec::new()).unwrap()
 }
 
 fn assets(scene: &Scene) -> Assets {

@@ -42,7 +42,9 @@ pub fn trials() -> Vec<Trial> {
     };
     for file in scenes::files() {
         let name = file.file_stem().unwrap().to_string_lossy().into_owned();
-        for mode in [Mode::Slice, Mode::Raycast] {
+        let own = Scene::load(&file).map_or(Mode::Raycast, |s| s.render.mode);
+        let modes: &[Mode] = if own == Mode::Surface { &[Mode::Surface] } else { &[Mode::Slice, Mode::Raycast] };
+        for &mode in modes {
             let scene = name.clone();
             all.push(gpu(format!("parity::{name}::{mode:?}").to_lowercase(), Box::new(move || scene_agrees(&scene, mode))));
         }
@@ -51,6 +53,9 @@ pub fn trials() -> Vec<Trial> {
         all.push(gpu(format!("parity::numbers::{}", kind.name), Box::new(move || numbers_agree(kind.name))));
     }
     all.push(gpu("parity::options_agree".into(), Box::new(options_agree)));
+    all.push(gpu("parity::surface_depths_agree".into(), Box::new(surface_depths_agree)));
+    all.push(gpu("parity::surface_options_agree".into(), Box::new(surface_options_agree)));
+    all.push(gpu("parity::one_deformation_on_the_gpu".into(), Box::new(one_deformation_on_the_gpu)));
     all.push(gpu("parity::counts_agree".into(), Box::new(counts_agree)));
     all.push(gpu("parity::eight_maps_agree".into(), Box::new(eight_maps_agree)));
     all.push(gpu("parity::composition_agrees".into(), Box::new(composition_agrees)));
@@ -281,4 +286,96 @@ fn too_large_is_refused() {
     let prepared = Prepared::new(&scene, &assets).unwrap();
     let message = with_renderer(|r| r.render(&prepared, false, &|_| ()).err().unwrap().to_string());
     assert!(message.contains("exceeds"), "{message}");
+}
+
+/// Depth of surfaces: within a thousandth of the box of the CPU's where both see one.
+fn surface_depths_agree() {
+    for name in ["bunny-twist", "bunny-two-stage", "bunny-deformers", "apple-hollow", "apple-thick", "apple-solid", "gyroid", "head-skin-peel"] {
+        let mut scene = scenes::load(name);
+        scene.render.size = [192, 192];
+        let assets = scenes::assets(&scene);
+        let prepared = Prepared::new(&scene, &assets).unwrap();
+        let by_gpu = with_renderer(|r| r.surface_distances(&prepared).unwrap_or_else(|e| panic!("{name}: {e}")));
+        let bound = 1e-3 * assets.scene_box().size().length();
+        let (mut off, mut seen, mut worst) = (0, 0, 0.0f32);
+        for (n, &t) in by_gpu.iter().enumerate() {
+            let (u, v) = (((n % 192) as f32 + 0.5) / 96.0 - 1.0, 1.0 - ((n / 192) as f32 + 0.5) / 96.0);
+            let (o, d) = prepared.frame.view.ray(u, v);
+            let want = cpu::surface::nearest(&prepared, o, d, &mut 0).map_or(f32::INFINITY, |h| h.t);
+            seen += usize::from(want.is_finite());
+            if (t - want).abs() > bound || t.is_finite() != want.is_finite() {
+                off += 1;
+            } else if t.is_finite() {
+                worst = worst.max((t - want).abs());
+            }
+        }
+        println!("{name}: {seen} pixels, {off} beyond {bound:.3} mm (silhouettes and edges), the others within {worst:.4} mm");
+        // Rays that graze an edge are one side's hit and the other's miss.
+        assert!(seen > 2000 && off * 500 < seen, "{name}: {off} of {seen}");
+    }
+}
+
+/// Every way of stepping, every kind of solid and deformer, projections and slices before surfaces.
+fn surface_options_agree() {
+    use incise::mesh::deformer::NormalMethod;
+    use incise::scene::surface::{DeformerSource, Representation, Steps};
+    let small = |name: &str| {
+        let mut scene = scenes::load(name);
+        scene.render.size = [128, 128];
+        scene
+    };
+    let check = |what: &str, scene: &Scene| {
+        let assets = scenes::assets(scene);
+        agree(what, &Prepared::new(scene, &assets).unwrap());
+    };
+    for steps in [Steps::Uniform, Steps::Threshold, Steps::Jacobian, Steps::Sphere] {
+        let mut scene = small("bunny-twist");
+        scene.surface.steps = steps;
+        check(&format!("{steps:?} steps"), &scene);
+    }
+    for representation in [Representation::DepthMap, Representation::DepthMapCube] {
+        let mut scene = small("bunny-twist");
+        scene.mesh[0].representation = Some(representation);
+        scene.mesh[0].face = Some("-y".into());
+        check(&format!("{representation:?}"), &scene);
+    }
+    let numbers = |kind: &str| -> Vec<(&str, f32)> {
+        match kind {
+            "twist" | "bend" => vec![("angle", 50.0)],
+            "taper" => vec![("factor", 0.5)],
+            "shear" => vec![("amount", 0.4)],
+            "bulge" => vec![("amount", 0.4), ("width", 20.0)],
+            "wave" => vec![("amplitude", 4.0), ("length", 25.0), ("phase", 30.0)],
+            _ => vec![],
+        }
+    };
+    for (kind, _, _) in incise::scene::surface::DEFORMERS {
+        for normals in [NormalMethod::InverseTranspose, NormalMethod::Tangent, NormalMethod::Numeric] {
+            let mut scene = small("bunny-deformers");
+            scene.mesh[0].normals = normals;
+            scene.mesh[0].deformer = vec![DeformerSource {
+                kind: kind.into(),
+                center: None,
+                size: None,
+                rotate: Some([0.0, 30.0, 10.0]),
+                progress: Some(0.9),
+                points: if kind == "lattice" { vec![[1.0, 1.0, 3.0, 10.0, 5.0, 30.0], [3.0, 2.0, 0.0, -5.0, 20.0, 0.0]] } else { vec![] },
+                numbers: numbers(kind).into_iter().map(|(n, v)| (n.to_owned(), v)).collect(),
+            }];
+            check(&format!("{kind}, normals {normals:?}"), &scene);
+        }
+    }
+    for blend in [Blend::Mip, Blend::Average] {
+        for mode in [Mode::Slice, Mode::Raycast] {
+            let mut scene = small("head-with-nuclei");
+            scene.transfer.blend = Some(blend);
+            scene.render.mode = mode;
+            check(&format!("{blend:?} before surfaces, {mode:?}"), &scene);
+        }
+    }
+}
+
+/// Slices, rays and surface rays on the device: the silhouettes of a solid ball under one deformation agree to a pixel with the CPU's surface.
+fn one_deformation_on_the_gpu() {
+    crate::surfaces::three_silhouettes(&|prepared| with_renderer(|r| r.render(prepared, false, &|_| ()).unwrap()).picture);
 }

@@ -29,7 +29,8 @@ pub fn same_file(a: &Path, b: &Path) -> bool {
 pub fn read_by(scene: &Scene) -> Vec<PathBuf> {
     const NAMES: [&str; 10] = ["path", "moving", "reference", "labels", "mask", "pairs", "from", "to", "offsets", "points"];
     let named = scene.deformation.iter().flat_map(|d| NAMES.iter().flat_map(|n| d.parameters.texts(n).ok().flatten().unwrap_or_default()));
-    let meshes = scene.mesh.iter().flat_map(|m| m.path.iter().chain(&m.volume)).map(|p| scene.folder.join(p));
+    let holder = scene.volume.iter().flat_map(|v| &v.inside).map(|i| &i.path);
+    let meshes = scene.mesh.iter().flat_map(|m| m.path.iter().chain(&m.volume)).chain(holder).map(|p| scene.folder.join(p));
     scene.volume_path().into_iter().chain(meshes).chain(named.map(|p| scene.folder.join(p))).collect()
 }
 

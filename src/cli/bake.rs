@@ -6,6 +6,7 @@ use crate::deform::cut::Cuts;
 use crate::deform::{Stack, Storage};
 use crate::export::{Output, bake};
 use crate::scene::deformations::{self, Making};
+use crate::scene::inside;
 use crate::scene::{Assets, Scene};
 use crate::volume::save::Format;
 use crate::{Error, Result};
@@ -49,11 +50,12 @@ pub struct Arguments {
 
 /// The exact stack of a scene: every map in single precision, none composed; and its cuts, as shapes if asked for.
 pub(super) fn exact_stack(scene: &Scene, assets: &Assets, exact_cuts: bool) -> Result<(Stack, Cuts)> {
-    let scene_box = assets.volume.bounds_in_world();
+    let scene_box = assets.scene_box();
     let view = scene.camera.frame(&scene_box, scene.render.size)?;
     let least_ramp_mm = 1.5 * assets.volume.spacing_mm().min_element() as f32;
     let making = Making { library: &assets.library, scene_box, least_ramp_mm, view: &view, storage: Some(Storage::F32), exact_cuts };
-    deformations::stack(&scene.deformation, &making, Vec::new())
+    let inside = inside::of_scene(scene, assets, &scene_box, least_ramp_mm)?.map_or_else(Vec::new, |i| i.maps);
+    deformations::stack(&scene.deformation, &making, inside, Vec::new())
 }
 
 /// Bakes and writes.

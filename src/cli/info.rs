@@ -3,6 +3,7 @@
 use crate::deform::kinds::{self, Unit};
 use crate::scene::Scene;
 use crate::scene::deformations::FILE_KINDS;
+use crate::scene::surface::{DEFORMERS, LOOKS};
 use crate::transfer;
 use crate::volume::{Volume, load, phantom};
 use crate::{Result, mesh};
@@ -160,6 +161,14 @@ pub fn catalogue() -> String {
         for s in k.settings {
             out.push_str(&format!("    {:<20} {}\n", s.name, s.about));
         }
+    }
+    out.push_str("\nLooks of surfaces (--look)\n");
+    for (name, about, _) in LOOKS {
+        out.push_str(&format!("  {name:<22} {about}\n"));
+    }
+    out.push_str("\nForward deformers of meshes ([[mesh.deformer]] in scenes)\n");
+    for (name, about, parameters) in DEFORMERS {
+        out.push_str(&format!("  {name:<22} {about}: {parameters}\n"));
     }
     out.push_str("\nPhantoms (phantom:NAME[:size=N][:spacing=AxBxC])\n");
     for (name, about) in phantom::list() {

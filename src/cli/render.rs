@@ -4,7 +4,8 @@ use super::arguments;
 use super::progress::Progress;
 use crate::deform::health::Examined;
 use crate::export::{Output, png};
-use crate::scene::{Assets, Camera, Mode, Picture, Prepared, Projection, RenderStats, Rendered, Scene, Stages, View};
+use crate::scene::surface::CutModel;
+use crate::scene::{Assets, Camera, InsideMesh, Mode, Picture, Prepared, Projection, RenderStats, Rendered, Scene, Stages, View};
 use crate::{Error, Result, cpu};
 use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
@@ -33,6 +34,16 @@ enum ModeName {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum CutModelName {
+    /// Nothing: a thin shell.
+    Hollow,
+    /// Matter.
+    Solid,
+    /// A thick skin around nothing.
+    Thick,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum ProjectionName {
     Perspective,
     Orthographic,
@@ -58,6 +69,9 @@ pub struct Arguments {
     /// Sampling distance in voxels (of the smallest spacing).
     #[arg(long)]
     step: Option<f32>,
+    /// Average this many by this many samples into each pixel (1 to 4).
+    #[arg(long, value_name = "N")]
+    antialias: Option<u32>,
     /// anterior, posterior, left, right, superior, inferior or AZ,EL in degrees.
     #[arg(long, allow_hyphen_values = true, value_parser = |t: &str| t.parse::<View>())]
     camera: Option<View>,
@@ -82,6 +96,18 @@ pub struct Arguments {
     /// Compose all deformations into one map that is this exact, mm.
     #[arg(long, value_name = "MM")]
     precompose: Option<f32>,
+    /// Value of the volume whose surface is shown (mode surface; data units).
+    #[arg(long, value_name = "VALUE", allow_hyphen_values = true)]
+    iso: Option<f64>,
+    /// Look of surfaces by name (see incise list).
+    #[arg(long, value_name = "NAME")]
+    look: Option<String>,
+    /// What lies under a surface where it is cut.
+    #[arg(long, value_enum)]
+    cut_model: Option<CutModelName>,
+    /// A closed mesh: the volume is shown inside of it.
+    #[arg(long, value_name = "MESH")]
+    inside: Option<String>,
     /// R,G,B[,A] (0..1 or 0..255), #rrggbb or transparent.
     #[arg(long, value_parser = arguments::background)]
     background: Option<[f32; 4]>,
@@ -115,6 +141,7 @@ impl Arguments {
         }
         render.size = self.size.unwrap_or(render.size);
         render.step = self.step.unwrap_or(render.step);
+        render.antialias = self.antialias.unwrap_or(render.antialias);
         render.background = self.background.unwrap_or(render.background);
         let camera = &mut scene.camera;
         if let Some(view) = self.camera {
@@ -135,6 +162,24 @@ impl Arguments {
         transfer.window = self.window.or(transfer.window);
         transfer.level = self.level.or(transfer.level);
         scene.render.precompose = self.precompose.or(scene.render.precompose);
+        scene.surface.iso = self.iso.or(scene.surface.iso);
+        for appearance in scene.mesh.iter_mut().map(|m| &mut m.appearance).chain([&mut scene.surface.appearance]) {
+            if let Some(look) = &self.look {
+                (appearance.look, appearance.color, appearance.inside_color, appearance.cut_color) = (Some(look.clone()), None, None, None);
+            }
+            appearance.model = match self.cut_model {
+                Some(CutModelName::Hollow) => Some(CutModel::Hollow),
+                Some(CutModelName::Solid) => Some(CutModel::Solid),
+                Some(CutModelName::Thick) => Some(CutModel::Thick),
+                None => appearance.model,
+            };
+        }
+        if let Some(mesh) = &self.inside {
+            let volume = scene.volume.as_mut().ok_or_else(|| Error::value("--inside", "needs a volume to show inside of the mesh"))?;
+            // As typed, from where it was typed; a scene's own paths start at the scene.
+            let path = std::path::absolute(mesh).map_err(|e| Error::io(Path::new(mesh), "reading", e))?;
+            volume.inside = Some(InsideMesh { path: path.to_string_lossy().into_owned(), ..InsideMesh::default() });
+        }
         for text in &self.deform {
             scene.deformation.push(arguments::deformation(text)?);
         }

@@ -66,7 +66,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         }
     }
     let bar = Progress::new(arguments.quiet);
-    let settings = FieldSettings { resolution: arguments.resolution, cell_mm: arguments.cell, region, exact: arguments.exact };
+    let settings = FieldSettings { resolution: arguments.resolution, cell_mm: arguments.cell, region, exact: arguments.exact, parity: false };
     let watch = Watch { progress: &|share| bar.set("distances", share), cancel: &AtomicBool::new(false) };
     let start = Instant::now();
     let field = MeshField::new(&mesh, &settings, &watch).map_err(|problem| Error::file(&arguments.mesh, problem))?;

@@ -19,7 +19,7 @@ use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// Half the width of the band of exact distances, cells.
-const BAND: f32 = 3.0;
+const BAND: f32 = 2.5;
 /// Cells left free around the mesh on every side.
 const MARGIN: f32 = 3.0;
 /// Edge of the blocks that are decided together, points.
@@ -42,11 +42,13 @@ pub struct FieldSettings {
     pub region: Option<Bounds>,
     /// Exact distances everywhere, not only in the band.
     pub exact: bool,
+    /// Inside is where a line has crossed the mesh an odd number of times: for closed meshes of nested walls.
+    pub parity: bool,
 }
 
 impl Default for FieldSettings {
     fn default() -> Self {
-        Self { resolution: 128, cell_mm: None, region: None, exact: false }
+        Self { resolution: 128, cell_mm: None, region: None, exact: false, parity: false }
     }
 }
 
@@ -151,7 +153,12 @@ impl MeshField {
             sweep(&mut distance, &mut nearest, lattice.size, lattice.origin, Mat3::from_diagonal(Vec3::splat(lattice.cell)));
         }
         drop(nearest);
-        let seen = signs(&tree, &lattice, topology.watertight, &mut distance, watch)?;
+        let seen = if settings.parity {
+            parity(&tree, &lattice, &mut distance);
+            [0; 2]
+        } else {
+            signs(&tree, &lattice, topology.watertight, &mut distance, watch)?
+        };
         let inside = distance.par_iter().filter(|d| **d > 0.0).count() as f64 / distance.len() as f64;
         let eikonal = eikonal(&distance, &lattice);
         (watch.progress)(1.0);
@@ -194,7 +201,9 @@ fn band(tree: &Tree, lattice: &Lattice, exact: bool, watch: &Watch) -> Result<(V
                 for k in k0..k1 {
                     for j in j0..j1 {
                         for i in i0..i1 {
-                            let Some(found) = tree.nearest_from(lattice.point(i, j, k), last.slot) else { continue };
+                            let p = lattice.point(i, j, k);
+                            let found = if exact { tree.nearest_from(p, last.slot) } else { tree.nearest_within(p, last.slot, reach) };
+                            let Some(found) = found else { continue };
                             last = found;
                             let n = ((k - k0) * ny + j) * nx + i;
                             distance[n] = found.squared.sqrt();
@@ -271,6 +280,22 @@ fn signs(tree: &Tree, lattice: &Lattice, watertight: bool, distance: &mut [f32],
         })
         .reduce(|| [0; 2], |a, b| [a[0] + b[0], a[1] + b[1]]);
     if stopped(watch) { Err(CANCELLED.into()) } else { Ok(seen) }
+}
+
+/// Gives the distances their sign by counting crossings along each row.
+fn parity(tree: &Tree, lattice: &Lattice, distance: &mut [f32]) {
+    let [nx, ny, _] = lattice.size;
+    distance.par_chunks_mut(nx).enumerate().for_each(|(row, values)| {
+        // A little aside: a line through an edge or a vertex meets two triangles there, or none.
+        let aside = Vec3::new(-1.0, 1.7e-4, 2.3e-4) * lattice.cell;
+        let origin = lattice.point(0, row % ny, row / ny) + aside;
+        let mut crossings: Vec<f32> = tree.crossings(origin, Vec3::X, 0.0, f32::INFINITY).iter().map(|h| h.t).collect();
+        crossings.sort_by(f32::total_cmp);
+        for (i, d) in values.iter_mut().enumerate() {
+            let before = crossings.partition_point(|t| *t <= (i + 1) as f32 * lattice.cell);
+            *d = if before % 2 == 1 { d.abs() } else { -d.abs() };
+        }
+    });
 }
 
 struct Signs<'a> {

@@ -119,6 +119,16 @@ impl Tree {
         self.search(p, Nearest { squared: p.distance_squared(point), point, slot: guess })
     }
 
+    /// As [`Self::nearest_from`], but none if the mesh is farther than `reach`.
+    pub fn nearest_within(&self, p: Vec3, guess: u32, reach: f32) -> Option<Nearest> {
+        let point = nearest_on_triangle(p, &self.corners[guess as usize]);
+        let squared = p.distance_squared(point);
+        if squared < reach * reach {
+            return self.search(p, Nearest { squared, point, slot: guess });
+        }
+        self.nearest(p, reach)
+    }
+
     fn search(&self, p: Vec3, mut best: Nearest) -> Option<Nearest> {
         let away = |n: u32| {
             let b = &self.nodes[n as usize].bounds;

@@ -171,7 +171,7 @@ impl Renderer {
         let shows_volume = scene.settings.mode != Mode::Surface && !scene.frame.proxy.is_empty();
         if !shows_volume && scene.surfaces.objects.is_empty() {
             let pixels = vec![[0.0; 4]; width as usize * height as usize];
-            return Ok(Rendered { picture: Picture { width, height, pixels }, stats: Some(RenderStats::default()), stages });
+            return Ok(Rendered { picture: Picture { width, height, pixels }.reduced(scene.settings.antialias), stats: Some(RenderStats::default()), stages });
         }
         stages.time("upload", || -> Result<()> {
             self.upload_volume(scene.grid)?;
@@ -187,7 +187,7 @@ impl Renderer {
         if let (false, Some(layer)) = (shows_volume, &behind) {
             let pixels = stages.time("readback", || read_rgba16f(&self.device.device, &self.device.queue, &layer.color))?;
             let stats = counter.map(|c| c.read(&self.device)).transpose()?;
-            return Ok(Rendered { picture: Picture { width, height, pixels }, stats, stages });
+            return Ok(Rendered { picture: Picture { width, height, pixels }.reduced(scene.settings.antialias), stats, stages });
         }
         let bindings = self.group(&shared, behind.as_ref());
         let target = self.target(width, height, TextureFormat::Rgba16Float);
@@ -200,7 +200,7 @@ impl Renderer {
         })?;
         let pixels = stages.time("readback", || read_rgba16f(&self.device.device, &self.device.queue, &target))?;
         let stats = counter.map(|c| c.read(&self.device)).transpose()?;
-        Ok(Rendered { picture: Picture { width, height, pixels }, stats, stages })
+        Ok(Rendered { picture: Picture { width, height, pixels }.reduced(scene.settings.antialias), stats, stages })
     }
 
     fn variant(scene: &Prepared, program: Program, counting: bool) -> Variant {
@@ -351,7 +351,7 @@ impl Renderer {
             // Below every value; green stays 0 where nothing was drawn.
             Blend::Mip | Blend::Minip => wgpu::Color { r: -1e4, ..wgpu::Color::TRANSPARENT },
         };
-        let corners = slices::slices(&scene.frame, &scene.macrocells);
+        let corners = slices::slices(&scene.frame, &scene.macrocells, scene.proxy_mesh.as_deref());
         let batches = batches(&corners, u64::from(width) * u64::from(height));
         self.pass(&canvas, wgpu::LoadOp::Clear(empty), |_| {});
         if let (true, Some(layer)) = (composite, draw.behind) {

@@ -1,5 +1,7 @@
-//! Proxy geometry: the polygons in which view-aligned planes cut the proxy box.
+//! Proxy geometry: the polygons in which view-aligned planes cut the proxy box, or a mesh (\[RVD01\] section 2.4).
 
+use crate::mesh::Mesh;
+use crate::mesh::contour::{Planes, sections};
 use crate::scene::{Frame, Macrocells};
 use glam::{Vec2, Vec3};
 
@@ -10,7 +12,7 @@ pub type Corner = [f32; 4];
 ///
 /// Slices lie at depths (i + 1/2) Δ from the eye, so that they do not move when the box changes. A slice that meets no occupied cell is
 /// left out.
-pub fn slices(frame: &Frame, cells: &Macrocells) -> Vec<Corner> {
+pub fn slices(frame: &Frame, cells: &Macrocells, mesh: Option<&Mesh>) -> Vec<Corner> {
     let view = &frame.view;
     let depth = |p: Vec3| (p - view.eye).dot(view.forward);
     let corners = frame.proxy.corners();
@@ -22,6 +24,15 @@ pub fn slices(frame: &Frame, cells: &Macrocells) -> Vec<Corner> {
     let last = (far / frame.step_mm - 0.5).floor() as i64;
     let shown = occupied_depths(frame, cells);
     let mut triangles = Vec::new();
+    if let Some(mesh) = mesh {
+        let planes = Planes::across(view.forward);
+        let depths: Vec<f32> = (first..=last).map(|i| (i as f32 + 0.5) * frame.step_mm).collect();
+        let offsets: Vec<f32> = depths.iter().map(|d| d + view.eye.dot(view.forward)).collect();
+        for (section, at) in sections(mesh, &planes, &offsets).iter().zip(&depths).rev() {
+            triangles.extend(section.iter().flatten().map(|p| [p.x, p.y, p.z, *at]));
+        }
+        return triangles;
+    }
     for i in (first..=last).rev() {
         let at = (i as f32 + 0.5) * frame.step_mm;
         if !shown.is_empty() && !shown.get((i - first) as usize).copied().unwrap_or(true) {
@@ -105,17 +116,18 @@ mod tests {
                 to_light: Vec3::X,
                 blend_mm: [1.0, 2.5],
             };
-            let triangles = slices(&frame, &Macrocells::solid(bounds));
-            let area: f32 = triangles
-                .chunks_exact(3)
-                .map(|t| {
-                    let p = |n: usize| Vec3::from_slice(&t[n][..3]);
-                    (p(1) - p(0)).cross(p(2) - p(0)).length() / 2.0
-                })
-                .sum();
+            let triangles = slices(&frame, &Macrocells::solid(bounds), None);
+            let of_mesh = slices(&frame, &Macrocells::solid(bounds), Some(&crate::mesh::shapes::sphere(20.0, 64)));
+            let area_of = |corners: &[Corner]| -> f32 { corners.chunks_exact(3).map(|t| {
+                let p = |n: usize| Vec3::from_slice(&t[n][..3]);
+                (p(1) - p(0)).cross(p(2) - p(0)).length() / 2.0
+            }).sum() };
+            let area = area_of(&triangles);
             let volume = bounds.size().element_product();
             assert!((area * 0.25 / volume - 1.0).abs() < 2e-3, "{view}: {area}");
-            assert!(triangles.windows(2).all(|w| w[0][3] >= w[1][3]), "back to front");
+            assert!(triangles.windows(2).chain(of_mesh.windows(2)).all(|w| w[0][3] >= w[1][3]), "back to front");
+            let ball = 4.0 / 3.0 * std::f32::consts::PI * 8000.0;
+            assert!((area_of(&of_mesh) * 0.25 / ball - 1.0).abs() < 5e-3, "{view}");
         }
     }
 }

@@ -68,11 +68,11 @@ pub struct Composition {
     pub p99_mm: f32,
 }
 
-/// The stack of a scene's deformations and further maps made by other means, and the cuts that come after all of them.
+/// The stack of a scene's deformations, with maps made by other means applied before and after them, and the cuts that come after all.
 ///
 /// # Errors
 /// Any parameter that cannot be used, by name.
-pub fn stack(deformations: &[Deformation], making: &Making, more: Vec<PlacedMap>) -> Result<(Stack, Cuts)> {
+pub fn stack(deformations: &[Deformation], making: &Making, first: Vec<PlacedMap>, more: Vec<PlacedMap>) -> Result<(Stack, Cuts)> {
     let enabled: Vec<&Deformation> = deformations.iter().filter(|d| d.enabled).collect();
     let mut first_cut = enabled.len();
     if making.exact_cuts && more.is_empty() {
@@ -80,7 +80,7 @@ pub fn stack(deformations: &[Deformation], making: &Making, more: Vec<PlacedMap>
             first_cut -= 1;
         }
     }
-    let mut maps = Vec::new();
+    let mut maps = first;
     for d in &enabled[..first_cut] {
         if let Some(name) = CUT_ONLY.iter().find(|n| kinds::kind(&d.kind).is_ok_and(|k| k.shape.is_some()) && d.parameters.0.contains_key(**n)) {
             let problem = if !making.exact_cuts {

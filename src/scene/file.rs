@@ -80,7 +80,7 @@ fn unknown_keys(root: &Value, schema: &Value, value: &Value, path: &str) -> Resu
                     continue;
                 }
                 let mut known: Vec<&str> = properties.keys().map(String::as_str).collect();
-                if path == "mesh.deformer" {
+                if path == "mesh.deformer" || path == "volume.inside.deformer" {
                     // Numbers of a deformer are checked by its kind when it is made.
                     continue;
                 }

@@ -6,6 +6,7 @@
 mod camera;
 pub mod deformations;
 pub mod file;
+pub mod inside;
 mod macrocells;
 pub mod objects;
 mod prepared;
@@ -70,6 +71,35 @@ fn is_default<T: Default + PartialEq>(value: &T) -> bool {
 pub struct VolumeSource {
     /// A file, relative to the scene file, or `phantom:NAME[:size=N]`.
     pub path: String,
+    /// A closed mesh that the volume is shown inside of.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub inside: Option<InsideMesh>,
+}
+
+/// The `[volume.inside]` section: a closed mesh that holds the volume (\[RVD01\] section 2). It is the scene's first cut.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct InsideMesh {
+    /// The mesh file, relative to the scene file.
+    pub path: String,
+    /// Where its middle goes, mm; where it is by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub center: Option<[f32; 3]>,
+    /// Its longest edge, mm; as it is by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub size: Option<f32>,
+    /// Turn about x, then y, then z, degrees.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rotate: Option<[f32; 3]>,
+    /// Instead of centre, size and rotation: rows of the affine transform from the file's coordinates to world mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub matrix: Option<[[f32; 4]; 3]>,
+    /// Shows the volume outside of it instead.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub invert: bool,
+    /// Forward deformers, in order, that carry the volume along.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub deformer: Vec<surface::DeformerSource>,
 }
 
 /// One length for all axes, or one each.
@@ -242,6 +272,8 @@ pub struct RenderSettings {
     pub size: [u32; 2],
     /// Distance between samples in voxels (of the smallest spacing).
     pub step: f32,
+    /// Pixels are averages of this many by this many samples: 1 to 4.
+    pub antialias: u32,
     /// Behind the volume: red, green, blue, alpha in 0..1.
     pub background: [f32; 4],
     /// Which normals light the volume.
@@ -272,6 +304,7 @@ impl Default for RenderSettings {
             mode: Mode::Raycast,
             size: [512, 512],
             step: 1.0,
+            antialias: 1,
             background: [0.08, 0.085, 0.1, 1.0],
             normals: Normals::Blended,
             gradient: GradientFilter::Central,
@@ -291,7 +324,7 @@ impl Scene {
     pub fn of_volume(path: impl Into<String>) -> Self {
         Self {
             incise: FORMAT_VERSION,
-            volume: Some(VolumeSource { path: path.into() }),
+            volume: Some(VolumeSource { path: path.into(), inside: None }),
             mesh: Vec::new(),
             surface: surface::SurfaceSettings::default(),
             transfer: TransferSettings::default(),

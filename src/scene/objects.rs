@@ -155,29 +155,39 @@ impl MeshSource {
         }
         Ok(())
     }
+}
 
-    /// From the file's coordinates to the world.
-    fn placement(&self, bounds: &Bounds) -> Result<Affine3A> {
-        if let Some(rows) = self.matrix {
-            if self.center.is_some() || self.size.is_some() || self.rotate.is_some() {
-                return Err(Error::value("matrix", "already says where the mesh goes; leave out center, size and rotate"));
-            }
-            let column = |c: usize| Vec3::new(rows[0][c], rows[1][c], rows[2][c]);
-            let m = Affine3A::from_mat3_translation(Mat3::from_cols(column(0), column(1), column(2)), column(3));
-            return if m.is_finite() && Mat3::from(m.matrix3).determinant() != 0.0 { Ok(m) } else { Err(Error::value("matrix", "is singular or not finite")) };
+/// From a mesh file's coordinates to the world.
+pub(super) fn placement(
+    bounds: &Bounds,
+    center: Option<[f32; 3]>,
+    size: Option<f32>,
+    rotate: Option<[f32; 3]>,
+    matrix: Option<[[f32; 4]; 3]>,
+) -> Result<Affine3A> {
+    if let Some(rows) = matrix {
+        if center.is_some() || size.is_some() || rotate.is_some() {
+            return Err(Error::value("matrix", "already says where the mesh goes; leave out center, size and rotate"));
         }
-        let scale = match self.size {
-            Some(s) if s.is_finite() && s > 0.0 => s / bounds.size().max_element(),
-            Some(s) => return Err(Error::value("size", format!("{s} is not a length"))),
-            None => 1.0,
-        };
-        let turn = rotation(self.rotate)?;
-        let center = self.center.map_or(bounds.center(), Vec3::from);
-        if !center.is_finite() {
-            return Err(Error::value("center", "must be finite"));
-        }
-        Ok(Affine3A::from_translation(center) * Affine3A::from_mat3(turn) * Affine3A::from_scale(Vec3::splat(scale)) * Affine3A::from_translation(-bounds.center()))
+        let column = |c: usize| Vec3::new(rows[0][c], rows[1][c], rows[2][c]);
+        let m = Affine3A::from_mat3_translation(Mat3::from_cols(column(0), column(1), column(2)), column(3));
+        let usable = m.is_finite() && Mat3::from(m.matrix3).determinant() != 0.0;
+        return if usable { Ok(m) } else { Err(Error::value("matrix", "is singular or not finite")) };
     }
+    let scale = match size {
+        Some(s) if s.is_finite() && s > 0.0 => s / bounds.size().max_element(),
+        Some(s) => return Err(Error::value("size", format!("{s} is not a length"))),
+        None => 1.0,
+    };
+    let turn = rotation(rotate)?;
+    let center = center.map_or(bounds.center(), Vec3::from);
+    if !center.is_finite() {
+        return Err(Error::value("center", "must be finite"));
+    }
+    Ok(Affine3A::from_translation(center)
+        * Affine3A::from_mat3(turn)
+        * Affine3A::from_scale(Vec3::splat(scale))
+        * Affine3A::from_translation(-bounds.center()))
 }
 
 /// About x, then y, then z, as deformations turn.
@@ -199,7 +209,7 @@ impl Objects {
         for warning in &mesh.warnings {
             assets.library.notice(format!("{path}: {warning}"));
         }
-        let placement = source.placement(&mesh.bounds())?;
+        let placement = placement(&mesh.bounds(), source.center, source.size, source.rotate, source.matrix)?;
         let mesh = Arc::new(mesh.transformed(&placement));
         lock(&self.meshes).insert(key, mesh.clone());
         Ok(mesh)
@@ -212,7 +222,7 @@ impl Objects {
             return Ok(t.clone());
         }
         let placed = self.placed(assets, source)?;
-        let deformers = deformers(source, &placed.bounds())?;
+        let deformers = deformers(&source.deformer, &placed.bounds())?;
         let mut mesh = (*placed).clone();
         if let (Some(tolerance), false) = (source.tessellate, deformers.is_empty()) {
             let (finer, reached) = mesh.tessellated(|p| apply_all(&deformers, p).0, tolerance, MOST_TESSELLATED);
@@ -272,13 +282,7 @@ impl Objects {
                 if let Some(f) = lock(&self.fields).get(&key) {
                     return Ok(Implicit::Grid(f.clone()));
                 }
-                let settings = FieldSettings {
-                    resolution,
-                    // A part has the cells that the whole would have.
-                    cell_mm: None,
-                    region,
-                    exact: source.exact,
-                };
+                let settings = FieldSettings { resolution, region, exact: source.exact, ..FieldSettings::default() };
                 let path = assets.library.path(source.path.as_deref().unwrap_or_default());
                 let field = MeshField::new(&triangles.mesh, &settings, watch).map_err(|problem| Error::file(&path, problem))?;
                 let t = &field.topology;
@@ -320,11 +324,11 @@ impl Objects {
 }
 
 /// The deformers of a mesh that lies in `bounds`.
-fn deformers(source: &MeshSource, bounds: &Bounds) -> Result<Vec<Deformer>> {
-    if source.deformer.len() > MOST_DEFORMERS {
+pub(super) fn deformers(sources: &[DeformerSource], bounds: &Bounds) -> Result<Vec<Deformer>> {
+    if sources.len() > MOST_DEFORMERS {
         return Err(Error::value("deformer", format!("a mesh has at most {MOST_DEFORMERS}")));
     }
-    source.deformer.iter().map(|d| deformer(d, bounds)).collect()
+    sources.iter().map(|d| deformer(d, bounds)).collect()
 }
 
 fn deformer(d: &DeformerSource, bounds: &Bounds) -> Result<Deformer> {
@@ -543,7 +547,7 @@ impl Assets {
             cell_mm,
         };
         let cells = view.cells(&bounds, scene.render.empty_space_skipping);
-        let deformers = if only_triangles { deformers(source, &self.objects.placed(self, source)?.bounds())? } else { Vec::new() };
+        let deformers = if only_triangles { deformers(&source.deformer, &self.objects.placed(self, source)?.bounds())? } else { Vec::new() };
         Ok(SurfaceObject {
             name: source.label(n),
             look,

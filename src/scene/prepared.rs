@@ -2,11 +2,12 @@
 
 use super::deformations::{self, Composition, Making};
 use super::objects::{Objects, Surfaces};
-use super::{CutFaces, Light, Macrocells, Mode, Normals, RenderSettings, Scene, ViewFrame, macrocells::Contents};
+use super::{CutFaces, Light, Macrocells, Mode, inside, Normals, RenderSettings, Scene, ViewFrame, macrocells::Contents};
 use crate::deform::compose::{self, Evaluate};
 use crate::deform::cut::Cuts;
 use crate::deform::{Library, PlacedMap, Stack};
 use crate::math::{Bounds, MinMaxPyramid, normalize_or, to_f32};
+use crate::mesh::Mesh;
 use crate::transfer::{Blend, Table, default_preset};
 use crate::volume::{GradientFilter, Grid, Volume, load, phantom};
 use crate::{Error, Result};
@@ -85,6 +86,11 @@ impl Assets {
         Ok(assets)
     }
 
+    /// The box around the volume and all meshes, mm.
+    pub fn scene_box(&self) -> Bounds {
+        if self.has_volume { self.volume.bounds_in_world().union(&self.mesh_box) } else { self.mesh_box }
+    }
+
     /// The assets of a volume that is already in memory.
     pub fn of_volume(volume: Volume, stages: Stages) -> Self {
         Self::in_folder(volume, std::path::PathBuf::new(), stages)
@@ -148,6 +154,8 @@ pub struct Prepared<'a> {
     pub grey_window: [f32; 2],
     /// Surfaces that are shown with the volume, or alone.
     pub surfaces: Surfaces,
+    /// The mesh that slices are cut from instead of a box.
+    pub proxy_mesh: Option<Arc<Mesh>>,
     /// What composing maps into one has cost in exactness, if any were.
     pub composition: Option<Composition>,
     /// Constants.
@@ -202,11 +210,12 @@ impl<'a> Prepared<'a> {
             let table = Table::new(&function, volume.range);
             Ok((function, table))
         })?;
-        let volume_box = if assets.has_volume { volume.bounds_in_world().union(&assets.mesh_box) } else { assets.mesh_box };
+        let volume_box = assets.scene_box();
         let mut view = scene.camera.frame(&volume_box, settings.size)?;
         let reference_mm = volume.spacing_mm().min_element() as f32;
         let step_mm = settings.step * reference_mm;
         let blend_mm = [step_mm.max(reference_mm), BLEND_SAMPLES * step_mm.max(reference_mm)];
+        let mut proxy_mesh = None;
         let (stack, cuts, composition) = stages.time("maps", || -> Result<_> {
             let making = Making {
                 library: &assets.library,
@@ -216,7 +225,15 @@ impl<'a> Prepared<'a> {
                 storage: None,
                 exact_cuts: settings.exact_cuts,
             };
-            let (stack, cuts) = deformations::stack(&scene.deformation, &making, more)?;
+            let undeformed = more.is_empty() && !scene.deformation.iter().any(|d| d.enabled);
+            let inside = match inside::of_scene(scene, assets, &volume_box, making.least_ramp_mm)? {
+                Some(inside) => {
+                    proxy_mesh = inside.proxy.filter(|_| undeformed);
+                    inside.maps
+                }
+                None => Vec::new(),
+            };
+            let (stack, cuts) = deformations::stack(&scene.deformation, &making, inside, more)?;
             let (stack, composition) = deformations::bounded(stack, &volume_box, settings.precompose, UNSEEN * reference_mm, evaluate)?;
             Ok((stack, cuts, composition))
         })?;
@@ -265,7 +282,7 @@ impl<'a> Prepared<'a> {
         };
         let frame = Frame {
             view,
-            size: settings.size,
+            size: settings.size.map(|n| n * settings.antialias),
             step_mm,
             reference_mm,
             voxel_from_world,
@@ -284,6 +301,7 @@ impl<'a> Prepared<'a> {
             grey_window,
             composition,
             surfaces,
+            proxy_mesh,
             frame,
             light,
             settings,
@@ -314,7 +332,7 @@ impl<'a> Prepared<'a> {
 }
 
 fn check_settings(settings: &RenderSettings, light: &Light) -> Result<()> {
-    let [width, height] = settings.size;
+    let [width, height] = settings.size.map(|n| n.saturating_mul(settings.antialias.clamp(1, 4)));
     if !(1..=MAX_PICTURE_EDGE).contains(&width) || !(1..=MAX_PICTURE_EDGE).contains(&height) || u64::from(width) * u64::from(height) > MAX_PIXELS {
         return Err(Error::value(
             "size",
@@ -325,6 +343,9 @@ fn check_settings(settings: &RenderSettings, light: &Light) -> Result<()> {
     }
     if !(settings.step.is_finite() && (0.01..=100.0).contains(&settings.step)) {
         return Err(Error::value("step", format!("{} is outside 0.01 to 100 voxels", settings.step)));
+    }
+    if !(1..=4).contains(&settings.antialias) {
+        return Err(Error::value("antialias", format!("{} is outside 1 to 4", settings.antialias)));
     }
     if settings.iso.is_some_and(|v| !v.is_finite()) {
         return Err(Error::value("iso", "must be a finite value"));
@@ -384,6 +405,20 @@ pub struct Rendered {
 }
 
 impl Picture {
+    /// The picture with blocks of n by n pixels averaged.
+    pub fn reduced(self, n: u32) -> Self {
+        if n <= 1 {
+            return self;
+        }
+        let (width, height, row) = (self.width / n, self.height / n, self.width as usize);
+        let average = |index: u32| -> [f32; 4] {
+            let (x, y) = ((index % width * n) as usize, (index / width * n) as usize);
+            let all = (0..n as usize).flat_map(|j| &self.pixels[(y + j) * row + x..][..n as usize]);
+            all.fold([0.0; 4], |sum: [f32; 4], p| std::array::from_fn(|c| sum[c] + p[c] / (n * n) as f32))
+        };
+        Self { width, height, pixels: (0..width * height).map(average).collect() }
+    }
+
     /// The picture over a background (red, green, blue, alpha, not premultiplied), as 8-bit RGBA, not premultiplied.
     pub fn over(&self, background: [f32; 4]) -> Vec<u8> {
         let [r, g, b, back_alpha] = background;

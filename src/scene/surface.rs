@@ -255,6 +255,17 @@ pub struct Look {
     pub thickness: Option<f32>,
 }
 
+/// The forward deformers: name, what it does, its numbers.
+pub const DEFORMERS: [(&str, &str, &str); 7] = [
+    ("twist", "turns about z over the box's height", "angle (degrees)"),
+    ("bend", "bends z towards x over the box's height", "angle (degrees)"),
+    ("taper", "scales x and y towards the upper end", "factor"),
+    ("shear", "moves x with z", "amount (mm per mm)"),
+    ("bulge", "swells x and y around the middle", "amount, width (mm)"),
+    ("wave", "rings around z", "amplitude (mm), length (mm), phase (degrees)"),
+    ("lattice", "free-form deformation by 4x4x4 control points", "points = [[i, j, k, x, y, z], ...] (mm)"),
+];
+
 /// Name, what it is for, and the look.
 type Preset = (&'static str, &'static str, Look);
 
