@@ -80,6 +80,7 @@ pub fn counterparts_exist() {
                 ("REFINEMENTS: i32 = 14", "REFINEMENTS: u32 = 14"),
                 ("SHORTEST: f32 = 0.25", "SHORTEST: f32 = 0.25"),
                 ("FINE: f32 = 0.25", "FINE: f32 = 0.25"),
+                ("ONWARD: f32 = 1e-6", "ONWARD: f32 = 1e-6"),
                 ("MOST_SAMPLES: u32 = 100000u", "MOST_SAMPLES: u32 = 100_000"),
             ][..],
         ),

@@ -3,6 +3,7 @@
 const REFINEMENTS: i32 = 14;
 const SHORTEST: f32 = 0.25;
 const FINE: f32 = 0.25;
+const ONWARD: f32 = 1e-6;
 const MOST_SAMPLES: u32 = 100000u;
 
 const OUTSIDE: u32 = 0u;
@@ -136,7 +137,7 @@ fn leaves(cell: vec3<f32>, reach: f32, ray: Ray, inverse: vec3<f32>) -> f32 {
 
 fn step_length(here: SurfaceSample, slope: f32, exit: f32) -> f32 {
     let even = object.step_mm;
-    let room = max(exit - here.t, 0.0) + 0.01 * even;
+    let room = max(exit - here.t, 0.0) + 0.01 * even + ONWARD * here.t;
     switch object.steps {
         case 0u: { return even; }
         case 1u: { return select(even, even * FINE, abs(here.f) < object.threshold_mm); }
@@ -179,7 +180,7 @@ fn trace(ray: Ray, taken: ptr<function, u32>) -> SurfaceEvent {
             let cell = object_cell(ray.origin + ray.direction * t);
             let c = textureLoad(object_cells, vec3<i32>(cell), 0);
             if c.r > 0.5 {
-                t = max(leaves(cell, c.r, ray, inverse), t + 1e-4 * object.step_mm);
+                t = max(leaves(cell, c.r, ray, inverse), t) + 1e-4 * object.step_mm + ONWARD * t;
                 before.t = -1.0;
                 continue;
             }
@@ -188,7 +189,7 @@ fn trace(ray: Ray, taken: ptr<function, u32>) -> SurfaceEvent {
             last = before;
             before = here;
             changed = last.t >= 0.0 && ((last.f > 0.0) != (here.f > 0.0) || (object.solid != 0u && last.cut > 0.0 && here.cut <= 0.0));
-            t += step_length(here, max(c.g, 1e-3), leaves(cell, 1.0, ray, inverse));
+            t += max(step_length(here, max(c.g, 1e-3), leaves(cell, 1.0, ray, inverse)), ONWARD * t);
         }
         if changed {
             let event = first_event(ray, last, here);

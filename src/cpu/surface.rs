@@ -33,6 +33,8 @@ const REFINEMENTS: u32 = 14;
 const SHORTEST: f32 = 0.25;
 /// Near the surface threshold steps are this share of an even one.
 const FINE: f32 = 0.25;
+/// A ray goes on by this share of its length at least, else rounding would hold it at the border of a cell.
+const ONWARD: f32 = 1e-6;
 /// Most samples along one ray: beyond any picture's need, and an end for broken fields.
 const MOST_SAMPLES: u32 = 100_000;
 
@@ -173,7 +175,7 @@ pub fn trace(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: 
         let p = origin + direction * t;
         if let Some(exit) = grid.empty_until(p, origin, inverse) {
             // A surface just within the next cell lies between its border and the first sample in it.
-            t = exit.max(t + 1e-4 * object.step_mm);
+            t = exit.max(t) + 1e-4 * object.step_mm + ONWARD * t;
             before = None;
             continue;
         }
@@ -186,7 +188,7 @@ pub fn trace(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: 
             return Some(hit);
         }
         before = Some(here);
-        t += step(scene, object, &here, p, is_distance, origin, inverse, t);
+        t += step(scene, object, &here, p, is_distance, origin, inverse, t).max(ONWARD * t);
     }
     // The last part of the ray, to the end of what can be seen.
     let hit = before.filter(|b| b.t < far).and_then(|b| first_event(scene, object, origin, direction, b, sample(scene, object, origin, direction, far)));
@@ -205,7 +207,7 @@ fn step(scene: &Prepared, object: &SurfaceObject, here: &Sample, p: Vec3, is_dis
         let cell = ((p - grid.origin) / grid.cell_mm).floor().clamp(Vec3::ZERO, (grid.size - 1).as_vec3());
         let low = grid.origin + cell * grid.cell_mm;
         let far = ((low - origin) * inverse).max((low + grid.cell_mm - origin) * inverse).min_element();
-        length.min((far - t).max(0.0) + 0.01 * even)
+        length.min((far - t).max(0.0) + 0.01 * even + ONWARD * t)
     };
     match scene.surfaces.steps {
         Steps::Uniform => even,
