@@ -20,7 +20,11 @@ fn field(mesh: &Mesh, settings: FieldSettings) -> MeshField {
 fn grid_points(f: &MeshField) -> impl Iterator<Item = (Vec3, f32)> {
     let [nx, ny, _] = f.grid.size;
     let place = f.grid.world_from_grid;
-    f.grid.distance_mm.iter().enumerate().map(move |(n, d)| (place.transform_point3(Vec3::new((n % nx) as f32, (n / nx % ny) as f32, (n / (nx * ny)) as f32)), *d))
+    f.grid
+        .distance_mm
+        .iter()
+        .enumerate()
+        .map(move |(n, d)| (place.transform_point3(Vec3::new((n % nx) as f32, (n / nx % ny) as f32, (n / (nx * ny)) as f32)), *d))
 }
 
 /// Meshes fine enough that they are the shapes to within a hundredth of a cell; boxes are exact.
@@ -31,8 +35,11 @@ pub fn distances_of_closed_forms() {
         let d = p.abs() - half;
         -(d.max(Vec3::ZERO).length() + d.max_element().min(0.0))
     };
-    let forms: [(&str, Mesh, &dyn Fn(Vec3) -> f32); 3] =
-        [("sphere", shapes::sphere(10.0, 250), &|p: Vec3| 10.0 - p.length()), ("torus", shapes::torus(10.0, 3.0, 250), &torus), ("box", shapes::cuboid(half), &cuboid)];
+    let forms: [(&str, Mesh, &dyn Fn(Vec3) -> f32); 3] = [
+        ("sphere", shapes::sphere(10.0, 250), &|p: Vec3| 10.0 - p.length()),
+        ("torus", shapes::torus(10.0, 3.0, 250), &torus),
+        ("box", shapes::cuboid(half), &cuboid),
+    ];
     for (name, mesh, want) in forms {
         let turn = Affine3A::from_rotation_x(0.3) * Affine3A::from_rotation_z(0.5);
         let back = turn.inverse();
@@ -42,7 +49,11 @@ pub fn distances_of_closed_forms() {
         for (p, d) in grid_points(&f) {
             let want = want(back.transform_point3(p));
             let error = (d - want).abs() / cell;
-            if want.abs() < 2.5 * cell { band = band.max(error) } else { beyond = beyond.max(error) }
+            if want.abs() < 2.5 * cell {
+                band = band.max(error)
+            } else {
+                beyond = beyond.max(error)
+            }
             wrong += usize::from((d > 0.0) != (want > 0.0) && want.abs() > 0.02 * cell);
         }
         println!("{name}: largest error {band:.4} cells in the band, {beyond:.3} beyond; {wrong} wrong signs; residual {:?}", f.eikonal);
@@ -106,7 +117,18 @@ pub fn a_part_is_part_of_the_whole() {
 }
 
 fn with_shape(kind: &str, radius: f32) -> MeshSource {
-    let shape = ShapeSource { kind: kind.into(), join: None, center: None, rotate: None, size: None, radius: Some(radius), tube: None, length: None, period: None, wall: None };
+    let shape = ShapeSource {
+        kind: kind.into(),
+        join: None,
+        center: None,
+        rotate: None,
+        size: None,
+        radius: Some(radius),
+        tube: None,
+        length: None,
+        period: None,
+        wall: None,
+    };
     MeshSource { shape: vec![shape], ..MeshSource::default() }
 }
 
@@ -176,7 +198,8 @@ pub fn deformed_sphere_is_the_ellipsoid() {
             }
             println!(
                 "{steps:?}, {}: {hits} hits, {silhouette} pixels differ at the silhouette, surface off by at most {worst_t:.4} mm (step {:.2}), normals by {worst_angle:.2} degrees",
-                if sampled { "field" } else { "formula" }, object.step_mm
+                if sampled { "field" } else { "formula" },
+                object.step_mm
             );
             assert!(hits > 3000 && worst_t < 0.5 * object.step_mm && worst_angle < 1.0, "{steps:?}");
         }
@@ -189,8 +212,9 @@ pub fn narrow_pull_is_found_by_jacobian_steps() {
         let mut scene = ball_scene();
         scene.render.size = [200, 200];
         scene.render.step = step;
+        scene.camera.zoom = 0.55;
         scene.surface.steps = steps;
-        scene.surface.threshold = 1.0;
+        scene.surface.threshold = 8.0;
         scene.render.empty_space_skipping = false;
         scene
     };
@@ -209,11 +233,14 @@ pub fn narrow_pull_is_found_by_jacobian_steps() {
         let prepared = Prepared::with_maps(&scene, &assets, vec![pull()]).unwrap();
         incise::cpu::render(&prepared, &|_| ()).picture.pixels.iter().map(|p| p[3] > 0.5).collect()
     };
-    let coarse = 4.0;
+    let coarse = 6.0;
     let reference = hits(Steps::Uniform, coarse / 16.0);
     let missed = |steps| hits(steps, coarse).iter().zip(&reference).filter(|(got, want)| !**got && **want).count();
     let [uniform, threshold, jacobian, sphere] = [Steps::Uniform, Steps::Threshold, Steps::Jacobian, Steps::Sphere].map(missed);
-    println!("pixels missed of {}: uniform {uniform}, threshold {threshold}, Jacobian {jacobian}, sphere {sphere}", reference.iter().filter(|r| **r).count());
+    println!(
+        "pixels missed of {}: uniform {uniform}, threshold {threshold}, Jacobian {jacobian}, sphere {sphere}",
+        reference.iter().filter(|r| **r).count()
+    );
     assert!(uniform > 20 && threshold > 5, "the scene is no test: {uniform}, {threshold}");
     assert_eq!((jacobian, sphere), (0, 0));
 }
@@ -225,7 +252,8 @@ fn silhouette(picture: &Picture) -> Vec<bool> {
 /// Pixels set in one and not within a pixel of one set in the other.
 fn beyond_a_pixel(a: &[bool], b: &[bool], width: usize) -> usize {
     let near = |x: usize, y: usize, of: &[bool], value: bool| {
-        (y.saturating_sub(1)..=(y + 1).min(of.len() / width - 1)).any(|j| (x.saturating_sub(1)..=(x + 1).min(width - 1)).any(|i| of[j * width + i] == value))
+        (y.saturating_sub(1)..=(y + 1).min(of.len() / width - 1))
+            .any(|j| (x.saturating_sub(1)..=(x + 1).min(width - 1)).any(|i| of[j * width + i] == value))
     };
     (0..a.len()).filter(|&n| a[n] != b[n] && !near(n % width, n / width, b, a[n])).count()
 }
@@ -275,22 +303,26 @@ fn render(scene: &Scene) -> Picture {
 
 /// Two stages or one: the same picture, and no line where they meet.
 pub fn two_stages_are_one_picture() {
-    for name in ["bunny-two-stage"] {
-        let mut scene = scenes::load(name);
+    let folder = tempfile::tempdir().unwrap();
+    let smooth = write_off(folder.path(), "sphere.off", &shapes::sphere(50.0, 160));
+    let mut ball = scenes::load("bunny-two-stage");
+    ball.mesh[0] = MeshSource::of_file(smooth.to_str().unwrap());
+    for (name, mut scene, smooth) in [("the bunny", scenes::load("bunny-two-stage"), false), ("a ball", ball, true)] {
         scene.render.size = [256, 256];
-        scene.mesh[0].resolution = Some(160);
         let two = render(&scene);
         scene.surface.two_stage = false;
         let one = render(&scene);
         let d = difference(&two, &one).unwrap();
-        // A line would be a run of pixels, each brighter or darker than both its neighbours across, in one picture and not in the other.
+        // A line is brighter or darker than what lies on both sides of it, in one picture and not in the other. On the bunny its own facets are
+        // such lines: triangles show them smoothed, the field does not.
         let luma = |p: &Picture, x: usize, y: usize| p.pixels[y * 256 + x][..3].iter().sum::<f32>() / 3.0;
-        let ridge = |p: &Picture, x: usize, y: usize| luma(p, x, y) - 0.25 * (luma(p, x - 2, y) + luma(p, x + 2, y) + luma(p, x, y - 2) + luma(p, x, y + 2));
-        let inner = |p: &Picture, x: usize, y: usize| (y - 2..=y + 2).all(|j| (x - 2..=x + 2).all(|i| p.pixels[j * 256 + i][3] > 0.99));
-        let places: Vec<(usize, usize)> = (2..254).flat_map(|y| (2..254).map(move |x| (x, y))).filter(|&(x, y)| inner(&two, x, y)).collect();
-        let ridges: f32 = places.iter().map(|&(x, y)| (ridge(&two, x, y) - ridge(&one, x, y)).abs()).sum::<f32>() / places.len() as f32;
-        println!("{name}: mean {:.3}/255, ridges differ by {:.3}/255 on average", d.mean / STEP, f64::from(ridges) / STEP);
-        assert!(d.mean <= 2.0 * STEP && d.mean > 0.0 && f64::from(ridges) < STEP, "{name}");
+        let ridge =
+            |p: &Picture, x: usize, y: usize| luma(p, x, y) - 0.25 * (luma(p, x - 2, y) + luma(p, x + 2, y) + luma(p, x, y - 2) + luma(p, x, y + 2));
+        let inner = |p: &Picture, x: usize, y: usize| (y - 3..=y + 3).all(|j| (x - 3..=x + 3).all(|i| p.pixels[j * 256 + i][3] > 0.99));
+        let places = (3..253).flat_map(|y| (3..253).map(move |x| (x, y))).filter(|&(x, y)| inner(&two, x, y) && inner(&one, x, y));
+        let worst = places.map(|(x, y)| f64::from((ridge(&two, x, y) - ridge(&one, x, y)).abs())).fold(0.0, f64::max);
+        println!("{name}: mean {:.3}/255, lines differ by {:.3}/255 at most", d.mean / STEP, worst / STEP);
+        assert!(d.mean <= 2.0 * STEP && d.mean > 0.0 && (!smooth || worst < 2.0 * STEP), "{name}");
     }
 }
 
@@ -298,7 +330,7 @@ pub fn two_stages_are_one_picture() {
 pub fn skipping_changes_no_surface() {
     for name in ["apple-hollow", "apple-thick", "apple-solid", "bunny-knife", "head-skin-peel"] {
         let mut scene = scenes::load(name);
-        scene.render.size = [128, 128];
+        scene.render.size = [96, 96];
         let with = render(&scene);
         scene.surface.cut_skipping = false;
         let without_cuts = render(&scene);
@@ -321,7 +353,9 @@ pub fn cut_models_are_what_they_say() {
     scene.camera.view = "superior".parse().unwrap();
     scene.deformation.push(cut);
     // Looking down on a ball without its upper half.
-    for (model, middle) in [(CutModel::Solid, Some((0.0, Side::Cut))), (CutModel::Hollow, Some((-50.0, Side::Inside))), (CutModel::Thick, Some((-40.0, Side::Inside)))] {
+    for (model, middle) in
+        [(CutModel::Solid, Some((0.0, Side::Cut))), (CutModel::Hollow, Some((-50.0, Side::Inside))), (CutModel::Thick, Some((-40.0, Side::Inside)))]
+    {
         scene.mesh[0].appearance.model = Some(model);
         scene.mesh[0].appearance.thickness = Some(10.0);
         for exact in [true, false] {
@@ -374,17 +408,19 @@ pub fn surfaces_and_volumes_share_depth() {
     }
 }
 
+fn write_off(folder: &Path, name: &str, mesh: &Mesh) -> PathBuf {
+    let mut text = format!("OFF\n{} {} 0\n", mesh.positions.len(), mesh.triangles.len());
+    mesh.positions.iter().for_each(|p| text.push_str(&format!("{} {} {}\n", p.x, p.y, p.z)));
+    mesh.triangles.iter().for_each(|t| text.push_str(&format!("3 {} {} {}\n", t[0], t[1], t[2])));
+    let path = folder.join(name);
+    std::fs::write(&path, text).unwrap();
+    path
+}
+
 /// A volume inside a mesh: the mask, and slices cut from the mesh, show the mesh's own volume; deformed, the inside goes along.
 pub fn volumes_inside_meshes() {
     let folder = tempfile::tempdir().unwrap();
-    let write = |name: &str, mesh: &Mesh| {
-        let mut text = format!("OFF\n{} {} 0\n", mesh.positions.len(), mesh.triangles.len());
-        mesh.positions.iter().for_each(|p| text.push_str(&format!("{} {} {}\n", p.x, p.y, p.z)));
-        mesh.triangles.iter().for_each(|t| text.push_str(&format!("3 {} {} {}\n", t[0], t[1], t[2])));
-        let path = folder.path().join(name);
-        std::fs::write(&path, text).unwrap();
-        path
-    };
+    let write = |name: &str, mesh: &Mesh| write_off(folder.path(), name, mesh);
     // A shell within a shell, both facing outwards: even-odd, not orientation, says that the middle is empty.
     let mut nested = shapes::sphere(40.0, 48);
     let inner = shapes::sphere(25.0, 48);
@@ -422,7 +458,8 @@ pub fn volumes_inside_meshes() {
         numbers: [("angle".to_owned(), 90.0f32)].into(),
     };
     let mut scene = Scene::of_volume("phantom:ball:size=64");
-    scene.volume.as_mut().unwrap().inside = Some(incise::scene::InsideMesh { path: path.to_str().unwrap().into(), deformer: vec![twist], ..Default::default() });
+    scene.volume.as_mut().unwrap().inside =
+        Some(incise::scene::InsideMesh { path: path.to_str().unwrap().into(), deformer: vec![twist], ..Default::default() });
     let assets = scenes::assets(&scene);
     let prepared = Prepared::new(&scene, &assets).unwrap();
     let p = Vec3::new(20.0, 0.0, 20.0);
@@ -461,9 +498,19 @@ pub fn every_format_is_one_mesh() {
     });
     let text_stl = format!("solid torus\n{}endsolid torus\n", lines(text_stl.collect()));
     let obj = lines(v.iter().map(|p| format!("v {}", point(p))).chain(f.iter().map(|t| format!("f {}", face(t, 1)))).collect());
-    let off = format!("OFF\n# a torus\n{} {} 0\n{}{}", v.len(), f.len(), lines(v.iter().map(&point).collect()), lines(f.iter().map(|t| format!("3 {}", face(t, 0))).collect()));
+    let off = format!(
+        "OFF\n# a torus\n{} {} 0\n{}{}",
+        v.len(),
+        f.len(),
+        lines(v.iter().map(&point).collect()),
+        lines(f.iter().map(|t| format!("3 {}", face(t, 0))).collect())
+    );
     let ply_head = |format: &str| {
-        format!("ply\nformat {format} 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\nelement face {}\nproperty list uchar int vertex_indices\nend_header\n", v.len(), f.len())
+        format!(
+            "ply\nformat {format} 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\nelement face {}\nproperty list uchar int vertex_indices\nend_header\n",
+            v.len(),
+            f.len()
+        )
     };
     let text_ply = ply_head("ascii") + &lines(v.iter().map(&point).collect()) + &lines(f.iter().map(|t| format!("3 {}", face(t, 0))).collect());
     let mut binary_ply = ply_head("binary_little_endian").into_bytes();
@@ -481,7 +528,13 @@ pub fn every_format_is_one_mesh() {
         r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"children":[1],"scale":[2,2,2]}},{{"mesh":0}}],"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}},"indices":1}}]}}],
         "accessors":[{{"bufferView":0,"componentType":5126,"count":{},"type":"VEC3","min":[-6.5,-6.5,-1.5],"max":[6.5,6.5,1.5]}},{{"bufferView":1,"componentType":5125,"count":{},"type":"SCALAR"}}],
         "bufferViews":[{{"buffer":0,"byteOffset":0,"byteLength":{}}},{{"buffer":0,"byteOffset":{},"byteLength":{}}}],"buffers":[{{"byteLength":{},"uri":"data:application/octet-stream;base64,{}"}}]}}"#,
-        v.len(), 3 * f.len(), 12 * v.len(), 12 * v.len(), indices.len(), buffer.len(), encode(&buffer)
+        v.len(),
+        3 * f.len(),
+        12 * v.len(),
+        12 * v.len(),
+        indices.len(),
+        buffer.len(),
+        encode(&buffer)
     );
     // RAS: x and y turn.
     let ras: Vec<Vec3> = v.iter().map(|p| *p * Vec3::new(-1.0, -1.0, 1.0)).collect();
@@ -497,12 +550,14 @@ pub fn every_format_is_one_mesh() {
         let array = |intent: &str, kind: &str, rows: usize, bytes: &[u8]| {
             format!(
                 r#"<DataArray Intent="{intent}" DataType="{kind}" ArrayIndexingOrder="RowMajorOrder" Dimensionality="2" Dim0="{rows}" Dim1="3" Encoding="{}" Endian="LittleEndian"><Data>{}</Data></DataArray>"#,
-                if compress { "GZipBase64Binary" } else { "Base64Binary" }, pack(bytes)
+                if compress { "GZipBase64Binary" } else { "Base64Binary" },
+                pack(bytes)
             )
         };
         format!(
             "<?xml version=\"1.0\"?>\n<GIFTI Version=\"1.0\" NumberOfDataArrays=\"2\">{}{}</GIFTI>",
-            array("NIFTI_INTENT_POINTSET", "NIFTI_TYPE_FLOAT32", ras.len(), &floats(&ras)), array("NIFTI_INTENT_TRIANGLE", "NIFTI_TYPE_INT32", f.len(), &indices)
+            array("NIFTI_INTENT_POINTSET", "NIFTI_TYPE_FLOAT32", ras.len(), &floats(&ras)),
+            array("NIFTI_INTENT_TRIANGLE", "NIFTI_TYPE_INT32", f.len(), &indices)
         )
     };
     let files: [(&str, &str, Vec<u8>); 9] = [

@@ -96,9 +96,11 @@ fn mesh_report(mesh: &mesh::Mesh) -> Value {
 fn scene_report(path: &Path) -> Result<Value> {
     let scene = Scene::load(path)?;
     let volume = scene.volume_path().map(|p| load::volume(&p, &mut |_, _| ())).transpose()?;
-    let meshes = scene.mesh.iter().filter_map(|m| m.path.as_ref()).map(|p| -> Result<Value> {
-        Ok(json!({ "path": p, "report": mesh_report(&mesh::load::mesh(&scene.folder.join(p))?) }))
-    });
+    let meshes = scene
+        .mesh
+        .iter()
+        .filter_map(|m| m.path.as_ref())
+        .map(|p| -> Result<Value> { Ok(json!({ "path": p, "report": mesh_report(&mesh::load::mesh(&scene.folder.join(p))?) })) });
     Ok(json!({
         "kind": "scene",
         "volume": volume.map(|v| json!({ "path": scene.volume_name(), "report": volume_report(&v) })),

@@ -6,8 +6,8 @@ use crate::export::Output;
 use crate::math::Bounds;
 use crate::mesh::field::{FieldSettings, MeshField, Watch};
 use crate::mesh::load;
-use crate::volume::save::{Content, Format, Writer};
 use crate::volume::load::ScalarType;
+use crate::volume::save::{Content, Format, Writer};
 use crate::volume::{GridGeometry, Rescale};
 use crate::{Error, Result};
 use clap::Args;
@@ -87,7 +87,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         if !t.watertight {
             eprintln!(
                 "incise: {}: not watertight ({} open edges, {} with more than two triangles); the inside is where the winding number is above 1/2, doubtful at {:.1} % of the points near the surface",
-                arguments.mesh.display(), t.open_edges, t.non_manifold_edges, 100.0 * field.doubtful
+                arguments.mesh.display(),
+                t.open_edges,
+                t.non_manifold_edges,
+                100.0 * field.doubtful
             );
         }
         if field.turned > 0 {
@@ -117,7 +120,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 fn corners(text: &str) -> Result<Bounds> {
     let v: Vec<f32> = text.split(',').map_while(|p| p.trim().parse().ok()).collect();
     let b = match v[..] {
-        [a, b, c, d, e, f] if text.split(',').count() == 6 => Bounds::new(Vec3::new(a, b, c).min(Vec3::new(d, e, f)), Vec3::new(a, b, c).max(Vec3::new(d, e, f))),
+        [a, b, c, d, e, f] if text.split(',').count() == 6 => {
+            Bounds::new(Vec3::new(a, b, c).min(Vec3::new(d, e, f)), Vec3::new(a, b, c).max(Vec3::new(d, e, f)))
+        }
         _ => return Err(Error::value(format!("--box {text}"), "needs two corners: six numbers, x,y,z,x,y,z")),
     };
     if b.size().min_element() > 0.0 && b.size().is_finite() { Ok(b) } else { Err(Error::value(format!("--box {text}"), "has no extent")) }

@@ -191,7 +191,8 @@ pub fn trace(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: 
         t += step(scene, object, &here, p, is_distance, origin, inverse, t).max(ONWARD * t);
     }
     // The last part of the ray, to the end of what can be seen.
-    let hit = before.filter(|b| b.t < far).and_then(|b| first_event(scene, object, origin, direction, b, sample(scene, object, origin, direction, far)));
+    let hit =
+        before.filter(|b| b.t < far).and_then(|b| first_event(scene, object, origin, direction, b, sample(scene, object, origin, direction, far)));
     *samples += u64::from(count);
     hit
 }

@@ -26,35 +26,35 @@ pub enum Region<'a> {
 
 /// The distance field of a region; none if the region is empty or everything. `smooth` takes the stairs of the voxels off it.
 pub fn of_region(volume: &Volume, region: &Region, smooth: bool) -> Option<DistanceGrid> {
-        let mut stride = 1;
-        while volume.size.iter().map(|n| n.div_ceil(stride)).product::<usize>() > MOST_VOXELS {
-            stride *= 2;
-        }
-        let size = volume.size.map(|n| n.div_ceil(stride));
-        let value = |n: usize| {
-            let (i, j, k) = (n % size[0], n / size[0] % size[1], n / (size[0] * size[1]));
-            volume.value(i * stride, j * stride, k * stride)
-        };
-        let inside = |n: usize| match region {
-            Region::Labels(labels) => labels.iter().any(|l| value(n) == *l as f64),
-            Region::Mask => value(n) > 0.0,
-            Region::Body(iso) => value(n) >= *iso,
-        };
-        let mut mask: Vec<bool> = (0..size.iter().product()).into_par_iter().map(inside).collect();
-        let spacing = (volume.spacing_mm() * stride as f64).as_vec3();
-        if matches!(region, Region::Body(_)) {
-            mask = body(largest_part(&mask, size), size, spacing);
-        }
-        let count = mask.iter().filter(|m| **m).count();
-        if count == 0 || count == mask.len() {
-            return None;
-        }
-        let to_inside = squared_distance(&mask, size, spacing.into());
-        mask.iter_mut().for_each(|m| *m = !*m);
-        let to_outside = squared_distance(&mask, size, spacing.into());
-        let signed: Vec<f32> = to_outside.par_iter().zip(&to_inside).map(|(o, i)| o.sqrt() - i.sqrt()).collect();
-        let world_from_grid = to_f32(&volume.world_from_voxel) * Affine3A::from_scale(Vec3::splat(stride as f32));
-        Some(DistanceGrid::new(size, if smooth { smoothed(signed, size) } else { signed }, world_from_grid))
+    let mut stride = 1;
+    while volume.size.iter().map(|n| n.div_ceil(stride)).product::<usize>() > MOST_VOXELS {
+        stride *= 2;
+    }
+    let size = volume.size.map(|n| n.div_ceil(stride));
+    let value = |n: usize| {
+        let (i, j, k) = (n % size[0], n / size[0] % size[1], n / (size[0] * size[1]));
+        volume.value(i * stride, j * stride, k * stride)
+    };
+    let inside = |n: usize| match region {
+        Region::Labels(labels) => labels.iter().any(|l| value(n) == *l as f64),
+        Region::Mask => value(n) > 0.0,
+        Region::Body(iso) => value(n) >= *iso,
+    };
+    let mut mask: Vec<bool> = (0..size.iter().product()).into_par_iter().map(inside).collect();
+    let spacing = (volume.spacing_mm() * stride as f64).as_vec3();
+    if matches!(region, Region::Body(_)) {
+        mask = body(largest_part(&mask, size), size, spacing);
+    }
+    let count = mask.iter().filter(|m| **m).count();
+    if count == 0 || count == mask.len() {
+        return None;
+    }
+    let to_inside = squared_distance(&mask, size, spacing.into());
+    mask.iter_mut().for_each(|m| *m = !*m);
+    let to_outside = squared_distance(&mask, size, spacing.into());
+    let signed: Vec<f32> = to_outside.par_iter().zip(&to_inside).map(|(o, i)| o.sqrt() - i.sqrt()).collect();
+    let world_from_grid = to_f32(&volume.world_from_voxel) * Affine3A::from_scale(Vec3::splat(stride as f32));
+    Some(DistanceGrid::new(size, if smooth { smoothed(signed, size) } else { signed }, world_from_grid))
 }
 
 /// A body without its openings and cavities: closed by [`CLOSING_MM`] (so that a nostril or an ear does not let the outside in), then filled.

@@ -12,7 +12,8 @@ use glam::{Mat3, Vec3, Vec4Swizzles};
 /// Bounds for every map of a stack.
 pub struct Slopes<'a> {
     stack: &'a Stack,
-    of_maps: Vec<MinMaxPyramid<1>>,
+    /// None for a map that only cuts.
+    of_maps: Vec<Option<MinMaxPyramid<1>>>,
 }
 
 /// The largest singular value of a matrix: the root of the largest eigenvalue of MᵀM (Smith 1961, in closed form).
@@ -65,7 +66,7 @@ impl PlacedMap {
 impl<'a> Slopes<'a> {
     /// Prepares the bounds of a stack.
     pub fn new(stack: &'a Stack) -> Self {
-        Self { stack, of_maps: stack.maps().iter().map(PlacedMap::slopes).collect() }
+        Self { stack, of_maps: stack.maps().iter().map(|m| m.map.moves_matter().then(|| m.slopes())).collect() }
     }
 
     /// A bound on how far two source points can lie apart per millimetre between their deformed points, over a box of the deformed scene.
@@ -73,7 +74,7 @@ impl<'a> Slopes<'a> {
         let (mut b, mut at) = (*deformed, *deformed);
         let (mut whole, mut here, mut together) = (1.0f32, 1.0f32, true);
         for (map, slopes) in self.stack.maps().iter().zip(&self.of_maps).rev() {
-            let (own, moved) = map.slope_over(&at, slopes);
+            let (own, moved) = slopes.as_ref().map_or((1.0, Bounds::new(Vec3::ZERO, Vec3::ZERO)), |s| map.slope_over(&at, s));
             // A map that follows one added to it sees a point that the walk has left: its displacement alone counts, J - I.
             whole = if together { own * here } else { whole + (own + 1.0) * here };
             b = Bounds::new(b.min + moved.min, b.max + moved.max);

@@ -37,6 +37,20 @@ impl DistanceGrid {
         Vec3::new(d(Vec3::X), d(Vec3::Y), d(Vec3::Z))
     }
 
+    /// Ends the solid at the faces of the grid: what a scan cuts off is closed there.
+    pub fn closed_at_faces(mut self) -> Self {
+        let per_mm = Mat3::from(self.grid_from_world.matrix3).transpose();
+        // Distance between two planes of points, mm: an axis of an oblique grid leans.
+        let between = [per_mm.x_axis, per_mm.y_axis, per_mm.z_axis].map(|row| row.length().recip());
+        let size = self.size;
+        for (n, d) in self.distance_mm.iter_mut().enumerate() {
+            let at = [n % size[0], n / size[0] % size[1], n / (size[0] * size[1])];
+            let to_face = (0..3).map(|a| at[a].min(size[a] - 1 - at[a]) as f32 * between[a]).fold(f32::INFINITY, f32::min);
+            *d = d.min(to_face);
+        }
+        self
+    }
+
     /// Smallest distance between neighbouring points, mm.
     pub fn spacing_mm(&self) -> f32 {
         let m = self.world_from_grid.matrix3;

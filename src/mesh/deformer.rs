@@ -218,7 +218,8 @@ mod tests {
             Deform::Wave(1.0, 0.5, 0.4),
             Deform::Lattice(Box::new(offsets)),
         ];
-        let local_from_world = Affine3A::from_rotation_x(0.4) * Affine3A::from_rotation_z(1.1) * Affine3A::from_translation(Vec3::new(1.0, 2.0, -3.0));
+        let local_from_world =
+            Affine3A::from_rotation_x(0.4) * Affine3A::from_rotation_z(1.1) * Affine3A::from_translation(Vec3::new(1.0, 2.0, -3.0));
         kinds.map(|deform| Deformer { deform, local_from_world, half: Vec3::new(9.0, 8.0, 10.0) }).to_vec()
     }
 

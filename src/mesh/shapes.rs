@@ -23,7 +23,9 @@ pub fn torus(ring: f32, tube: f32, n: usize) -> Mesh {
 
 /// A box about the origin.
 pub fn cuboid(half: Vec3) -> Mesh {
-    let corner = |n: u32| Vec3::new(if n & 1 == 0 { -half.x } else { half.x }, if n & 2 == 0 { -half.y } else { half.y }, if n & 4 == 0 { -half.z } else { half.z });
+    let corner = |n: u32| {
+        Vec3::new(if n & 1 == 0 { -half.x } else { half.x }, if n & 2 == 0 { -half.y } else { half.y }, if n & 4 == 0 { -half.z } else { half.z })
+    };
     let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
     let triangles = quads.iter().flat_map(|q| [[q[0], q[1], q[2]], [q[0], q[2], q[3]]]).collect();
     Mesh::new((0..8).map(corner).collect(), triangles, vec![])

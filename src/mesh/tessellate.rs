@@ -16,7 +16,8 @@ impl Mesh {
     /// more than `most` triangles. Says whether the tolerance was reached.
     pub fn tessellated(mut self, deform: impl Fn(Vec3) -> Vec3 + Sync, tolerance_mm: f32, most: usize) -> (Self, bool) {
         for _ in 0..ROUNDS {
-            let mut edges: Vec<(u32, u32)> = self.triangles.iter().flat_map(|t| [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])]).map(|(a, b)| (a.min(b), a.max(b))).collect();
+            let mut edges: Vec<(u32, u32)> =
+                self.triangles.iter().flat_map(|t| [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])]).map(|(a, b)| (a.min(b), a.max(b))).collect();
             edges.par_sort_unstable();
             edges.dedup();
             let positions = &self.positions;

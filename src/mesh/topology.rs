@@ -146,10 +146,7 @@ impl Mesh {
             }
             if contradicted {
                 let middle = patch.iter().map(|&t| self.corners(t)[0]).sum::<glam::Vec3>() / patch.len() as f32;
-                let volume: f64 = patch
-                    .iter()
-                    .map(|&t| volume_of(self.corners(t).map(|p| p - middle)) * if turn[t] { -1.0 } else { 1.0 })
-                    .sum();
+                let volume: f64 = patch.iter().map(|&t| volume_of(self.corners(t).map(|p| p - middle)) * if turn[t] { -1.0 } else { 1.0 }).sum();
                 if volume < 0.0 {
                     patch.iter().for_each(|&t| turn[t] = !turn[t]);
                 }

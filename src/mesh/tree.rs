@@ -82,10 +82,7 @@ impl Tree {
 
     fn build(&mut self, mesh: &Mesh, order: &mut [(Vec3, u32)]) -> usize {
         let here = self.nodes.len();
-        let bounds = order
-            .iter()
-            .flat_map(|o| mesh.corners(o.1 as usize))
-            .fold(Bounds::EMPTY, |b, p| Bounds::new(b.min.min(p), b.max.max(p)));
+        let bounds = order.iter().flat_map(|o| mesh.corners(o.1 as usize)).fold(Bounds::EMPTY, |b, p| Bounds::new(b.min.min(p), b.max.max(p)));
         let dipole = Dipole::of(order.iter().map(|o| mesh.corners(o.1 as usize)));
         let leaf = order.len() <= LEAF;
         self.nodes.push(Node { bounds, start: self.corners.len() as u32, count: if leaf { order.len() as u32 } else { 0 }, dipole });

@@ -171,7 +171,11 @@ impl Renderer {
         let shows_volume = scene.settings.mode != Mode::Surface && !scene.frame.proxy.is_empty();
         if !shows_volume && scene.surfaces.objects.is_empty() {
             let pixels = vec![[0.0; 4]; width as usize * height as usize];
-            return Ok(Rendered { picture: Picture { width, height, pixels }.reduced(scene.settings.antialias), stats: Some(RenderStats::default()), stages });
+            return Ok(Rendered {
+                picture: Picture { width, height, pixels }.reduced(scene.settings.antialias),
+                stats: Some(RenderStats::default()),
+                stages,
+            });
         }
         stages.time("upload", || -> Result<()> {
             self.upload_volume(scene.grid)?;

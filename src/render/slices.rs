@@ -118,10 +118,15 @@ mod tests {
             };
             let triangles = slices(&frame, &Macrocells::solid(bounds), None);
             let of_mesh = slices(&frame, &Macrocells::solid(bounds), Some(&crate::mesh::shapes::sphere(20.0, 64)));
-            let area_of = |corners: &[Corner]| -> f32 { corners.chunks_exact(3).map(|t| {
-                let p = |n: usize| Vec3::from_slice(&t[n][..3]);
-                (p(1) - p(0)).cross(p(2) - p(0)).length() / 2.0
-            }).sum() };
+            let area_of = |corners: &[Corner]| -> f32 {
+                corners
+                    .chunks_exact(3)
+                    .map(|t| {
+                        let p = |n: usize| Vec3::from_slice(&t[n][..3]);
+                        (p(1) - p(0)).cross(p(2) - p(0)).length() / 2.0
+                    })
+                    .sum()
+            };
             let area = area_of(&triangles);
             let volume = bounds.size().element_product();
             assert!((area * 0.25 / volume - 1.0).abs() < 2e-3, "{view}: {area}");

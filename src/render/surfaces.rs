@@ -84,7 +84,11 @@ impl Renderer {
     }
 
     fn vertices(&self, contents: &[u8]) -> wgpu::Buffer {
-        self.device.device.create_buffer_init(&wgpu::util::BufferInitDescriptor { label: Some("triangles"), contents, usage: wgpu::BufferUsages::VERTEX })
+        self.device.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+            label: Some("triangles"),
+            contents,
+            usage: wgpu::BufferUsages::VERTEX,
+        })
     }
 
     fn clear(&self, layer: &Layer) {
@@ -110,7 +114,10 @@ impl Renderer {
                 ],
                 depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
                     view: &layer.depth_view,
-                    depth_ops: Some(wgpu::Operations { load: if clear { wgpu::LoadOp::Clear(1.0) } else { wgpu::LoadOp::Load }, store: wgpu::StoreOp::Store }),
+                    depth_ops: Some(wgpu::Operations {
+                        load: if clear { wgpu::LoadOp::Clear(1.0) } else { wgpu::LoadOp::Load },
+                        store: wgpu::StoreOp::Store,
+                    }),
                     stencil_ops: None,
                 }),
                 timestamp_writes: None,
@@ -122,7 +129,15 @@ impl Renderer {
         self.device.queue.submit([encoder.finish()]);
     }
 
-    fn draw_mesh(&mut self, scene: &Prepared, layer: &Layer, shared: &wgpu::BindGroup, group: &wgpu::BindGroup, vertices: &wgpu::Buffer, count: u32) -> Result<()> {
+    fn draw_mesh(
+        &mut self,
+        scene: &Prepared,
+        layer: &Layer,
+        shared: &wgpu::BindGroup,
+        group: &wgpu::BindGroup,
+        vertices: &wgpu::Buffer,
+        count: u32,
+    ) -> Result<()> {
         let variant = Self::variant(scene, Program::Mesh, false);
         self.compile_surface(variant);
         let pipeline = &self.pipelines[&variant];

@@ -59,7 +59,10 @@ pub fn resolve(assets: &Assets, inside: &InsideMesh, scene_box: &Bounds, least_r
     let mesh = mesh.transformed(&placed);
     let topology = mesh.topology();
     if !topology.watertight {
-        let problem = format!("is not closed ({} open edges, {} of more than two triangles); a mesh that holds a volume must be", topology.open_edges, topology.non_manifold_edges);
+        let problem = format!(
+            "is not closed ({} open edges, {} of more than two triangles); a mesh that holds a volume must be",
+            topology.open_edges, topology.non_manifold_edges
+        );
         return Err(Error::file(&path, problem));
     }
     let deformers = deformers(&inside.deformer, &mesh.bounds()).map_err(named)?;
@@ -69,7 +72,10 @@ pub fn resolve(assets: &Assets, inside: &InsideMesh, scene_box: &Bounds, least_r
         moved.positions.iter_mut().for_each(|p| *p = apply_all(&deformers, *p).0);
         let (map, missing) = inverse(&deformers, &mesh.bounds().union(&moved.bounds()))?;
         if missing > 0.01 {
-            assets.library.notice(format!("volume.inside: the deformers fold; {:.0} % of the space about the mesh has no source and is cut away", 100.0 * missing));
+            assets.library.notice(format!(
+                "volume.inside: the deformers fold; {:.0} % of the space about the mesh has no source and is cut away",
+                100.0 * missing
+            ));
         }
         maps.push(map);
     }

@@ -132,7 +132,10 @@ impl MeshSource {
     }
 
     fn check(&self) -> Result<()> {
-        let sources = usize::from(self.path.is_some()) + usize::from(self.iso.is_some()) + usize::from(!self.label.is_empty()) + usize::from(!self.shape.is_empty());
+        let sources = usize::from(self.path.is_some())
+            + usize::from(self.iso.is_some())
+            + usize::from(!self.label.is_empty())
+            + usize::from(!self.shape.is_empty());
         if sources != 1 {
             return Err(Error::value("path, iso, label, shape", "exactly one of them says what a mesh is made of"));
         }
@@ -227,13 +230,23 @@ impl Objects {
         if let (Some(tolerance), false) = (source.tessellate, deformers.is_empty()) {
             let (finer, reached) = mesh.tessellated(|p| apply_all(&deformers, p).0, tolerance, MOST_TESSELLATED);
             if !reached {
-                assets.library.notice(format!("{}: tessellation stopped at {} triangles, before {tolerance} mm", source.label(0), finer.triangles.len()));
+                assets.library.notice(format!(
+                    "{}: tessellation stopped at {} triangles, before {tolerance} mm",
+                    source.label(0),
+                    finer.triangles.len()
+                ));
             }
             mesh = finer;
         }
         let normals = mesh.corner_normals();
-        let undeformed: Vec<[(Vec3, Vec3); 3]> =
-            normals.iter().enumerate().map(|(t, n)| { let p = mesh.corners(t); std::array::from_fn(|c| (p[c], n[c])) }).collect();
+        let undeformed: Vec<[(Vec3, Vec3); 3]> = normals
+            .iter()
+            .enumerate()
+            .map(|(t, n)| {
+                let p = mesh.corners(t);
+                std::array::from_fn(|c| (p[c], n[c]))
+            })
+            .collect();
         let normals = if deformers.is_empty() {
             normals
         } else {
@@ -267,13 +280,20 @@ impl Objects {
                 } else {
                     let name = source.face.as_deref().unwrap_or("-y");
                     let face = FACES.iter().position(|f| *f == name);
-                    vec![face.ok_or_else(|| Error::value(format!("face \"{name}\""), format!("there is no such face; known: {}", FACES.join(", "))))? as u32]
+                    vec![
+                        face.ok_or_else(|| Error::value(format!("face \"{name}\""), format!("there is no such face; known: {}", FACES.join(", "))))?
+                            as u32,
+                    ]
                 };
                 let bounds = triangles.mesh.bounds();
                 let margin = 0.02 * bounds.size().max_element();
                 let maps = Arc::new(DepthMaps::new(&triangles.tree, bounds.grown(margin), resolution, &faces));
                 let full = 2 * resolution.pow(3);
-                assets.library.notice(format!("{}: depth maps of {} bytes, where a field of {resolution}³ takes {full}", source.label(0), maps.bytes()));
+                assets.library.notice(format!(
+                    "{}: depth maps of {} bytes, where a field of {resolution}³ takes {full}",
+                    source.label(0),
+                    maps.bytes()
+                ));
                 lock(&self.depths).insert(key, maps.clone());
                 Ok(Implicit::Depth(maps))
             }
@@ -317,7 +337,7 @@ impl Objects {
             None => of_region(&volume, &Region::Labels(&source.label), true)
                 .ok_or_else(|| Error::value("label", format!("no surface has the labels {:?}: no voxel has them, or all do", source.label))),
         }?;
-        let grid = Arc::new(grid);
+        let grid = Arc::new(grid.closed_at_faces());
         lock(&self.fields).insert(key, grid.clone());
         Ok(grid)
     }
@@ -342,7 +362,10 @@ fn deformer(d: &DeformerSource, bounds: &Bounds) -> Result<Deformer> {
         ("lattice", &[]),
     ];
     let Some((kind, known)) = KINDS.iter().find(|k| k.0 == d.kind) else {
-        return Err(Error::value(format!("deformer \"{}\"", d.kind), format!("there is no such deformer; {}", suggestion(&d.kind, KINDS.iter().map(|k| k.0)))));
+        return Err(Error::value(
+            format!("deformer \"{}\"", d.kind),
+            format!("there is no such deformer; {}", suggestion(&d.kind, KINDS.iter().map(|k| k.0))),
+        ));
     };
     if let Some(name) = d.numbers.keys().find(|n| !known.contains(&n.as_str())) {
         return Err(Error::value(format!("{kind}: {name}"), format!("there is no such parameter; {}", suggestion(name, known.iter().copied()))));
@@ -493,8 +516,9 @@ impl Assets {
     pub(super) fn surfaces(&self, scene: &Scene, stack: &Stack, cuts: &Cuts) -> Result<Surfaces> {
         let general = &scene.surface;
         check(general)?;
-        let slopes = Slopes::new(stack);
         let shown = self.shown(scene);
+        let untouched = Stack::default();
+        let slopes = Slopes::new(if shown.iter().all(|s| s.rigid) { &untouched } else { stack });
         let objects = shown.iter().enumerate().map(|(n, source)| {
             let object = || -> Result<SurfaceObject> {
                 source.check()?;
@@ -522,7 +546,8 @@ impl Assets {
             region = Some(part);
         }
         let nothing_to_cast = both && (untouched || region.is_some_and(|r| r.is_empty()));
-        let implicit = if only_triangles || nothing_to_cast { None } else { Some(self.objects.implicit(self, source, general, region, &Watch::NOBODY)?) };
+        let implicit =
+            if only_triangles || nothing_to_cast { None } else { Some(self.objects.implicit(self, source, general, region, &Watch::NOBODY)?) };
         let bounds = match (&implicit, &triangles) {
             (Some(i), _) => i.bounds(),
             (None, Some(t)) => t.mesh.bounds(),

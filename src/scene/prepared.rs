@@ -2,7 +2,7 @@
 
 use super::deformations::{self, Composition, Making};
 use super::objects::{Objects, Surfaces};
-use super::{CutFaces, Light, Macrocells, Mode, inside, Normals, RenderSettings, Scene, ViewFrame, macrocells::Contents};
+use super::{CutFaces, Light, Macrocells, Mode, Normals, RenderSettings, Scene, ViewFrame, inside, macrocells::Contents};
 use crate::deform::compose::{self, Evaluate};
 use crate::deform::cut::Cuts;
 use crate::deform::{Library, PlacedMap, Stack};

@@ -294,8 +294,11 @@ impl Appearance {
     pub fn resolve(&self, general: &Self) -> Result<Look> {
         let name = self.look.as_deref().or(general.look.as_deref()).unwrap_or("clay");
         let preset = LOOKS.iter().find(|l| l.0 == name);
-        let mut look =
-            preset.ok_or_else(|| Error::value(format!("look \"{name}\""), format!("there is no such look; {}", suggestion(name, LOOKS.iter().map(|l| l.0)))))?.2;
+        let mut look = preset
+            .ok_or_else(|| {
+                Error::value(format!("look \"{name}\""), format!("there is no such look; {}", suggestion(name, LOOKS.iter().map(|l| l.0))))
+            })?
+            .2;
         // A preset of its own comes before a colour that holds for all.
         let own = self.look.is_some();
         let pick = |mine: Option<[f32; 3]>, all: Option<[f32; 3]>| mine.or(if own { None } else { all });

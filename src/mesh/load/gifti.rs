@@ -24,10 +24,7 @@ struct Array {
 pub fn read(bytes: &[u8]) -> Result<Listing, String> {
     let text = if bytes.starts_with(&[0x1f, 0x8b]) {
         let mut text = String::new();
-        flate2::read::MultiGzDecoder::new(bytes)
-            .take(MOST_BYTES)
-            .read_to_string(&mut text)
-            .map_err(|e| format!("cannot be decompressed: {e}"))?;
+        flate2::read::MultiGzDecoder::new(bytes).take(MOST_BYTES).read_to_string(&mut text).map_err(|e| format!("cannot be decompressed: {e}"))?;
         text
     } else {
         String::from_utf8(bytes.to_vec()).map_err(|_| "is not text".to_owned())?
@@ -114,7 +111,10 @@ impl Array {
             return Err(format!("has an array of {rows} x {columns}; points and triangles have three columns"));
         }
         let values = if self.encoding == "ASCII" {
-            self.data.split_ascii_whitespace().map(|w| w.parse::<f64>().map_err(|_| format!("has \"{w}\" where a number should be"))).collect::<Result<Vec<_>, _>>()?
+            self.data
+                .split_ascii_whitespace()
+                .map(|w| w.parse::<f64>().map_err(|_| format!("has \"{w}\" where a number should be")))
+                .collect::<Result<Vec<_>, _>>()?
         } else {
             let packed: Vec<u8> = self.data.bytes().filter(|b| !b.is_ascii_whitespace()).collect();
             let mut bytes = base64::engine::general_purpose::STANDARD.decode(packed).map_err(|e| format!("has broken base64: {e}"))?;

@@ -7,7 +7,8 @@ pub fn read(bytes: &[u8]) -> Result<Listing, String> {
     let options = tobj::LoadOptions { triangulate: true, ignore_points: true, ignore_lines: true, ..tobj::LoadOptions::default() };
     let no_materials = |_: &std::path::Path| Err(tobj::LoadError::OpenFileFailed);
     // A line about materials that is wrong is no reason to refuse the shape.
-    let shape: Vec<u8> = bytes
+    let joined = join_continued(bytes);
+    let shape: Vec<u8> = joined
         .split_inclusive(|b| *b == b'\n')
         .filter(|line| !line.trim_ascii_start().starts_with(b"mtllib") && !line.trim_ascii_start().starts_with(b"usemtl"))
         .flatten()
@@ -22,4 +23,19 @@ pub fn read(bytes: &[u8]) -> Result<Listing, String> {
         listing.triangles.extend(model.mesh.indices.chunks_exact(3).map(|t| [t[0] + first, t[1] + first, t[2] + first]));
     }
     Ok(listing)
+}
+
+/// A backslash at the end of a line goes on in the next, which the library does not know.
+fn join_continued(bytes: &[u8]) -> Vec<u8> {
+    let mut joined = Vec::with_capacity(bytes.len());
+    for line in bytes.split_inclusive(|b| *b == b'\n') {
+        match line.trim_ascii_end().strip_suffix(b"\\") {
+            Some(start) => {
+                joined.extend_from_slice(start);
+                joined.push(b' ');
+            }
+            None => joined.extend_from_slice(line),
+        }
+    }
+    joined
 }
