@@ -73,9 +73,11 @@ pub fn bad_input_is_named_and_leaves_no_file() {
         (&["good.nii", "--preset", "ct-bonne"], "ct-bone"),
         (&["good.nii", "--window", "0"], "window"),
         (&["good.nii", "--background", "reddish"], "reddish"),
-        (&["good.nii", "--mode", "surface"], "surface"),
+        (&["good.nii", "--mode", "surface", "--iso", "1e9"], "no surface"),
+        (&["good.nii", "--mode", "surface", "--look", "skinn"], "skin"),
+        (&["good.nii", "--inside", "nowhere.stl"], "nowhere.stl"),
         (&["good.nii", "--threads", "0"], "threads"),
-        (&["mesh.stl"], "mesh"),
+        (&["mesh.stl"], "mesh.stl"),
         (&["good.nii", "--stats", "good.nii"], "read"),
         (&["good.nii", "--stats", "out.png"], "same file"),
         (&["good.nii", "--deform", "half-space:size=3"], "no size"),
@@ -427,4 +429,94 @@ pub fn usage_errors_exit_with_2() {
         assert_eq!(o.status.code(), Some(2), "{arguments:?}");
     }
     assert!(incise(folder.path(), &["--help"]).status.success());
+}
+
+/// Meshes, their fields and surfaces from outside: what is written reads back, what is wrong is named.
+pub fn meshes_and_fields_by_the_command_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let f = folder.path();
+    let write = |name: &str, text: &str| std::fs::write(f.join(name), text).unwrap();
+    // A tetrahedron of 60 mm legs, and the same without a face.
+    let points = "v 0 0 0\nv 60 0 0\nv 0 60 0\nv 0 0 60\n";
+    write("tet.obj", &format!("{points}f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"));
+    write("open.obj", &format!("{points}f 1 3 2\nf 1 2 4\nf 1 4 3\n"));
+    write("wrong.obj", &format!("{points}f 1 2 9\n"));
+    let output = incise(f, &["info", "tet.obj", "--json"]);
+    let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(
+        (&report["kind"], &report["triangles"], &report["watertight"], &report["components"]),
+        (&"mesh".into(), &4.into(), &true.into(), &1.into())
+    );
+    assert_eq!(report["bounds_mm"], serde_json::json!([[0.0, 0.0, 0.0], [60.0, 60.0, 60.0]]));
+    for name in ["tet.nii.gz", "tet.nrrd", "tet.mha"] {
+        let output = incise(f, &["sdf", "tet.obj", "-o", name, "--resolution", "32", "--json"]);
+        assert!(output.status.success(), "{}", stderr(&output));
+        let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!((&report["open_edges"], &report["turned_triangles"]), (&0.into(), &0.into()));
+        // The middle of the inscribed ball lies r inside, r = 60 / (3 + √3); the field is positive there and nowhere deeper.
+        let volume = incise::volume::load::volume(&f.join(name), &mut |_, _| ()).unwrap();
+        let r = 60.0 / (3.0 + 3.0f64.sqrt());
+        assert!(volume.range[1] <= r + 0.01 && volume.range[1] > r - 1.5, "{name}: {:?} for {r}", volume.range);
+    }
+    let part = incise(f, &["sdf", "tet.obj", "-o", "part.nrrd", "--box=-5,-5,-5,20,20,20", "--cell", "1", "--exact"]);
+    assert!(part.status.success(), "{}", stderr(&part));
+    let volume = incise::volume::load::volume(&f.join("part.nrrd"), &mut |_, _| ()).unwrap();
+    assert!(volume.size.iter().all(|n| (23..=27).contains(n)), "{:?}", volume.size);
+    let open = incise(f, &["sdf", "open.obj", "-o", "open.nrrd", "--resolution", "32"]);
+    assert!(open.status.success() && stderr(&open).contains("3 open edges"), "{}", stderr(&open));
+    for name in ["tet.obj", "open.obj"] {
+        let output = render(f, &[name]);
+        assert!(output.status.success() && f.join("out.png").is_file(), "{}", stderr(&output));
+        std::fs::remove_file(f.join("out.png")).unwrap();
+    }
+    for (arguments, culprit) in [
+        (&["sdf", "wrong.obj", "-o", "x.nrrd"][..], "wrong.obj"),
+        (&["sdf", "nowhere.obj", "-o", "x.nrrd"], "nowhere.obj"),
+        (&["sdf", "tet.txt", "-o", "x.nrrd"], "tet.txt"),
+        (&["sdf", "tet.obj", "-o", "x.stl"], "x.stl"),
+        (&["sdf", "tet.obj", "-o", "x.nrrd", "--resolution", "0"], "--resolution"),
+        (&["sdf", "tet.obj", "-o", "x.nrrd", "--cell", "-1"], "cell"),
+        (&["sdf", "tet.obj", "-o", "x.nrrd", "--cell", "0.001"], "too large"),
+        (&["sdf", "tet.obj", "-o", "x.nrrd", "--box", "1,2,3"], "--box"),
+        (&["sdf", "tet.obj", "-o", "x.nrrd", "--box", "100,100,100,200,200,200"], "tet.obj"),
+        (&["bake", "tet.obj", "-o", "x.nrrd"], "no volume"),
+    ] {
+        let output = incise(f, arguments);
+        assert!(matches!(output.status.code(), Some(1 | 2)), "{arguments:?}");
+        assert!(stderr(&output).contains(culprit) && !stderr(&output).contains("panicked"), "{arguments:?}: {}", stderr(&output));
+        assert!(!f.join("x.nrrd").exists());
+    }
+    let mesh = "incise = 1\n[[mesh]]\npath = \"tet.obj\"\n";
+    for (text, culprit) in [
+        ("incise = 1\n", "shows nothing"),
+        ("incise = 1\n[[mesh]]\n", "exactly one"),
+        (&format!("{mesh}iso = 3.0\n"), "exactly one"),
+        (&format!("{mesh}lok = \"skin\"\n"), "look"),
+        (&format!("{mesh}look = \"skinn\"\n"), "skin"),
+        (&format!("{mesh}thickness = -1.0\n"), "thickness"),
+        (&format!("{mesh}color = [2.0, 0.0, 0.0]\n"), "color"),
+        (&format!("{mesh}size = 0.0\n"), "size"),
+        (&format!("{mesh}resolution = 3\n"), "resolution"),
+        (&format!("{mesh}matrix = [[1,0,0,0],[1,0,0,0],[0,0,1,0]]\n"), "singular"),
+        (&format!("{mesh}representation = \"depth-map\"\nface = \"up\"\n"), "face"),
+        (&format!("{mesh}[[mesh.deformer]]\nkind = \"twits\"\n"), "twist"),
+        (&format!("{mesh}[[mesh.deformer]]\nkind = \"twist\"\nangel = 3.0\n"), "angle"),
+        (&format!("{mesh}[[mesh.deformer]]\nkind = \"taper\"\nfactor = -1.0\n"), "factor"),
+        (&format!("{mesh}[[mesh.deformer]]\nkind = \"lattice\"\npoints = [[9, 0, 0, 1, 1, 1]]\n"), "lattice"),
+        (&format!("{mesh}[surface]\nstep = \"sphere\"\n"), "steps"),
+        (&format!("{mesh}[surface]\nseam = 0.0\n"), "seam"),
+        ("incise = 1\n[[mesh]]\nshape = [{ kind = \"cube\" }]\n", "cube"),
+        ("incise = 1\n[[mesh]]\nshape = [{ kind = \"sphere\", radius = -1.0 }]\n", "radius"),
+        ("incise = 1\n[[mesh]]\nshape = [{ kind = \"sphere\", join = \"minus\" }]\n", "join"),
+        ("incise = 1\n[[mesh]]\niso = 3.0\n", "volume"),
+        ("incise = 1\n[volume]\npath = \"phantom:ball\"\n[volume.inside]\npath = \"open.obj\"\n", "not closed"),
+        ("incise = 1\n[volume]\npath = \"phantom:ball\"\n[[mesh]]\nlabel = [77]\n", "label"),
+    ] {
+        write("scene.toml", text);
+        let output = render(f, &["scene.toml"]);
+        assert!(matches!(output.status.code(), Some(1 | 2)), "{text}");
+        let message = stderr(&output);
+        assert!(message.contains(culprit) && !message.contains("panicked"), "{text}: {message}");
+        assert!(!f.join("out.png").exists(), "{text}");
+    }
 }

@@ -29,7 +29,7 @@ pub struct Arguments {
     #[arg(long, default_value = "128")]
     resolution: usize,
     /// Distance between points, mm, instead of a resolution.
-    #[arg(long, value_name = "MM")]
+    #[arg(long, value_name = "MM", allow_hyphen_values = true)]
     cell: Option<f32>,
     /// Only this part: two corners, x,y,z,x,y,z (mm).
     #[arg(long = "box", value_name = "X,Y,Z,X,Y,Z", allow_hyphen_values = true)]

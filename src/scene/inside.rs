@@ -27,6 +27,9 @@ const MASK: f32 = 192.0;
 /// Points of the deformers' inverse along its longest axis.
 const INVERSE: f32 = 80.0;
 
+/// Triangles that the deformed mesh is divided into, at most.
+const MOST_TRIANGLES: usize = 1_000_000;
+
 /// What a mesh makes of the volume inside it.
 pub struct Inside {
     /// The mask, and the deformers' inverse if there are any; to be applied before everything else.
@@ -69,6 +72,8 @@ pub fn resolve(assets: &Assets, inside: &InsideMesh, scene_box: &Bounds, least_r
     let mut maps = vec![mask(&path, &mesh, scene_box, least_ramp_mm, inside.invert)?];
     let mut moved = mesh.clone();
     if !deformers.is_empty() {
+        // A large triangle's edges stay straight, the volume inside does not.
+        moved = moved.tessellated(|p| apply_all(&deformers, p).0, 1e-4 * mesh.bounds().size().length(), MOST_TRIANGLES).0;
         moved.positions.iter_mut().for_each(|p| *p = apply_all(&deformers, *p).0);
         let (map, missing) = inverse(&deformers, &mesh.bounds().union(&moved.bounds()))?;
         if missing > 0.01 {

@@ -1,4 +1,4 @@
-//! GIfTI surfaces (`.gii`, `.gii.gz`): XML with one array of points and one of triangles, by quick-xml, base64 and flate2. RAS as all of
+//! GIfTI surfaces (`.gii`): XML with one array of points and one of triangles, by quick-xml, base64 and flate2. RAS as all of
 //! the NIfTI family: x and y are negated on reading.
 
 use super::Listing;
@@ -22,16 +22,10 @@ struct Array {
 }
 
 pub fn read(bytes: &[u8]) -> Result<Listing, String> {
-    let text = if bytes.starts_with(&[0x1f, 0x8b]) {
-        let mut text = String::new();
-        flate2::read::MultiGzDecoder::new(bytes).take(MOST_BYTES).read_to_string(&mut text).map_err(|e| format!("cannot be decompressed: {e}"))?;
-        text
-    } else {
-        String::from_utf8(bytes.to_vec()).map_err(|_| "is not text".to_owned())?
-    };
+    let text = std::str::from_utf8(bytes).map_err(|_| "is not text")?;
     let mut points: Option<Vec<Vec3>> = None;
     let mut triangles: Option<Vec<[u32; 3]>> = None;
-    for array in arrays(&text)? {
+    for array in arrays(text)? {
         match array.intent.as_str() {
             "NIFTI_INTENT_POINTSET" => {
                 let values: Vec<f64> = array.values()?;

@@ -10,10 +10,11 @@ mod stl;
 use super::Mesh;
 use crate::{Error, Result};
 use glam::Vec3;
+use std::io::Read;
 use std::path::Path;
 
-/// Endings of mesh files.
-pub const ENDINGS: [&str; 8] = ["stl", "obj", "ply", "off", "gltf", "glb", "gii", "gii.gz"];
+/// Endings of mesh files; any of them may be followed by `.gz`.
+pub const ENDINGS: [&str; 7] = ["stl", "obj", "ply", "off", "gltf", "glb", "gii"];
 
 /// Largest file that is read whole, bytes.
 const MOST_BYTES: u64 = 4 << 30;
@@ -50,6 +51,7 @@ pub fn is_mesh(path: &Path) -> bool {
 
 fn ending(path: &Path) -> Option<&'static str> {
     let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
+    let name = name.strip_suffix(".gz").unwrap_or(&name);
     ENDINGS.into_iter().find(|e| name.strip_suffix(e).is_some_and(|stem| stem.ends_with('.')))
 }
 
@@ -64,7 +66,15 @@ pub fn mesh(path: &Path) -> Result<Mesh> {
     if size > MOST_BYTES {
         return Err(Error::file(path, format!("is {size} bytes long; meshes up to {MOST_BYTES} bytes are read")));
     }
-    let bytes = std::fs::read(path).map_err(io)?;
+    let mut bytes = std::fs::read(path).map_err(io)?;
+    if bytes.starts_with(&[0x1f, 0x8b]) {
+        let mut plain = Vec::new();
+        flate2::read::MultiGzDecoder::new(&bytes[..])
+            .take(MOST_BYTES)
+            .read_to_end(&mut plain)
+            .map_err(|e| Error::file(path, format!("cannot be decompressed: {e}")))?;
+        bytes = plain;
+    }
     parse(&bytes, ending, path.parent()).map_err(|problem| Error::file(path, problem))
 }
 
