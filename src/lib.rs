@@ -4,17 +4,19 @@
 //!
 //! ```text
 //!   file, phantom ── volume ──┐
+//!   file ──────────── mesh ───┤
 //!   preset, curve ── transfer ┤                      ┌── cpu    (the reference; always there)
 //!   kind, parameters ─ deform ┼── scene ── Prepared ─┤                                        ── Picture ── export
 //!   camera, light ────────────┘                      └── render (slices and rays on a GPU, on top of gpu)
 //! ```
 //!
-//! Modules, each knowing only those before it: [`math`] ← [`volume`] ← [`transfer`], [`deform`] ← [`scene`] ← [`cpu`],
+//! Modules, each knowing only those before it: [`math`] ← [`volume`], [`mesh`] ← [`transfer`], [`deform`] ← [`scene`] ← [`cpu`],
 //! ([`gpu`] ← [`render`]) ← [`export`] ← [`cli`].
 //!
 //! *Theory*: backward displacement maps with a discontinuity mask, \[DDM06\] = Correa, Silver, Chen, "Discontinuous Displacement
 //! Mapping for Volume Graphics", Volume Graphics 2006; \[DS07\] = Correa, Silver, "Programmable Shaders for Deformation Rendering",
-//! Graphics Hardware 2007. Where we differ from them, the module that differs says so in its first lines.
+//! Graphics Hardware 2007; \[GG42\] = d'Eon, "Deformers", GPU Gems chapter 42, 2004; \[RVD01\] = Westermann, Rezk-Salama, "Real-Time Volume
+//! Deformations", Eurographics 2001. Where we differ from them, the module that differs says so in its first lines.
 //!
 //! *Spaces*: voxel (indices, centres at integers), world (millimetres, patient LPS), map (the unit cube of one displacement
 //! map), view. Transforms are named `target_from_source`.
