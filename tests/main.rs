@@ -47,7 +47,7 @@ fn main() {
         long_stacks_are_composed, composition_keeps_its_bound, fsl_warp_is_inverted, radial_field_is_inverted, written_files_come_back,
         composed_stacks_are_one_map, groups_with_a_vanished_member, baking_keeps_nan_in_its_place));
     all.extend(trials!(surfaces:
-        distances_of_closed_forms, broken_meshes_keep_their_inside, a_part_is_part_of_the_whole, deformed_sphere_is_the_ellipsoid,
+        distances_of_closed_forms, broken_meshes_keep_their_inside, thin_flat_and_far_things, a_part_is_part_of_the_whole, deformed_sphere_is_the_ellipsoid,
         narrow_pull_is_found_by_jacobian_steps, three_modes_share_one_deformation, two_stages_are_one_picture, skipping_changes_no_surface,
         cut_models_are_what_they_say, surfaces_and_volumes_share_depth, volumes_inside_meshes, every_format_is_one_mesh,
         shared_meshes_load_or_say_why, depth_map_cube_shows_the_field));

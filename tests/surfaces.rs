@@ -35,7 +35,8 @@ pub fn distances_of_closed_forms() {
         let d = p.abs() - half;
         -(d.max(Vec3::ZERO).length() + d.max_element().min(0.0))
     };
-    let forms: [(&str, Mesh, &dyn Fn(Vec3) -> f32); 3] = [
+    type Form<'a> = (&'a str, Mesh, &'a dyn Fn(Vec3) -> f32);
+    let forms: [Form; 3] = [
         ("sphere", shapes::sphere(10.0, 250), &|p: Vec3| 10.0 - p.length()),
         ("torus", shapes::torus(10.0, 3.0, 250), &torus),
         ("box", shapes::cuboid(half), &cuboid),
@@ -130,6 +131,42 @@ fn with_shape(kind: &str, radius: f32) -> MeshSource {
         wall: None,
     };
     MeshSource { shape: vec![shape], ..MeshSource::default() }
+}
+
+/// What names one voxel's layer is drawn; a sheet can be deformed; an open mesh that faces inwards is turned wherever it lies.
+pub fn thin_flat_and_far_things() {
+    let mut half = shapes::sphere(10.0, 40);
+    half.triangles.retain(|t| t.iter().all(|v| half.positions[*v as usize].z > -0.1));
+    half.triangles.iter_mut().for_each(|t| t.swap(0, 1));
+    for z in [0.0, -100.0] {
+        let moved = half.clone().transformed(&Affine3A::from_translation(Vec3::Z * z));
+        let f = field(&moved, FieldSettings { resolution: 40, ..FieldSettings::default() });
+        assert!(f.grid.sample(Vec3::new(0.0, 0.0, z + 6.0)) > 0.0 && f.inside > 0.1, "{z}: {}", f.inside);
+    }
+    // A part far from every surface has distances all the same.
+    let part = FieldSettings { cell_mm: Some(0.5), region: Some(Bounds::new(Vec3::splat(-1.0), Vec3::splat(1.0))), ..FieldSettings::default() };
+    let f = field(&shapes::sphere(10.0, 60), part);
+    assert!(grid_points(&f).all(|(p, d)| (d - (10.0 - p.length())).abs() < 0.05));
+    let folder = tempfile::tempdir().unwrap();
+    let sheet = write_off(
+        folder.path(),
+        "sheet.off",
+        &Mesh::new(vec![Vec3::ZERO, Vec3::X * 50.0, Vec3::new(50.0, 50.0, 0.0), Vec3::Y * 50.0], vec![[0, 1, 2], [0, 2, 3]], vec![]),
+    );
+    let mut scene = Scene::of_mesh(sheet.to_str().unwrap());
+    scene.mesh[0].tessellate = Some(0.2);
+    scene.mesh[0].deformer = vec![incise::scene::surface::DeformerSource {
+        kind: "wave".into(),
+        center: None,
+        size: None,
+        rotate: None,
+        progress: None,
+        points: vec![],
+        numbers: std::collections::BTreeMap::new(),
+    }];
+    scene.render.size = [64, 64];
+    scene.camera.view = "20,40".parse().unwrap();
+    assert!(silhouette(&render(&scene)).iter().filter(|p| **p).count() > 300);
 }
 
 /// A scene of a solid ball of 50 mm.
@@ -593,6 +630,44 @@ pub fn every_format_is_one_mesh() {
         }
     }
     assert!(refused > 200, "{refused}");
+    let head = r#"{"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[0]}],"nodes":[{"mesh":0}],"#;
+    let data = r#""bufferViews":[{"buffer":0,"byteLength":36}],"buffers":[{"byteLength":36,"uri":"data:application/octet-stream;base64,AAAAAAAAAAAAAAAAAACAPwAAAAAAAAAAAAAAAAAAgD8AAAAA"}]}"#;
+    let nodes: Vec<String> = (0..60).map(|n| format!(r#"{{"children":[{},{}]}}"#, n + 1, n + 1)).collect();
+    for (what, text) in [
+        (
+            "not there",
+            format!(
+                r#"{head}"meshes":[{{"primitives":[{{"attributes":{{"POSITION":99}}}}]}}],"accessors":[{{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3"}}],{data}"#
+            ),
+        ),
+        (
+            "unsigned",
+            format!(
+                r#"{head}"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}},"indices":0}}]}}],"accessors":[{{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3"}}],{data}"#
+            ),
+        ),
+        (
+            "more elements",
+            format!(
+                r#"{head}"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}}}}]}}],"accessors":[{{"componentType":5126,"count":10000000000,"type":"VEC3"}}],{data}"#
+            ),
+        ),
+        ("escaped", format!(r#"{head}"meshes":[],"buffers":[{{"byteLength":3,"uri":"%FF.bin"}}]}}"#)),
+        ("too often", format!(r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{},{{}}]}}"#, nodes.join(","))),
+    ] {
+        let error = load::parse(text.as_bytes(), "gltf", Some(Path::new("."))).unwrap_err();
+        assert!(error.contains(what), "{what}: {error}");
+    }
+    // Read by other programs, and by this one: an upper-case STL, a name in Latin-1, a cube whose faces' diagonals lie on the grid's lines.
+    let upper = "SOLID x\nFACET NORMAL 0 0 1\nOUTER LOOP\nVERTEX 0 0 0\nVERTEX 1 0 0\nVERTEX 0 1 0\nENDLOOP\nENDFACET\nENDSOLID x\n";
+    assert_eq!(load::parse(upper.as_bytes(), "stl", None).unwrap().triangles.len(), 1);
+    let latin = b"g K\xf6rper\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";
+    assert_eq!(load::parse(latin, "obj", None).unwrap().triangles.len(), 1);
+    let cube = field(&shapes::cuboid(Vec3::splat(10.0)), FieldSettings { resolution: 64, parity: true, ..FieldSettings::default() });
+    for (p, d) in grid_points(&cube) {
+        let want = 10.0 - p.abs().max_element();
+        assert!(want.abs() < 0.1 || (d > 0.0) == (want > 0.0), "{p}: {d}");
+    }
     let huge = load::parse(b"OFF\n353535235358 6 0\n0 0 0\n", "off", None).unwrap_err();
     assert!(huge.contains("353535235358"), "{huge}");
     let huge = load::parse(b"ply\nformat ascii 1.0\nelement vertex 99999999999\nproperty float x\nend_header\n0\n", "ply", None).unwrap_err();
@@ -641,7 +716,7 @@ pub fn depth_map_cube_shows_the_field() {
     let assets: Assets = scenes::assets(&scene);
     let prepared = Prepared::new(&scene, &assets).unwrap();
     let bytes = prepared.surfaces.objects[0].implicit.as_ref().unwrap().gpu_bytes();
-    assert_eq!(bytes, 6 * 128 * 128 * 2);
+    assert_eq!(bytes, 6 * 128 * 128 * 4);
     assert!(assets.library.notices().iter().any(|n| n.contains(&bytes.to_string()) && n.contains(&(2 * 128usize.pow(3)).to_string())));
     let by_cube = incise::cpu::render(&prepared, &|_| ()).picture;
     let (a, b) = (silhouette(&by_field), silhouette(&by_cube));

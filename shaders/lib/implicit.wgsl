@@ -14,7 +14,8 @@ fn grid_distance(world: vec3<f32>) -> f32 {
     if all(beyond == vec3<f32>(0.0)) {
         return f;
     }
-    return f - length(linear_part(object.world_from_grid) * beyond);
+    let away = length(linear_part(object.world_from_grid) * beyond);
+    return select(f - away, -sqrt(f * f + away * away), f < 0.0);
 }
 
 // f of the map number n, on a face; place in 0..1 over the box.

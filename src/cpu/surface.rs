@@ -105,7 +105,9 @@ pub fn depth_in_boxes(scene: &Prepared, object: &SurfaceObject, p: Vec3, seam: f
     let mut depth = f32::NEG_INFINITY;
     for map in scene.stack.maps() {
         let x = map.placement.map_from_world.transform_point3(p);
-        let size = map.placement.size_mm();
+        // Distance between opposite faces of the box, along each map axis.
+        let rows = Mat3::from(map.placement.map_from_world.matrix3).transpose();
+        let size = Vec3::new(rows.x_axis.length(), rows.y_axis.length(), rows.z_axis.length()).recip();
         let inside = (x + map.reach).min(Vec3::ONE + map.reach - x) * size;
         depth = depth.max(inside.min_element());
     }

@@ -22,13 +22,15 @@ impl DistanceGrid {
         Self { size, distance_mm, world_from_grid, grid_from_world: world_from_grid.inverse() }
     }
 
-    /// Signed distance at a world point, mm; beyond the grid it falls by the distance from the grid.
+    /// Signed distance at a world point, mm. Beyond the grid the nearest point of the grid and the distance from it bound it: the grid is convex, so
+    /// nothing in it is nearer than the hypotenuse of the two.
     pub fn sample(&self, world: Vec3) -> f32 {
         let p = self.grid_from_world.transform_point3(world);
         let top = Vec3::from(self.size.map(|n| (n - 1) as f32));
         let nearest = p.clamp(Vec3::ZERO, top);
         let beyond = if nearest == p { 0.0 } else { Mat3::from(self.world_from_grid.matrix3).mul_vec3(p - nearest).length() };
-        trilinear(&self.distance_mm, self.size, p) - beyond
+        let f = trilinear(&self.distance_mm, self.size, p);
+        if beyond > 0.0 { if f < 0.0 { -f.hypot(beyond) } else { f - beyond } } else { f }
     }
 
     /// Gradient at a world point by central differences over `step_mm`: about a unit vector into the region.
@@ -45,7 +47,8 @@ impl DistanceGrid {
         let size = self.size;
         for (n, d) in self.distance_mm.iter_mut().enumerate() {
             let at = [n % size[0], n / size[0] % size[1], n / (size[0] * size[1])];
-            let to_face = (0..3).map(|a| at[a].min(size[a] - 1 - at[a]) as f32 * between[a]).fold(f32::INFINITY, f32::min);
+            // A slice or two have no inside between their faces.
+            let to_face = (0..3).filter(|a| size[*a] > 2).map(|a| at[a].min(size[a] - 1 - at[a]) as f32 * between[a]).fold(f32::INFINITY, f32::min);
             *d = d.min(to_face);
         }
         self

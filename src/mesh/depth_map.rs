@@ -87,9 +87,9 @@ impl DepthMaps {
         if inside { least } else { -least }
     }
 
-    /// Bytes of the maps, in half precision as on a GPU.
+    /// Bytes of the maps, in single precision.
     pub fn bytes(&self) -> usize {
-        2 * self.depth_mm.len()
+        4 * self.depth_mm.len()
     }
 }
 
@@ -120,6 +120,6 @@ mod tests {
         assert!((cube.value(Vec3::new(7.0, 0.0, 0.0)) - 3.0).abs() < 0.05);
         let front = DepthMaps::new(&tree, bounds, 129, &[4]);
         assert!(front.value(Vec3::new(0.0, 0.0, -10.5)) < 0.0 && front.value(Vec3::new(0.0, 0.0, 10.5)) > 0.0);
-        assert_eq!((cube.bytes(), front.bytes()), (6 * 129 * 129 * 2, 129 * 129 * 2));
+        assert_eq!((cube.bytes(), front.bytes()), (6 * 129 * 129 * 4, 129 * 129 * 4));
     }
 }

@@ -21,7 +21,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 /// Half the width of the band of exact distances, cells.
 const BAND: f32 = 2.5;
 /// Cells left free around the mesh on every side.
-const MARGIN: f32 = 3.0;
+pub const MARGIN: f32 = 3.0;
 /// Edge of the blocks that are decided together, points.
 const BLOCK: usize = 16;
 /// A winding number this near to 1/2 is not certain.
@@ -86,6 +86,11 @@ impl Watch<'static> {
     pub const NOBODY: Self = Self { progress: &|_| (), cancel: &GO_ON };
 }
 
+/// Distance between the points of a field of a mesh by its resolution, mm.
+pub fn cell_of(bounds: &Bounds, resolution: usize) -> f32 {
+    bounds.size().max_element() / (resolution.max(8) as f32 - 1.0 - 2.0 * MARGIN).max(1.0)
+}
+
 /// The lattice of a field over a box.
 struct Lattice {
     size: [usize; 3],
@@ -98,7 +103,7 @@ impl Lattice {
         let cell = match settings.cell_mm {
             Some(cell) if cell.is_finite() && cell > 0.0 => cell,
             Some(cell) => return Err(format!("a cell of {cell} mm cannot be used")),
-            None => bounds.size().max_element() / (settings.resolution.max(8) as f32 - 1.0 - 2.0 * MARGIN).max(1.0),
+            None => cell_of(bounds, settings.resolution),
         };
         let part = match settings.region {
             Some(region) => bounds.grown(MARGIN * cell).intersection(&region),
@@ -107,7 +112,7 @@ impl Lattice {
         if part.is_empty() {
             return Err("no part of the mesh lies in the box".into());
         }
-        let size = (part.size() / cell - 1e-3).ceil().max(Vec3::ONE).to_array().map(|n| n as usize + 1);
+        let size = (part.size() / cell - 1e-3).ceil().max(Vec3::ONE).to_array().map(|n| (n as usize).saturating_add(1));
         let points = size.iter().try_fold(1usize, |p, &n| p.checked_mul(n)).unwrap_or(usize::MAX);
         if points > MOST_POINTS {
             return Err(format!("a field of {} x {} x {} points is too large; make its cells larger", size[0], size[1], size[2]));
@@ -148,8 +153,10 @@ impl MeshField {
             (mesh, 0)
         };
         let tree = Tree::new(mesh);
-        let (mut distance, mut nearest) = band(&tree, &lattice, settings.exact, watch)?;
-        if !settings.exact {
+        // What a part is nearest to may lie outside of it, where no sweep comes from.
+        let exact = settings.exact || settings.region.is_some();
+        let (mut distance, mut nearest) = band(&tree, &lattice, exact, watch)?;
+        if !exact {
             sweep(&mut distance, &mut nearest, lattice.size, lattice.origin, Mat3::from_diagonal(Vec3::splat(lattice.cell)));
         }
         drop(nearest);
@@ -287,12 +294,14 @@ fn parity(tree: &Tree, lattice: &Lattice, distance: &mut [f32]) {
     let [nx, ny, _] = lattice.size;
     distance.par_chunks_mut(nx).enumerate().for_each(|(row, values)| {
         // A little aside: a line through an edge or a vertex meets two triangles there, or none.
-        let aside = Vec3::new(-1.0, 1.7e-4, 2.3e-4) * lattice.cell;
+        let aside = Vec3::new(-1.0, 0.0103, 0.0171) * lattice.cell;
         let origin = lattice.point(0, row % ny, row / ny) + aside;
-        let mut crossings: Vec<f32> = tree.crossings(origin, Vec3::X, 0.0, f32::INFINITY).iter().map(|h| h.t).collect();
-        crossings.sort_by(f32::total_cmp);
+        let mut crossings: Vec<(f32, bool)> = tree.crossings(origin, Vec3::X, 0.0, f32::INFINITY).iter().map(|h| (h.t, h.front)).collect();
+        crossings.sort_by(|a, b| a.0.total_cmp(&b.0));
+        // Both triangles of an edge, if they were met there, are one wall.
+        crossings.dedup_by(|b, a| b.1 == a.1 && b.0 - a.0 <= 1e-4 * lattice.cell);
         for (i, d) in values.iter_mut().enumerate() {
-            let before = crossings.partition_point(|t| *t <= (i + 1) as f32 * lattice.cell);
+            let before = crossings.partition_point(|c| c.0 <= (i + 1) as f32 * lattice.cell);
             *d = if before % 2 == 1 { d.abs() } else { -d.abs() };
         }
     });

@@ -100,9 +100,11 @@ impl Mesh {
         self.positions.iter().fold(Bounds::EMPTY, |b, p| b.union(&Bounds::new(*p, *p)))
     }
 
-    /// Six times the signed volume that the triangles enclose over six: positive if they face outwards. Meaningful for closed meshes.
+    /// The signed volume that the triangles enclose with the middle of the mesh's box: positive if they face outwards. For closed meshes their
+    /// volume, wherever they lie.
     pub fn signed_volume(&self) -> f64 {
-        (0..self.triangles.len()).map(|t| volume_of(self.corners(t))).sum()
+        let middle = self.bounds().center();
+        (0..self.triangles.len()).map(|t| volume_of(self.corners(t).map(|p| p - middle))).sum()
     }
 
     /// The mesh under an affine transform; a reflection turns its triangles round so that they still face outwards.

@@ -1,4 +1,5 @@
-//! Finer triangles where a deformer bends them: edges whose deformed middle lies off the middle of their deformed ends are halved.
+//! Finer triangles where a deformer bends them: edges are halved of which a quarter, the middle or three quarters goes elsewhere than to its place
+//! between the deformed ends.
 //!
 //! Whether an edge is halved depends on the edge alone, so both its triangles agree and no gap opens (Velho and Zorin's conforming
 //! refinement by edges).
@@ -12,7 +13,7 @@ use std::collections::HashMap;
 const ROUNDS: usize = 20;
 
 impl Mesh {
-    /// The mesh with triangles fine enough that no edge's middle, moved by `deform`, is farther than `tolerance_mm` from the edge's own; no
+    /// The mesh with triangles fine enough that no such point of an edge, moved by `deform`, is farther than `tolerance_mm` from the edge; no
     /// more than `most` triangles. Says whether the tolerance was reached.
     pub fn tessellated(mut self, deform: impl Fn(Vec3) -> Vec3 + Sync, tolerance_mm: f32, most: usize) -> (Self, bool) {
         for _ in 0..ROUNDS {
@@ -26,7 +27,8 @@ impl Mesh {
                 .into_par_iter()
                 .filter(|&(a, b)| {
                     let (a, b) = (a as usize, b as usize);
-                    deform((positions[a] + positions[b]) * 0.5).distance((moved[a] + moved[b]) * 0.5) > tolerance_mm
+                    // A whole turn moves no middle.
+                    [0.25, 0.5, 0.75].iter().any(|&t| deform(positions[a].lerp(positions[b], t)).distance(moved[a].lerp(moved[b], t)) > tolerance_mm)
                 })
                 .collect();
             if coarse.is_empty() {

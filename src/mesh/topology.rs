@@ -156,9 +156,7 @@ impl Mesh {
             mesh.triangles.iter_mut().enumerate().filter(|(t, _)| turn(*t)).for_each(|(_, t)| t.swap(1, 2));
         };
         apply(&mut self, &|t| turn[t]);
-        let middle = self.bounds().center();
-        let volume: f64 = (0..self.triangles.len()).map(|t| volume_of(self.corners(t).map(|p| p - middle))).sum();
-        if volume < 0.0 {
+        if self.signed_volume() < 0.0 {
             apply(&mut self, &|_| true);
             turn.iter_mut().for_each(|t| *t = !*t);
         }

@@ -12,6 +12,9 @@ use glam::{Mat3, Vec3};
 const LEAF: usize = 4;
 /// Distance from which a group's winding is approximated, in its radii.
 const FAR: f32 = 2.3;
+/// Triangles reach this far beyond their edges, in their own coordinates, for a ray that looks for the first: one through an edge meets one of
+/// its two at least.
+const SLACK: f32 = 1e-6;
 /// Deepest path: a median split halves its triangles.
 const STACK: usize = 64;
 
@@ -196,7 +199,7 @@ impl Tree {
     /// The first triangle along a ray between two parameters that `accept` takes.
     pub fn ray(&self, origin: Vec3, direction: Vec3, near: f32, far: f32, accept: impl Fn(&MeshHit) -> bool) -> Option<MeshHit> {
         let mut best: Option<MeshHit> = None;
-        self.all_along(origin, direction, near, far, |hit, limit| {
+        self.all_along(origin, direction, near, far, SLACK, |hit, limit| {
             if accept(&hit) {
                 *limit = hit.t;
                 best = Some(hit);
@@ -208,11 +211,11 @@ impl Tree {
     /// Every triangle along a ray between two parameters, in no order.
     pub fn crossings(&self, origin: Vec3, direction: Vec3, near: f32, far: f32) -> Vec<MeshHit> {
         let mut all = Vec::new();
-        self.all_along(origin, direction, near, far, |hit, _| all.push(hit));
+        self.all_along(origin, direction, near, far, 0.0, |hit, _| all.push(hit));
         all
     }
 
-    fn all_along(&self, origin: Vec3, direction: Vec3, near: f32, mut far: f32, mut found: impl FnMut(MeshHit, &mut f32)) {
+    fn all_along(&self, origin: Vec3, direction: Vec3, near: f32, mut far: f32, slack: f32, mut found: impl FnMut(MeshHit, &mut f32)) {
         let inverse = direction.recip();
         let enters = |n: u32, far: f32| {
             let b = &self.nodes[n as usize].bounds;
@@ -236,7 +239,7 @@ impl Tree {
             let node = &self.nodes[n as usize];
             if node.count > 0 {
                 for slot in node.start..node.start + node.count {
-                    if let Some((t, u, v, front)) = meet(origin, direction, &self.corners[slot as usize])
+                    if let Some((t, u, v, front)) = meet(origin, direction, &self.corners[slot as usize], slack)
                         && t >= near
                         && t <= far
                     {
@@ -336,7 +339,7 @@ pub fn nearest_on_triangle(p: Vec3, &[a, b, c]: &[Vec3; 3]) -> Vec3 {
 
 /// Parameter, weights of the second and third corner, and side, where a ray meets a triangle (Möller and Trumbore 1997).
 #[inline(always)]
-fn meet(origin: Vec3, direction: Vec3, &[a, b, c]: &[Vec3; 3]) -> Option<(f32, f32, f32, bool)> {
+fn meet(origin: Vec3, direction: Vec3, &[a, b, c]: &[Vec3; 3], slack: f32) -> Option<(f32, f32, f32, bool)> {
     let (ab, ac) = (b - a, c - a);
     let q = direction.cross(ac);
     let determinant = ab.dot(q);
@@ -348,9 +351,7 @@ fn meet(origin: Vec3, direction: Vec3, &[a, b, c]: &[Vec3; 3]) -> Option<(f32, f
     let u = s.dot(q) * inverse;
     let r = s.cross(ab);
     let v = direction.dot(r) * inverse;
-    // A ray through an edge meets one of its triangles at least.
-    const SLACK: f32 = -1e-6;
-    (u >= SLACK && v >= SLACK && u + v <= 1.0 - SLACK).then(|| (ac.dot(r) * inverse, u, v, determinant > 0.0))
+    (u >= -slack && v >= -slack && u + v <= 1.0 + slack).then(|| (ac.dot(r) * inverse, u, v, determinant > 0.0))
 }
 
 #[cfg(test)]
@@ -379,7 +380,7 @@ mod tests {
             let exact = all.clone().map(|c| solid_angle(p, &c)).sum::<f32>() / (4.0 * std::f32::consts::PI);
             prop_assert!((tree.winding(p) - exact).abs() < 0.02, "{} for {}", tree.winding(p), exact);
             let direction = (Vec3::from(q) + Vec3::splat(0.01)).normalize();
-            let first = all.filter_map(|c| meet(p, direction, &c)).map(|h| h.0).filter(|t| *t >= 0.0).fold(f32::INFINITY, f32::min);
+            let first = all.filter_map(|c| meet(p, direction, &c, SLACK)).map(|h| h.0).filter(|t| *t >= 0.0).fold(f32::INFINITY, f32::min);
             let hit = tree.ray(p, direction, 0.0, f32::INFINITY, |_| true).map_or(f32::INFINITY, |h| h.t);
             prop_assert!(hit == first || (hit - first).abs() < 1e-4);
         }

@@ -1,7 +1,8 @@
 //! Surfaces on a GPU: triangles rasterised with their forward deformers in the vertex shader, fields by a ray per pixel, all into one
 //! layer of colour and distance that a volume is then drawn in front of.
 //!
-//! Each object is a pass of its own, with its own field bound, and the device's depth test between them: their number has no limit.
+//! Each object is a pass of its own, with its own field bound, and the device's depth test between them: the bindings of a shader do not limit
+//! their number.
 //! An object in two stages has its triangles drawn into a layer beside, which its rays read and blend with.
 
 use super::uniforms::{DeformerUniform, PlacedSolidUniform, SurfaceObjectUniform};

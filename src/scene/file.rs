@@ -80,7 +80,7 @@ fn unknown_keys(root: &Value, schema: &Value, value: &Value, path: &str) -> Resu
                     continue;
                 }
                 let mut known: Vec<&str> = properties.keys().map(String::as_str).collect();
-                if path == "mesh.deformer" || path == "volume.inside.deformer" {
+                if path.ends_with(".deformer") && entry.is_number() {
                     // Numbers of a deformer are checked by its kind when it is made.
                     continue;
                 }
@@ -104,6 +104,9 @@ fn unknown_keys(root: &Value, schema: &Value, value: &Value, path: &str) -> Resu
 fn resolve<'a>(root: &'a Value, schema: &'a Value) -> &'a Value {
     if let Some(reference) = schema.get("$ref").and_then(Value::as_str) {
         return root.pointer(reference.trim_start_matches('#')).map_or(schema, |s| resolve(root, s));
+    }
+    if let Some(section) = schema.get("anyOf").and_then(Value::as_array).and_then(|a| a.iter().find(|s| s.get("$ref").is_some())) {
+        return resolve(root, section);
     }
     schema
 }
@@ -136,6 +139,8 @@ mod tests {
             ("[camera]\nzom = 2.0\n", "camera.zom", "zoom"),
             ("[[deformation]]\nkind = \"peel\"\ndeph = 3.0\n", "deformation.deph", "depth"),
             ("[lihgt]\n", "lihgt", "light"),
+            ("[volume.inside]\npth = \"x\"\n", "volume.inside.pth", "path"),
+            ("[[mesh]]\npath = \"x\"\n[[mesh.deformer]]\nkind = \"twist\"\ncentre = [0, 0, 0]\n", "mesh.deformer.centre", "center"),
             ("[[transfer.points]]\nvalue = 1.0\ncolour = [0,0,0]\nopacity = 1.0", "transfer.points.colour", "color"),
         ] {
             let message = error(&format!("{head}{extra}"));

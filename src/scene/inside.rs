@@ -68,6 +68,8 @@ pub fn resolve(assets: &Assets, inside: &InsideMesh, scene_box: &Bounds, least_r
         );
         return Err(Error::file(&path, problem));
     }
+    // Contours run around what their triangles face away from.
+    let mesh = if topology.flipped_edges > 0 { mesh.oriented().0 } else { mesh };
     let deformers = deformers(&inside.deformer, &mesh.bounds()).map_err(named)?;
     let mut maps = vec![mask(&path, &mesh, scene_box, least_ramp_mm, inside.invert)?];
     let mut moved = mesh.clone();

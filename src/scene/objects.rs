@@ -2,7 +2,7 @@
 //! triangles, or both.
 
 use super::macrocells::Macrocells;
-use super::surface::{CutModel, DeformerSource, Look, MeshSource, Representation, ShapeSource, Steps, SurfaceSettings};
+use super::surface::{Appearance, CutModel, DeformerSource, Look, MeshSource, Representation, ShapeSource, Steps, SurfaceSettings};
 use super::{Assets, Mode, Scene, Size};
 use crate::deform::cut::Cuts;
 use crate::deform::distance::{Region, of_region};
@@ -12,7 +12,7 @@ use crate::error::suggestion;
 use crate::math::{Bounds, DistanceGrid};
 use crate::mesh::deformer::{Deform, Deformer, LATTICE, MOST_DEFORMERS, NormalMethod, apply_all, deform_vertex};
 use crate::mesh::depth_map::{DepthMaps, FACES};
-use crate::mesh::field::{FieldSettings, MeshField, Watch, of_iso_value};
+use crate::mesh::field::{FieldSettings, MARGIN, MeshField, Watch, cell_of, of_iso_value};
 use crate::mesh::formula::{Formula, Join, MOST_SOLIDS, PlacedSolid, Solid};
 use crate::mesh::{Implicit, Mesh, Tree, load};
 use crate::{Error, Result};
@@ -145,10 +145,17 @@ impl MeshSource {
                 ("deformer", !self.deformer.is_empty()),
                 ("representation", !matches!(self.representation, None | Some(Representation::Field))),
                 ("tessellate", self.tessellate.is_some()),
+                ("resolution", self.resolution.is_some()),
+                ("exact", self.exact),
+                ("face", self.face.is_some()),
+                ("normals", self.normals != NormalMethod::default()),
             ];
             if let Some((name, _)) = only_files.iter().find(|f| f.1) {
                 return Err(Error::value(*name, "is of meshes from files only; leave it out"));
             }
+        }
+        if self.path.is_some() && self.volume.is_some() {
+            return Err(Error::value("volume", "is of an iso-value or labels; a mesh from a file has none"));
         }
         if self.resolution.is_some_and(|n| !(16..=1024).contains(&n)) {
             return Err(Error::value("resolution", "is outside 16 to 1024 points"));
@@ -327,7 +334,11 @@ impl Objects {
         }
         let volume = match &source.volume {
             Some(path) => assets.library.load_volume(path)?,
-            None => assets.library.volume()?.clone(),
+            None => assets
+                .library
+                .volume()
+                .map_err(|_| Error::value("iso, label", "need a volume, and the scene has none; name one with `volume`"))?
+                .clone(),
         };
         let grid = match source.iso {
             Some(iso) => of_iso_value(&volume, iso).ok_or_else(|| {
@@ -337,7 +348,11 @@ impl Objects {
             None => of_region(&volume, &Region::Labels(&source.label), true)
                 .ok_or_else(|| Error::value("label", format!("no surface has the labels {:?}: no voxel has them, or all do", source.label))),
         }?;
-        let grid = Arc::new(grid.closed_at_faces());
+        let grid = grid.closed_at_faces();
+        if !grid.distance_mm.iter().any(|d| *d > 0.0) {
+            return Err(Error::value("iso, label", "what they name is too thin to have an inside"));
+        }
+        let grid = Arc::new(grid);
         lock(&self.fields).insert(key, grid.clone());
         Ok(grid)
     }
@@ -377,8 +392,11 @@ fn deformer(d: &DeformerSource, bounds: &Bounds) -> Result<Deformer> {
     if !(0.0..=1.0).contains(&progress) {
         return Err(Error::value(format!("{kind}: progress"), format!("{progress} is outside 0 to 1")));
     }
-    let size = d.size.map_or(bounds.size(), Size::xyz);
-    let placement = Placement::new(d.center.map_or(bounds.center(), Vec3::from), size, d.rotate.map_or(Vec3::ZERO, Vec3::from))?;
+    // A flat sheet has a box all the same.
+    let own = bounds.size().max(Vec3::splat(0.01 * bounds.size().max_element()));
+    let size = d.size.map_or(own, Size::xyz);
+    let placement = Placement::new(d.center.map_or(bounds.center(), Vec3::from), size, d.rotate.map_or(Vec3::ZERO, Vec3::from));
+    let placement = named(placement, kind)?;
     let half = size * 0.5;
     let local_from_world = Affine3A::from_scale(size) * Affine3A::from_translation(Vec3::splat(-0.5)) * placement.map_from_world;
     let number = |name: &str, default: f32| d.numbers.get(name).copied().unwrap_or(default);
@@ -467,7 +485,8 @@ fn named<T>(result: Result<T>, label: &str) -> Result<T> {
 impl Scene {
     /// The surfaces that the scene shows: its meshes, and the volume's own where the mode asks for it.
     pub(super) fn surfaces(&self, assets: &Assets) -> Vec<MeshSource> {
-        let mut all: Vec<MeshSource> = self.mesh.iter().filter(|m| !m.hidden).cloned().collect();
+        let numbered = self.mesh.iter().enumerate().map(|(n, m)| MeshSource { name: Some(m.label(n)), ..m.clone() });
+        let mut all: Vec<MeshSource> = numbered.filter(|m| !m.hidden).collect();
         if self.render.mode == Mode::Surface && self.volume.is_some() && (self.mesh.is_empty() || self.surface.iso.is_some()) {
             let iso = self.surface.iso.unwrap_or_else(|| assets.volume.body_threshold());
             all.push(MeshSource { iso: Some(iso), name: Some("volume".into()), ..MeshSource::default() });
@@ -482,6 +501,7 @@ impl Assets {
     /// # Errors
     /// Files that cannot be read, settings that cannot be used.
     pub(super) fn load_objects(&self, scene: &Scene, progress: &(dyn Fn(f32) + Sync)) -> Result<Bounds> {
+        check(&scene.surface)?;
         if scene.mesh.len() > MOST_OBJECTS {
             return Err(Error::value("mesh", format!("a scene has at most {MOST_OBJECTS}")));
         }
@@ -534,15 +554,15 @@ impl Assets {
         let look = source.appearance.resolve(&general.appearance)?;
         let only_triangles = source.representation() == Representation::Triangles;
         let untouched = source.rigid || (stack.is_empty() && cuts.is_empty());
-        let both = general.two_stage && source.path.is_some() && source.representation() == Representation::Field;
+        // The inner wall of a thick skin is no part of the triangles: such a surface is cast whole.
+        let both = general.two_stage && source.path.is_some() && source.representation() == Representation::Field && look.model != CutModel::Thick;
         let triangles = if only_triangles || both { Some(self.objects.triangles(self, source)?) } else { None };
         // In two stages only what the boxes' matter comes from is needed as a field.
         let mut region = None;
         if let (true, Some(t)) = (both && cuts.is_empty(), &triangles) {
-            let resolution = source.resolution.unwrap_or(general.resolution).max(8) as f32;
-            let cell = t.mesh.bounds().size().max_element() / resolution;
+            let cell = cell_of(&t.mesh.bounds(), source.resolution.unwrap_or(general.resolution));
             let part = stack.maps().iter().map(|m| stack.source_bounds(&m.bounds_in_world()).0).fold(Bounds::EMPTY, |a, b| a.union(&b));
-            let part = part.grown((4.0 + general.seam) * cell).intersection(&t.mesh.bounds().grown(4.0 * cell));
+            let part = part.grown((4.0 + general.seam) * cell).intersection(&t.mesh.bounds().grown(0.99 * MARGIN * cell));
             region = Some(part);
         }
         let nothing_to_cast = both && (untouched || region.is_some_and(|r| r.is_empty()));
@@ -572,7 +592,7 @@ impl Assets {
             cell_mm,
         };
         let cells = view.cells(&bounds, scene.render.empty_space_skipping);
-        let deformers = if only_triangles { deformers(&source.deformer, &self.objects.placed(self, source)?.bounds())? } else { Vec::new() };
+        let deformers = if triangles.is_some() { deformers(&source.deformer, &self.objects.placed(self, source)?.bounds())? } else { Vec::new() };
         Ok(SurfaceObject {
             name: source.label(n),
             look,
@@ -591,6 +611,7 @@ impl Assets {
 }
 
 fn check(general: &SurfaceSettings) -> Result<()> {
+    named(general.appearance.resolve(&Appearance::default()), "surface")?;
     if !(general.threshold.is_finite() && general.threshold >= 0.0) {
         return Err(Error::value("surface.threshold", "is a number of cells; it must not be negative"));
     }

@@ -88,7 +88,13 @@ impl Assets {
 
     /// The box around the volume and all meshes, mm.
     pub fn scene_box(&self) -> Bounds {
-        if self.has_volume { self.volume.bounds_in_world().union(&self.mesh_box) } else { self.mesh_box }
+        if self.has_volume {
+            return self.volume.bounds_in_world().union(&self.mesh_box);
+        }
+        // A flat sheet has a box all the same.
+        let size = self.mesh_box.size();
+        let more = (Vec3::splat(0.01 * size.max_element()) - size).max(Vec3::ZERO) * 0.5;
+        Bounds::new(self.mesh_box.min - more, self.mesh_box.max + more)
     }
 
     /// The assets of a volume that is already in memory.

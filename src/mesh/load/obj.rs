@@ -6,16 +6,12 @@ use glam::Vec3;
 pub fn read(bytes: &[u8]) -> Result<Listing, String> {
     let options = tobj::LoadOptions { triangulate: true, ignore_points: true, ignore_lines: true, ..tobj::LoadOptions::default() };
     let no_materials = |_: &std::path::Path| Err(tobj::LoadError::OpenFileFailed);
-    // A line about materials that is wrong is no reason to refuse the shape.
+    // Only the shape: a line about materials that is wrong, or a name or comment in another encoding, is no reason to refuse it.
     let joined = join_continued(bytes);
-    let shape: Vec<u8> = joined
-        .split_inclusive(|b| *b == b'\n')
-        .filter(|line| !line.trim_ascii_start().starts_with(b"mtllib") && !line.trim_ascii_start().starts_with(b"usemtl"))
-        .flatten()
-        .copied()
-        .collect();
+    let is_shape = |line: &&[u8]| matches!(line.trim_ascii_start().first(), Some(b'v' | b'f'));
+    let shape: Vec<u8> = joined.split_inclusive(|b| *b == b'\n').filter(is_shape).flatten().copied().collect();
     let (models, _materials) = tobj::load_obj_buf(&mut std::io::Cursor::new(shape), &options, no_materials)
-        .map_err(|e| format!("is not a readable OBJ: {e}; a face may name a vertex that is not there"))?;
+        .map_err(|e| format!("is not a readable OBJ: {e}; a line of vertices or faces is broken, or a face names a vertex that is not there"))?;
     let mut listing = Listing::default();
     for model in models {
         let first = listing.positions.len() as u32;

@@ -8,12 +8,14 @@ const HEADER: usize = 84;
 const RECORD: usize = 50;
 
 pub fn read(bytes: &[u8]) -> Result<Listing, String> {
+    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     let declared = bytes.get(80..HEADER).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as usize);
     // The length is the surest sign: "solid" also begins many a binary file.
     if declared.is_some_and(|n| bytes.len() == HEADER + n * RECORD) {
         return Ok(binary(bytes));
     }
-    let is_text = bytes.trim_ascii_start().starts_with(b"solid") && bytes.windows(6).any(|w| w.eq_ignore_ascii_case(b"vertex"));
+    let is_text = bytes.trim_ascii_start().get(..5).is_some_and(|w| w.eq_ignore_ascii_case(b"solid"))
+        && bytes.windows(6).any(|w| w.eq_ignore_ascii_case(b"vertex"));
     if is_text {
         return text(&String::from_utf8_lossy(bytes));
     }
