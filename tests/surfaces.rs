@@ -50,7 +50,8 @@ pub fn distances_of_closed_forms() {
         for (p, d) in grid_points(&f) {
             let want = want(back.transform_point3(p));
             let error = (d - want).abs() / cell;
-            if want.abs() < 2.5 * cell {
+            // A little within the band's edge: there the mesh's own error decides what lies in it.
+            if want.abs() < 2.45 * cell {
                 band = band.max(error)
             } else {
                 beyond = beyond.max(error)
