@@ -117,7 +117,8 @@ mod tests {
             assert!(cube.value(p) > 0.0 && cube.value(p.normalize() * 10.5) < 0.0, "{p}");
         }
         // Along an axis f is the distance itself.
-        assert!((cube.value(Vec3::new(7.0, 0.0, 0.0)) - 3.0).abs() < 0.05);
+        let along = cube.value(Vec3::new(7.0, 0.0, 0.0));
+        assert!((along - 3.0).abs() < 0.05, "{along}, by face {:?}", (0..6).map(|n| cube.height(n, Vec3::new(7.0, 0.0, 0.0))).collect::<Vec<_>>());
         let front = DepthMaps::new(&tree, bounds, 129, &[4]);
         assert!(front.value(Vec3::new(0.0, 0.0, -10.5)) < 0.0 && front.value(Vec3::new(0.0, 0.0, 10.5)) > 0.0);
         assert_eq!((cube.bytes(), front.bytes()), (6 * 129 * 129 * 4, 129 * 129 * 4));

@@ -216,7 +216,8 @@ impl Tree {
     }
 
     fn all_along(&self, origin: Vec3, direction: Vec3, near: f32, mut far: f32, slack: f32, mut found: impl FnMut(MeshHit, &mut f32)) {
-        let inverse = direction.recip();
+        // Finite: infinity times the zero of a ray in a box's face would be no number.
+        let inverse = direction.recip().clamp(Vec3::splat(-1e30), Vec3::splat(1e30));
         let enters = |n: u32, far: f32| {
             let b = &self.nodes[n as usize].bounds;
             let (a, c) = ((b.min - origin) * inverse, (b.max - origin) * inverse);
