@@ -76,6 +76,7 @@ fn scene_agrees(name: &str, mode: Mode) {
     let mut scene = scenes::load(name);
     scene.render.mode = mode;
     scene.render.size = [192, 192];
+    scene.render.antialias = 1;
     let assets = scenes::assets(&scene);
     agree(&format!("{name} {mode:?}"), &Prepared::new(&scene, &assets).unwrap());
 }
@@ -293,6 +294,7 @@ fn surface_depths_agree() {
     for name in ["bunny-twist", "bunny-two-stage", "bunny-deformers", "apple-hollow", "apple-thick", "apple-solid", "gyroid", "head-skin-peel"] {
         let mut scene = scenes::load(name);
         scene.render.size = [192, 192];
+        scene.render.antialias = 1;
         let assets = scenes::assets(&scene);
         let prepared = Prepared::new(&scene, &assets).unwrap();
         let by_gpu = with_renderer(|r| r.surface_distances(&prepared).unwrap_or_else(|e| panic!("{name}: {e}")));
@@ -322,6 +324,7 @@ fn surface_options_agree() {
     let small = |name: &str| {
         let mut scene = scenes::load(name);
         scene.render.size = [128, 128];
+        scene.render.antialias = 1;
         scene
     };
     let check = |what: &str, scene: &Scene| {
@@ -333,6 +336,9 @@ fn surface_options_agree() {
         scene.surface.steps = steps;
         check(&format!("{steps:?} steps"), &scene);
     }
+    let mut averaged = small("gyroid");
+    averaged.render.antialias = 3;
+    check("averaged pixels", &averaged);
     for representation in [Representation::DepthMap, Representation::DepthMapCube] {
         let mut scene = small("bunny-twist");
         scene.mesh[0].representation = Some(representation);

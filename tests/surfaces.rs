@@ -347,6 +347,7 @@ pub fn two_stages_are_one_picture() {
     ball.mesh[0] = MeshSource::of_file(smooth.to_str().unwrap());
     for (name, mut scene, smooth) in [("the bunny", scenes::load("bunny-two-stage"), false), ("a ball", ball, true)] {
         scene.render.size = [256, 256];
+        scene.render.antialias = 1;
         let two = render(&scene);
         scene.surface.two_stage = false;
         let one = render(&scene);
@@ -369,6 +370,7 @@ pub fn skipping_changes_no_surface() {
     for name in ["apple-hollow", "apple-thick", "apple-solid", "bunny-knife", "head-skin-peel"] {
         let mut scene = scenes::load(name);
         scene.render.size = [96, 96];
+        scene.render.antialias = 1;
         let with = render(&scene);
         scene.surface.cut_skipping = false;
         let without_cuts = render(&scene);
@@ -712,6 +714,7 @@ pub fn depth_map_cube_shows_the_field() {
     let mut scene = scenes::load("bunny-twist");
     scene.deformation.clear();
     scene.render.size = [128, 128];
+    scene.render.antialias = 1;
     let by_field = render(&scene);
     scene.mesh[0].representation = Some(incise::scene::surface::Representation::DepthMapCube);
     let assets: Assets = scenes::assets(&scene);
