@@ -67,7 +67,7 @@ fn main() {
         }
     };
     #[cfg(not(feature = "gpu"))]
-    let mut draw = |p: &Prepared| -> Rendered { cpu::render(p, &|_| ()) };
+    let draw = |p: &Prepared| -> Rendered { cpu::render(p, &|_| ()) };
     println!("| model | triangles | covered | continuous, ms | cuts, no skipping | cuts, skipping | ratio without | ratio with |");
     println!("|---|---|---|---|---|---|---|---|");
     for mesh in &meshes {
