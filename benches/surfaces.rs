@@ -10,7 +10,7 @@
 
 use incise::cpu;
 use incise::deform::{DisplacementMap, PlacedMap, TexelSample};
-use incise::scene::surface::{CutModel, MeshSource};
+use incise::scene::surface::{CutModel, MeshPlace, MeshSource};
 use incise::scene::{Assets, Deformation, Mode, Prepared, Rendered, Scene, Size};
 use std::sync::Arc;
 use std::time::Instant;
@@ -21,7 +21,11 @@ const ROUNDS: usize = 7;
 
 fn scene(mesh: &str, zoom: f32) -> Scene {
     let mut scene = Scene::of_mesh(mesh);
-    scene.mesh[0] = MeshSource { size: Some(100.0), rotate: Some([90.0, 0.0, 0.0]), resolution: Some(128), ..MeshSource::of_file(mesh) };
+    scene.mesh[0] = MeshSource {
+        place: MeshPlace { size: Some(100.0), rotate: Some([90.0, 0.0, 0.0]), ..MeshPlace::default() },
+        resolution: Some(128),
+        ..MeshSource::of_file(mesh)
+    };
     scene.mesh[0].appearance.model = Some(CutModel::Solid);
     scene.camera.view = "30,20".parse().expect("a view");
     scene.camera.zoom = zoom;

@@ -52,7 +52,7 @@ enum ProjectionName {
 /// Options as typed.
 #[derive(Args)]
 pub struct Arguments {
-    /// A scene (.toml), a volume (.nii, .nii.gz, .nrrd, .mha) or phantom:NAME[:size=N].
+    /// A scene (.toml), a volume (.nii, .nii.gz, .nrrd, .mha), a mesh (.stl, .obj, .ply, .off, .gltf, .glb, .gii) or phantom:NAME[:size=N].
     input: PathBuf,
     /// The picture to write (.png).
     #[arg(short, long, value_name = "OUT.png")]
@@ -60,7 +60,7 @@ pub struct Arguments {
     /// Where to compute.
     #[arg(long, value_enum, default_value = "auto")]
     backend: Backend,
-    /// Slices or rays.
+    /// The volume by slices or by rays, or surfaces.
     #[arg(long, value_enum)]
     mode: Option<ModeName>,
     /// Size of the picture.

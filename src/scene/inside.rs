@@ -58,7 +58,7 @@ pub fn resolve(assets: &Assets, inside: &InsideMesh, scene_box: &Bounds, least_r
     };
     let path = assets.library.path(&inside.path);
     let mesh = load::mesh(&path)?;
-    let placed = placement(&mesh.bounds(), inside.center, inside.size, inside.rotate, inside.matrix).map_err(named)?;
+    let placed = placement(&mesh.bounds(), &inside.place).map_err(named)?;
     let mesh = mesh.transformed(&placed);
     let topology = mesh.topology();
     if !topology.watertight {

@@ -78,22 +78,12 @@ pub struct VolumeSource {
 
 /// The `[volume.inside]` section: a closed mesh that holds the volume (\[RVD01\] section 2). It is the scene's first cut.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
 pub struct InsideMesh {
     /// The mesh file, relative to the scene file.
     pub path: String,
-    /// Where its middle goes, mm; where it is by default.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub center: Option<[f32; 3]>,
-    /// Its longest edge, mm; as it is by default.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub size: Option<f32>,
-    /// Turn about x, then y, then z, degrees.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub rotate: Option<[f32; 3]>,
-    /// Instead of centre, size and rotation: rows of the affine transform from the file's coordinates to world mm.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub matrix: Option<[[f32; 4]; 3]>,
+    /// Where it goes.
+    #[serde(flatten)]
+    pub place: surface::MeshPlace,
     /// Shows the volume outside of it instead.
     #[serde(default, skip_serializing_if = "is_default")]
     pub invert: bool,

@@ -2,7 +2,7 @@
 //! triangles, or both.
 
 use super::macrocells::Macrocells;
-use super::surface::{Appearance, CutModel, DeformerSource, Look, MeshSource, Representation, ShapeSource, Steps, SurfaceSettings};
+use super::surface::{Appearance, CutModel, DeformerSource, Look, MeshPlace, MeshSource, Representation, ShapeSource, Steps, SurfaceSettings};
 use super::{Assets, Mode, Scene, Size};
 use crate::deform::cut::Cuts;
 use crate::deform::distance::{Region, of_region};
@@ -128,7 +128,7 @@ impl MeshSource {
 
     /// What decides the mesh after its deformers.
     fn mesh_key(&self) -> String {
-        format!("{:?} {:?} {:?} {:?} {:?} {:?} {:?}", self.path, self.center, self.size, self.rotate, self.matrix, self.deformer, self.tessellate)
+        format!("{:?} {:?} {:?} {:?}", self.path, self.place, self.deformer, self.tessellate)
     }
 
     fn check(&self) -> Result<()> {
@@ -141,7 +141,7 @@ impl MeshSource {
         }
         if self.path.is_none() {
             let only_files = [
-                ("center, size, rotate, matrix", self.center.is_some() || self.size.is_some() || self.rotate.is_some() || self.matrix.is_some()),
+                ("center, size, rotate, matrix", self.place != MeshPlace::default()),
                 ("deformer", !self.deformer.is_empty()),
                 ("representation", !matches!(self.representation, None | Some(Representation::Field))),
                 ("tessellate", self.tessellate.is_some()),
@@ -168,13 +168,8 @@ impl MeshSource {
 }
 
 /// From a mesh file's coordinates to the world.
-pub(super) fn placement(
-    bounds: &Bounds,
-    center: Option<[f32; 3]>,
-    size: Option<f32>,
-    rotate: Option<[f32; 3]>,
-    matrix: Option<[[f32; 4]; 3]>,
-) -> Result<Affine3A> {
+pub(super) fn placement(bounds: &Bounds, place: &MeshPlace) -> Result<Affine3A> {
+    let MeshPlace { center, size, rotate, matrix } = *place;
     if let Some(rows) = matrix {
         if center.is_some() || size.is_some() || rotate.is_some() {
             return Err(Error::value("matrix", "already says where the mesh goes; leave out center, size and rotate"));
@@ -211,7 +206,7 @@ impl Objects {
     /// A mesh file where it lies in the world, before its deformers.
     fn placed(&self, assets: &Assets, source: &MeshSource) -> Result<Arc<Mesh>> {
         let path = source.path.as_deref().unwrap_or_default();
-        let key = format!("{path} {:?} {:?} {:?} {:?}", source.center, source.size, source.rotate, source.matrix);
+        let key = format!("{path} {:?}", source.place);
         if let Some(mesh) = lock(&self.meshes).get(&key) {
             return Ok(mesh.clone());
         }
@@ -219,7 +214,7 @@ impl Objects {
         for warning in &mesh.warnings {
             assets.library.notice(format!("{path}: {warning}"));
         }
-        let placement = placement(&mesh.bounds(), source.center, source.size, source.rotate, source.matrix)?;
+        let placement = placement(&mesh.bounds(), &source.place)?;
         let mesh = Arc::new(mesh.transformed(&placement));
         lock(&self.meshes).insert(key, mesh.clone());
         Ok(mesh)

@@ -216,8 +216,8 @@ impl<'a> Prepared<'a> {
             let table = Table::new(&function, volume.range);
             Ok((function, table))
         })?;
-        let volume_box = assets.scene_box();
-        let mut view = scene.camera.frame(&volume_box, settings.size)?;
+        let scene_box = assets.scene_box();
+        let mut view = scene.camera.frame(&scene_box, settings.size)?;
         let reference_mm = volume.spacing_mm().min_element() as f32;
         let step_mm = settings.step * reference_mm;
         let blend_mm = [step_mm.max(reference_mm), BLEND_SAMPLES * step_mm.max(reference_mm)];
@@ -225,14 +225,14 @@ impl<'a> Prepared<'a> {
         let (stack, cuts, composition) = stages.time("maps", || -> Result<_> {
             let making = Making {
                 library: &assets.library,
-                scene_box: volume_box,
+                scene_box,
                 least_ramp_mm: 1.2 * blend_mm[1],
                 view: &view,
                 storage: None,
                 exact_cuts: settings.exact_cuts,
             };
             let undeformed = more.is_empty() && !scene.deformation.iter().any(|d| d.enabled);
-            let inside = match inside::of_scene(scene, assets, &volume_box, making.least_ramp_mm)? {
+            let inside = match inside::of_scene(scene, assets, &scene_box, making.least_ramp_mm)? {
                 Some(inside) => {
                     proxy_mesh = inside.proxy.filter(|_| undeformed);
                     inside.maps
@@ -240,7 +240,7 @@ impl<'a> Prepared<'a> {
                 None => Vec::new(),
             };
             let (stack, cuts) = deformations::stack(&scene.deformation, &making, inside, more)?;
-            let (stack, composition) = deformations::bounded(stack, &volume_box, settings.precompose, UNSEEN * reference_mm, evaluate)?;
+            let (stack, composition) = deformations::bounded(stack, &scene_box, settings.precompose, UNSEEN * reference_mm, evaluate)?;
             Ok((stack, cuts, composition))
         })?;
         let span = (volume.range[1] - volume.range[0]).max(f64::MIN_POSITIVE);
@@ -252,7 +252,7 @@ impl<'a> Prepared<'a> {
         if !voxel_from_world.is_finite() {
             return Err(Error::value("volume", "its voxel axes are singular; the file's geometry cannot be used"));
         }
-        let deformed = stack.deformed_bounds(&volume_box);
+        let deformed = stack.deformed_bounds(&scene_box);
         view.step_back_from(&deformed, step_mm);
         let surfaces = stages.time("surfaces", || assets.surfaces(scene, &stack, &cuts))?;
         let deformed = stack.deformed_bounds(&volume.bounds_in_world());

@@ -173,6 +173,23 @@ pub struct DeformerSource {
     pub numbers: BTreeMap<String, f32>,
 }
 
+/// Where a mesh from a file goes: `[[mesh]]` and `[volume.inside]` alike.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct MeshPlace {
+    /// Where its middle goes, mm; where it is by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub center: Option<[f32; 3]>,
+    /// Its longest edge, mm; as it is by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub size: Option<f32>,
+    /// Turn about x, then y, then z, degrees.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rotate: Option<[f32; 3]>,
+    /// Instead of centre, size and rotation: rows of the affine transform from the file's coordinates to world mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub matrix: Option<[[f32; 4]; 3]>,
+}
+
 /// One `[[mesh]]`: from a file, a value or label of a volume, or formulas.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct MeshSource {
@@ -197,18 +214,9 @@ pub struct MeshSource {
     /// true leaves it out of the picture.
     #[serde(default, skip_serializing_if = "super::is_default")]
     pub hidden: bool,
-    /// Where its middle goes, mm; where it is by default.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub center: Option<[f32; 3]>,
-    /// Its longest edge, mm; as it is by default.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub size: Option<f32>,
-    /// Turn about x, then y, then z, degrees.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub rotate: Option<[f32; 3]>,
-    /// Instead of centre, size and rotation: rows of the affine transform from the file's coordinates to world mm.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub matrix: Option<[[f32; 4]; 3]>,
+    /// Where it goes.
+    #[serde(flatten)]
+    pub place: MeshPlace,
     /// What it becomes: a field by default, triangles if it has deformers.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub representation: Option<Representation>,
