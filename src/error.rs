@@ -33,6 +33,9 @@ pub enum Error {
         /// What is wrong with it and what to do.
         problem: String,
     },
+    /// The work was told to stop.
+    #[error("cancelled")]
+    Cancelled,
     /// No graphics adapter, or one that cannot do the work.
     #[error("GPU: {0}")]
     Gpu(String),

@@ -38,5 +38,7 @@ pub mod render;
 pub mod scene;
 pub mod transfer;
 pub mod volume;
+mod watch;
 
 pub use error::{Error, Result};
+pub use watch::{Meter, Watch};

@@ -55,7 +55,7 @@ fn baked(scene: &Scene, fill: f64, interpolation: Interpolation) -> Volume {
     let what = bake::Deformation { stack: &stack, cuts: &cuts };
     bake::volume(volume, &what, &volume.geometry(), interpolation, fill, Format::NiftiGz, &mut file, &|_| ()).unwrap();
     drop(file);
-    load::volume(&path, &mut |_, _| ()).unwrap()
+    load::volume(&path, &load::Choice::default(), &incise::Watch::NOBODY).unwrap()
 }
 
 /// Baking under each of ITK's transforms gives what SimpleITK's Resample gives, within one grey level everywhere.
@@ -74,7 +74,7 @@ pub fn baking_is_itk_resampling() {
     let mut scene = Scene::of_volume(fixture("volume.nii.gz").to_str().unwrap());
     for (transform, expected) in cases {
         scene.deformation = vec![field(&fixture(transform))];
-        let (got, want) = (baked(&scene, -1000.0, Interpolation::Linear), load::volume(&fixture(expected), &mut |_, _| ()).unwrap());
+        let (got, want) = (baked(&scene, -1000.0, Interpolation::Linear), load::volume(&fixture(expected), &load::Choice::default(), &incise::Watch::NOBODY).unwrap());
         let worst = (0..got.voxels.len()).map(|n| (got.voxels.get(n) - want.voxels.get(n)).abs()).fold(0.0, f64::max);
         println!("{transform}: largest difference {worst} grey levels");
         assert!(worst <= 1.0, "{transform}: {worst}");
@@ -86,7 +86,7 @@ pub fn baking_is_itk_resampling() {
     let chain = Deformation { parameters: Arguments::from([("path", incise::deform::Argument::Texts(paths.to_vec()))]), ..Deformation::new("field") };
     scene.deformation = vec![chain];
     let (got, want) =
-        (baked(&scene, -1000.0, Interpolation::Linear), load::volume(&fixture("resampled-affine-then-field.nii.gz"), &mut |_, _| ()).unwrap());
+        (baked(&scene, -1000.0, Interpolation::Linear), load::volume(&fixture("resampled-affine-then-field.nii.gz"), &load::Choice::default(), &incise::Watch::NOBODY).unwrap());
     assert!((0..got.voxels.len()).all(|n| (got.voxels.get(n) - want.voxels.get(n)).abs() <= 1.0));
 }
 
@@ -132,7 +132,7 @@ pub fn affine_conventions_agree() {
 
 /// A vector field whose file states another frame is the same field in the world.
 pub fn vectors_turn_with_their_axes() {
-    let image = load::image(&fixture("field.nrrd"), &mut |_, _| ()).unwrap();
+    let image = load::image(&fixture("field.nrrd"), &load::Choice::default(), &incise::Watch::NOBODY).unwrap();
     let lps = VectorField::of_image(Path::new("x"), &image, &Context::default()).unwrap();
     // By hand: the same vectors as RAS numbers in a file that says RAS.
     let folder = tempfile::tempdir().unwrap();
@@ -184,9 +184,9 @@ pub fn vectors_turn_with_their_axes() {
 
 /// Volume and field turned into each of the 48 orders and directions of their axes: the same values in the world, the same picture.
 pub fn all_orientations_agree() {
-    let base = load::volume(&fixture("volume.nii.gz"), &mut |_, _| ()).unwrap();
+    let base = load::volume(&fixture("volume.nii.gz"), &load::Choice::default(), &incise::Watch::NOBODY).unwrap();
     let warp = {
-        let image = load::image(&fixture("field.nrrd"), &mut |_, _| ()).unwrap();
+        let image = load::image(&fixture("field.nrrd"), &load::Choice::default(), &incise::Watch::NOBODY).unwrap();
         VectorField::of_image(Path::new("x"), &image, &Context::default()).unwrap()
     };
     let folder = tempfile::tempdir().unwrap();
@@ -361,14 +361,14 @@ pub fn radial_field_is_inverted() {
 /// Maps, fields and volumes written in each format come back with their numbers and their geometry.
 pub fn written_files_come_back() {
     let folder = tempfile::tempdir().unwrap();
-    let base = load::volume(&fixture("volume.nii.gz"), &mut |_, _| ()).unwrap();
+    let base = load::volume(&fixture("volume.nii.gz"), &load::Choice::default(), &incise::Watch::NOBODY).unwrap();
     let grid = base.geometry();
     let values: Vec<f32> = (0..base.voxels.len()).map(|n| base.voxels.get(n) as f32).collect();
     for name in ["a.nii", "a.nii.gz", "a.nrrd", "a.mha"] {
         let path = folder.path().join(name);
         let format = Format::of(&path).unwrap();
         std::fs::write(&path, save::encode(format, &grid, Content::Scalar(load::ScalarType::F32, Rescale::NONE), &values).unwrap()).unwrap();
-        let v = load::volume(&path, &mut |_, _| ()).unwrap();
+        let v = load::volume(&path, &load::Choice::default(), &incise::Watch::NOBODY).unwrap();
         assert_eq!(v.size, base.size);
         assert!((0..values.len()).all(|n| v.voxels.get(n) == f64::from(values[n])), "{name}");
         let (a, b) = (v.world_from_voxel, base.world_from_voxel);

@@ -1,11 +1,78 @@
 //! Values as people type them.
 
 use crate::deform::{Argument, Storage};
-use crate::mesh::load;
+use crate::mesh;
 use crate::scene::deformations::FILE_KINDS;
 use crate::scene::{Deformation, Scene, Size};
+use crate::volume::load::{self, Choice, RawLayout};
 use crate::{Error, Result};
+use clap::Args;
 use std::path::{Path, PathBuf};
+
+/// Options that say which part of a volume's file is meant.
+#[derive(Args, Clone, Debug)]
+pub struct VolumeArguments {
+    /// Of several DICOM series: its number in incise info, its UID, or part of its description; the largest by default.
+    #[arg(long, value_name = "N|UID|TEXT")]
+    series: Option<String>,
+    /// Of several volumes in time: which one, from 1.
+    #[arg(long, value_name = "N")]
+    time: Option<usize>,
+    /// Of several channels: which one, from 1, as a scalar volume.
+    #[arg(long, value_name = "N")]
+    channel: Option<usize>,
+    /// Of a multiscale image (OME-Zarr): which resolution, from 0, the full one.
+    #[arg(long, value_name = "N")]
+    level: Option<usize>,
+    /// Voxel spacing along i, j, k in mm, instead of the file's.
+    #[arg(long, value_name = "X,Y,Z", value_parser = spacing)]
+    spacing: Option<[f64; 3]>,
+    /// Interpolate unevenly spaced slices onto an even grid.
+    #[arg(long)]
+    resample: bool,
+    /// How raw values lie, e.g. 256x256x128:u16[:be][:skip=BYTES][:components=N].
+    #[arg(long, value_name = "WxHxD:TYPE", value_parser = RawLayout::parse)]
+    raw: Option<RawLayout>,
+}
+
+impl VolumeArguments {
+    /// What was chosen, over what had been.
+    pub fn over(&self, before: &Choice) -> Choice {
+        Choice {
+            series: self.series.clone().or_else(|| before.series.clone()),
+            time: self.time.or(before.time),
+            channel: self.channel.or(before.channel),
+            level: self.level.or(before.level),
+            spacing: self.spacing.or(before.spacing),
+            resample: self.resample || before.resample,
+            raw: self.raw.clone().or_else(|| before.raw.clone()),
+        }
+    }
+
+    /// Lays the choice over a scene's.
+    ///
+    /// # Errors
+    /// A choice for a scene without a volume.
+    pub fn apply(&self, scene: &mut Scene) -> Result<()> {
+        let chosen = self.over(&Choice::default());
+        match &mut scene.volume {
+            Some(volume) => volume.choice = self.over(&volume.choice),
+            None if chosen.is_default() => {}
+            None => return Err(Error::value("--series, --time, --channel, --level, --spacing, --resample, --raw", "are of volumes, and there is none")),
+        }
+        Ok(())
+    }
+}
+
+/// Three positive numbers, or one for all.
+fn spacing(text: &str) -> Result<[f64; 3], String> {
+    let numbers: Vec<f64> = text.split(',').map_while(|p| p.trim().parse().ok()).filter(|v: &f64| v.is_finite() && *v > 0.0).collect();
+    match numbers[..] {
+        [s] if !text.contains(',') => Ok([s; 3]),
+        [x, y, z] if text.split(',').count() == 3 => Ok([x, y, z]),
+        _ => Err(format!("\"{text}\" is no spacing; write X,Y,Z in mm, e.g. 0.5,0.5,2")),
+    }
+}
 
 /// The scene that an input names: a scene file, or a volume or mesh with all defaults.
 ///
@@ -15,7 +82,7 @@ pub fn scene_of(input: &Path) -> Result<Scene> {
     let text = input.to_str().ok_or_else(|| Error::file(input, "has a name that is not valid Unicode; rename it"))?;
     match input.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
         Some("toml") => Scene::load(input),
-        _ if load::is_mesh(input) => Ok(Scene::of_mesh(text)),
+        _ if mesh::load::is_mesh(input) => Ok(Scene::of_mesh(text)),
         _ => Ok(Scene::of_volume(text)),
     }
 }
@@ -38,9 +105,16 @@ pub fn read_by(scene: &Scene) -> Vec<PathBuf> {
 ///
 /// # Errors
 /// The output is one of the files that are read.
-pub fn protect<'a>(option: &str, output: &Path, read: impl IntoIterator<Item = &'a Path>) -> Result<()> {
-    if read.into_iter().any(|r| same_file(output, r)) {
+pub fn protect<'a>(option: &str, output: &Path, read: impl IntoIterator<Item = &'a Path> + Clone) -> Result<()> {
+    if read.clone().into_iter().any(|r| same_file(output, r)) {
         return Err(Error::value(format!("{option} {}", output.display()), "is a file that is read; choose another name"));
+    }
+    let inside = |folder: &Path| match (output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).canonicalize(), folder.canonicalize()) {
+        (Ok(output), Ok(folder)) => output.starts_with(folder),
+        _ => false,
+    };
+    if read.clone().into_iter().any(|r| r.is_dir() && inside(r) && load::is_part_of(r, output)) {
+        return Err(Error::value(format!("{option} {}", output.display()), "would be one of the files of a folder that is read; choose another folder"));
     }
     Ok(())
 }

@@ -25,7 +25,9 @@ enum InterpolationName {
 pub struct Arguments {
     /// A scene (.toml), a volume or phantom:NAME[:size=N].
     input: PathBuf,
-    /// The file to write: .nii.gz, .nii, .nrrd or .mha.
+    #[command(flatten)]
+    volume: arguments::VolumeArguments,
+    /// The file to write: .nii.gz, .nii, .nrrd, .mha or .vti.
     #[arg(short, long, value_name = "OUT.nii.gz")]
     output: PathBuf,
     /// A deformation, applied after those of the scene; repeatable, in order.
@@ -62,6 +64,7 @@ pub(super) fn exact_stack(scene: &Scene, assets: &Assets, exact_cuts: bool) -> R
 pub fn run(arguments: &Arguments) -> Result<()> {
     let format = Format::of(&arguments.output)?;
     let mut scene = arguments::scene_of(&arguments.input)?;
+    arguments.volume.apply(&mut scene)?;
     for text in &arguments.deform {
         scene.deformation.push(arguments::deformation(text)?);
     }

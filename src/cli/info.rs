@@ -5,8 +5,11 @@ use crate::scene::Scene;
 use crate::scene::deformations::FILE_KINDS;
 use crate::scene::surface::{DEFORMERS, LOOKS};
 use crate::transfer;
-use crate::volume::{Volume, load, phantom};
-use crate::{Result, mesh};
+use super::arguments::VolumeArguments;
+use super::progress::Progress;
+use crate::volume::load::{self, Choice, SeriesInfo};
+use crate::volume::{Volume, phantom};
+use crate::{Result, Watch, mesh};
 use clap::Args;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -14,12 +17,20 @@ use std::path::{Path, PathBuf};
 /// Options as typed.
 #[derive(Args)]
 pub struct Arguments {
-    /// A volume, a mesh, a scene or phantom:NAME.
+    /// A volume (file, folder or zip), a mesh, a scene or phantom:NAME.
     file: PathBuf,
+    #[command(flatten)]
+    volume: VolumeArguments,
+    /// With the patient's name and identity, where a file states them.
+    #[arg(long)]
+    patient: bool,
     /// Machine-readable output.
     #[arg(long)]
     json: bool,
 }
+
+/// A volume whose k axis leans by more than this from the normal of its slices, degrees, is called tilted.
+const TILTED: f64 = 0.05;
 
 /// Prints what the file holds.
 pub fn run(arguments: &Arguments) -> Result<()> {
@@ -27,10 +38,27 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let report = match path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
         Some("toml") => scene_report(path)?,
         _ if mesh::load::is_mesh(path) => mesh_report(&mesh::load::mesh(path)?),
-        _ => volume_report(&load::volume(path, &mut |_, _| ())?),
+        _ => {
+            let bar = Progress::new(arguments.json);
+            let reading = |share: f32| bar.set("reading", share);
+            let watch = Watch::telling(&reading);
+            let series = load::series(path, arguments.patient, &Watch::NOBODY)?;
+            let volume = load::volume(path, &arguments.volume.over(&Choice::default()), &watch)?;
+            bar.finish();
+            file_report(&volume, series.as_deref())
+        }
     };
     super::print(&if arguments.json { format!("{report:#}") } else { plain(&report) });
     Ok(())
+}
+
+/// What a file holds, and every series of it.
+fn file_report(volume: &Volume, series: Option<&[SeriesInfo]>) -> Value {
+    let mut report = volume_report(volume);
+    if let (Some(series), Some(entries)) = (series, report.as_object_mut()) {
+        entries.insert("all_series".into(), json!(series));
+    }
+    report
 }
 
 fn volume_report(volume: &Volume) -> Value {
@@ -45,28 +73,50 @@ fn volume_report(volume: &Volume) -> Value {
         "i8" => 2 * voxels,
         _ => 4 * voxels,
     };
+    let colors = if volume.colors.is_some() { volume.components.max(3) * voxels } else { 0 };
+    let determinant = volume.world_from_voxel.matrix3.determinant();
     let spacing = volume.spacing_mm();
     let mut report = json!({
         "kind": "volume",
+        "format": volume.format,
         "size": volume.size,
-        "type": volume.voxels.type_name(),
+        "type": volume.source_type,
         "range": volume.range,
         "spacing_mm": spacing.to_array(),
         "extent_mm": (0..3).map(|a| spacing[a] * volume.size[a] as f64).collect::<Vec<_>>(),
         "origin_mm": volume.world_from_voxel.translation.to_array(),
         "direction": rows,
         "orientation": volume.orientation(),
-        "determinant": volume.world_from_voxel.matrix3.determinant(),
-        "components": 1,
+        "determinant": determinant,
+        "handedness": if determinant < 0.0 { "left" } else { "right" },
+        "components": volume.components,
         "voxels": voxels,
         "non_finite": volume.non_finite,
         "rescale": { "slope": volume.rescale.slope, "intercept": volume.rescale.intercept },
         "stored_bytes": stored,
-        "memory_bytes": stored + converted,
+        "memory_bytes": stored + converted + colors,
         "warnings": volume.warnings,
     });
     if let (Some(labels), Some(entries)) = (volume.labels(), report.as_object_mut()) {
         entries.insert("labels".into(), json!(labels));
+        if !volume.label_table.is_empty() {
+            let names: serde_json::Map<String, Value> = volume.label_table.iter().map(|l| (l.value.to_string(), json!(l.name))).collect();
+            entries.insert("label_names".into(), json!(names));
+        }
+    }
+    if let Some(entries) = report.as_object_mut() {
+        if volume.padded > 0 {
+            entries.insert("padded".into(), json!(volume.padded));
+        }
+        if volume.inverted {
+            entries.insert("inverted".into(), json!(true));
+        }
+        if volume.tilt_degrees() > TILTED {
+            entries.insert("tilt_degrees".into(), json!(volume.tilt_degrees()));
+        }
+        for (name, value) in &volume.details {
+            entries.insert((*name).into(), value.clone());
+        }
     }
     report
 }
@@ -95,7 +145,10 @@ fn mesh_report(mesh: &mesh::Mesh) -> Value {
 
 fn scene_report(path: &Path) -> Result<Value> {
     let scene = Scene::load(path)?;
-    let volume = scene.volume_path().map(|p| load::volume(&p, &mut |_, _| ())).transpose()?;
+    let volume = match (scene.volume_path(), &scene.volume) {
+        (Some(path), Some(source)) => Some(load::volume(&path, &source.choice, &Watch::NOBODY)?),
+        _ => None,
+    };
     let meshes = scene
         .mesh
         .iter()

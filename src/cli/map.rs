@@ -8,9 +8,9 @@ use crate::deform::{PlacedMap, Storage, compose, invert, saved};
 use crate::export::{Output, png_rgb};
 use crate::math::Bounds;
 use crate::scene::{Assets, Scene, deformations::FILE_KINDS};
-use crate::volume::load;
+use crate::volume::load::{self, Choice};
 use crate::volume::save::{self, Content, Format};
-use crate::{Error, Result};
+use crate::{Error, Result, Watch};
 use clap::{Args, Subcommand};
 use glam::Vec3;
 use serde_json::json;
@@ -167,7 +167,7 @@ fn report(r: &invert::Report, note: &impl Fn(String)) {
 
 /// The transform of a file, and the box of the volume that it is for.
 fn load_transform(path: &Path, volume: Option<&Path>, convention: Option<&str>) -> Result<(Transform, Bounds)> {
-    let volume = volume.map(|v| load::volume(v, &mut |_, _| ())).transpose()?;
+    let volume = volume.map(|v| load::volume(v, &Choice::default(), &Watch::NOBODY)).transpose()?;
     let grid = volume.as_ref().map(|v| v.geometry());
     let transform = Transform::load(path, &Context { moving: grid, reference: grid, convention })?;
     let bounds = volume.map_or_else(
@@ -215,7 +215,7 @@ fn saved_map(path: &Path) -> Result<Option<PlacedMap>> {
     if !name.ends_with(".nrrd") && !name.ends_with(".nhdr") {
         return Ok(None);
     }
-    if load::image(path, &mut |_, _| ())?.displacement { saved::read(path, Storage::F32, 1.0).map(Some) } else { Ok(None) }
+    if load::image(path, &Choice::default(), &Watch::NOBODY)?.displacement { saved::read(path, Storage::F32, 1.0).map(Some) } else { Ok(None) }
 }
 
 fn run_check(arguments: &CheckArguments) -> Result<()> {

@@ -52,8 +52,10 @@ enum ProjectionName {
 /// Options as typed.
 #[derive(Args)]
 pub struct Arguments {
-    /// A scene (.toml), a volume (.nii, .nii.gz, .nrrd, .mha), a mesh (.stl, .obj, .ply, .off, .gltf, .glb, .gii) or phantom:NAME[:size=N].
+    /// A scene (.toml), a volume (DICOM file, folder or zip, .nii.gz, .nrrd, .mha, .vti, .tif and so on), a mesh (.stl, .obj, .ply, .off, .gltf, .glb, .gii) or phantom:NAME[:size=N].
     input: PathBuf,
+    #[command(flatten)]
+    volume: arguments::VolumeArguments,
     /// The picture to write (.png).
     #[arg(short, long, value_name = "OUT.png")]
     output: PathBuf,
@@ -132,6 +134,7 @@ impl Arguments {
     /// The scene that the input names, with the options laid over it.
     fn scene(&self) -> Result<Scene> {
         let mut scene = arguments::scene_of(&self.input)?;
+        self.volume.apply(&mut scene)?;
         let render = &mut scene.render;
         match self.mode {
             Some(ModeName::Slice) => render.mode = Mode::Slice,

@@ -4,7 +4,8 @@ use super::arguments;
 use super::progress::Progress;
 use crate::export::Output;
 use crate::math::Bounds;
-use crate::mesh::field::{FieldSettings, MeshField, Watch};
+use crate::Watch;
+use crate::mesh::field::{FieldSettings, MeshField};
 use crate::mesh::load;
 use crate::volume::load::ScalarType;
 use crate::volume::save::{Content, Format, Writer};
@@ -14,7 +15,6 @@ use clap::Args;
 use glam::{DAffine3, DMat3, Vec3};
 use serde_json::json;
 use std::path::PathBuf;
-use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 /// Options as typed.
@@ -67,7 +67,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let bar = Progress::new(arguments.quiet);
     let settings = FieldSettings { resolution: arguments.resolution, cell_mm: arguments.cell, region, exact: arguments.exact, parity: false };
-    let watch = Watch { progress: &|share| bar.set("distances", share), cancel: &AtomicBool::new(false) };
+    let progress = |share| bar.set("distances", share);
+    let watch = Watch::telling(&progress);
     let start = Instant::now();
     let field = MeshField::new(&mesh, &settings, &watch).map_err(|problem| Error::file(&arguments.mesh, problem))?;
     let field_ms = start.elapsed().as_secs_f64() * 1e3;

@@ -5,8 +5,9 @@ use super::Arguments;
 use super::distance::{Region, of_region};
 use super::transform::{Context, Transform};
 use crate::math::DistanceGrid;
-use crate::volume::{GridGeometry, Volume, load};
-use crate::{Error, Result};
+use crate::volume::load::{self, Choice};
+use crate::volume::{GridGeometry, Volume};
+use crate::{Error, Result, Watch};
 use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -73,7 +74,7 @@ impl Library {
         if let Some(volume) = lock(&self.volumes).get(&path) {
             return Ok(volume.clone());
         }
-        let volume = Arc::new(load::volume(&path, &mut |_, _| ())?);
+        let volume = Arc::new(load::volume(&path, &Choice::default(), &Watch::NOBODY)?);
         lock(&self.volumes).insert(path, volume.clone());
         Ok(volume)
     }

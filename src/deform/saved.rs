@@ -6,8 +6,9 @@
 use super::compose::{grid_of, placement_of};
 use super::{DisplacementMap, PlacedMap, Storage, TexelSample};
 use crate::volume::save::{self, Content, Format};
-use crate::volume::{GridGeometry, load};
-use crate::{Error, Result};
+use crate::volume::GridGeometry;
+use crate::volume::load::{self, Choice};
+use crate::{Error, Result, Watch};
 use glam::{Mat3, Vec3};
 use std::path::Path;
 use std::sync::Arc;
@@ -17,7 +18,7 @@ use std::sync::Arc;
 /// # Errors
 /// A file that cannot be read or is no displacement map.
 pub fn read(path: &Path, storage: Storage, strength: f32) -> Result<PlacedMap> {
-    let image = load::image(path, &mut |_, _| ())?;
+    let image = load::image(path, &Choice::default(), &Watch::NOBODY)?;
     if !image.displacement || image.components != 4 {
         let problem = format!(
             "is no displacement map of this program (it has {} values per voxel); a displacement field of another program is a field: --deform field:path=...",

@@ -12,11 +12,12 @@
 //! through them seed the same sweeps, and the sign is the value's.
 
 use super::{Mesh, Topology, Tree};
+use crate::Watch;
 use crate::math::{Bounds, DistanceGrid, normalize_or, to_f32, trilinear};
 use crate::volume::Volume;
 use glam::{Affine3A, Mat3, Vec3};
 use rayon::prelude::*;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Half the width of the band of exact distances, cells.
 const BAND: f32 = 2.5;
@@ -68,22 +69,6 @@ pub struct MeshField {
     pub inside: f64,
     /// | |∇f| - 1 | in the band: its mean and its 99th percentile.
     pub eikonal: [f64; 2],
-}
-
-/// Tells how far the work is and whether to go on.
-pub struct Watch<'a> {
-    /// Share of the work done, from several threads.
-    pub progress: &'a (dyn Fn(f32) + Sync),
-    /// Set to stop.
-    pub cancel: &'a AtomicBool,
-}
-
-/// Never asked to stop.
-static GO_ON: AtomicBool = AtomicBool::new(false);
-
-impl Watch<'static> {
-    /// Tells nobody.
-    pub const NOBODY: Self = Self { progress: &|_| (), cancel: &GO_ON };
 }
 
 /// Distance between the points of a field of a mesh by its resolution, mm.
@@ -174,10 +159,6 @@ impl MeshField {
     }
 }
 
-fn stopped(watch: &Watch) -> bool {
-    watch.cancel.load(Ordering::Relaxed)
-}
-
 const CANCELLED: &str = "was cancelled";
 
 /// Exact distances and nearest points near the surface, or everywhere; infinite elsewhere.
@@ -196,7 +177,7 @@ fn band(tree: &Tree, lattice: &Lattice, exact: bool, watch: &Watch) -> Result<(V
         let k0 = s * EDGE;
         let layers = distance.len() / (nx * ny);
         for j0 in (0..ny).step_by(EDGE) {
-            if stopped(watch) {
+            if watch.stopped() {
                 return;
             }
             for i0 in (0..nx).step_by(EDGE) {
@@ -224,7 +205,7 @@ fn band(tree: &Tree, lattice: &Lattice, exact: bool, watch: &Watch) -> Result<(V
         }
         (watch.progress)(0.6 * (done.fetch_add(1, Ordering::Relaxed) + 1) as f32 / slabs as f32);
     });
-    if stopped(watch) { Err(CANCELLED.into()) } else { Ok((distance, nearest)) }
+    if watch.stopped() { Err(CANCELLED.into()) } else { Ok((distance, nearest)) }
 }
 
 /// Passes nearest points on to neighbours in the eight orders of three axes.
@@ -277,7 +258,7 @@ fn signs(tree: &Tree, lattice: &Lattice, watertight: bool, distance: &mut [f32],
             let layers = slab.len() / (nx * ny);
             for j in (0..ny).step_by(BLOCK) {
                 for i in (0..nx).step_by(BLOCK) {
-                    if !stopped(watch) {
+                    if !watch.stopped() {
                         signs.decide(slab, [i, j, s * BLOCK], [(i + BLOCK).min(nx), (j + BLOCK).min(ny), s * BLOCK + layers]);
                     }
                 }
@@ -286,7 +267,7 @@ fn signs(tree: &Tree, lattice: &Lattice, watertight: bool, distance: &mut [f32],
             signs.seen
         })
         .reduce(|| [0; 2], |a, b| [a[0] + b[0], a[1] + b[1]]);
-    if stopped(watch) { Err(CANCELLED.into()) } else { Ok(seen) }
+    if watch.stopped() { Err(CANCELLED.into()) } else { Ok(seen) }
 }
 
 /// Gives the distances their sign by counting crossings along each row.
@@ -537,7 +518,7 @@ mod tests {
     #[test]
     fn work_can_be_cancelled() {
         let mesh = Mesh::new(vec![Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::Z], vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], vec![]);
-        let cancel = AtomicBool::new(true);
+        let cancel = std::sync::atomic::AtomicBool::new(true);
         let result = MeshField::new(&mesh, &FieldSettings::default(), &Watch { progress: &|_| (), cancel: &cancel });
         assert_eq!(result.err().as_deref(), Some(CANCELLED));
     }

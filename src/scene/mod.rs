@@ -19,6 +19,7 @@ pub use prepared::{Assets, Frame, MAX_PICTURE_EDGE, Picture, Prepared, RenderSta
 use crate::deform::{Arguments, Storage};
 use crate::transfer::TransferSettings;
 use crate::volume::GradientFilter;
+use crate::volume::load::Choice;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -67,10 +68,12 @@ fn is_default<T: Default + PartialEq>(value: &T) -> bool {
 
 /// The `[volume]` section.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
 pub struct VolumeSource {
-    /// A file, relative to the scene file, or `phantom:NAME[:size=N]`.
+    /// A file or folder, relative to the scene file, or `phantom:NAME[:size=N]`.
     pub path: String,
+    /// Which part of it, and what it does not say of itself.
+    #[serde(flatten)]
+    pub choice: Choice,
     /// A closed mesh that the volume is shown inside of.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub inside: Option<InsideMesh>,
@@ -314,7 +317,7 @@ impl Scene {
     pub fn of_volume(path: impl Into<String>) -> Self {
         Self {
             incise: FORMAT_VERSION,
-            volume: Some(VolumeSource { path: path.into(), inside: None }),
+            volume: Some(VolumeSource { path: path.into(), choice: Choice::default(), inside: None }),
             mesh: Vec::new(),
             surface: surface::SurfaceSettings::default(),
             transfer: TransferSettings::default(),

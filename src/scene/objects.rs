@@ -12,7 +12,8 @@ use crate::error::suggestion;
 use crate::math::{Bounds, DistanceGrid};
 use crate::mesh::deformer::{Deform, Deformer, LATTICE, MOST_DEFORMERS, NormalMethod, apply_all, deform_vertex};
 use crate::mesh::depth_map::{DepthMaps, FACES};
-use crate::mesh::field::{FieldSettings, MARGIN, MeshField, Watch, cell_of, of_iso_value};
+use crate::Watch;
+use crate::mesh::field::{FieldSettings, MARGIN, MeshField, cell_of, of_iso_value};
 use crate::mesh::formula::{Formula, Join, MOST_SOLIDS, PlacedSolid, Solid};
 use crate::mesh::{Implicit, Mesh, Tree, load};
 use crate::{Error, Result};
@@ -500,7 +501,7 @@ impl Assets {
         if scene.mesh.len() > MOST_OBJECTS {
             return Err(Error::value("mesh", format!("a scene has at most {MOST_OBJECTS}")));
         }
-        let watch = Watch { progress, ..Watch::NOBODY };
+        let watch = Watch::telling(progress);
         let mut all = Bounds::EMPTY;
         for (n, source) in self.shown(scene).iter().enumerate() {
             let bounds = || -> Result<Bounds> {

@@ -10,9 +10,10 @@ use crate::math::{Bounds, MinMaxPyramid, normalize_or, to_f32};
 use crate::mesh::Mesh;
 use crate::transfer::{Blend, Table, default_preset};
 use crate::volume::{GradientFilter, Grid, Volume, load, phantom};
-use crate::{Error, Result};
+use crate::{Error, Result, Watch};
 use glam::{Affine3A, DVec3, Vec3};
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 /// Largest edge of a picture, pixels.
@@ -64,13 +65,23 @@ impl Assets {
     /// # Errors
     /// What the readers report.
     pub fn load(scene: &Scene, progress: &(dyn Fn(&'static str, f32) + Sync)) -> Result<Self> {
+        Self::load_until(scene, progress, &AtomicBool::new(false))
+    }
+
+    /// As [`Self::load`], until `cancel` is set.
+    ///
+    /// # Errors
+    /// As [`Self::load`]; [`Error::Cancelled`].
+    pub fn load_until(scene: &Scene, progress: &(dyn Fn(&'static str, f32) + Sync), cancel: &AtomicBool) -> Result<Self> {
         let mut stages = Stages::default();
-        let mut assets = match scene.volume_path() {
-            Some(path) => {
-                let volume = stages.time("load", || load::volume(&path, &mut |done, all| progress("reading", done as f32 / all.max(1) as f32)))?;
+        let mut assets = match (scene.volume_path(), &scene.volume) {
+            (Some(path), Some(source)) => {
+                let reading = |share: f32| progress("reading", share);
+                let watch = Watch { progress: &reading, cancel };
+                let volume = stages.time("load", || load::volume(&path, &source.choice, &watch))?;
                 Self::in_folder(volume, scene.folder.clone(), stages)
             }
-            None => Self::without_volume(scene.folder.clone()),
+            _ => Self::without_volume(scene.folder.clone()),
         };
         let mut stages = std::mem::take(&mut assets.stages);
         if !scene.mesh.is_empty() || scene.render.mode == Mode::Surface {

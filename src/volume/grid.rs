@@ -4,12 +4,14 @@
 //! an interpolated sample below 0 touches a hole and shows nothing. A hole thus reaches one voxel into its neighbours, to within a
 //! ten-thousandth of a voxel, in which values between theirs and 0 remain.
 
-use super::{Rescale, Volume, Voxels};
+use super::{Colors, Rescale, Volume, Voxels};
 use glam::{Vec3, Vec4};
 use std::sync::Arc;
 
 /// The normalised value of a voxel that holds nothing.
 pub const HOLE: f32 = -1e4;
+/// Padding that lies below the lowest value by this share of the range is a hole as it is stored.
+const PADDING_BELOW: f64 = 1e-3;
 
 /// Typed voxels shared with the [`Volume`] where the type allows.
 #[derive(Clone, Debug)]
@@ -32,8 +34,10 @@ pub struct Grid {
     pub scale: f32,
     /// See `scale`.
     pub offset: f32,
-    /// Whether any voxel is a [`HOLE`].
+    /// Whether any voxel is a [`HOLE`] or lies below 0 as one.
     pub has_holes: bool,
+    /// The voxels' own colours, if they have any.
+    pub colors: Option<Colors>,
 }
 
 /// A scalar type that the CPU samples directly.
@@ -58,18 +62,26 @@ impl Grid {
         let Rescale { slope, intercept } = volume.rescale;
         let [low, high] = volume.range;
         let span = if high > low { high - low } else { 1.0 };
-        let normalise = |stored: f64| if stored.is_finite() { ((stored * slope + intercept - low) / span) as f32 } else { HOLE };
-        let has_holes = volume.non_finite > 0;
+        let normalise = |stored: f64| {
+            let present = stored.is_finite() && !volume.is_padding(stored);
+            if present { ((stored * slope + intercept - low) / span) as f32 } else { HOLE }
+        };
+        // Padding well below every value is a hole as it stands; any other is made one.
+        let padding_below = volume.padding.is_some_and(|p| p.iter().all(|stored| stored * slope + intercept < low - PADDING_BELOW * span));
+        let has_holes = volume.non_finite > 0 || volume.padded > 0;
+        let colors = volume.colors.clone();
         let direct = |voxels| {
             let (scale, offset) = ((slope / span) as f32, ((intercept - low) / span) as f32);
             // An f32 volume of extreme magnitude has no usable single-precision scale: it is normalised like an f64 one.
-            (scale.is_normal() && offset.abs() < 1e6).then_some(Self { voxels, size: volume.size, scale, offset, has_holes: false })
+            let has_holes = padding_below;
+            (scale.is_normal() && offset.abs() < 1e6).then(|| Self { voxels, size: volume.size, scale, offset, has_holes, colors: colors.clone() })
         };
         let shared = match &volume.voxels {
+            _ if volume.padded > 0 && !padding_below => None,
             Voxels::U8(v) => direct(GridVoxels::U8(v.clone())),
             Voxels::U16(v) => direct(GridVoxels::U16(v.clone())),
             Voxels::I16(v) => direct(GridVoxels::I16(v.clone())),
-            Voxels::F32(v) if !has_holes => direct(GridVoxels::F32(v.clone())),
+            Voxels::F32(v) if volume.non_finite == 0 => direct(GridVoxels::F32(v.clone())),
             Voxels::I8(v) => direct(GridVoxels::I16(Arc::new(v.iter().map(|&x| i16::from(x)).collect()))),
             _ => None,
         };
@@ -79,7 +91,17 @@ impl Grid {
             scale: 1.0,
             offset: 0.0,
             has_holes,
+            colors,
         })
+    }
+
+    /// The grid of a label map: 1 where there is a label and 0 where there is none, in the labels' colours. Samples between two labels thus
+    /// are as present as either, not a third label of a number in between. None if the volume is no label map.
+    pub fn of_labels(volume: &Volume) -> Option<Self> {
+        volume.labels()?;
+        let colors = Colors::of_labels(volume.voxels.clone(), volume.range[1] as usize, &volume.label_table);
+        let occupied = volume.voxels.map(|label| u8::from(label >= 1.0));
+        Some(Self { voxels: GridVoxels::U8(Arc::new(occupied)), size: volume.size, scale: 1.0, offset: 0.0, has_holes: false, colors: Some(colors) })
     }
 
     /// Normalised value at a voxel.

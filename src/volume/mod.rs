@@ -4,6 +4,7 @@
 //! sample natively (u8, i16, u16, f32) and converts the rest once. A sample is *normalised*: 0 at the lowest finite value of the
 //! volume, 1 at the highest. A voxel that is NaN or infinite holds nothing and normalises below 0 (see [`Grid`]).
 
+mod colors;
 mod gradient;
 mod grid;
 pub mod load;
@@ -11,10 +12,12 @@ pub mod phantom;
 pub mod save;
 mod voxels;
 
+pub use colors::{Colors, Label, straight};
 pub use gradient::GradientFilter;
 pub use grid::{Grid, GridVoxels, HOLE, Sampler, Voxel};
 pub use voxels::Voxels;
 
+use crate::{Error, Result};
 use glam::{DAffine3, DMat3, DVec3};
 use rayon::prelude::*;
 
@@ -33,8 +36,26 @@ pub struct Volume {
     pub range: [f64; 2],
     /// Number of NaN and infinite voxels.
     pub non_finite: usize,
+    /// Lowest and highest stored value that stand for nothing at all (DICOM's pixel padding), if any do.
+    pub padding: Option<[f64; 2]>,
+    /// Number of such voxels.
+    pub padded: usize,
+    /// High values are dark (DICOM's MONOCHROME1).
+    pub inverted: bool,
+    /// The voxels' own colours, if they have any; then `voxels` are their luminance or opacity.
+    pub colors: Option<Colors>,
+    /// Values per voxel in the file.
+    pub components: usize,
+    /// Type of the values in the file.
+    pub source_type: &'static str,
+    /// Format of the file.
+    pub format: &'static str,
     /// Where the volume came from says that it holds labels.
     pub declared_labels: bool,
+    /// What it says of single labels.
+    pub label_table: Vec<Label>,
+    /// What else it says of itself.
+    pub details: Vec<(&'static str, serde_json::Value)>,
     /// What was odd about the source, one sentence each.
     pub warnings: Vec<String>,
 }
@@ -78,8 +99,13 @@ impl Volume {
     ///
     /// `voxels.len()` must be the product of `size`; the readers and phantoms see to it.
     pub fn new(voxels: Voxels, size: [usize; 3], rescale: Rescale, world_from_voxel: DAffine3) -> Self {
+        Self::with_padding(voxels, size, rescale, world_from_voxel, None)
+    }
+
+    /// Wraps voxels of which those within a range of stored values stand for nothing.
+    pub fn with_padding(voxels: Voxels, size: [usize; 3], rescale: Rescale, world_from_voxel: DAffine3, padding: Option<[f64; 2]>) -> Self {
         assert_eq!(voxels.len(), size.iter().product::<usize>(), "voxel count and size disagree");
-        let (stored, non_finite) = voxels.finite_range();
+        let (stored, [non_finite, padded]) = voxels.finite_range(padding);
         let range = match stored {
             Some([a, b]) => {
                 let (a, b) = (a * rescale.slope + rescale.intercept, b * rescale.slope + rescale.intercept);
@@ -87,7 +113,44 @@ impl Volume {
             }
             None => [0.0, 1.0],
         };
-        Self { voxels, size, rescale, world_from_voxel, range, non_finite, declared_labels: false, warnings: Vec::new() }
+        let source_type = voxels.type_name();
+        Self {
+            voxels,
+            size,
+            rescale,
+            world_from_voxel,
+            range,
+            non_finite,
+            padding: padding.filter(|_| padded > 0),
+            padded,
+            inverted: false,
+            colors: None,
+            components: 1,
+            source_type,
+            format: "none",
+            declared_labels: false,
+            label_table: Vec::new(),
+            details: Vec::new(),
+            warnings: Vec::new(),
+        }
+    }
+
+    /// Whether a stored value stands for nothing.
+    pub fn is_padding(&self, stored: f64) -> bool {
+        self.padding.is_some_and(|[low, high]| (low..=high).contains(&stored))
+    }
+
+    /// Sets the distances between voxel centres, mm; the first voxel and the directions stay.
+    ///
+    /// # Errors
+    /// A distance that is not positive.
+    pub fn set_spacing(&mut self, spacing_mm: [f64; 3]) -> Result<()> {
+        if !spacing_mm.iter().all(|s| s.is_finite() && (1e-9..1e9).contains(s)) {
+            return Err(Error::value("spacing", format!("{spacing_mm:?} are not three positive distances in mm")));
+        }
+        let direction = self.direction();
+        self.world_from_voxel.matrix3 = direction * DMat3::from_diagonal(DVec3::from_array(spacing_mm));
+        Ok(())
     }
 
     /// A volume of nothing over a box, 128 voxels along its longest edge: what a scene of meshes alone is measured by.
@@ -141,7 +204,14 @@ impl Volume {
         letters.iter().collect()
     }
 
-    /// A histogram of the finite values.
+    /// The angle between the k axis and the normal of the planes of i and j, degrees: a CT gantry's tilt.
+    pub fn tilt_degrees(&self) -> f64 {
+        let m = self.world_from_voxel.matrix3;
+        let normal = m.x_axis.cross(m.y_axis).normalize_or_zero();
+        normal.cross(m.z_axis).length().atan2(normal.dot(m.z_axis).abs()).to_degrees()
+    }
+
+    /// A histogram of the finite values that are no padding.
     pub fn histogram(&self, bins: usize) -> Histogram {
         let [low, high] = self.range;
         let scale = bins as f64 / (high - low).max(f64::MIN_POSITIVE);
@@ -149,7 +219,7 @@ impl Volume {
         let counts = self.voxels.fold(
             || vec![0u64; bins],
             |mut counts, stored| {
-                if stored.is_finite() {
+                if stored.is_finite() && !self.is_padding(stored) {
                     let bin = ((stored * slope + intercept - low) * scale) as usize;
                     counts[bin.min(bins - 1)] += 1;
                 }
@@ -195,7 +265,7 @@ impl Volume {
     /// declares to be one, or that looks like one (at most 1000 labels; at least 90 % of all voxels, and 75 % of those with a label,
     /// equal their neighbour along i).
     pub fn labels(&self) -> Option<usize> {
-        if self.rescale != Rescale::NONE || !self.voxels.is_integer() || self.range[0] < 0.0 || self.range[1] > 65_535.0 {
+        if self.colors.is_some() || self.padding.is_some() || self.rescale != Rescale::NONE || !self.voxels.is_integer() || self.range[0] < 0.0 || self.range[1] > 65_535.0 {
             return None;
         }
         let mut seen = vec![false; self.range[1] as usize + 1];

@@ -93,6 +93,63 @@ impl Voxels {
         with_voxels!(self, v => size_of_val(&v[..]) / v.len().max(1))
     }
 
+    /// Makes room for more values.
+    pub(super) fn reserve(&mut self, more: usize) {
+        // Without room the values move when they are appended.
+        let _moves = with_voxels!(self, v => Arc::make_mut(v).try_reserve_exact(more));
+    }
+
+    /// Appends values of the same type; false if they are of another.
+    pub(super) fn append(&mut self, more: &Self) -> bool {
+        macro_rules! same {
+            ($($variant:ident),*) => {
+                match (self, more) {
+                    $((Self::$variant(all), Self::$variant(more)) => Arc::make_mut(all).extend_from_slice(more),)*
+                    _ => return false,
+                }
+            };
+        }
+        same!(U8, I8, U16, I16, U32, I32, U64, I64, F32, F64);
+        true
+    }
+
+    /// The highest value of an integer type; 1 of the others.
+    pub(super) fn top(&self) -> f64 {
+        match self {
+            Self::U8(_) => f64::from(u8::MAX),
+            Self::I8(_) => f64::from(i8::MAX),
+            Self::U16(_) => f64::from(u16::MAX),
+            Self::I16(_) => f64::from(i16::MAX),
+            Self::U32(_) => f64::from(u32::MAX),
+            Self::I32(_) => f64::from(i32::MAX),
+            Self::U64(_) => u64::MAX as f64,
+            Self::I64(_) => i64::MAX as f64,
+            Self::F32(_) | Self::F64(_) => 1.0,
+        }
+    }
+
+    /// `count` values of the same type, the n-th being the one at `index(n)`.
+    pub(super) fn gathered(&self, count: usize, index: impl Fn(usize) -> usize + Sync + Send) -> Self {
+        with_voxels!(self, v => (0..count).into_par_iter().map(|n| v[index(n)]).collect::<Vec<_>>().into())
+    }
+
+    /// `count` values of the same type, the n-th being the mix of two by a share of the second: `(first, second, share)`. Integers are rounded.
+    pub(super) fn mixed(&self, count: usize, of: impl Fn(usize) -> (usize, usize, f64) + Sync + Send) -> Self {
+        let round = self.is_integer();
+        with_voxels!(self, v => (0..count)
+            .into_par_iter()
+            .map(|n| {
+                let (a, b, share) = of(n);
+                if share <= 0.0 {
+                    return v[a];
+                }
+                let value = v[a] as f64 + (v[b] as f64 - v[a] as f64) * share;
+                (if round { value.round() } else { value }) as _
+            })
+            .collect::<Vec<_>>()
+            .into())
+    }
+
     /// Folds over all stored values in parallel.
     pub fn fold<A: Send>(
         &self,
@@ -106,14 +163,30 @@ impl Voxels {
             .reduce(&start, &join))
     }
 
-    /// Lowest and highest finite value (none if there is no finite one), and how many are not finite.
-    pub fn finite_range(&self) -> (Option<[f64; 2]>, usize) {
-        let (low, high, non_finite) = self.fold(
-            || (f64::INFINITY, f64::NEG_INFINITY, 0usize),
-            |(low, high, bad), x| if x.is_finite() { (low.min(x), high.max(x), bad) } else { (low, high, bad + 1) },
-            |a, b| (a.0.min(b.0), a.1.max(b.1), a.2 + b.2),
+    /// Lowest and highest value that is finite and no padding (none if there is none), how many are not finite, and how many are padding.
+    pub fn finite_range(&self, padding: Option<[f64; 2]>) -> (Option<[f64; 2]>, [usize; 2]) {
+        let Some([from, to]) = padding else {
+            let (low, high, bad) = self.fold(
+                || (f64::INFINITY, f64::NEG_INFINITY, 0usize),
+                |(low, high, bad), x| if x.is_finite() { (low.min(x), high.max(x), bad) } else { (low, high, bad + 1) },
+                |a, b| (a.0.min(b.0), a.1.max(b.1), a.2 + b.2),
+            );
+            return ((low <= high).then_some([low, high]), [bad, 0]);
+        };
+        let (low, high, bad, padded) = self.fold(
+            || (f64::INFINITY, f64::NEG_INFINITY, 0usize, 0usize),
+            |(low, high, bad, padded), x| {
+                if !x.is_finite() {
+                    (low, high, bad + 1, padded)
+                } else if (from..=to).contains(&x) {
+                    (low, high, bad, padded + 1)
+                } else {
+                    (low.min(x), high.max(x), bad, padded)
+                }
+            },
+            |a, b| (a.0.min(b.0), a.1.max(b.1), a.2 + b.2, a.3 + b.3),
         );
-        ((low <= high).then_some([low, high]), non_finite)
+        ((low <= high).then_some([low, high]), [bad, padded])
     }
 
     /// All values through `convert`, in parallel.

@@ -23,8 +23,9 @@ pub use bspline::BSplineGrid;
 pub(crate) use bspline::cubic_weights;
 pub use field::VectorField;
 
-use crate::volume::{GridGeometry, load};
-use crate::{Error, Result};
+use crate::volume::GridGeometry;
+use crate::volume::load::{self, Choice};
+use crate::{Error, Result, Watch};
 use glam::{DAffine3, DMat3, DVec3};
 use std::path::Path;
 
@@ -89,7 +90,7 @@ impl Transform {
         let name = path.file_name().map(|n| n.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
         let ends = |endings: &[&str]| endings.iter().any(|e| name.ends_with(e));
         if ends(&[".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd"]) {
-            let image = load::image(path, &mut |_, _| ())?;
+            let image = load::image(path, &Choice::default(), &Watch::NOBODY)?;
             let warnings = image.warnings.clone();
             return Ok(Self { steps: vec![Step::Field(VectorField::of_image(path, &image, context)?)], warnings });
         }

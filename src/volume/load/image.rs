@@ -1,18 +1,16 @@
 //! An image as a file stores it: typed values, one or several per voxel, and geometry. What the readers of all formats return, and
-//! how raw bytes become typed values.
+//! how it becomes a volume that can be shown.
 
+use super::super::colors::{self, Colors, Label};
 use super::super::{Rescale, Volume, Voxels};
+use super::Choice;
 use crate::{Error, Result};
-use flate2::read::MultiGzDecoder;
-use glam::{DAffine3, DMat3};
+use glam::{DAffine3, DMat3, DVec3};
 use rayon::prelude::*;
-use std::io::{BufReader, ErrorKind, Read};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use std::path::Path;
-
-/// Deflate cannot shrink data by more than this factor: a header that declares more is wrong.
-pub(super) const DEFLATE_LIMIT: u64 = 1040;
-/// NIfTI's intent code of label maps.
-const INTENT_LABEL: i16 = 1002;
 
 /// How the components of a voxel lie in memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,8 +21,34 @@ pub enum Layout {
     Interleaved,
 }
 
+/// What values are, as far as the file says.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Meaning {
+    /// Nothing is said.
+    Unstated,
+    /// Labels, of which these have names or colours.
+    Labels(Vec<Label>),
+    /// Red, green, blue and perhaps opacity, over the whole range of their type.
+    Color,
+    /// Vectors.
+    Vectors,
+    /// Channels of a microscope and the like.
+    Channels(Vec<Channel>),
+}
+
+/// How one channel is shown.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Channel {
+    /// Red, green, blue at its brightest.
+    pub color: [u8; 3],
+    /// Values that are black and brightest; those of the data by default.
+    pub window: Option<[f64; 2]>,
+}
+
 /// An image of one or several components.
 pub struct Image {
+    /// Name of the format.
+    pub format: &'static str,
     /// Stored values.
     pub voxels: Voxels,
     /// Voxels along i, j, k.
@@ -33,8 +57,14 @@ pub struct Image {
     pub components: usize,
     /// How they lie.
     pub layout: Layout,
+    /// What they are.
+    pub meaning: Meaning,
     /// Value = slope · stored + intercept.
     pub rescale: Rescale,
+    /// Lowest and highest stored value that stand for nothing at all (DICOM's pixel padding).
+    pub padding: Option<[f64; 2]>,
+    /// High values are dark (DICOM's MONOCHROME1).
+    pub inverted: bool,
     /// Voxel indices to world millimetres, LPS.
     pub world_from_voxel: DAffine3,
     /// NIfTI's intent code; 0 for other formats.
@@ -43,50 +73,183 @@ pub struct Image {
     pub frame: Option<DMat3>,
     /// The file says that it is a displacement map of this program: four components, the last being the mask.
     pub displacement: bool,
+    /// What else the file says of itself, for `info`.
+    pub details: Vec<(&'static str, Value)>,
     /// What was odd, one sentence each.
     pub warnings: Vec<String>,
 }
 
 impl Image {
-    /// The image as a scalar volume.
+    /// A scalar image of which nothing more is known.
+    pub fn new(format: &'static str, voxels: Voxels, size: [usize; 3], world_from_voxel: DAffine3) -> Self {
+        Self {
+            format,
+            voxels,
+            size,
+            components: 1,
+            layout: Layout::Interleaved,
+            meaning: Meaning::Unstated,
+            rescale: Rescale::NONE,
+            padding: None,
+            inverted: false,
+            world_from_voxel,
+            intent: 0,
+            frame: None,
+            displacement: false,
+            details: Vec::new(),
+            warnings: Vec::new(),
+        }
+    }
+
+    /// The image as a volume that can be shown: scalars as they are, colours as colours, a few channels as one colour, vectors by their
+    /// direction; or one channel alone.
     ///
     /// # Errors
-    /// Several components, or a range that cannot be represented.
-    pub fn into_volume(self, path: &Path) -> Result<Volume> {
-        if self.components != 1 {
-            return Err(Error::file(
-                path,
-                format!("holds {} values per voxel (a vector or displacement field); a scalar volume is needed", self.components),
-            ));
+    /// More components than can be shown together, a channel that does not exist, a range that cannot be represented.
+    pub fn into_volume(mut self, path: &Path, choice: &Choice) -> Result<Volume> {
+        let source_type = self.voxels.type_name();
+        let components = self.components;
+        if let Some(channel) = Choice::index("channel", choice.channel, components)? {
+            self.voxels = self.one_component(channel);
+            self.components = 1;
+            if !matches!(self.meaning, Meaning::Labels(_)) {
+                self.meaning = Meaning::Unstated;
+            }
         }
-        let mut volume = Volume::new(self.voxels, self.size, self.rescale, self.world_from_voxel);
+        let mut colors = None;
+        if self.components > 1 {
+            let (voxels, rgb) = self.colored(path)?;
+            (self.voxels, colors) = (voxels, Some(rgb));
+            (self.rescale, self.padding) = (Rescale::NONE, None);
+        }
+        let mut volume = Volume::with_padding(self.voxels, self.size, self.rescale, self.world_from_voxel, self.padding);
         if !(volume.range[1] - volume.range[0]).is_finite() {
             return Err(Error::file(path, "holds values whose range cannot be represented; rescale it"));
         }
+        volume.colors = colors;
+        volume.components = components;
+        volume.source_type = source_type;
+        volume.format = self.format;
+        volume.inverted = self.inverted;
+        volume.details = self.details;
         volume.warnings = self.warnings;
         if volume.non_finite > 0 {
             volume.warnings.push(format!("{} voxels are NaN or infinite and are rendered as empty", volume.non_finite));
         }
-        volume.declared_labels = self.intent == INTENT_LABEL;
+        if let Meaning::Labels(table) = self.meaning {
+            volume.declared_labels = true;
+            volume.label_table = table;
+        }
+        if let Some(spacing) = choice.spacing {
+            volume.set_spacing(spacing)?;
+        }
         Ok(volume)
+    }
+
+    /// Index of component `c` of voxel `v`.
+    #[inline(always)]
+    fn index(&self, c: usize, v: usize, voxels: usize) -> usize {
+        if self.layout == Layout::Planar { c * voxels + v } else { v * self.components + c }
     }
 
     /// Component `c` of every voxel, as data values.
     pub fn component(&self, c: usize) -> Vec<f32> {
         let n = self.size.iter().product::<usize>();
         let Rescale { slope, intercept } = self.rescale;
-        (0..n)
+        (0..n).into_par_iter().map(|v| (self.voxels.get(self.index(c, v, n)) * slope + intercept) as f32).collect()
+    }
+
+    /// Component `c` of every voxel, as it is stored.
+    fn one_component(&self, c: usize) -> Voxels {
+        let n = self.size.iter().product::<usize>();
+        self.voxels.gathered(n, |v| self.index(c, v, n))
+    }
+
+    /// One value and one colour for every voxel of several components.
+    fn colored(&mut self, path: &Path) -> Result<(Voxels, Colors)> {
+        let (n, c) = (self.size.iter().product::<usize>(), self.components);
+        let bytes = matches!(self.voxels, Voxels::U8(_));
+        if matches!(self.meaning, Meaning::Unstated) {
+            self.meaning = match c {
+                3 | 4 if bytes => Meaning::Color,
+                3 if !self.voxels.is_integer() => Meaning::Vectors,
+                _ => Meaning::Channels(Vec::new()),
+            };
+        }
+        let from = |voxels: &Voxels, index: usize| voxels.get(index);
+        match std::mem::replace(&mut self.meaning, Meaning::Unstated) {
+            Meaning::Color if c == 3 || c == 4 => {
+                if bytes && self.layout == Layout::Interleaved {
+                    let taken = std::mem::replace(&mut self.voxels, Vec::<u8>::new().into());
+                    if let Voxels::U8(values) = taken {
+                        return Ok(colors::of_interleaved(std::sync::Arc::unwrap_or_clone(values), c));
+                    }
+                }
+                let top = self.voxels.top();
+                let rgb = (0..n * c)
+                    .into_par_iter()
+                    .map(|at| (from(&self.voxels, self.index(at % c, at / c, n)) / top * 255.0 + 0.5).clamp(0.0, 255.0) as u8)
+                    .collect();
+                Ok(colors::of_interleaved(rgb, c))
+            }
+            Meaning::Vectors if c == 3 => {
+                self.warnings.push("holds vectors; their direction is shown as colour (x red, y green, z blue) and their length as value".into());
+                let length = |v: usize| DVec3::from_array(std::array::from_fn(|k| from(&self.voxels, self.index(k, v, n)))).abs();
+                let values: Vec<f32> = (0..n).into_par_iter().map(|v| length(v).length() as f32).collect();
+                let rgb = (0..n)
+                    .into_par_iter()
+                    .flat_map_iter(|v| {
+                        let d = length(v).normalize_or_zero();
+                        d.to_array().map(|x| if x.is_finite() { (x * 255.0 + 0.5) as u8 } else { 0 })
+                    })
+                    .collect();
+                Ok((values.into(), Colors::rgb(rgb)))
+            }
+            Meaning::Channels(looks) if c <= 4 => {
+                self.warnings.push(format!("holds {c} channels, shown together in colour; choose one with --channel 1 to {c} to see its values"));
+                let planes: Vec<Channel> = (0..c).map(|k| looks.get(k).cloned().unwrap_or(Channel { color: colors::CHANNELS[k], window: None })).collect();
+                let windows: Vec<[f64; 2]> = (0..c).map(|k| planes[k].window.unwrap_or_else(|| self.range_of(k, n))).collect();
+                let shares = |v: usize| -> [f64; 4] {
+                    std::array::from_fn(|k| {
+                        if k >= c {
+                            return 0.0;
+                        }
+                        let [low, high] = windows[k];
+                        let share = (from(&self.voxels, self.index(k, v, n)) - low) / (high - low).max(f64::MIN_POSITIVE);
+                        if share.is_finite() { share.clamp(0.0, 1.0) } else { 0.0 }
+                    })
+                };
+                let values: Vec<u8> = (0..n).into_par_iter().map(|v| (shares(v).into_iter().fold(0.0, f64::max) * 255.0 + 0.5) as u8).collect();
+                let rgb = (0..n)
+                    .into_par_iter()
+                    .flat_map_iter(|v| {
+                        let share = shares(v);
+                        std::array::from_fn::<u8, 3, _>(|b| {
+                            (0..c).map(|k| share[k] * f64::from(planes[k].color[b])).sum::<f64>().min(255.0).round() as u8
+                        })
+                    })
+                    .collect();
+                Ok((values.into(), Colors::rgb(rgb)))
+            }
+            _ => Err(Error::file(path, format!("holds {c} values per voxel, which cannot be shown together; choose one with --channel 1 to {c}"))),
+        }
+    }
+
+    /// Lowest and highest finite value of a component.
+    fn range_of(&self, c: usize, n: usize) -> [f64; 2] {
+        let (low, high) = (0..n)
             .into_par_iter()
-            .map(|v| {
-                let index = if self.layout == Layout::Planar { c * n + v } else { v * self.components + c };
-                (self.voxels.get(index) * slope + intercept) as f32
-            })
-            .collect()
+            .map(|v| self.voxels.get(self.index(c, v, n)))
+            .filter(|v| v.is_finite())
+            .map(|v| (v, v))
+            .reduce(|| (f64::INFINITY, f64::NEG_INFINITY), |a, b| (a.0.min(b.0), a.1.max(b.1)));
+        if low < high { [low, high] } else { [0.0, 1.0] }
     }
 }
 
 /// The stored types.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
 #[allow(missing_docs, reason = "the variants are the Rust types")]
 pub enum ScalarType {
     U8,
@@ -111,88 +274,21 @@ impl ScalarType {
             Self::U64 | Self::I64 | Self::F64 => 8,
         }
     }
-}
 
-/// A file's bytes, unzipped if it starts as a gzip stream does; its size, and whether it was zipped.
-pub(super) fn open(path: &Path) -> Result<(Box<dyn Read>, u64, bool)> {
-    let file = std::fs::File::open(path).map_err(|e| Error::io(path, "opening", e))?;
-    let file_bytes = file.metadata().map_err(|e| Error::io(path, "reading", e))?.len();
-    let mut reader = BufReader::with_capacity(1 << 18, file);
-    let mut magic = [0u8; 2];
-    reader.read_exact(&mut magic).map_err(|e| read_error(path, e))?;
-    let start = std::io::Cursor::new(magic);
-    if magic == [0x1f, 0x8b] {
-        Ok((Box::new(BufReader::with_capacity(1 << 18, MultiGzDecoder::new(start.chain(reader)))), file_bytes, true))
-    } else {
-        Ok((Box::new(start.chain(reader)), file_bytes, false))
-    }
-}
-
-pub(super) fn read_error(path: &Path, e: std::io::Error) -> Error {
-    match e.kind() {
-        ErrorKind::UnexpectedEof => Error::file(path, "ends too early: the file is truncated; copy or download it again"),
-        ErrorKind::InvalidInput | ErrorKind::InvalidData => {
-            Error::file(path, format!("its compressed stream is damaged ({e}); copy or download it again"))
-        }
-        _ => Error::io(path, "reading", e),
-    }
-}
-
-/// A scalar whose bytes can be read straight from the file.
-trait Stored: bytemuck::Pod + Default {
-    fn swap(self) -> Self;
-}
-macro_rules! stored {
-    ($($t:ty),*) => {$(impl Stored for $t {
-        fn swap(self) -> Self {
-            Self::from_ne_bytes({ let mut b = self.to_ne_bytes(); b.reverse(); b })
-        }
-    })*};
-}
-stored!(u8, i8, u16, i16, u32, i32, u64, i64, f32, f64);
-
-/// Bytes that become typed values.
-pub(super) struct Source<'a, R> {
-    pub path: &'a Path,
-    pub reader: R,
-    pub swap: bool,
-    pub count: usize,
-    pub progress: &'a mut dyn FnMut(u64, u64),
-}
-
-impl<R: Read> Source<'_, R> {
-    /// Reads values of a type known only now.
-    pub fn read_as(&mut self, scalar: ScalarType) -> Result<Voxels> {
-        Ok(match scalar {
-            ScalarType::U8 => self.read::<u8>()?.into(),
-            ScalarType::I8 => self.read::<i8>()?.into(),
-            ScalarType::U16 => self.read::<u16>()?.into(),
-            ScalarType::I16 => self.read::<i16>()?.into(),
-            ScalarType::U32 => self.read::<u32>()?.into(),
-            ScalarType::I32 => self.read::<i32>()?.into(),
-            ScalarType::U64 => self.read::<u64>()?.into(),
-            ScalarType::I64 => self.read::<i64>()?.into(),
-            ScalarType::F32 => self.read::<f32>()?.into(),
-            ScalarType::F64 => self.read::<f64>()?.into(),
+    /// The type of a name that people and file names use: `u8`, `uint8`, `uchar`, `short`, `float32` and the like.
+    pub fn named(name: &str) -> Option<Self> {
+        Some(match name.trim().to_ascii_lowercase().as_str() {
+            "u8" | "uint8" | "uchar" | "byte" => Self::U8,
+            "i8" | "int8" | "char" => Self::I8,
+            "u16" | "uint16" | "ushort" => Self::U16,
+            "i16" | "int16" | "short" => Self::I16,
+            "u32" | "uint32" | "uint" => Self::U32,
+            "i32" | "int32" | "int" => Self::I32,
+            "u64" | "uint64" => Self::U64,
+            "i64" | "int64" => Self::I64,
+            "f32" | "float32" | "float" => Self::F32,
+            "f64" | "float64" | "double" => Self::F64,
+            _ => return None,
         })
-    }
-
-    /// Reads in pieces into the one array that stays: nothing is held twice.
-    fn read<T: Stored>(&mut self) -> Result<Vec<T>> {
-        const PIECE: usize = 1 << 20;
-        let all = (self.count * size_of::<T>()) as u64;
-        let mut values: Vec<T> = Vec::new();
-        values.try_reserve_exact(self.count).map_err(|_| Error::file(self.path, format!("needs {} MiB of memory, more than there is", all >> 20)))?;
-        while values.len() < self.count {
-            let from = values.len();
-            values.resize((from + PIECE).min(self.count), T::default());
-            let piece = &mut values[from..];
-            self.reader.read_exact(bytemuck::cast_slice_mut(piece)).map_err(|e| read_error(self.path, e))?;
-            if self.swap {
-                piece.iter_mut().for_each(|v| *v = v.swap());
-            }
-            (self.progress)((values.len() * size_of::<T>()) as u64, all);
-        }
-        Ok(values)
     }
 }

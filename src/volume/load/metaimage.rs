@@ -1,26 +1,29 @@
-//! MetaImage, `.mha` or `.mhd` with its data beside it, raw or zlib, scalar or with several channels.
+//! MetaImage, `.mha` or `.mhd` with its data beside it in one file or many, raw, zlib or text, scalar or with several channels.
 //!
 //! *Geometry*: `Offset` and `TransformMatrix` (three consecutive numbers are one axis' direction) in LPS, as ITK writes them.
 //! Source: the MetaIO format (ITK, MetaImage documentation).
 
-use super::super::Rescale;
-use super::image::{DEFLATE_LIMIT, Image, Layout, ScalarType, Source, read_error};
-use crate::{Error, Result};
+use super::Choice;
+use super::image::{Image, ScalarType};
+use super::nrrd::{last_bytes, numbered};
+use super::source::{Chain, DEFLATE_LIMIT, Source, beside, buffered, check_held, count, open_file, read_error, skip};
+use crate::{Error, Result, Watch};
 use flate2::read::ZlibDecoder;
 use glam::{DAffine3, DMat3, DVec3};
+use serde_json::json;
 use std::collections::HashMap;
-use std::io::{BufRead, BufReader, Read};
-use std::path::Path;
+use std::io::{BufRead, Read};
+use std::path::{Path, PathBuf};
 
+/// Most data files of a list.
+const MOST_FILES: usize = 100_000;
 /// Longest header that is read.
 const MOST_HEADER: u64 = 1 << 20;
 
 /// Reads an image.
-pub fn read(path: &Path, progress: &mut dyn FnMut(u64, u64)) -> Result<Image> {
+pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
     let fail = |problem: String| Error::file(path, problem);
-    let file = std::fs::File::open(path).map_err(|e| Error::io(path, "opening", e))?;
-    let mut file_bytes = file.metadata().map_err(|e| Error::io(path, "reading", e))?.len();
-    let mut reader = BufReader::with_capacity(1 << 18, file);
+    let (mut reader, mut file_bytes) = buffered(path)?;
     let fields = header(path, &mut reader)?;
     let get = |names: &[&str]| names.iter().find_map(|n| fields.get(*n)).map(String::as_str);
     let numbers = |text: &str| text.split_whitespace().map(|w| w.parse::<f64>().ok().filter(|v| v.is_finite())).collect::<Option<Vec<f64>>>();
@@ -35,8 +38,10 @@ pub fn read(path: &Path, progress: &mut dyn FnMut(u64, u64)) -> Result<Image> {
         return Err(fail(format!("has {} axes; images of 1 to 3 can be read", sizes.len())));
     }
     let mut warnings = Vec::new();
-    if sizes.len() == 4 && sizes[3] > 1 {
-        warnings.push(format!("holds {} volumes; the first is used", sizes[3]));
+    let frames = sizes.get(3).copied().unwrap_or(1);
+    let time = choice.time_of(frames)?;
+    if frames > 1 && choice.time.is_none() {
+        warnings.push(format!("holds {frames} volumes; the first is used (--time chooses another)"));
     }
     let size: [usize; 3] = std::array::from_fn(|a| sizes.get(a).copied().unwrap_or(1));
     let components = match get(&["elementnumberofchannels"]) {
@@ -45,10 +50,7 @@ pub fn read(path: &Path, progress: &mut dyn FnMut(u64, u64)) -> Result<Image> {
     };
     let type_name = need("elementtype")?;
     let scalar = scalar_type(type_name).ok_or_else(|| fail(format!("stores \"{type_name}\", which is no type that can be read")))?;
-    let count = size.iter().chain([&components]).try_fold(1usize, |n, &d| n.checked_mul(d));
-    let count = count
-        .filter(|n| n.checked_mul(scalar.bytes()).is_some_and(|b| b < isize::MAX as usize))
-        .ok_or_else(|| fail("declares more values than can be addressed; its header is damaged".into()))?;
+    let stored = count(path, &[size[0], size[1], size[2], components], scalar)?;
     let list = |names: &[&str], n: usize| {
         get(names).map(|t| numbers(t).filter(|v| v.len() >= n).ok_or_else(|| fail(format!("has \"{t}\" for {}", names[0])))).transpose()
     };
@@ -68,52 +70,91 @@ pub fn read(path: &Path, progress: &mut dyn FnMut(u64, u64)) -> Result<Image> {
         return Err(fail("has singular axes; its geometry cannot be used".into()));
     }
     let data = need("elementdatafile")?;
-    if data.eq_ignore_ascii_case("list") || data.contains('%') {
-        return Err(fail("has its data in several files, which cannot be read; save it in one".into()));
-    }
-    if !data.eq_ignore_ascii_case("local") {
-        let other = path.parent().unwrap_or(Path::new("")).join(data);
-        let file = std::fs::File::open(&other).map_err(|e| Error::io(&other, "opening", e))?;
-        file_bytes = file.metadata().map_err(|e| Error::io(&other, "reading", e))?.len();
-        reader = BufReader::with_capacity(1 << 18, file);
-    }
     let yes = |names: &[&str]| get(names).is_some_and(|t| t.eq_ignore_ascii_case("true") || t == "1");
-    if get(&["binarydata"]).is_some_and(|t| t.eq_ignore_ascii_case("false")) {
-        return Err(fail("stores its values as text, which cannot be read; save it in binary".into()));
-    }
+    let text = get(&["binarydata"]).is_some_and(|t| t.eq_ignore_ascii_case("false"));
     let big = yes(&["binarydatabyteordermsb", "elementbyteordermsb"]);
     let swap = scalar.bytes() > 1 && big != cfg!(target_endian = "big");
-    let bytes = (count * scalar.bytes()) as u64;
     let compressed = yes(&["compresseddata"]);
-    if bytes / if compressed { DEFLATE_LIMIT } else { 1 } > file_bytes {
-        return Err(fail(format!("declares {bytes} bytes of values, more than the file can hold: it is truncated or its header is damaged")));
-    }
-    let voxels = if compressed {
-        Source { path, reader: ZlibDecoder::new(reader), swap, count, progress }.read_as(scalar)?
-    } else {
-        // -1 counts from the file's end.
-        let skip = match get(&["headersize"]).map_or(Ok(0i64), str::parse) {
-            Ok(-1) => file_bytes.saturating_sub(bytes),
-            Ok(n) if n >= 0 && !data.eq_ignore_ascii_case("local") => n as u64,
-            _ => 0,
-        };
-        if !data.eq_ignore_ascii_case("local") {
-            std::io::copy(&mut (&mut reader).take(skip), &mut std::io::sink()).map_err(|e| read_error(path, e))?;
+    let bytes = (stored * scalar.bytes()) as u64;
+    let ahead = bytes.saturating_mul(time as u64);
+    let local = data.eq_ignore_ascii_case("local");
+    let header_size = get(&["headersize"]).map_or(Ok(0i64), str::parse).map_err(|_| fail("has a HeaderSize that is no number".into()))?;
+    let pieces = if local { None } else { data_files(path, data, &mut reader).map_err(&fail)? };
+    let voxels = if let Some(files) = pieces {
+        let total = stored.checked_mul(frames).filter(|n| n.is_multiple_of(files.len()) && !text && header_size <= 0);
+        let total = total.ok_or_else(|| fail(format!("names {} data files, among which its values cannot be shared out", files.len())))?;
+        let piece = (total / files.len() * scalar.bytes()) as u64;
+        let mut most = 0u64;
+        for file in &files {
+            most = most.saturating_add(open_file(file)?.1);
         }
-        Source { path, reader, swap, count, progress }.read_as(scalar)?
+        check_held(path, ahead.saturating_add(bytes), most.saturating_mul(if compressed { DEFLATE_LIMIT } else { 1 }))?;
+        let open: fn(&Path, u64) -> Result<Box<dyn Read + Send>> = match (compressed, header_size) {
+            (true, _) => |p, _| Ok(Box::new(ZlibDecoder::new(buffered(p)?.0))),
+            (false, -1) => last_bytes,
+            _ => |p, _| Ok(Box::new(buffered(p)?.0)),
+        };
+        let mut chain = Chain::new(files, piece, open);
+        skip(path, &mut chain, ahead)?;
+        Source { path, reader: chain, swap, count: stored, watch }.read_as(scalar)?
+    } else {
+        let other = if local { path.to_owned() } else { beside(path, data) };
+        if !local {
+            (reader, file_bytes) = buffered(&other)?;
+        }
+        if text {
+            check_held(&other, (ahead / scalar.bytes() as u64 + stored as u64).saturating_mul(2).saturating_sub(1), file_bytes)?;
+            super::text::values(&other, reader, [stored * time, stored], scalar, watch)?
+        } else if compressed {
+            check_held(&other, ahead.saturating_add(bytes), file_bytes.saturating_mul(DEFLATE_LIMIT))?;
+            let mut decoder = ZlibDecoder::new(reader);
+            skip(&other, &mut decoder, ahead)?;
+            Source { path: &other, reader: decoder, swap, count: stored, watch }.read_as(scalar)?
+        } else {
+            check_held(&other, ahead.saturating_add(bytes), file_bytes)?;
+            // -1 counts from the file's end.
+            let before = match header_size {
+                -1 => file_bytes.saturating_sub(bytes.saturating_mul(frames as u64)),
+                n if n > 0 && !local => n as u64,
+                _ => 0,
+            };
+            if local && header_size == -1 {
+                reader = buffered(path)?.0;
+            }
+            skip(&other, &mut reader, before.saturating_add(ahead))?;
+            Source { path: &other, reader, swap, count: stored, watch }.read_as(scalar)?
+        }
     };
-    Ok(Image {
-        voxels,
-        size,
-        components,
-        layout: Layout::Interleaved,
-        rescale: Rescale::NONE,
-        world_from_voxel,
-        intent: 0,
-        frame: Some(DMat3::IDENTITY),
-        displacement: false,
-        warnings,
-    })
+    let mut image = Image::new("MetaImage", voxels, size, world_from_voxel);
+    (image.components, image.frame, image.warnings) = (components, Some(DMat3::IDENTITY), warnings);
+    if frames > 1 {
+        image.details.push(("time_points", json!(frames)));
+    }
+    Ok(image)
+}
+
+/// The data files where there are several: a list of names after the header, or a pattern with numbers.
+fn data_files(path: &Path, data: &str, reader: &mut impl BufRead) -> Result<Option<Vec<PathBuf>>, String> {
+    let words: Vec<&str> = data.split_whitespace().collect();
+    let names = if words.first().is_some_and(|w| w.eq_ignore_ascii_case("list")) {
+        let mut text = String::new();
+        reader.take(MOST_HEADER).read_to_string(&mut text).map_err(|_| "has a list of data files that is no text".to_owned())?;
+        text.lines().map(str::trim).filter(|l| !l.is_empty()).map(str::to_owned).collect()
+    } else if let [pattern, first, last, rest @ ..] = &words[..]
+        && pattern.contains('%')
+    {
+        let step = rest.first().map_or(Ok(1), |w| w.parse());
+        let (Ok(first), Ok(last), Ok(step)) = (first.parse(), last.parse(), step) else {
+            return Err(format!("has the data files \"{data}\", which cannot be read"));
+        };
+        numbered(pattern, first, last, step)?
+    } else {
+        return Ok(None);
+    };
+    if names.is_empty() || names.len() > MOST_FILES {
+        return Err(format!("names {} data files; 1 to {MOST_FILES} can be read", names.len()));
+    }
+    Ok(Some(names.iter().map(|n: &String| beside(path, n)).collect()))
 }
 
 /// `name = value` lines, names in lower case, up to the one that says where the data are.

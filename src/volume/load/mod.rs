@@ -1,50 +1,211 @@
 //! Reading volumes and vector images. One file per format.
+//!
+//! Which reader takes a file is decided by its ending where the ending is known, else by its first bytes; a file whose first bytes say that it
+//! is something else than its ending says is refused, with its right name.
 
+mod choice;
+mod dicom;
+mod guard;
 mod image;
 mod metaimage;
 mod nifti;
+mod npy;
 mod nrrd;
+mod raw;
+mod slices;
+mod source;
+mod text;
+mod tiff;
+mod vti;
+mod vtk;
+mod zarr;
 
-pub use image::{Image, Layout, ScalarType};
+pub use choice::{Choice, RawLayout};
+pub use dicom::SeriesInfo;
+pub use image::{Channel, Image, Layout, Meaning, ScalarType};
 
-use super::{Volume, phantom};
-use crate::{Error, Result};
+use super::{Volume, Voxels, phantom};
+use crate::{Error, Result, Watch};
 use std::path::Path;
 
 /// Endings of the files that can be read, for messages.
-pub const FORMATS: &str = "NIfTI-1 (.nii, .nii.gz), NRRD (.nrrd, .nhdr) and MetaImage (.mha, .mhd)";
+pub const FORMATS: &str = "DICOM (a file, a folder or a .zip), NIfTI (.nii, .nii.gz, .hdr/.img), NRRD (.nrrd, .nhdr), MetaImage (.mha, .mhd), \
+VTK (.vti, .vtk), TIFF, PNG, JPEG (one, or a folder of slices), NumPy (.npy), OME-Zarr (a folder) and raw values (.raw)";
+/// Bytes by which a format is recognised.
+const START: u64 = 1024;
 
-/// Reads a volume from a file, or makes the phantom that `phantom:NAME[:size=N]` names.
-///
-/// `progress` is told bytes read and bytes in all.
+/// The formats.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Format {
+    Dicom,
+    Nifti,
+    Nrrd,
+    MetaImage,
+    Vti,
+    Vtk,
+    Tiff,
+    Picture,
+    Npy,
+    Zip,
+    Raw,
+}
+
+impl Format {
+    /// Name, and the ending that a file of it should have.
+    fn called(self) -> &'static str {
+        match self {
+            Self::Dicom => "DICOM (.dcm)",
+            Self::Nifti => "NIfTI (.nii, .nii.gz or .hdr)",
+            Self::Nrrd => "NRRD (.nrrd)",
+            Self::MetaImage => "MetaImage (.mha)",
+            Self::Vti => "VTK XML (.vti)",
+            Self::Vtk => "legacy VTK (.vtk)",
+            Self::Tiff => "TIFF (.tif)",
+            Self::Picture => "a picture (.png, .jpg or .bmp)",
+            Self::Npy => "NumPy (.npy)",
+            Self::Zip => "a zip (.zip)",
+            Self::Raw => "raw values (.raw)",
+        }
+    }
+
+    /// By the name of a file.
+    fn of_name(path: &Path) -> Option<Self> {
+        let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
+        let ends = |endings: &[&str]| endings.iter().any(|e| name.ends_with(e));
+        Some(match () {
+            () if ends(&[".nii", ".nii.gz", ".hdr", ".hdr.gz", ".img", ".img.gz"]) => Self::Nifti,
+            () if ends(&[".nrrd", ".nhdr"]) => Self::Nrrd,
+            () if ends(&[".mha", ".mhd"]) => Self::MetaImage,
+            () if ends(&[".vti"]) => Self::Vti,
+            () if ends(&[".vtk"]) => Self::Vtk,
+            () if ends(&[".tif", ".tiff"]) => Self::Tiff,
+            () if ends(&[".png", ".jpg", ".jpeg", ".bmp"]) => Self::Picture,
+            () if ends(&[".npy"]) => Self::Npy,
+            () if ends(&[".dcm", ".dicom", ".ima"]) => Self::Dicom,
+            () if ends(&[".zip"]) => Self::Zip,
+            () if ends(&[".raw", ".raw.gz"]) => Self::Raw,
+            () => return None,
+        })
+    }
+
+    /// By the first bytes of a file, unzipped; none if they say nothing for certain.
+    fn of_start(start: &[u8]) -> Option<Self> {
+        let header = |at: usize| start.get(at..at + 4).map(|b| i32::from_le_bytes([b[0], b[1], b[2], b[3]]));
+        let xml = String::from_utf8_lossy(&start[..start.len().min(512)]).into_owned();
+        Some(match () {
+            () if dicom::is_dicom(start) => Self::Dicom,
+            () if start.starts_with(b"NRRD000") => Self::Nrrd,
+            () if start.starts_with(b"ObjectType") || start.starts_with(b"NDims") => Self::MetaImage,
+            () if xml.trim_start().starts_with('<') && xml.contains("<VTKFile") => Self::Vti,
+            () if start.starts_with(b"# vtk DataFile") => Self::Vtk,
+            () if start.starts_with(b"II*\0") || start.starts_with(b"MM\0*") || start.starts_with(b"II+\0") || start.starts_with(b"MM\0+") => Self::Tiff,
+            () if start.starts_with(b"\x89PNG") || start.starts_with(&[0xff, 0xd8, 0xff]) => Self::Picture,
+            () if start.starts_with(b"\x93NUMPY") => Self::Npy,
+            () if start.starts_with(b"PK\x03\x04") => Self::Zip,
+            () if header(0).is_some_and(|n| [348, 540].contains(&n) || [348, 540].contains(&n.swap_bytes())) && start.len() >= 348 => Self::Nifti,
+            () => return None,
+        })
+    }
+}
+
+/// Reads a volume from a file or folder, or makes the phantom that `phantom:NAME[:size=N]` names.
 ///
 /// # Errors
-/// A missing or unreadable file, a format that is not known, a damaged file: each named with what to do.
-pub fn volume(path: &Path, progress: &mut dyn FnMut(u64, u64)) -> Result<Volume> {
+/// A missing or unreadable file, a format that is not known, a damaged file: each named with what to do. [`Error::Cancelled`].
+pub fn volume(path: &Path, choice: &Choice, watch: &Watch) -> Result<Volume> {
     if let Some(spec) = path.to_str().and_then(|p| p.strip_prefix("phantom:")) {
         return phantom::from_spec(spec);
     }
-    image(path, progress)?.into_volume(path)
+    let volume = image(path, choice, watch)?.into_volume(path, choice)?;
+    watch.check()?;
+    Ok(volume)
 }
 
 /// Reads an image of one or several components.
 ///
 /// # Errors
 /// As [`volume`].
-pub fn image(path: &Path, progress: &mut dyn FnMut(u64, u64)) -> Result<Image> {
+pub fn image(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
     let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, "opening", e))?;
     if metadata.is_dir() {
-        return Err(Error::file(path, "is a folder; name an image file, a scene (.toml) or a phantom (phantom:NAME)"));
+        return folder(path, choice, watch);
     }
-    let name = path.file_name().map(|n| n.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
-    let ends = |endings: &[&str]| endings.iter().any(|e| name.ends_with(e));
-    if ends(&[".nii", ".nii.gz"]) {
-        nifti::read(path, progress)
-    } else if ends(&[".nrrd", ".nhdr"]) {
-        nrrd::read(path, progress)
-    } else if ends(&[".mha", ".mhd"]) {
-        metaimage::read(path, progress)
-    } else {
-        Err(Error::file(path, format!("is of a format that cannot be read; {FORMATS} can")))
+    if matches!(path.file_name().and_then(|n| n.to_str()), Some(".zattrs" | ".zgroup" | ".zarray" | "zarr.json")) {
+        return zarr::read(path.parent().unwrap_or(Path::new("")), choice, watch);
     }
+    if path.file_name().is_some_and(|n| n.eq_ignore_ascii_case("DICOMDIR")) {
+        // The folder holds what it lists.
+        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        return dicom::read(folder, choice, watch);
+    }
+    if metadata.is_file() && metadata.len() == 0 {
+        return Err(Error::file(path, "is empty; copy or download it again"));
+    }
+    match format_of(path, choice)? {
+        Format::Dicom | Format::Zip => dicom::read(path, choice, watch),
+        Format::Nifti => nifti::read(path, choice, watch),
+        Format::Nrrd => nrrd::read(path, choice, watch),
+        Format::MetaImage => metaimage::read(path, choice, watch),
+        Format::Vti => vti::read(path, choice, watch),
+        Format::Vtk => vtk::read(path, choice, watch),
+        Format::Tiff => tiff::read(path, choice, watch),
+        Format::Picture => slices::read(path, choice, watch),
+        Format::Npy => npy::read(path, choice, watch),
+        Format::Raw => raw::read(path, choice, watch),
+    }
+}
+
+/// What a file is.
+fn format_of(path: &Path, choice: &Choice) -> Result<Format> {
+    if choice.raw.is_some() {
+        return Ok(Format::Raw);
+    }
+    let start = source::first_bytes(path, START)?;
+    let (by_name, by_start) = (Format::of_name(path), Format::of_start(&start));
+    match (by_name, by_start) {
+        // Raw values may look like anything; half of a pair holds nothing but values.
+        (Some(Format::Raw), _) => Ok(Format::Raw),
+        (Some(Format::Nifti), Some(_)) if path.to_string_lossy().to_ascii_lowercase().contains(".img") => Ok(Format::Nifti),
+        (Some(name), Some(start)) if name != start => {
+            Err(Error::file(path, format!("is not what its name says: its content is {}; rename it", start.called())))
+        }
+        (Some(name), _) => Ok(name),
+        (None, Some(start)) => Ok(start),
+        (None, None) => Err(Error::file(path, format!("is of a format that cannot be read; {FORMATS} can"))),
+    }
+}
+
+/// A folder: OME-Zarr, DICOM in it or in its folders, or pictures in it.
+fn folder(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
+    if zarr::is_zarr(path) {
+        return zarr::read(path, choice, watch);
+    }
+    let pictures = slices::pictures(path)?;
+    if pictures.is_empty() || dicom::any(path, watch)? {
+        return dicom::read(path, choice, watch);
+    }
+    slices::read_folder(path, &pictures, choice, watch)
+}
+
+/// Whether a file, existing or not, is or would be one of those that are read of a folder that holds it.
+pub fn is_part_of(folder: &Path, file: &Path) -> bool {
+    let direct = file.parent().is_some_and(|p| p.canonicalize().ok() == folder.canonicalize().ok());
+    let dicom = source::first_bytes(file, START).is_ok_and(|start| dicom::is_dicom(&start));
+    dicom || direct && slices::is_picture(file) && slices::pictures(folder).is_ok_and(|p| p.iter().any(|p| p.file_name() != file.file_name()))
+}
+
+/// The DICOM series in a file, folder or zip, the largest first; none if it is something else. `patient`: with the patient's name and identity.
+///
+/// # Errors
+/// A file that cannot be read.
+pub fn series(path: &Path, patient: bool, watch: &Watch) -> Result<Option<Vec<SeriesInfo>>> {
+    let is_phantom = path.to_str().is_some_and(|p| p.starts_with("phantom:"));
+    let holds = !is_phantom
+        && if path.is_dir() {
+            !zarr::is_zarr(path) && dicom::any(path, watch)?
+        } else {
+            let start = source::first_bytes(path, START)?;
+            matches!(Format::of_start(&start), Some(Format::Dicom | Format::Zip))
+        };
+    if holds { dicom::list(path, patient, watch).map(Some) } else { Ok(None) }
 }

@@ -1,33 +1,112 @@
-//! NIfTI-1 in one file, `.nii` or `.nii.gz`, of either byte order and every real scalar type.
+//! NIfTI-1 and NIfTI-2, in one file (`.nii`) or a pair (`.hdr` and `.img`), plain or gzipped, of either byte order; and the Analyze 7.5
+//! pairs that NIfTI-1 grew out of.
 //!
 //! Own code instead of the `nifti` crate, because voxels must stay as they are stored (it converts before it scales), headers must
-//! not be trusted (its qform code panics on bad ones) and a header's size must allocate nothing before the file is known to hold it.
+//! not be trusted (its qform code panics on bad ones), it has no NIfTI-2, and a header's size must allocate nothing before the file is
+//! known to hold it.
 //!
 //! *Geometry*: sform if its code is positive and it is invertible, else qform, else the bare spacing; NIfTI's world is RAS+, ours
-//! is LPS, so x and y change sign. Source: nifti1.h, the NIfTI-1 data format (Cox et al. 2004), "METHOD 2" and "METHOD 3".
+//! is LPS, so x and y change sign. Source: nifti1.h and nifti2.h (Cox et al. 2004, 2011), "METHOD 2" and "METHOD 3".
 
 use super::super::Rescale;
-use super::image::{DEFLATE_LIMIT, Image, Layout, ScalarType, Source, open, read_error};
-use crate::{Error, Result};
+use super::image::{Image, Layout, Meaning, ScalarType};
+use super::source::{Source, check_end, check_held, count, open, read_error, skip};
+use super::Choice;
+use crate::{Error, Result, Watch};
 use glam::{DAffine3, DMat3, DQuat, DVec3};
-use std::io::{ErrorKind, Read};
-use std::path::Path;
+use serde_json::json;
+use std::io::Read;
+use std::path::{Path, PathBuf};
 
-const HEADER_BYTES: usize = 348;
+/// NIfTI's intent code of label maps.
+const INTENT_LABEL: i16 = 1002;
+/// Intents of colours.
+const INTENT_RGB: [i16; 2] = [2003, 2004];
+/// Intents of vectors.
+const INTENT_VECTOR: [i16; 2] = [1006, 1007];
+/// Headers of the two versions, bytes.
+const HEADER_BYTES: [usize; 2] = [348, 540];
 
-/// Reads an image with all its components, or a volume (of a series in time, the first).
-pub fn read(path: &Path, progress: &mut dyn FnMut(u64, u64)) -> Result<Image> {
-    let (reader, file_bytes, gzipped) = open(path)?;
-    parse(path, reader, if gzipped { file_bytes.saturating_mul(DEFLATE_LIMIT) } else { file_bytes }, progress)
+/// Reads an image with all its components, or a volume (of a series in time, one).
+pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
+    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    let (header_path, data_path) = match name.to_ascii_lowercase().as_str() {
+        n if n.ends_with(".img") || n.ends_with(".img.gz") => (partner(path, &name, "img", "hdr")?, Some(path.to_owned())),
+        n if n.ends_with(".hdr") || n.ends_with(".hdr.gz") => (path.to_owned(), Some(partner(path, &name, "hdr", "img")?)),
+        _ => (path.to_owned(), None),
+    };
+    let (mut reader, most_bytes) = open(&header_path)?;
+    let header = Header::read(&header_path, &mut reader)?;
+    match (data_path, header.paired) {
+        (Some(data), true) => {
+            let (reader, most_bytes) = open(&data)?;
+            header.image(&data, reader, most_bytes, 0, choice, watch)
+        }
+        (None, true) => Err(Error::file(path, "is the header of a .hdr/.img pair under another name; give it back the ending .hdr beside its .img")),
+        // One file under one of the pair's names.
+        (_, false) => header.image(&header_path, reader, most_bytes, header.bytes.len() as u64, choice, watch),
+    }
 }
 
-/// The 348 header bytes with their byte order.
+/// The other file of a pair: the same name with another ending in either case, gzipped or not.
+fn partner(path: &Path, name: &str, own: &str, other: &str) -> Result<PathBuf> {
+    let at = name.to_ascii_lowercase().rfind(own).unwrap_or(name.len());
+    let other_case = if name.get(at..at + own.len()).is_some_and(|e| e.chars().all(|c| c.is_ascii_uppercase())) { other.to_ascii_uppercase() } else { other.to_owned() };
+    let stem = name.get(..at).unwrap_or(name);
+    let candidates = [format!("{stem}{other_case}"), format!("{stem}{other_case}.gz")].map(|n| path.with_file_name(n));
+    candidates
+        .into_iter()
+        .find(|p| p.exists())
+        .ok_or_else(|| Error::file(path, format!("is half of a pair: {stem}{other_case} is missing beside it")))
+}
+
+/// The header bytes with their byte order and version.
 struct Header {
-    bytes: [u8; HEADER_BYTES],
+    bytes: Vec<u8>,
     swap: bool,
+    version: Version,
+    /// The voxels lie in another file.
+    paired: bool,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Version {
+    Analyze,
+    One,
+    Two,
 }
 
 impl Header {
+    fn read(path: &Path, reader: &mut impl Read) -> Result<Self> {
+        let mut bytes = vec![0u8; HEADER_BYTES[0]];
+        reader.read_exact(&mut bytes).map_err(|e| read_error(path, e))?;
+        let size = i32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
+        let (two, swap) = match (size, size.swap_bytes()) {
+            (348, _) => (false, false),
+            (_, 348) => (false, true),
+            (540, _) => (true, false),
+            (_, 540) => (true, true),
+            _ => return Err(Error::file(path, format!("is not a NIfTI file (header size {size} instead of 348 or 540)"))),
+        };
+        let version = if two {
+            let mut rest = vec![0u8; HEADER_BYTES[1] - HEADER_BYTES[0]];
+            reader.read_exact(&mut rest).map_err(|e| read_error(path, e))?;
+            bytes.extend(rest);
+            Version::Two
+        } else {
+            Version::One
+        };
+        let magic: &[u8] = if two { &bytes[4..8] } else { &bytes[344..348] };
+        let (version, paired) = match magic {
+            b"n+1\0" | b"n+2\0" => (version, false),
+            b"ni1\0" | b"ni2\0" => (version, true),
+            // Analyze has no magic; what it has there is a field that nobody uses.
+            _ if !two && bytes[344..348].iter().all(|b| *b == 0) => (Version::Analyze, true),
+            other => return Err(Error::file(path, format!("is not a NIfTI file (magic {:?})", String::from_utf8_lossy(other)))),
+        };
+        Ok(Self { bytes, swap, version, paired })
+    }
+
     fn field<const N: usize>(&self, at: usize) -> [u8; N] {
         let mut bytes = [0u8; N];
         bytes.copy_from_slice(&self.bytes[at..at + N]);
@@ -36,78 +115,192 @@ impl Header {
         }
         bytes
     }
-    fn i16(&self, at: usize) -> i16 {
-        i16::from_le_bytes(self.field(at))
-    }
-    fn f32(&self, at: usize) -> f64 {
-        f64::from(f32::from_le_bytes(self.field(at)))
-    }
-}
 
-fn parse(path: &Path, mut reader: impl Read, most_bytes: u64, progress: &mut dyn FnMut(u64, u64)) -> Result<Image> {
-    let fail = |problem: String| Error::file(path, problem);
-    let mut bytes = [0u8; HEADER_BYTES];
-    reader.read_exact(&mut bytes).map_err(|e| read_error(path, e))?;
-    let header_size = i32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
-    let swap = match header_size {
-        348 => false,
-        s if s.swap_bytes() == 348 => true,
-        s if s == 540 || s.swap_bytes() == 540 => {
-            return Err(fail("is NIfTI-2, which cannot be read yet; convert it to NIfTI-1".into()));
+    /// An integer of NIfTI-1 (16 bits) or NIfTI-2 (64 or 32 bits).
+    fn integer(&self, one: usize, two: usize, two_bytes: usize) -> i64 {
+        match (self.version, two_bytes) {
+            (Version::Two, 8) => i64::from_le_bytes(self.field(two)),
+            (Version::Two, 4) => i64::from(i32::from_le_bytes(self.field(two))),
+            (Version::Two, _) => i64::from(i16::from_le_bytes(self.field(two))),
+            _ => i64::from(i16::from_le_bytes(self.field(one))),
         }
-        s => return Err(fail(format!("is not a NIfTI-1 file (header size {s} instead of 348)"))),
-    };
-    let h = Header { bytes, swap };
-    match &bytes[344..348] {
-        b"n+1\0" => {}
-        b"ni1\0" => return Err(fail("is the header of a .hdr/.img pair; convert it to a single .nii file".into())),
-        other => return Err(fail(format!("is not a NIfTI-1 file (magic {:?})", String::from_utf8_lossy(other)))),
     }
-    let mut warnings = Vec::new();
-    let dim = dimensions(&h).map_err(&fail)?;
-    let size = [dim[0], dim[1], dim[2]];
-    let intent = h.i16(68);
-    // Vectors lie along the fifth axis; FSL's warps have theirs along the fourth.
-    let fsl = (2006..=2009).contains(&intent);
-    let (components, frames) = if fsl && dim[4] == 1 { (dim[3], 1) } else { (dim[4], dim[3] * dim[5] * dim[6]) };
-    if frames > 1 && components > 1 {
-        return Err(fail(format!("holds {components} values per voxel at {frames} times; a single time is needed")));
-    }
-    if frames > 1 {
-        warnings.push(format!("holds {frames} volumes; the first is used"));
-    }
-    let count = size.iter().chain([&components]).try_fold(1usize, |n, &d| n.checked_mul(d));
-    let datatype = h.i16(70);
-    let scalar = scalar_type(datatype)
-        .ok_or_else(|| fail(format!("stores {}, which cannot be rendered; convert it to a real scalar type", datatype_name(datatype))))?;
-    let bytes_per_voxel = scalar.bytes();
-    let voxel_bytes = count.and_then(|n| n.checked_mul(bytes_per_voxel)).filter(|&b| b < isize::MAX as usize);
-    let (Some(count), Some(voxel_bytes)) = (count, voxel_bytes) else {
-        return Err(fail(format!(
-            "declares {} x {} x {} voxels, which is more than can be addressed; its header is damaged",
-            size[0], size[1], size[2]
-        )));
-    };
-    let offset = h.f32(108);
-    let offset = if offset.is_finite() && (352.0..1e15).contains(&offset) { offset as u64 } else { 352 };
-    if (voxel_bytes as u64).saturating_add(offset) > most_bytes {
-        return Err(fail(format!(
-            "declares {} x {} x {} voxels of {bytes_per_voxel} bytes, more than the file can hold: it is truncated or its header is damaged; copy or download it again",
-            size[0], size[1], size[2]
-        )));
-    }
-    // Extensions lie between the header and the voxels.
-    let mut skip = (&mut reader).take(offset - HEADER_BYTES as u64);
-    std::io::copy(&mut skip, &mut std::io::sink()).map_err(|e| read_error(path, e))?;
 
-    let mut source = Source { path, reader, swap: swap != cfg!(target_endian = "big"), count, progress };
-    let voxels = source.read_as(scalar)?;
-    if frames == 1 {
-        check_end(path, source.reader)?;
+    /// A number of NIfTI-1 (single precision) or NIfTI-2 (double), the n-th from an offset on.
+    fn number(&self, one: usize, two: usize, n: usize) -> f64 {
+        match self.version {
+            Version::Two => f64::from_le_bytes(self.field(two + 8 * n)),
+            _ => f64::from(f32::from_le_bytes(self.field(one + 4 * n))),
+        }
     }
-    let rescale = rescale(&h, &mut warnings);
-    let world_from_voxel = geometry(&h, &mut warnings);
-    Ok(Image { voxels, size, components, layout: Layout::Planar, rescale, world_from_voxel, intent, frame: None, displacement: false, warnings })
+
+    fn pixdim(&self, n: usize) -> f64 {
+        self.number(76, 104, n)
+    }
+
+    fn intent(&self) -> i16 {
+        if self.version == Version::Analyze { 0 } else { self.integer(68, 504, 4) as i16 }
+    }
+
+    /// The image whose values `reader` goes on to read, `passed` bytes of their file having been read.
+    fn image(&self, path: &Path, mut reader: impl Read, most_bytes: u64, passed: u64, choice: &Choice, watch: &Watch) -> Result<Image> {
+        let fail = |problem: String| Error::file(path, problem);
+        let mut warnings = Vec::new();
+        let dim = self.dimensions().map_err(&fail)?;
+        let size = [dim[0], dim[1], dim[2]];
+        let intent = self.intent();
+        // Vectors lie along the fifth axis; FSL's warps have theirs along the fourth.
+        let fsl = (2006..=2009).contains(&intent);
+        let (components, frames) = if fsl && dim[4] == 1 { (dim[3], 1) } else { (dim[4], dim[3] * dim[5] * dim[6]) };
+        if frames > 1 && components > 1 {
+            return Err(fail(format!("holds {components} values per voxel at {frames} times; a single time is needed: split it by time")));
+        }
+        let time = choice.time_of(frames)?;
+        if frames > 1 && choice.time.is_none() {
+            warnings.push(format!("holds {frames} volumes; the first is used (--time chooses another)"));
+        }
+        let datatype = self.integer(70, 12, 2) as i16;
+        let (scalar, colors) = match datatype {
+            128 => (ScalarType::U8, 3),
+            2304 => (ScalarType::U8, 4),
+            code => (
+                scalar_type(code)
+                    .ok_or_else(|| fail(format!("stores {}, which cannot be rendered; convert it to a real scalar type", datatype_name(code))))?,
+                1,
+            ),
+        };
+        if colors > 1 && components > 1 {
+            return Err(fail(format!("holds {components} colours per voxel; a single one is needed")));
+        }
+        let total = count(path, &[size[0], size[1], size[2], components, colors], scalar)?;
+        let bytes = (total * scalar.bytes()) as u64;
+        let offset = self.data_offset(passed);
+        let ahead = offset.saturating_add(bytes.saturating_mul(time as u64));
+        check_held(path, bytes.saturating_add(ahead), most_bytes)?;
+        skip(path, &mut reader, ahead - passed)?;
+        let mut source = Source { path, reader, swap: self.swap != cfg!(target_endian = "big"), count: total, watch };
+        let voxels = source.read_as(scalar)?;
+        if time + 1 == frames {
+            check_end(path, source.reader)?;
+        }
+        let meaning = match intent {
+            _ if colors > 1 => Meaning::Color,
+            i if INTENT_RGB.contains(&i) && (3..=4).contains(&components) => Meaning::Color,
+            INTENT_LABEL => Meaning::Labels(Vec::new()),
+            i if INTENT_VECTOR.contains(&i) || fsl => Meaning::Vectors,
+            _ => Meaning::Unstated,
+        };
+        let format = match (self.version, self.paired) {
+            (Version::Analyze, _) => "Analyze 7.5",
+            (Version::One, false) => "NIfTI-1",
+            (Version::One, true) => "NIfTI-1 pair",
+            (Version::Two, false) => "NIfTI-2",
+            (Version::Two, true) => "NIfTI-2 pair",
+        };
+        let (rescale, world_from_voxel) = (self.rescale(&mut warnings), self.geometry(&mut warnings));
+        let mut image = Image::new(format, voxels, size, world_from_voxel);
+        (image.components, image.meaning, image.rescale, image.intent) = (components * colors, meaning, rescale, intent);
+        image.layout = if colors > 1 { Layout::Interleaved } else { Layout::Planar };
+        image.warnings = warnings;
+        if frames > 1 {
+            image.details.push(("time_points", json!(frames)));
+        }
+        Ok(image)
+    }
+
+    /// Where the voxels start in their file, `passed` bytes of header or none lying before.
+    fn data_offset(&self, passed: u64) -> u64 {
+        let least = if self.paired { 0 } else { passed + 4 };
+        let stated = if self.version == Version::Two { self.integer(0, 168, 8) as f64 } else { self.number(108, 168, 0) };
+        if stated.is_finite() && (least as f64..1e15).contains(&stated) { stated as u64 } else { least }
+    }
+
+    /// The seven extents; those that are not declared are 1.
+    fn dimensions(&self) -> Result<[usize; 7], String> {
+        let rank = self.integer(40, 16, 8);
+        if !(1..=7).contains(&rank) {
+            return Err(format!("declares {rank} dimensions; NIfTI allows 1 to 7, so its header is damaged"));
+        }
+        let mut dim = [1usize; 7];
+        for (n, d) in dim.iter_mut().enumerate().take(rank as usize) {
+            let value = self.integer(42 + 2 * n, 24 + 8 * n, 8);
+            // Writers leave axes beyond the third at 0.
+            *d = match usize::try_from(value) {
+                Ok(0) if n >= 3 => 1,
+                Ok(v) if v > 0 => v,
+                _ => return Err(format!("declares {value} voxels along axis {}; its header is damaged", n + 1)),
+            };
+        }
+        dim[3..].iter().try_fold(1usize, |n, &d| n.checked_mul(d)).ok_or("declares more volumes than can be counted; its header is damaged")?;
+        Ok(dim)
+    }
+
+    /// slope 0 means "no scaling" by the standard; a NaN or infinite one is a writer's mistake and means the same.
+    fn rescale(&self, warnings: &mut Vec<String>) -> Rescale {
+        if self.version == Version::Analyze || matches!(self.integer(70, 12, 2), 128 | 2304) {
+            return Rescale::NONE;
+        }
+        let (slope, intercept) = (self.number(112, 176, 0), self.number(116, 184, 0));
+        if !slope.is_finite() || !intercept.is_finite() {
+            warnings.push(format!("its rescale slope {slope} and intercept {intercept} are not numbers; values are taken as stored"));
+            return Rescale::NONE;
+        }
+        if slope == 0.0 { Rescale::NONE } else { Rescale { slope, intercept } }
+    }
+
+    fn geometry(&self, warnings: &mut Vec<String>) -> DAffine3 {
+        let units = if self.version == Version::Two { self.field::<4>(500)[0] } else { self.bytes[123] };
+        let mm = match units & 7 {
+            1 => 1000.0,
+            3 => 0.001,
+            _ => 1.0,
+        };
+        let mut spacing = DVec3::ONE;
+        for axis in 0..3 {
+            let s = self.pixdim(axis + 1);
+            if s.is_finite() && s != 0.0 {
+                spacing[axis] = s.abs();
+            } else {
+                warnings.push(format!("its spacing along axis {} is {s}; 1 mm is used", axis + 1));
+            }
+        }
+        let lps_from_ras = DAffine3::from_scale(DVec3::new(-1.0, -1.0, 1.0) * mm);
+        if self.version == Version::Analyze {
+            warnings.push("is of the Analyze format, which does not say where left and right are; its first axis is taken to run to the left".into());
+            return lps_from_ras * DAffine3::from_scale(spacing * DVec3::new(-1.0, 1.0, 1.0));
+        }
+        let usable = |t: &DAffine3| t.is_finite() && t.matrix3.determinant().abs() > 1e-12 * spacing.element_product();
+        let sform = (self.integer(254, 348, 4) > 0).then(|| {
+            let row = |n: usize| [0, 1, 2, 3].map(|c| self.number(280, 400, 4 * n + c));
+            let r = [row(0), row(1), row(2)];
+            let column = |c: usize| DVec3::new(r[0][c], r[1][c], r[2][c]);
+            DAffine3 { matrix3: DMat3::from_cols(column(0), column(1), column(2)), translation: column(3) }
+        });
+        let qform = (self.integer(252, 344, 4) > 0).then(|| {
+            let quaternion = |n: usize| self.number(256, 352, n);
+            let (b, c, d) = (quaternion(0), quaternion(1), quaternion(2));
+            let a = (1.0 - (b * b + c * c + d * d)).max(0.0).sqrt();
+            let rotation = DMat3::from_quat(DQuat::from_xyzw(b, c, d, a).normalize());
+            let handedness = if self.pixdim(0) < 0.0 { -1.0 } else { 1.0 };
+            DAffine3 {
+                matrix3: rotation * DMat3::from_diagonal(spacing * DVec3::new(1.0, 1.0, handedness)),
+                translation: DVec3::new(quaternion(3), quaternion(4), quaternion(5)),
+            }
+        });
+        let stated = sform.is_some() || qform.is_some();
+        let ras_from_voxel = sform.filter(&usable).or_else(|| {
+            if sform.is_some() {
+                warnings.push("its sform is singular or not finite and is ignored".into());
+            }
+            qform.filter(&usable)
+        });
+        let ras_from_voxel = ras_from_voxel.unwrap_or_else(|| {
+            let why = if stated { "no usable orientation" } else { "no orientation" };
+            warnings.push(format!("has {why}: axes are taken as right, anterior, superior"));
+            DAffine3::from_scale(spacing)
+        });
+        lps_from_ras * ras_from_voxel
+    }
 }
 
 fn scalar_type(datatype: i16) -> Option<ScalarType> {
@@ -126,96 +319,11 @@ fn scalar_type(datatype: i16) -> Option<ScalarType> {
     })
 }
 
-/// Reads what follows the voxels, so that a gzip stream is checked to its checksum. Other bytes after the stream are nobody's harm.
-fn check_end(path: &Path, mut reader: impl Read) -> Result<()> {
-    match std::io::copy(&mut reader, &mut std::io::sink()) {
-        Err(e) if e.kind() == ErrorKind::UnexpectedEof || e.to_string().contains("checksum") => Err(read_error(path, e)),
-        _ => Ok(()),
-    }
-}
-
-/// The seven extents; those that are not declared are 1.
-fn dimensions(h: &Header) -> Result<[usize; 7], String> {
-    let rank = h.i16(40);
-    if !(1..=7).contains(&rank) {
-        return Err(format!("declares {rank} dimensions; NIfTI allows 1 to 7, so its header is damaged"));
-    }
-    let mut dim = [1usize; 7];
-    for (n, d) in dim.iter_mut().enumerate().take(rank as usize) {
-        let value = h.i16(42 + 2 * n);
-        if value < 1 {
-            return Err(format!("declares {value} voxels along axis {}; its header is damaged", n + 1));
-        }
-        *d = value as usize;
-    }
-    dim[3..].iter().try_fold(1usize, |n, &d| n.checked_mul(d)).ok_or("declares more volumes than can be counted; its header is damaged")?;
-    Ok(dim)
-}
-
 fn datatype_name(code: i16) -> String {
     match code {
         1 => "1-bit values".into(),
         32 | 1792 | 2048 => "complex numbers".into(),
-        128 | 2304 => "RGB colours".into(),
         1536 => "128-bit floating point".into(),
         _ => format!("the unknown type {code}"),
     }
-}
-
-/// slope 0 means "no scaling" by the standard; a NaN or infinite one is a writer's mistake and means the same.
-fn rescale(h: &Header, warnings: &mut Vec<String>) -> Rescale {
-    let (slope, intercept) = (h.f32(112), h.f32(116));
-    if !slope.is_finite() || !intercept.is_finite() {
-        warnings.push(format!("its rescale slope {slope} and intercept {intercept} are not numbers; values are taken as stored"));
-        return Rescale::NONE;
-    }
-    if slope == 0.0 { Rescale::NONE } else { Rescale { slope, intercept } }
-}
-
-fn geometry(h: &Header, warnings: &mut Vec<String>) -> DAffine3 {
-    let mm = match h.bytes[123] & 7 {
-        1 => 1000.0,
-        3 => 0.001,
-        _ => 1.0,
-    };
-    let mut spacing = DVec3::ONE;
-    for axis in 0..3 {
-        let s = h.f32(80 + 4 * axis);
-        if s.is_finite() && s != 0.0 {
-            spacing[axis] = s.abs();
-        } else {
-            warnings.push(format!("its spacing along axis {} is {s}; 1 mm is used", axis + 1));
-        }
-    }
-    let usable = |t: &DAffine3| t.is_finite() && t.matrix3.determinant().abs() > 1e-12 * spacing.element_product();
-    let sform = (h.i16(254) > 0).then(|| {
-        let row = |n: usize| [0, 4, 8, 12].map(|c| h.f32(280 + 16 * n + c));
-        let r = [row(0), row(1), row(2)];
-        let column = |c: usize| DVec3::new(r[0][c], r[1][c], r[2][c]);
-        DAffine3 { matrix3: DMat3::from_cols(column(0), column(1), column(2)), translation: column(3) }
-    });
-    let qform = (h.i16(252) > 0).then(|| {
-        let (b, c, d) = (h.f32(256), h.f32(260), h.f32(264));
-        let a = (1.0 - (b * b + c * c + d * d)).max(0.0).sqrt();
-        let rotation = DMat3::from_quat(DQuat::from_xyzw(b, c, d, a).normalize());
-        let handedness = if h.f32(76) < 0.0 { -1.0 } else { 1.0 };
-        DAffine3 {
-            matrix3: rotation * DMat3::from_diagonal(spacing * DVec3::new(1.0, 1.0, handedness)),
-            translation: DVec3::new(h.f32(268), h.f32(272), h.f32(276)),
-        }
-    });
-    let stated = sform.is_some() || qform.is_some();
-    let ras_from_voxel = sform.filter(&usable).or_else(|| {
-        if sform.is_some() {
-            warnings.push("its sform is singular or not finite and is ignored".into());
-        }
-        qform.filter(&usable)
-    });
-    let ras_from_voxel = ras_from_voxel.unwrap_or_else(|| {
-        let why = if stated { "no usable orientation" } else { "no orientation" };
-        warnings.push(format!("has {why}: axes are taken as right, anterior, superior"));
-        DAffine3::from_scale(spacing)
-    });
-    let lps_from_ras = DAffine3::from_scale(DVec3::new(-1.0, -1.0, 1.0) * mm);
-    lps_from_ras * ras_from_voxel
 }

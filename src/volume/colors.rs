@@ -1,0 +1,169 @@
+//! Voxels that have a colour of their own: RGB(A) images, several channels as one picture, label maps by a table of colours.
+//!
+//! Beside its colour a voxel keeps one value, which opacity is asked of as in any scalar volume (\[DDM06\] section 4: O may be a colour
+//! volume): luminance, or opacity where the image has it. Colours are mixed weighted by it, so that what is not there lends none.
+
+use super::Voxels;
+use glam::{Vec3, Vec4};
+use rayon::prelude::*;
+use std::ops::Range;
+use std::sync::Arc;
+
+/// Colours of channels of which nothing else is known.
+pub const CHANNELS: [[u8; 3]; 4] = [[0, 255, 0], [255, 0, 255], [0, 128, 255], [255, 160, 0]];
+/// Share of the circle of hues from one label to the next: the golden section leaves no two near numbers alike.
+const HUE_STEP: f32 = 0.618_034;
+
+/// What a file says of one label.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Label {
+    /// Its value.
+    pub value: u32,
+    /// Its name; may be empty.
+    pub name: String,
+    /// Red, green, blue.
+    pub color: Option<[u8; 3]>,
+}
+
+/// The colours of a grid of voxels, i fastest.
+#[derive(Clone, Debug)]
+pub enum Colors {
+    /// Three bytes each.
+    Rgb(Arc<Vec<u8>>),
+    /// Four bytes each, the first three multiplied by the fourth.
+    Rgba(Arc<Vec<u8>>),
+    /// By label; those beyond the table have none.
+    Labels {
+        /// Labels.
+        labels: Voxels,
+        /// Red, green, blue, and 0 for what is not there.
+        table: Arc<Vec<[u8; 4]>>,
+    },
+}
+
+impl Colors {
+    /// Three bytes each.
+    pub fn rgb(values: Vec<u8>) -> Self {
+        Self::Rgb(Arc::new(values))
+    }
+
+    /// The colours of labels 1 to `highest`: those of the table, else one that its neighbours in number do not have.
+    pub fn of_labels(labels: Voxels, highest: usize, stated: &[Label]) -> Self {
+        let mut table: Vec<[u8; 4]> = (0..=highest).map(|n| if n == 0 { [0; 4] } else { label_color(n) }).collect();
+        for label in stated {
+            if let (Some([r, g, b]), Some(entry)) = (label.color, table.get_mut(label.value as usize).filter(|_| label.value > 0)) {
+                *entry = [r, g, b, 255];
+            }
+        }
+        Self::Labels { labels, table: Arc::new(table) }
+    }
+
+    /// Premultiplied colour of a voxel by its flat index, 0..1.
+    #[inline(always)]
+    fn texel(&self, index: usize) -> Vec4 {
+        let bytes = self.bytes(index);
+        Vec4::from(bytes.map(f32::from)) / 255.0
+    }
+
+    #[inline(always)]
+    fn bytes(&self, index: usize) -> [u8; 4] {
+        match self {
+            Self::Rgb(v) => [v[3 * index], v[3 * index + 1], v[3 * index + 2], 255],
+            Self::Rgba(v) => [v[4 * index], v[4 * index + 1], v[4 * index + 2], v[4 * index + 3]],
+            Self::Labels { labels, table } => {
+                let label = labels.get(index);
+                if label >= 1.0 { table.get(label as usize).copied().unwrap_or([0; 4]) } else { [0; 4] }
+            }
+        }
+    }
+
+    /// Premultiplied RGBA bytes of a run of voxels.
+    pub fn rgba8(&self, range: Range<usize>) -> Vec<[u8; 4]> {
+        range.into_par_iter().map(|n| self.bytes(n)).collect()
+    }
+
+    /// The colour at a position in voxels, trilinear, clamped to the outermost voxel centres.
+    pub fn sample(&self, size: [usize; 3], point_in_voxel: Vec3) -> Vec3 {
+        let [nx, ny, nz] = size;
+        let p = point_in_voxel.clamp(Vec3::ZERO, Vec3::new((nx - 1) as f32, (ny - 1) as f32, (nz - 1) as f32));
+        let (i, j, k) = (p.x as usize, p.y as usize, p.z as usize);
+        let f = p - Vec3::new(i as f32, j as f32, k as f32);
+        let mut sum = Vec4::ZERO;
+        for corner in 0..8usize {
+            let (a, b, c) = (corner & 1, corner >> 1 & 1, corner >> 2);
+            let weight = if a == 1 { f.x } else { 1.0 - f.x } * if b == 1 { f.y } else { 1.0 - f.y } * if c == 1 { f.z } else { 1.0 - f.z };
+            if weight > 0.0 {
+                let index = ((k + c).min(nz - 1) * ny + (j + b).min(ny - 1)) * nx + (i + a).min(nx - 1);
+                sum += self.texel(index) * weight;
+            }
+        }
+        straight(sum)
+    }
+}
+
+/// A colour from one that is multiplied by its weight.
+pub fn straight(premultiplied: Vec4) -> Vec3 {
+    (premultiplied.truncate() / premultiplied.w.max(1.0 / 1024.0)).clamp(Vec3::ZERO, Vec3::ONE)
+}
+
+/// Values and colours of interleaved RGB or RGBA. Opacity is the value where there is any; else luminance (Rec. 709).
+pub fn of_interleaved(mut rgb: Vec<u8>, components: usize) -> (Voxels, Colors) {
+    let luminance = |v: &[u8]| ((54 * u32::from(v[0]) + 183 * u32::from(v[1]) + 19 * u32::from(v[2])) >> 8) as u8;
+    if components == 3 {
+        let values: Vec<u8> = rgb.par_chunks_exact(3).map(luminance).collect();
+        return (values.into(), Colors::rgb(rgb));
+    }
+    let opaque = rgb.par_chunks_exact(4).all(|v| v[3] == 255);
+    let values: Vec<u8> = rgb.par_chunks_exact(4).map(|v| if opaque { luminance(v) } else { v[3] }).collect();
+    rgb.par_chunks_exact_mut(4).for_each(|v| {
+        for c in 0..3 {
+            v[c] = ((u16::from(v[c]) * u16::from(v[3]) + 127) / 255) as u8;
+        }
+    });
+    (values.into(), Colors::Rgba(Arc::new(rgb)))
+}
+
+/// A colour for a label: hues by the golden section, two brightnesses.
+fn label_color(label: usize) -> [u8; 4] {
+    let hue = (label as f32 * HUE_STEP).fract() * 6.0;
+    let (saturation, value) = if label.is_multiple_of(2) { (0.5, 0.92) } else { (0.68, 0.82) };
+    let channel = |shift: f32| {
+        let k = (shift + hue) % 6.0;
+        let v = value - value * saturation * k.min(4.0 - k).clamp(0.0, 1.0);
+        (v * 255.0 + 0.5) as u8
+    };
+    [channel(5.0), channel(3.0), channel(1.0), 255]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn labels_next_to_each_other_look_different() {
+        for n in 1..300usize {
+            for m in 1..6usize {
+                let (a, b) = (label_color(n), label_color(n + m));
+                let far: i32 = (0..3).map(|c| (i32::from(a[c]) - i32::from(b[c])).abs()).sum();
+                assert!(far > 40, "{n} {a:?} and {} {b:?}", n + m);
+            }
+        }
+    }
+
+    #[test]
+    fn nothing_lends_no_colour() {
+        let stated = [Label { value: 1, name: String::new(), color: Some([200, 100, 50]) }];
+        let colors = Colors::of_labels(vec![0u8, 1].into(), 1, &stated);
+        let half = colors.sample([2, 1, 1], Vec3::new(0.5, 0.0, 0.0));
+        assert!((half - Vec3::new(200.0, 100.0, 50.0) / 255.0).abs().max_element() < 1e-6);
+    }
+
+    #[test]
+    fn opacity_is_the_value_where_there_is_any() {
+        let (values, _) = of_interleaved(vec![255, 0, 0, 128, 0, 0, 255, 0], 4);
+        assert_eq!((values.get(0), values.get(1)), (128.0, 0.0));
+        let (values, colors) = of_interleaved(vec![255, 255, 255, 255, 0, 0, 0, 255], 4);
+        assert_eq!((values.get(0), values.get(1)), (255.0, 0.0));
+        assert_eq!(colors.rgba8(0..1), [[255; 4]]);
+    }
+}

@@ -1,0 +1,142 @@
+//! Which part of a file is meant, where it holds several, and what a file does not say of itself.
+
+use super::ScalarType;
+use crate::{Error, Result};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// What to take of a file, and what it leaves out. By default all of it, or the first or largest part.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Choice {
+    /// Of several DICOM series: its number in `incise info` (from 1), its UID, or a part of its description. The largest by default.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub series: Option<String>,
+    /// Of a series in time: which time point, from 1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub time: Option<usize>,
+    /// Of several channels: which one, from 1, as a scalar volume. All of them, in colour, by default.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub channel: Option<usize>,
+    /// Of a multiscale image (OME-Zarr): which resolution; 0, the full one, by default.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub level: Option<usize>,
+    /// Voxel spacing along i, j, k in mm, instead of the file's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub spacing: Option<[f64; 3]>,
+    /// Interpolate unevenly spaced slices onto an even grid.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub resample: bool,
+    /// How raw values lie in a file that is nothing but values.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub raw: Option<RawLayout>,
+}
+
+/// Values without a header.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawLayout {
+    /// Voxels along i, j, k.
+    pub size: [usize; 3],
+    /// Type of a value: u8, i16, f32 and so on.
+    #[serde(rename = "type")]
+    pub scalar: ScalarType,
+    /// Values per voxel.
+    #[serde(default = "one")]
+    pub components: usize,
+    /// Whether the most significant byte comes first.
+    #[serde(default)]
+    pub big_endian: bool,
+    /// Bytes before the first value.
+    #[serde(default)]
+    pub skip: u64,
+    /// Voxel spacing along i, j, k, mm.
+    #[serde(default = "ones")]
+    pub spacing_mm: [f64; 3],
+    /// World position of the first voxel's centre, mm, LPS.
+    #[serde(default)]
+    pub origin_mm: [f64; 3],
+    /// Directions of the axes: rows of a matrix whose columns are the unit vectors of i, j, k.
+    #[serde(default = "identity")]
+    pub direction: [[f64; 3]; 3],
+}
+
+fn one() -> usize {
+    1
+}
+
+fn ones() -> [f64; 3] {
+    [1.0; 3]
+}
+
+fn identity() -> [[f64; 3]; 3] {
+    [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+}
+
+impl Choice {
+    /// No choice made.
+    pub fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// Index of the chosen time point among `count`.
+    ///
+    /// # Errors
+    /// There is no such time point.
+    pub(super) fn time_of(&self, count: usize) -> Result<usize> {
+        Self::index("time", self.time, count).map(|t| t.unwrap_or(0))
+    }
+
+    /// Index of one of `count` things by its number from 1.
+    pub(super) fn index(what: &str, number: Option<usize>, count: usize) -> Result<Option<usize>> {
+        match number {
+            None => Ok(None),
+            Some(n) if (1..=count).contains(&n) => Ok(Some(n - 1)),
+            Some(n) => Err(Error::value(what, format!("{n} is none of the {count} that the file holds; they count from 1"))),
+        }
+    }
+}
+
+impl RawLayout {
+    /// A layout as people type it: `256x256x128:u8[:be][:skip=N][:components=N]`.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let usage = || format!("\"{text}\" is no layout; write WxHxD:TYPE[:be][:skip=BYTES][:components=N], e.g. 256x256x128:u16:be");
+        let mut parts = text.split(':');
+        let size: Vec<usize> = parts.next().unwrap_or("").split('x').map_while(|n| n.trim().parse().ok()).collect();
+        let size: [usize; 3] = size.try_into().map_err(|_| usage())?;
+        let scalar = parts.next().and_then(ScalarType::named).ok_or_else(usage)?;
+        let mut layout = Self::new(size, scalar);
+        for part in parts {
+            match part.split_once('=') {
+                None if part == "be" => layout.big_endian = true,
+                None if part == "le" => layout.big_endian = false,
+                Some(("skip", n)) => layout.skip = n.parse().map_err(|_| usage())?,
+                Some(("components", n)) => layout.components = n.parse().map_err(|_| usage())?,
+                _ => return Err(usage()),
+            }
+        }
+        Ok(layout)
+    }
+
+    /// Little-endian scalars from the file's first byte on, 1 mm apart.
+    pub fn new(size: [usize; 3], scalar: ScalarType) -> Self {
+        Self { size, scalar, components: 1, big_endian: false, skip: 0, spacing_mm: ones(), origin_mm: [0.0; 3], direction: identity() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn layouts_as_typed() {
+        let layout = RawLayout::parse("4x5x6:u16:be:skip=12:components=3").unwrap_or_else(|e| panic!("{e}"));
+        assert_eq!((layout.size, layout.scalar, layout.big_endian, layout.skip, layout.components), ([4, 5, 6], ScalarType::U16, true, 12, 3));
+        for bad in ["", "4x5", "4x5x6", "4x5x6:u7", "4x5x6:u8:xe", "4x5x6:u8:skip=a", "4x5x6x7:u8"] {
+            assert!(RawLayout::parse(bad).is_err(), "{bad}");
+        }
+    }
+}

@@ -1,0 +1,565 @@
+//! DICOM: the series in a file, a folder or a zip, sorted into volumes.
+//!
+//! Frames belong together by series, orientation, size and spacing; they are sorted by their position along the slice normal, never by instance
+//! number. Every frame keeps its own geometry and rescale. A gantry's tilt is a shear of the voxel axes. Uneven spacing and missing slices are
+//! reported with their positions, and evened out only when asked.
+//!
+//! Source: DICOM PS3.3 C.7.6.2 (image plane), C.7.6.16 (functional groups), C.8.20 (segmentation).
+
+mod pixels;
+mod scan;
+
+pub use scan::is_dicom;
+
+use super::image::{Image, Meaning};
+use super::source::{reserved, zeroed};
+use super::{Choice, Voxels};
+use crate::volume::Rescale;
+use crate::{Error, Meter, Result, Watch};
+use glam::{DAffine3, DMat3, DVec3};
+use pixels::{Pixel, check_syntax, decode, syntax_name};
+use rayon::prelude::*;
+use scan::{Frame, Object, PixelFormat, scan};
+use serde_json::{Value, json};
+use std::collections::HashMap;
+use std::path::Path;
+
+/// Steps that differ by more than this, mm or share of the step, are uneven.
+const UNEVEN: [f64; 2] = [0.01, 0.01];
+/// Frames closer than this, mm, are at the same place.
+const SAME_PLACE: f64 = 1e-3;
+/// Positions named in one message.
+const MOST_NAMED: usize = 8;
+/// An evened-out series has at most this many times the slices.
+const MOST_RESAMPLED: f64 = 16.0;
+
+/// Frames that make one volume, or one for each time.
+struct Series {
+    /// First object of it.
+    object: usize,
+    /// By time, each sorted along the normal.
+    times: Vec<Vec<Frame>>,
+    /// Of frames at the same place, those that were left out.
+    duplicates: usize,
+}
+
+/// What `info` tells of a series.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct SeriesInfo {
+    /// Its number here, from 1, the largest first.
+    pub number: usize,
+    /// The series' number as the scanner counts.
+    pub series_number: Option<i64>,
+    /// Description.
+    pub description: String,
+    /// Modality: CT, MR, ...
+    pub modality: String,
+    /// Voxels along i, j, k.
+    pub size: [usize; 3],
+    /// Volumes in time.
+    pub time_points: usize,
+    /// Series instance UID.
+    pub uid: String,
+    /// Name and identity of the patient; only where they were asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub patient: Option<[String; 2]>,
+}
+
+/// Every series in a file, a folder or a zip, the largest first. `patient`: with the patient's name and identity.
+///
+/// # Errors
+/// Nothing that is DICOM and holds pictures.
+pub fn list(path: &Path, patient: bool, watch: &Watch) -> Result<Vec<SeriesInfo>> {
+    let found = scan(path, watch)?;
+    let all = series(&found.objects);
+    if all.is_empty() {
+        return Err(nothing(path, found));
+    }
+    Ok(all.iter().enumerate().map(|(n, s)| info(n, s, &found.objects, patient)).collect())
+}
+
+fn info(n: usize, series: &Series, objects: &[Object], patient: bool) -> SeriesInfo {
+    let object = &objects[series.object];
+    SeriesInfo {
+        number: n + 1,
+        series_number: object.series_number,
+        description: object.description.clone(),
+        modality: object.modality.clone(),
+        size: [usize::from(object.format.columns), usize::from(object.format.rows), places(&series.times[0]).len()],
+        time_points: series.times.len(),
+        uid: object.series.clone(),
+        patient: patient.then(|| object.patient.clone()),
+    }
+}
+
+/// What to say where there is no picture.
+fn nothing(path: &Path, found: scan::Found) -> Error {
+    match found.complaint {
+        Some(complaint) => complaint,
+        None if path.is_dir() => Error::file(
+            path,
+            format!("holds no image that can be read ({} files were looked at); name a file, or a folder of DICOM files or pictures", found.others),
+        ),
+        None => Error::file(path, "is DICOM without a picture; name an object that holds pixels"),
+    }
+}
+
+/// Whether a folder or zip holds any DICOM picture.
+///
+/// # Errors
+/// [`Error::Cancelled`].
+pub fn any(path: &Path, watch: &Watch) -> Result<bool> {
+    let found = scan(path, watch)?;
+    Ok(!found.objects.is_empty() || found.complaint.is_some())
+}
+
+/// Reads one series.
+pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
+    // Headers take a tenth of the time.
+    let scanning = |share: f32| (watch.progress)(0.1 * share);
+    let found = scan(path, &Watch { progress: &scanning, cancel: watch.cancel })?;
+    let all = series(&found.objects);
+    if all.is_empty() {
+        return Err(nothing(path, found));
+    }
+    let index = match &choice.series {
+        None => 0,
+        Some(wanted) => chosen(wanted, &all, &found.objects)?,
+    };
+    let series = &all[index];
+    let mut warnings = Vec::new();
+    if all.len() > 1 && choice.series.is_none() {
+        warnings.push(format!("holds {} series; the largest is used ({}); --series chooses another, and info lists them", all.len(), named(series, &found.objects)));
+    }
+    if found.damaged > 0 {
+        let first = found.complaint.as_ref().map(ToString::to_string).unwrap_or_default();
+        warnings.push(format!("{} damaged files are left out ({first})", found.damaged));
+    }
+    if series.duplicates > 0 {
+        warnings.push(format!("{} slices at the place of another one are left out", series.duplicates));
+    }
+    let time = choice.time_of(series.times.len())?;
+    if series.times.len() > 1 && choice.time.is_none() {
+        warnings.push(format!("holds {} volumes at the same place; the first is used (--time chooses another)", series.times.len()));
+    }
+    let reading = |share: f32| (watch.progress)(0.1 + 0.9 * share);
+    let watch = Watch { progress: &reading, cancel: watch.cancel };
+    let mut image = volume(path, &found.objects, &series.times[time], choice, &watch, &mut warnings)?;
+    let object = &found.objects[series.object];
+    image.details.extend([
+        ("modality", json!(object.modality)),
+        ("series", json!({ "number": index + 1, "of": all.len(), "uid": object.series, "description": object.description })),
+        ("transfer_syntax", json!(syntax_name(&object.syntax))),
+    ]);
+    if series.times.len() > 1 {
+        image.details.push(("time_points", json!(series.times.len())));
+    }
+    image.warnings = warnings;
+    Ok(image)
+}
+
+fn named(series: &Series, objects: &[Object]) -> String {
+    let object = &objects[series.object];
+    let number = object.series_number.map_or_else(|| "without a number".to_owned(), |n| n.to_string());
+    let description = if object.description.is_empty() { String::new() } else { format!(" \"{}\"", object.description) };
+    format!("{} series {number}{description}, {} slices", object.modality, places(&series.times[0]).len())
+}
+
+/// The series of a number, a UID or a part of a description.
+fn chosen(wanted: &str, all: &[Series], objects: &[Object]) -> Result<usize> {
+    let known = || all.iter().enumerate().take(MOST_NAMED).map(|(n, s)| format!("{}: {}", n + 1, named(s, objects))).collect::<Vec<_>>().join("; ");
+    if let Ok(n) = wanted.parse::<usize>() {
+        return if (1..=all.len()).contains(&n) { Ok(n - 1) } else { Err(Error::value("series", format!("{n} is none of {}: {}", all.len(), known()))) };
+    }
+    let fits = |s: &Series| objects[s.object].series == wanted || objects[s.object].description.to_lowercase().contains(&wanted.to_lowercase());
+    all.iter().position(fits).ok_or_else(|| Error::value("series", format!("\"{wanted}\" is none of {}: {}", all.len(), known())))
+}
+
+/// Unit normal of a frame's plane.
+fn normal(frame: &Frame) -> DVec3 {
+    frame.along[0].cross(frame.along[1]).normalize_or(DVec3::Z)
+}
+
+/// Frames by what they have in common, the largest series first.
+fn series(objects: &[Object]) -> Vec<Series> {
+    let mut groups: HashMap<String, Vec<Frame>> = HashMap::new();
+    for object in objects {
+        let f = &object.format;
+        let what = format!(
+            "{} {} {} {} {} {} {} {} {}",
+            object.series, object.modality, object.segmentation, f.rows, f.columns, f.samples, f.allocated, f.signed, f.photometric
+        );
+        for frame in &object.frames {
+            let rounded = |v: f64| (v * 1e3).round() as i64;
+            let [a, b] = frame.along.map(|d| d.to_array().map(rounded));
+            let key = format!("{what} {a:?} {b:?} {:?}", frame.spacing.map(rounded));
+            groups.entry(key).or_default().push(frame.clone());
+        }
+    }
+    let mut all: Vec<(String, Series)> = groups.into_iter().map(|(key, frames)| (key, sorted(frames, objects))).collect();
+    let voxels = |s: &Series| {
+        let f = &objects[s.object].format;
+        places(&s.times[0]).len() * usize::from(f.rows) * usize::from(f.columns)
+    };
+    // Ties are broken by name, so that the order is the same every time.
+    all.sort_by(|a, b| voxels(&b.1).cmp(&voxels(&a.1)).then_with(|| a.0.cmp(&b.0)));
+    all.into_iter().map(|(_, s)| s).collect()
+}
+
+/// Positions along the normal, sorted, each once.
+fn places(frames: &[Frame]) -> Vec<f64> {
+    let mut at: Vec<f64> = frames.iter().map(|f| f.position.map_or(0.0, |p| p.dot(normal(f)))).collect();
+    if frames.iter().any(|f| f.position.is_none()) {
+        return (0..frames.len()).map(|n| n as f64).collect();
+    }
+    at.sort_by(f64::total_cmp);
+    at.dedup_by(|a, b| (*a - *b).abs() < SAME_PLACE);
+    at
+}
+
+/// A group of frames along its normal, shared out over times where every place occurs equally often.
+fn sorted(mut frames: Vec<Frame>, objects: &[Object]) -> Series {
+    let object = frames.first().map_or(0, |f| f.object);
+    let by_order = |a: &Frame, b: &Frame| {
+        let order = a.order.iter().zip(&b.order).map(|(a, b)| a.total_cmp(b)).find(|o| o.is_ne()).unwrap_or(std::cmp::Ordering::Equal);
+        order.then_with(|| objects[a.object].source.path().cmp(objects[b.object].source.path())).then_with(|| a.number.cmp(&b.number))
+    };
+    let placed = frames.iter().all(|f| f.position.is_some());
+    if !placed {
+        // By instance number, as nothing better is known.
+        frames.sort_by(|a, b| a.order[4].total_cmp(&b.order[4]).then_with(|| by_order(a, b)));
+        return Series { object, times: vec![frames], duplicates: 0 };
+    }
+    let at = |f: &Frame| f.position.map_or(0.0, |p| p.dot(normal(f)));
+    frames.sort_by(|a, b| at(a).total_cmp(&at(b)).then_with(|| by_order(a, b)));
+    if objects[object].segmentation {
+        // Segments share places.
+        return Series { object, times: vec![frames], duplicates: 0 };
+    }
+    let mut stacks: Vec<Vec<Frame>> = Vec::new();
+    for frame in frames {
+        match stacks.last_mut().filter(|s| s.first().is_some_and(|f| (at(f) - at(&frame)).abs() < SAME_PLACE)) {
+            Some(stack) => stack.push(frame),
+            None => stacks.push(vec![frame]),
+        }
+    }
+    stacks.iter_mut().for_each(|s| s.sort_by(by_order));
+    let often = stacks.iter().map(Vec::len).min().unwrap_or(1);
+    let even = stacks.iter().all(|s| s.len() == often);
+    let times = if even { often } else { 1 };
+    let duplicates = stacks.iter().map(|s| s.len() - times).sum();
+    let times = (0..times).map(|t| stacks.iter().map(|s| s[t].clone()).collect()).collect();
+    Series { object, times, duplicates }
+}
+
+/// Where the slices of a volume lie.
+struct Placement {
+    world_from_voxel: DAffine3,
+    /// Position of every slice in slices from the first one; whole numbers where they are even.
+    at: Vec<f64>,
+    even: bool,
+}
+
+fn placement(frames: &[&Frame], object: &Object, warnings: &mut Vec<String>) -> Placement {
+    let (first, last) = (frames[0], frames[frames.len() - 1]);
+    let n = frames.len();
+    let [columns, rows] = first.spacing;
+    if columns == 0.0 {
+        warnings.push("does not say how large a pixel is: 1 mm is taken (--spacing says otherwise)".into());
+    }
+    let (columns, rows) = (if columns > 0.0 { columns } else { 1.0 }, if rows > 0.0 { rows } else { 1.0 });
+    let unit = normal(first);
+    let stated = object.slice_spacing.unwrap_or(1.0);
+    let start = first.position.unwrap_or(DVec3::ZERO);
+    if first.position.is_none() {
+        warnings.push("does not say where its slices lie: they are taken in the order of their numbers, axes as left, posterior, superior".into());
+    }
+    let step = match (first.position, last.position) {
+        (Some(a), Some(b)) if n > 1 && (b - a).dot(unit).abs() > SAME_PLACE => (b - a) / (n - 1) as f64,
+        _ => unit * stated,
+    };
+    let along: Vec<f64> = frames.iter().enumerate().map(|(k, f)| f.position.map_or(k as f64, |p| (p - start).dot(unit) / step.dot(unit))).collect();
+    let gaps: Vec<f64> = along.windows(2).map(|w| (w[1] - w[0]) * step.dot(unit)).collect();
+    let mm = step.dot(unit);
+    let uneven = gaps.iter().any(|g| (g - mm).abs() > UNEVEN[0].max(UNEVEN[1] * mm));
+    if uneven {
+        let mut by_size = gaps.clone();
+        by_size.sort_by(f64::total_cmp);
+        let usual = by_size[by_size.len() / 2];
+        let place = |k: usize| format!("{:.2}", frames[k].position.map_or(0.0, |p| p.dot(unit)));
+        // Gaps of whole steps are slices that are missing, where all others are even.
+        let missing: Vec<usize> = (0..gaps.len()).filter(|&k| gaps[k] > 1.5 * usual).collect();
+        let whole = |g: f64| (g / usual - (g / usual).round()).abs() < 0.05;
+        let list = |ks: &[usize]| {
+            let some: Vec<String> = ks.iter().take(MOST_NAMED).map(|&k| format!("{} to {}", place(k), place(k + 1))).collect();
+            if ks.len() > MOST_NAMED { format!("{} and {} more", some.join(", "), ks.len() - MOST_NAMED) } else { some.join(", ") }
+        };
+        if !missing.is_empty() && gaps.iter().all(|g| whole(*g)) {
+            let count: f64 = missing.iter().map(|&k| (gaps[k] / usual).round() - 1.0).sum();
+            warnings.push(format!(
+                "{count} slices of {usual:.2} mm are missing between the positions {} mm along the normal; the rest is stretched over the gap (--resample interpolates instead)",
+                list(&missing)
+            ));
+        } else {
+            let odd: Vec<usize> = (0..gaps.len()).filter(|&k| (gaps[k] - usual).abs() > UNEVEN[0].max(UNEVEN[1] * usual)).collect();
+            let off = along.iter().enumerate().map(|(k, a)| (a - k as f64).abs() * mm).fold(0.0, f64::max);
+            warnings.push(format!(
+                "its slices are {:.2} to {:.2} mm apart (unlike the usual {usual:.2} mm between the positions {} mm along the normal); the mean of {mm:.2} mm is taken, which is off by up to {off:.2} mm (--resample interpolates instead)",
+                by_size[0],
+                by_size[by_size.len() - 1],
+                list(&odd)
+            ));
+        }
+    }
+    // Slices that do not lie on one line.
+    let aside = frames.iter().zip(&along).filter_map(|(f, a)| Some((f.position? - start - step * *a).length())).fold(0.0, f64::max);
+    if aside > 0.5 * columns.min(rows) {
+        warnings.push(format!("its slices do not lie behind one another: they are off by up to {aside:.2} mm"));
+    }
+    let matrix3 = DMat3::from_cols(first.along[0] * columns, first.along[1] * rows, step);
+    Placement { world_from_voxel: DAffine3 { matrix3, translation: start }, at: along, even: !uneven }
+}
+
+/// The volume of a sorted set of frames.
+fn volume(path: &Path, objects: &[Object], frames: &[Frame], choice: &Choice, watch: &Watch, warnings: &mut Vec<String>) -> Result<Image> {
+    let object = &objects[frames[0].object];
+    for o in frames.iter().map(|f| f.object).collect::<std::collections::BTreeSet<_>>() {
+        check_syntax(&objects[o])?;
+    }
+    // One frame for every slice; of a segmentation, which frames go onto which.
+    let mut slices: Vec<&Frame> = Vec::new();
+    let mut slot = Vec::with_capacity(frames.len());
+    for frame in frames {
+        let same = |f: &&&Frame| object.segmentation && f.position.zip(frame.position).is_some_and(|(a, b)| (a - b).dot(normal(f)).abs() < SAME_PLACE);
+        if slices.last().filter(same).is_none() {
+            slices.push(frame);
+        }
+        slot.push(slices.len() - 1);
+    }
+    let placement = placement(&slices, object, warnings);
+    let format = &object.format;
+    let size = [usize::from(format.columns), usize::from(format.rows), slices.len()];
+    let samples = usize::from(format.samples);
+    let total = size.iter().product::<usize>().checked_mul(samples).ok_or_else(|| Error::file(path, "is larger than can be addressed"))?;
+    check_pixels(path, objects, frames)?;
+    let one_rescale = frames.iter().all(|f| f.rescale == frames[0].rescale);
+    let job = Job { path, objects, frames, slot: &slot, total, watch };
+    let mut rescale = if one_rescale { frames[0].rescale } else { Rescale::NONE };
+    let palette = format.photometric == "PALETTE COLOR";
+    let (voxels, components): (Voxels, usize) = if object.segmentation {
+        (job.labels(warnings)?, 1)
+    } else if samples == 1 && !palette {
+        let voxels = match (format.float, format.allocated, format.signed) {
+            _ if !one_rescale => {
+                warnings.push("its slices have different rescale factors: values are kept as 32-bit floating point".into());
+                job.scaled()?
+            }
+            (true, 32, _) => job.stored::<f32>()?.into(),
+            (true, _, _) => job.stored::<f64>()?.into(),
+            (_, 1 | 8, false) => job.stored::<u8>()?.into(),
+            (_, 8, true) => job.stored::<i8>()?.into(),
+            (_, 16, false) => job.stored::<u16>()?.into(),
+            (_, 16, true) => job.stored::<i16>()?.into(),
+            (_, _, false) => job.stored::<u32>()?.into(),
+            (_, _, true) => job.stored::<i32>()?.into(),
+        };
+        (voxels, 1)
+    } else {
+        rescale = Rescale::NONE;
+        (job.colors()?.into(), 3)
+    };
+    let mut image = Image::new("DICOM", voxels, size, placement.world_from_voxel);
+    (image.components, image.rescale) = (components, rescale);
+    image.inverted = format.photometric == "MONOCHROME1";
+    image.padding = object.padding.filter(|_| components == 1 && one_rescale);
+    if object.segmentation {
+        image.meaning = Meaning::Labels(object.segments.clone());
+    } else if components > 1 {
+        image.meaning = Meaning::Color;
+    }
+    if !placement.even {
+        image.details.push(("slice_positions_mm", positions(&slices)));
+        if choice.resample {
+            evened(path, &mut image, &placement, warnings)?;
+        }
+    }
+    Ok(image)
+}
+
+fn positions(slices: &[&Frame]) -> Value {
+    json!(slices.iter().map(|f| f.position.map(|p| (p.dot(normal(f)) * 1e4).round() / 1e4)).collect::<Vec<_>>())
+}
+
+/// Refuses, before anything is allocated, frames that the files cannot hold.
+fn check_pixels(path: &Path, objects: &[Object], frames: &[Frame]) -> Result<()> {
+    let mut needed: HashMap<usize, usize> = HashMap::new();
+    for frame in frames {
+        *needed.entry(frame.object).or_default() += objects[frame.object].format.frame_bytes();
+    }
+    for (object, bytes) in needed {
+        let object = &objects[object];
+        let native = matches!(object.syntax.as_str(), "1.2.840.10008.1.2" | "1.2.840.10008.1.2.1" | "1.2.840.10008.1.2.2") && object.format.allocated > 1;
+        let most = object.source.bytes().saturating_mul(if native { 1 } else { 20_000 });
+        if bytes as u64 > most {
+            let named = if path.is_dir() { object.source.path() } else { path };
+            return Err(Error::file(named, "declares more pixels than it can hold: it is truncated or damaged; copy or export it again"));
+        }
+    }
+    Ok(())
+}
+
+/// Frames to be decoded into one array.
+struct Job<'a> {
+    path: &'a Path,
+    objects: &'a [Object],
+    frames: &'a [Frame],
+    slot: &'a [usize],
+    /// Values of the whole volume.
+    total: usize,
+    watch: &'a Watch<'a>,
+}
+
+impl Job<'_> {
+    fn format(&self) -> &PixelFormat {
+        &self.objects[self.frames[0].object].format
+    }
+
+    /// Decodes every frame into its slice.
+    fn run<T: Pixel>(&self, convert: &(dyn Fn(&Frame, T) -> T + Sync)) -> Result<Vec<T>> {
+        let mut values: Vec<T> = zeroed(self.path, self.total)?;
+        let plane = self.format().values();
+        let meter = Meter::new(self.watch, (self.frames.len() * plane * size_of::<T>()) as u64);
+        // What each object has to fill.
+        let mut jobs: HashMap<usize, Vec<(&Frame, &mut [T])>> = HashMap::new();
+        for (frame, out) in self.frames.iter().zip(values.chunks_mut(plane)) {
+            jobs.entry(frame.object).or_default().push((frame, out));
+        }
+        jobs.into_iter().collect::<Vec<_>>().into_par_iter().try_for_each(|(index, frames)| -> Result<()> {
+            let object = &self.objects[index];
+            let pixels = pixels::read(object)?;
+            frames.into_par_iter().try_for_each(|(frame, out)| {
+                decode(object, &pixels, frame, out, &|v| convert(frame, v))?;
+                meter.add(size_of_val(out) as u64)
+            })
+        })?;
+        Ok(values)
+    }
+
+    fn stored<T: Pixel>(&self) -> Result<Vec<T>> {
+        self.run::<T>(&|_, v| v)
+    }
+
+    /// Data values, where every frame has a rescale of its own.
+    fn scaled(&self) -> Result<Voxels> {
+        Ok(self.run::<f32>(&|frame, v| (f64::from(v) * frame.rescale.slope + frame.rescale.intercept) as f32)?.into())
+    }
+
+    /// Red, green and blue of 8 bits.
+    fn colors(&self) -> Result<Vec<u8>> {
+        let format = self.format();
+        let object = &self.objects[self.frames[0].object];
+        if format.photometric == "PALETTE COLOR" {
+            let tables = object.palette.as_ref().ok_or_else(|| Error::file(self.path, "is in colours of a palette that it does not hold; export it again"))?;
+            let indices = self.run::<u16>(&|_, v| v)?;
+            return Ok(indices
+                .into_par_iter()
+                .flat_map_iter(|v| tables.iter().map(move |(first, table)| table[(i64::from(v) - first).clamp(0, table.len() as i64 - 1) as usize]))
+                .collect());
+        }
+        if format.samples != 3 || format.allocated != 8 {
+            let (samples, bits) = (format.samples, format.allocated);
+            return Err(Error::file(self.path, format!("holds {samples} colours of {bits} bits per pixel; 3 of 8 bits can be read")));
+        }
+        if format.photometric.starts_with("YBR_FULL_422") && self.uncompressed() {
+            return Err(Error::file(self.path, "holds uncompressed colours of half resolution (YBR_FULL_422); convert it to RGB"));
+        }
+        let mut values = self.run::<u8>(&|_, v| v)?;
+        // Decoders of JPEG and JPEG 2000 give RGB.
+        if format.photometric.starts_with("YBR_FULL") && (self.uncompressed() || object.syntax == "1.2.840.10008.1.2.5") {
+            values.par_chunks_exact_mut(3).for_each(|v| {
+                let [y, b, r] = [f32::from(v[0]), f32::from(v[1]) - 128.0, f32::from(v[2]) - 128.0];
+                let rgb = [y + 1.402 * r, y - 0.344_136 * b - 0.714_136 * r, y + 1.772 * b];
+                v.copy_from_slice(&rgb.map(|c| (c + 0.5).clamp(0.0, 255.0) as u8));
+            });
+        }
+        Ok(values)
+    }
+
+    fn uncompressed(&self) -> bool {
+        matches!(
+            self.objects[self.frames[0].object].syntax.as_str(),
+            "1.2.840.10008.1.2" | "1.2.840.10008.1.2.1" | "1.2.840.10008.1.2.2" | "1.2.840.10008.1.2.1.99"
+        )
+    }
+
+    /// Segments as labels; where several overlap, the last one stays.
+    fn labels(&self, warnings: &mut Vec<String>) -> Result<Voxels> {
+        let format = self.format();
+        let plane = format.values();
+        // Pixels are labels themselves, or say how much of the frame's segment there is: single bits, or shares of which half counts.
+        let are_labels = format.allocated > 1 && self.frames.iter().all(|f| f.segment <= 1) && self.objects[self.frames[0].object].segments.len() > 1;
+        let mut labels: Vec<u16> = zeroed(self.path, self.total)?;
+        let mut by_object: HashMap<usize, Vec<usize>> = HashMap::new();
+        for (n, frame) in self.frames.iter().enumerate() {
+            by_object.entry(frame.object).or_default().push(n);
+        }
+        let meter = Meter::new(self.watch, (self.frames.len() * plane) as u64);
+        let mut overlaps = 0usize;
+        let mut values: Vec<u16> = reserved(self.path, plane)?;
+        values.resize(plane, 0);
+        for (index, frames) in by_object {
+            let object = &self.objects[index];
+            let pixels = pixels::read(object)?;
+            for n in frames {
+                let frame = &self.frames[n];
+                decode(object, &pixels, frame, &mut values, &|v| v)?;
+                let out = &mut labels[self.slot[n] * plane..][..plane];
+                for (label, &value) in out.iter_mut().zip(&values) {
+                    if are_labels {
+                        *label = value;
+                    } else if format.allocated == 1 && value > 0 || format.allocated > 1 && value >= 128 {
+                        overlaps += usize::from(*label != 0 && *label != frame.segment);
+                        *label = frame.segment;
+                    }
+                }
+                meter.add(plane as u64)?;
+            }
+        }
+        if overlaps > 0 {
+            warnings.push(format!("its segments overlap in {overlaps} voxels, which get the last one"));
+        }
+        Ok(if labels.iter().all(|l| *l < 256) { labels.into_iter().map(|l| l as u8).collect::<Vec<u8>>().into() } else { labels.into() })
+    }
+}
+
+/// Interpolates unevenly spaced slices onto an even grid of the usual step.
+fn evened(path: &Path, image: &mut Image, placement: &Placement, warnings: &mut Vec<String>) -> Result<()> {
+    if image.components > 1 {
+        return Err(Error::file(path, "is in colour: its slices cannot be evened out"));
+    }
+    let at = &placement.at;
+    let mut gaps: Vec<f64> = at.windows(2).map(|w| w[1] - w[0]).collect();
+    gaps.sort_by(f64::total_cmp);
+    let step = gaps[gaps.len() / 2].max((at.len() - 1) as f64 / (MOST_RESAMPLED * at.len() as f64));
+    let count = ((at.len() - 1) as f64 / step).round() as usize + 1;
+    let step = (at.len() - 1) as f64 / (count - 1) as f64;
+    let plane = image.size[0] * image.size[1];
+    let labels = matches!(image.meaning, Meaning::Labels(_));
+    // Which two slices, and how far between them.
+    let between: Vec<(usize, f64)> = (0..count)
+        .map(|k| {
+            let position = k as f64 * step;
+            let above = at.partition_point(|a| *a <= position).clamp(1, at.len() - 1);
+            (above - 1, ((position - at[above - 1]) / (at[above] - at[above - 1])).clamp(0.0, 1.0))
+        })
+        .collect();
+    image.voxels = image.voxels.mixed(count * plane, |n| {
+        let (slice, share) = between[n / plane];
+        let share = if labels { share.round() } else { share };
+        (slice * plane + n % plane, (slice + 1) * plane + n % plane, share)
+    });
+    image.size[2] = count;
+    image.world_from_voxel.matrix3.z_axis *= step;
+    warnings.push(format!("its {} slices were interpolated to {count}, {:.2} mm apart", at.len(), image.world_from_voxel.matrix3.z_axis.length()));
+    Ok(())
+}

@@ -1,0 +1,364 @@
+//! Pixels of DICOM objects: out of their transfer syntax into typed values, every frame on its own and many at once.
+//!
+//! JPEG and JPEG 2000 are decoded here rather than by the registry's adapters, which take a picture of another size than declared, and drop
+//! the sign of what is not whole bytes; RLE and (as an option) JPEG-LS are left to them.
+
+use super::super::guard::guarded;
+use super::super::source::{Stored, read_error};
+use super::scan::{Frame, Object, PixelFormat, one_line, open, whole};
+use crate::{Error, Result};
+use dicom_core::Tag;
+use dicom_dictionary_std::tags;
+use dicom_encoding::adapters::{PixelDataObject, RawPixelData};
+use dicom_encoding::transfer_syntax::{Codec, Endianness, TransferSyntaxIndex};
+use dicom_object::InMemDicomObject;
+use dicom_transfer_syntax_registry::TransferSyntaxRegistry;
+use jpeg_decoder::{ColorTransform, PixelFormat as JpegFormat};
+use std::borrow::Cow;
+use std::io::ErrorKind;
+
+/// JPEG in its kinds: baseline, extended, lossless.
+const JPEG: [&str; 6] =
+    ["1.2.840.10008.1.2.4.50", "1.2.840.10008.1.2.4.51", "1.2.840.10008.1.2.4.53", "1.2.840.10008.1.2.4.55", "1.2.840.10008.1.2.4.57", "1.2.840.10008.1.2.4.70"];
+/// JPEG 2000, lossless only and not, and its multi-component kinds.
+const JPEG_2000: [&str; 4] = ["1.2.840.10008.1.2.4.90", "1.2.840.10008.1.2.4.91", "1.2.840.10008.1.2.4.92", "1.2.840.10008.1.2.4.93"];
+/// A pixel may be packed into this share of a byte at most.
+const MOST_RATIO: usize = 20_000;
+
+/// A transfer syntax by name, for messages and `info`.
+pub fn syntax_name(uid: &str) -> String {
+    match TransferSyntaxRegistry.get(uid) {
+        Some(syntax) => format!("{} ({uid})", syntax.name()),
+        None => uid.to_owned(),
+    }
+}
+
+/// Bytes of the pixels of an object.
+pub enum Pixels {
+    /// As they are, and whether the most significant byte comes first.
+    Native(Vec<u8>, bool),
+    /// Packed, one by one.
+    Packed(Vec<Vec<u8>>),
+}
+
+/// Refuses transfer syntaxes that cannot be decoded, by name.
+pub fn check_syntax(object: &Object) -> Result<()> {
+    let uid = object.syntax.as_str();
+    let name = syntax_name(uid);
+    let fail = |problem: String| Error::file(object.source.path(), problem);
+    if JPEG.contains(&uid) || JPEG_2000.contains(&uid) {
+        return Ok(());
+    }
+    match TransferSyntaxRegistry.get(uid).map(|s| s.codec()) {
+        None => Err(fail(format!("is in the transfer syntax {name}, which is not known; convert it to Explicit VR Little Endian"))),
+        Some(Codec::None | Codec::Dataset(_) | Codec::EncapsulatedPixelData(Some(_), _)) => Ok(()),
+        Some(_) if name.contains("JPEG-LS") => {
+            Err(fail(format!("is in the transfer syntax {name}, which this build cannot decode; build it with the feature jpeg-ls, or convert the file to Explicit VR Little Endian")))
+        }
+        Some(_) => Err(fail(format!("is in the transfer syntax {name}, which cannot be decoded; convert it to Explicit VR Little Endian"))),
+    }
+}
+
+/// Reads the pixels of an object.
+pub fn read(object: &Object) -> Result<Pixels> {
+    let path = object.source.path();
+    let damaged = |e: String| Error::file(path, format!("its pixels cannot be read ({e}); copy or export it again"));
+    let ended = || damaged("the file is damaged".into());
+    let frames = object.frames.len();
+    let native_bytes = if object.format.allocated == 1 { (object.format.values() * frames).div_ceil(8) } else { object.format.frame_bytes() * frames };
+    if object.format.float {
+        let whole = guarded(|| whole(&object.source)).ok_or_else(ended)??;
+        let element = |tag: Tag| whole.get(tag).and_then(|e| e.to_bytes().ok().map(Cow::into_owned));
+        let bytes = element(tags::FLOAT_PIXEL_DATA).or_else(|| element(tags::DOUBLE_FLOAT_PIXEL_DATA)).ok_or_else(ended)?;
+        return native(path, bytes, native_bytes, cfg!(target_endian = "big"));
+    }
+    let read = guarded(|| -> Result<(Vec<u32>, Vec<Vec<u8>>, bool)> {
+        let packed = matches!(TransferSyntaxRegistry.get(&object.syntax).map(|s| s.codec()), Some(Codec::EncapsulatedPixelData(..)));
+        // A deflated object needs its pixels and what lies before them.
+        let mut opened = open(&object.source, (native_bytes as u64).saturating_add(64 << 20))?;
+        opened.collector.read_dataset_up_to_pixeldata(&mut InMemDicomObject::new_empty()).map_err(|e| damaged(one_line(&e)))?;
+        let mut table = Vec::new();
+        let mut fragments = Vec::new();
+        if packed {
+            opened.collector.read_basic_offset_table(&mut table).map_err(|e| damaged(one_line(&e)))?;
+        }
+        loop {
+            let mut fragment = Vec::new();
+            match opened.collector.read_next_fragment(&mut fragment).map_err(|e| damaged(one_line(&e)))? {
+                Some(_) => fragments.push(fragment),
+                None => break,
+            }
+            if !packed {
+                break;
+            }
+        }
+        Ok((table, fragments, packed))
+    });
+    let (table, mut fragments, packed) = read.ok_or_else(ended)??;
+    if !packed {
+        let big = TransferSyntaxRegistry.get(&object.syntax).is_some_and(|s| s.endianness() == Endianness::Big);
+        let bytes = if fragments.is_empty() { Vec::new() } else { fragments.swap_remove(0) };
+        return native(path, bytes, native_bytes, big);
+    }
+    Ok(Pixels::Packed(frames_of(&table, fragments, frames).ok_or_else(|| damaged(format!("its pieces do not make up {frames} frames")))?))
+}
+
+fn native(path: &std::path::Path, bytes: Vec<u8>, needed: usize, big: bool) -> Result<Pixels> {
+    if bytes.is_empty() {
+        return Err(Error::file(path, "holds no pixels: it is truncated, or only a header; copy or export it again"));
+    }
+    if bytes.len() < needed {
+        return Err(read_error(path, ErrorKind::UnexpectedEof.into()));
+    }
+    Ok(Pixels::Native(bytes, big))
+}
+
+/// Fragments put together by frame: by the offset table, one for each, all for one, or each from a start of an image on.
+fn frames_of(table: &[u32], fragments: Vec<Vec<u8>>, frames: usize) -> Option<Vec<Vec<u8>>> {
+    if fragments.len() == frames {
+        return Some(fragments);
+    }
+    if frames == 1 {
+        return Some(vec![fragments.concat()]);
+    }
+    let mut joined: Vec<Vec<u8>> = Vec::new();
+    if table.len() == frames {
+        let mut offset = 0u64;
+        for fragment in fragments {
+            let length = fragment.len() as u64 + 8;
+            let goes_on = table.get(joined.len()).is_none_or(|next| u64::from(*next) > offset);
+            match joined.last_mut() {
+                Some(last) if goes_on => last.extend(fragment),
+                _ => joined.push(fragment),
+            }
+            offset += length;
+        }
+    } else {
+        for fragment in fragments {
+            let starts = fragment.starts_with(&[0xff, 0xd8]) || fragment.starts_with(&[0xff, 0x4f, 0xff, 0x51]);
+            match joined.last_mut() {
+                Some(last) if !starts => last.extend(fragment),
+                _ => joined.push(fragment),
+            }
+        }
+    }
+    (joined.len() == frames).then_some(joined)
+}
+
+/// The sample type that a format's values have when they are read as stored.
+pub trait Pixel: Stored {
+    /// The lowest `bits` bits of `raw` as a value, with their sign if they have one.
+    fn of_bits(raw: u64, bits: u32, signed: bool) -> Self;
+    /// From a floating-point sample.
+    fn of_float(value: f64) -> Self;
+}
+
+macro_rules! pixel {
+    ($($t:ty),*) => {$(
+        #[allow(clippy::unnecessary_cast, reason = "some of the types are what is cast to")]
+        impl Pixel for $t {
+            #[inline(always)]
+            fn of_bits(raw: u64, bits: u32, signed: bool) -> Self {
+                let shift = 64 - bits;
+                if signed { ((raw << shift) as i64 >> shift) as Self } else { ((raw << shift) >> shift) as Self }
+            }
+            #[inline(always)]
+            fn of_float(value: f64) -> Self {
+                value as Self
+            }
+        }
+    )*};
+}
+pixel!(u8, i8, u16, i16, u32, i32, f32, f64);
+
+/// Writes the samples of one frame, `convert` being given every stored one. RGB comes out interleaved whatever it was.
+pub fn decode<T: Pixel>(object: &Object, pixels: &Pixels, frame: &Frame, out: &mut [T], convert: &(dyn Fn(T) -> T + Sync)) -> Result<()> {
+    let format = &object.format;
+    let (bytes, big): (Cow<[u8]>, bool) = match pixels {
+        Pixels::Native(all, big) if format.allocated == 1 => {
+            // Frames of single bits follow each other without a gap.
+            let first = frame.number * format.values();
+            for (n, o) in out.iter_mut().enumerate() {
+                let bit = first + n;
+                *o = T::of_bits(u64::from(all.get(bit / 8).copied().unwrap_or(0) >> (bit % 8) & 1), 1, false);
+            }
+            let _order = big;
+            return Ok(());
+        }
+        Pixels::Native(all, big) => {
+            let length = format.frame_bytes();
+            let range = frame.number * length..(frame.number + 1) * length;
+            (Cow::Borrowed(all.get(range).ok_or_else(|| read_error(object.source.path(), ErrorKind::UnexpectedEof.into()))?), *big)
+        }
+        Pixels::Packed(frames) => {
+            let packed = frames.get(frame.number).map_or(&[][..], Vec::as_slice);
+            (Cow::Owned(unpacked(object, packed)?), false)
+        }
+    };
+    let (bits, signed, shift) = (u32::from(format.stored), format.signed, u32::from(format.high_bit + 1 - format.stored));
+    let width = usize::from(format.allocated / 8);
+    // Native planes of one colour each; decoders interleave.
+    let planes = format.samples > 1 && format.planar && matches!(pixels, Pixels::Native(..));
+    let samples = usize::from(format.samples);
+    let pixels_in_plane = out.len() / samples;
+    let plain = width == size_of::<T>() && bits as usize == 8 * width && !planes && !big && !format.float;
+    if plain && cfg!(target_endian = "little") {
+        let target: &mut [u8] = bytemuck::cast_slice_mut(out);
+        if target.len() != bytes.len() {
+            return Err(read_error(object.source.path(), ErrorKind::UnexpectedEof.into()));
+        }
+        target.copy_from_slice(&bytes);
+        out.iter_mut().for_each(|v| *v = convert(*v));
+        return Ok(());
+    }
+    for (n, sample) in bytes.chunks_exact(width).enumerate().take(out.len()) {
+        let mut raw = [0u8; 8];
+        raw[..width].copy_from_slice(sample);
+        if big {
+            raw[..width].reverse();
+        }
+        let raw = u64::from_le_bytes(raw);
+        let value = match (format.float, width) {
+            (true, 4) => T::of_float(f64::from(f32::from_bits(raw as u32))),
+            (true, _) => T::of_float(f64::from_bits(raw)),
+            _ => T::of_bits(raw >> shift, bits, signed),
+        };
+        let to = if planes { n % pixels_in_plane * samples + n / pixels_in_plane } else { n };
+        out[to] = convert(value);
+    }
+    Ok(())
+}
+
+/// A packed frame as native bytes, least significant first, colours interleaved.
+fn unpacked(object: &Object, packed: &[u8]) -> Result<Vec<u8>> {
+    let format = &object.format;
+    let needed = format.frame_bytes();
+    let damaged = |e: String| Error::file(object.source.path(), format!("its pixels cannot be decoded ({e}); copy or export it again"));
+    if needed / MOST_RATIO > packed.len() {
+        return Err(damaged(format!("{} bytes do not make a picture of {} x {}", packed.len(), format.columns, format.rows)));
+    }
+    let uid = object.syntax.as_str();
+    let decoded = guarded(|| {
+        if JPEG.contains(&uid) {
+            jpeg(format, packed)
+        } else if JPEG_2000.contains(&uid) {
+            jpeg_2000(format, packed)
+        } else {
+            by_registry(object, packed)
+        }
+    });
+    let bytes = decoded.unwrap_or_else(|| Err("they are damaged".into())).map_err(|e| match e.contains("SamplePrecision") {
+        // The decoder's word for what it does not do.
+        true => Error::file(
+            object.source.path(),
+            format!("holds 12-bit lossy JPEG ({}), which cannot be decoded; convert it to Explicit VR Little Endian", syntax_name(uid)),
+        ),
+        false => damaged(e),
+    })?;
+    if bytes.len() != needed {
+        return Err(damaged(format!("{} bytes came out and {needed} are needed", bytes.len())));
+    }
+    Ok(bytes)
+}
+
+fn jpeg(format: &PixelFormat, packed: &[u8]) -> Result<Vec<u8>, String> {
+    let mut decoder = jpeg_decoder::Decoder::new(packed);
+    if format.samples == 3 {
+        // What the header says goes before what the decoder would guess.
+        decoder.set_color_transform(if format.photometric.starts_with("YBR") { ColorTransform::YCbCr } else { ColorTransform::RGB });
+    }
+    decoder.set_max_decoding_buffer_size(format.values().saturating_mul(4).saturating_add(1 << 20));
+    decoder.read_info().map_err(|e| format!("{e:?}"))?;
+    let info = decoder.info().ok_or("no picture")?;
+    if (info.width, info.height) != (format.columns, format.rows) {
+        return Err(format!("the picture has {} x {} pixels instead of {} x {}", info.width, info.height, format.columns, format.rows));
+    }
+    let values = decoder.decode().map_err(|e| format!("{e:?}"))?;
+    let wide = format.allocated == 16;
+    match (info.pixel_format, wide) {
+        (JpegFormat::L8, false) | (JpegFormat::RGB24, false) => Ok(values),
+        (JpegFormat::L8, true) => Ok(values.iter().flat_map(|v| [*v, 0]).collect()),
+        (JpegFormat::L16, true) => Ok(values.chunks_exact(2).flat_map(|v| u16::from_ne_bytes([v[0], v[1]]).to_le_bytes()).collect()),
+        (other, _) => Err(format!("the picture holds {other:?} for {} bits per sample", format.allocated)),
+    }
+}
+
+fn jpeg_2000(format: &PixelFormat, packed: &[u8]) -> Result<Vec<u8>, String> {
+    // The size lies in the marker after the start of the code stream; without it nothing is allocated.
+    let at = packed.windows(4).take(4096).position(|w| w == [0xff, 0x4f, 0xff, 0x51]).ok_or("no code stream")?;
+    let word = |n: usize| packed.get(at + n..at + n + 4).map(|b| u32::from_be_bytes([b[0], b[1], b[2], b[3]])).ok_or("no code stream");
+    let (width, height) = (word(8)?.wrapping_sub(word(16)?), word(12)?.wrapping_sub(word(20)?));
+    if (width, height) != (u32::from(format.columns), u32::from(format.rows)) {
+        return Err(format!("the picture has {width} x {height} pixels instead of {} x {}", format.columns, format.rows));
+    }
+    let image = jpeg2k::Image::from_bytes(packed).map_err(|e| e.to_string())?;
+    let samples = usize::from(format.samples);
+    let components = image.components();
+    let pixels = usize::from(format.rows) * usize::from(format.columns);
+    if components.len() < samples || components.iter().take(samples).any(|c| c.data().len() != pixels) {
+        return Err("its components are of another size than the picture".into());
+    }
+    let width = usize::from(format.allocated / 8).clamp(1, 4);
+    let mut bytes = vec![0u8; pixels * samples * width];
+    for (c, component) in components.iter().take(samples).enumerate() {
+        for (n, sample) in component.data().iter().enumerate() {
+            let to = (n * samples + c) * width;
+            bytes[to..to + width].copy_from_slice(&sample.to_le_bytes()[..width]);
+        }
+    }
+    Ok(bytes)
+}
+
+/// One packed frame as the registry's decoders want it.
+struct OneFrame<'a> {
+    object: &'a Object,
+    packed: &'a [u8],
+}
+
+impl PixelDataObject for OneFrame<'_> {
+    fn transfer_syntax_uid(&self) -> &str {
+        &self.object.syntax
+    }
+    fn rows(&self) -> Option<u16> {
+        Some(self.object.format.rows)
+    }
+    fn cols(&self) -> Option<u16> {
+        Some(self.object.format.columns)
+    }
+    fn samples_per_pixel(&self) -> Option<u16> {
+        Some(self.object.format.samples)
+    }
+    fn bits_allocated(&self) -> Option<u16> {
+        Some(self.object.format.allocated)
+    }
+    fn bits_stored(&self) -> Option<u16> {
+        Some(self.object.format.stored)
+    }
+    fn photometric_interpretation(&self) -> Option<&str> {
+        Some(&self.object.format.photometric)
+    }
+    fn number_of_frames(&self) -> Option<u32> {
+        Some(1)
+    }
+    fn number_of_fragments(&self) -> Option<u32> {
+        Some(1)
+    }
+    fn fragment(&self, fragment: usize) -> Option<Cow<'_, [u8]>> {
+        (fragment == 0).then_some(Cow::Borrowed(self.packed))
+    }
+    fn offset_table(&self) -> Option<Cow<'_, [u32]>> {
+        None
+    }
+    fn raw_pixel_data(&self) -> Option<RawPixelData> {
+        Some(RawPixelData { fragments: vec![self.packed.to_vec()].into(), offset_table: Vec::new().into() })
+    }
+}
+
+fn by_registry(object: &Object, packed: &[u8]) -> Result<Vec<u8>, String> {
+    let Some(Codec::EncapsulatedPixelData(Some(decoder), _)) = TransferSyntaxRegistry.get(&object.syntax).map(|s| s.codec()) else {
+        return Err("its transfer syntax is not known".into());
+    };
+    let mut bytes = Vec::new();
+    decoder.decode_frame(&OneFrame { object, packed }, 0, &mut bytes).map_err(|e| one_line(&e))?;
+    Ok(bytes)
+}

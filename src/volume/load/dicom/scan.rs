@@ -1,0 +1,553 @@
+//! Finding DICOM objects in a file, a folder or a zip, and what their headers say: one [`Frame`] for every plane of pixels.
+
+use super::super::guard::guarded;
+use super::super::source::{DEFLATE_LIMIT, open_file};
+use crate::volume::{Label, Rescale};
+use crate::{Error, Meter, Result, Watch};
+use dicom_core::Tag;
+use dicom_dictionary_std::tags;
+use dicom_object::{DefaultDicomObject, DicomCollector, InMemDicomObject};
+use glam::DVec3;
+use rayon::prelude::*;
+use std::collections::HashSet;
+use std::io::{BufReader, Cursor, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Explicit VR little endian, deflated.
+const DEFLATED: &str = "1.2.840.10008.1.2.1.99";
+/// Segmentation storage, and the newer kind whose pixels are labels.
+const SEGMENTATION: [&str; 2] = ["1.2.840.10008.5.1.4.1.1.66.4", "1.2.840.10008.5.1.4.1.1.66.7"];
+/// Bytes of a deflated object in which its header must end.
+const MOST_HEADER: u64 = 64 << 20;
+/// Most files and folders that are looked at.
+const MOST_FILES: usize = 1 << 20;
+/// Deepest folder in a folder.
+const MOST_DEPTH: usize = 32;
+/// Most frames of one object.
+const MOST_FRAMES: usize = 1 << 20;
+
+/// Where an object's bytes are.
+#[derive(Clone)]
+pub enum Source {
+    File(PathBuf),
+    /// A member of a zip, by its name, unpacked.
+    Member(PathBuf, Arc<Vec<u8>>),
+}
+
+/// Something to read an object from.
+pub trait ReadSeek: Read + Seek + Send {}
+impl<T: Read + Seek + Send> ReadSeek for T {}
+type Bytes = BufReader<Box<dyn ReadSeek>>;
+
+impl Source {
+    /// Its name for messages.
+    pub fn path(&self) -> &Path {
+        match self {
+            Self::File(path) | Self::Member(path, _) => path,
+        }
+    }
+
+    fn open(&self) -> Result<Bytes> {
+        let reader: Box<dyn ReadSeek> = match self {
+            Self::File(path) => Box::new(open_file(path)?.0),
+            Self::Member(_, bytes) => Box::new(Cursor::new(Shared(bytes.clone()))),
+        };
+        Ok(BufReader::with_capacity(1 << 16, reader))
+    }
+
+    /// Bytes of the object as it is stored.
+    pub fn bytes(&self) -> u64 {
+        match self {
+            Self::File(path) => std::fs::metadata(path).map_or(0, |m| m.len()),
+            Self::Member(_, bytes) => bytes.len() as u64,
+        }
+    }
+}
+
+struct Shared(Arc<Vec<u8>>);
+impl AsRef<[u8]> for Shared {
+    fn as_ref(&self) -> &[u8] {
+        &self.0
+    }
+}
+
+/// How pixels are stored.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PixelFormat {
+    pub rows: u16,
+    pub columns: u16,
+    pub samples: u16,
+    pub allocated: u16,
+    pub stored: u16,
+    pub high_bit: u16,
+    pub signed: bool,
+    /// Floating-point pixels of 32 or 64 bits.
+    pub float: bool,
+    pub photometric: String,
+    pub planar: bool,
+}
+
+impl PixelFormat {
+    /// Values in a frame.
+    pub fn values(&self) -> usize {
+        usize::from(self.rows) * usize::from(self.columns) * usize::from(self.samples)
+    }
+
+    /// Bytes of a native frame; of 1-bit pixels, rounded up.
+    pub fn frame_bytes(&self) -> usize {
+        if self.allocated == 1 { self.values().div_ceil(8) } else { self.values() * usize::from(self.allocated / 8) }
+    }
+}
+
+/// A plane of pixels.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    /// Which object, and which of its frames.
+    pub object: usize,
+    pub number: usize,
+    /// Centre of the first pixel, mm; none if the object does not say.
+    pub position: Option<DVec3>,
+    /// Directions in which columns and rows are counted.
+    pub along: [DVec3; 2],
+    /// Distance between columns and between rows, mm.
+    pub spacing: [f64; 2],
+    pub rescale: Rescale,
+    /// Segment that a frame of a segmentation belongs to.
+    pub segment: u16,
+    /// What tells frames at the same place apart, in order.
+    pub order: [f64; 5],
+}
+
+/// What an object's header says.
+pub struct Object {
+    pub source: Source,
+    pub syntax: String,
+    pub series: String,
+    pub series_number: Option<i64>,
+    pub description: String,
+    pub modality: String,
+    pub patient: [String; 2],
+    pub format: PixelFormat,
+    pub padding: Option<[f64; 2]>,
+    /// Distance between slices that the object states, if it does.
+    pub slice_spacing: Option<f64>,
+    pub segmentation: bool,
+    pub segments: Vec<Label>,
+    pub frames: Vec<Frame>,
+    /// Red, green, blue tables of a palette: first value mapped, and entries.
+    pub palette: Option<[(i64, Vec<u8>); 3]>,
+}
+
+/// What was found.
+pub struct Found {
+    pub objects: Vec<Object>,
+    /// Files that are DICOM and hold no picture, and files that are no DICOM.
+    pub others: usize,
+    /// DICOM files that could not be read, and the first one's complaint.
+    pub damaged: usize,
+    pub complaint: Option<Error>,
+}
+
+/// Whether the first bytes are those of a DICOM file.
+pub fn is_dicom(start: &[u8]) -> bool {
+    start.len() >= 132 && &start[128..132] == b"DICM" || start.starts_with(b"DICM") || bare_dataset(start)
+}
+
+/// A data set without preamble and meta information, as older programs write it: it starts with group 0008 in little endian.
+fn bare_dataset(start: &[u8]) -> bool {
+    if start.len() < 16 || start[..2] != [8, 0] || start[3] != 0 {
+        return false;
+    }
+    let explicit = start[4..6].iter().all(u8::is_ascii_uppercase);
+    let length = u32::from_le_bytes([start[4], start[5], start[6], start[7]]);
+    explicit || (start[2] <= 0x18 && length <= 64)
+}
+
+/// The objects in a file, in a folder and all folders in it, or in a zip.
+pub fn scan(path: &Path, watch: &Watch) -> Result<Found> {
+    let sources = if path.is_dir() { files_in(path, watch)? } else { members(path)?.unwrap_or_else(|| vec![Source::File(path.to_owned())]) };
+    let single = sources.len() == 1;
+    let meter = Meter::new(watch, sources.len() as u64);
+    let read: Vec<Result<Option<Object>>> = sources
+        .into_par_iter()
+        .map(|source| {
+            meter.add(1)?;
+            if !single && !looks_like_dicom(&source) {
+                return Ok(None);
+            }
+            object(source)
+        })
+        .collect();
+    let mut found = Found { objects: Vec::new(), others: 0, damaged: 0, complaint: None };
+    for result in read {
+        match result {
+            Ok(Some(mut object)) => {
+                let index = found.objects.len();
+                object.frames.iter_mut().for_each(|f| f.object = index);
+                found.objects.push(object);
+            }
+            Ok(None) => found.others += 1,
+            Err(Error::Cancelled) => return Err(Error::Cancelled),
+            Err(error) => {
+                found.damaged += 1;
+                found.complaint.get_or_insert(error);
+            }
+        }
+    }
+    Ok(found)
+}
+
+fn looks_like_dicom(source: &Source) -> bool {
+    let mut start = Vec::new();
+    source.open().is_ok_and(|reader| reader.take(132).read_to_end(&mut start).is_ok()) && is_dicom(&start)
+}
+
+/// All files in a folder and its folders, each once however often links lead to it.
+fn files_in(folder: &Path, watch: &Watch) -> Result<Vec<Source>> {
+    let mut files = Vec::new();
+    let mut seen = HashSet::new();
+    for entry in walkdir::WalkDir::new(folder).follow_links(true).max_depth(MOST_DEPTH).sort_by_file_name() {
+        watch.check()?;
+        // Links in a loop, and what may not be read, are passed over.
+        let Ok(entry) = entry else { continue };
+        let hidden = entry.depth() > 0 && entry.file_name().to_string_lossy().starts_with('.');
+        if !entry.file_type().is_file() || hidden || entry.file_name() == "DICOMDIR" {
+            continue;
+        }
+        let own = if entry.path_is_symlink() { entry.path().canonicalize().unwrap_or_else(|_| entry.path().to_owned()) } else { entry.path().to_owned() };
+        if seen.insert(own) {
+            files.push(Source::File(entry.into_path()));
+        }
+        if files.len() > MOST_FILES {
+            return Err(Error::file(folder, format!("holds more than {MOST_FILES} files; name the folder of one study")));
+        }
+    }
+    Ok(files)
+}
+
+/// The members of a zip; none if the file is no zip.
+fn members(path: &Path) -> Result<Option<Vec<Source>>> {
+    let (mut file, length) = open_file(path)?;
+    let mut magic = [0u8; 4];
+    if file.read_exact(&mut magic).is_err() || &magic != b"PK\x03\x04" {
+        return Ok(None);
+    }
+    file.seek(SeekFrom::Start(0)).map_err(|e| Error::io(path, "reading", e))?;
+    let damaged = |e: String| Error::file(path, format!("is a zip that cannot be read ({e}); copy or download it again"));
+    let mut archive = guarded(|| zip::ZipArchive::new(BufReader::new(file))).ok_or_else(|| damaged("it is damaged".into()))?.map_err(|e| damaged(e.to_string()))?;
+    let mut members = Vec::new();
+    let mut unpacked = 0u64;
+    for index in 0..archive.len().min(MOST_FILES) {
+        let member = archive.by_index(index).map_err(|e| damaged(e.to_string()))?;
+        let name = member.name().map_err(|e| damaged(e.to_string()))?.into_owned();
+        let base = name.rsplit('/').next().unwrap_or("");
+        if member.is_dir() || base.starts_with('.') || base == "DICOMDIR" {
+            continue;
+        }
+        let most = length.saturating_mul(DEFLATE_LIMIT).saturating_sub(unpacked);
+        let mut bytes = Vec::new();
+        let mut member = member.take(most + 1);
+        // A look at its first bytes spares unpacking what is no DICOM.
+        member.by_ref().take(132).read_to_end(&mut bytes).map_err(|e| damaged(e.to_string()))?;
+        if !is_dicom(&bytes) {
+            continue;
+        }
+        member.read_to_end(&mut bytes).map_err(|e| damaged(e.to_string()))?;
+        unpacked += bytes.len() as u64;
+        if bytes.len() as u64 > most {
+            return Err(damaged("its members are larger than it can hold".into()));
+        }
+        bytes.shrink_to_fit();
+        members.push(Source::Member(path.join(name), Arc::new(bytes)));
+    }
+    Ok(Some(members))
+}
+
+/// A collector at the start of an object's data set, and its transfer syntax.
+pub struct Opened {
+    pub collector: DicomCollector<Bytes>,
+    pub syntax: String,
+}
+
+/// Opens an object; `most` bounds what a deflated one is unpacked to.
+pub fn open(source: &Source, most: u64) -> Result<Opened> {
+    let path = source.path();
+    let damaged = |e: String| Error::file(path, format!("is no DICOM file that can be read ({e}); copy or export it again"));
+    let mut start = Vec::new();
+    source.open()?.take(132).read_to_end(&mut start).map_err(|e| Error::io(path, "reading", e))?;
+    if !is_dicom(&start) {
+        return Err(Error::file(path, "is no DICOM file"));
+    }
+    if start.len() < 132 || &start[128..132] != b"DICM" && bare_dataset(&start) {
+        let explicit = start[4..6].iter().all(u8::is_ascii_uppercase);
+        let syntax = if explicit { "1.2.840.10008.1.2.1" } else { "1.2.840.10008.1.2" };
+        return Ok(Opened { collector: DicomCollector::new_with_ts(source.open()?, syntax), syntax: syntax.to_owned() });
+    }
+    let mut collector = DicomCollector::new(source.open()?);
+    let meta = collector.read_file_meta().map_err(|e| damaged(one_line(&e)))?;
+    let syntax = meta.transfer_syntax().trim_end_matches(['\0', ' ']).to_owned();
+    if syntax != DEFLATED {
+        return Ok(Opened { collector, syntax });
+    }
+    // Preamble, magic and the element that states the length of the rest.
+    let skipped = 128 + 4 + 12 + u64::from(meta.information_group_length);
+    let mut reader = source.open()?;
+    reader.seek(SeekFrom::Start(skipped)).map_err(|e| Error::io(path, "reading", e))?;
+    let mut bytes = Vec::new();
+    let limit = most.min(source.bytes().saturating_mul(DEFLATE_LIMIT));
+    flate2::read::DeflateDecoder::new(reader).take(limit).read_to_end(&mut bytes).map_err(|e| damaged(e.to_string()))?;
+    let reader: Box<dyn ReadSeek> = Box::new(Cursor::new(bytes));
+    Ok(Opened { collector: DicomCollector::new_with_ts(BufReader::new(reader), "1.2.840.10008.1.2.1"), syntax })
+}
+
+/// What is wrong, without the line breaks of nested errors.
+pub fn one_line(error: &dyn std::error::Error) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(inner) = cause {
+        text = inner.to_string();
+        cause = inner.source();
+    }
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+/// An object's header; none if it holds no picture.
+fn object(source: Source) -> Result<Option<Object>> {
+    let path = source.path().to_owned();
+    let ended = || Error::file(&path, "is a damaged DICOM file; copy or export it again");
+    guarded(|| -> Result<Option<Object>> {
+        let mut opened = open(&source, MOST_HEADER)?;
+        let mut dataset = InMemDicomObject::new_empty();
+        opened
+            .collector
+            .read_dataset_up_to_pixeldata(&mut dataset)
+            .map_err(|e| Error::file(source.path(), format!("is a damaged DICOM file ({}); copy or export it again", one_line(&e))))?;
+        described(source.clone(), opened.syntax, &dataset)
+    })
+    .ok_or_else(ended)?
+}
+
+/// Readable text of an element, without padding.
+fn text(set: &InMemDicomObject, tag: Tag) -> String {
+    set.get(tag).and_then(|e| e.to_str().ok()).map(|t| t.trim_matches(['\0', ' ']).trim().to_owned()).unwrap_or_default()
+}
+
+/// Numbers of an element; none if there are none, or any cannot be read.
+fn numbers(set: &InMemDicomObject, tag: Tag) -> Option<Vec<f64>> {
+    set.get(tag)?.to_multi_float64().ok().filter(|v| !v.is_empty() && v.iter().all(|n| n.is_finite()))
+}
+
+fn number(set: &InMemDicomObject, tag: Tag) -> Option<f64> {
+    numbers(set, tag)?.first().copied()
+}
+
+fn vector<const N: usize>(set: &InMemDicomObject, tag: Tag) -> Option<[f64; N]> {
+    numbers(set, tag)?.get(..N)?.try_into().ok()
+}
+
+/// The first item of a sequence.
+fn item(set: &InMemDicomObject, tag: Tag) -> Option<&InMemDicomObject> {
+    set.get(tag)?.items()?.first()
+}
+
+fn described(source: Source, syntax: String, set: &InMemDicomObject) -> Result<Option<Object>> {
+    let whole = |tag: Tag| number(set, tag).filter(|n| (0.0..=65_535.0).contains(n)).map(|n| n as u16);
+    let (Some(rows), Some(columns)) = (whole(tags::ROWS), whole(tags::COLUMNS)) else { return Ok(None) };
+    let fail = |problem: String| Error::file(source.path(), problem);
+    let float = set.get(tags::FLOAT_PIXEL_DATA).is_some() || set.get(tags::DOUBLE_FLOAT_PIXEL_DATA).is_some();
+    let allocated = whole(tags::BITS_ALLOCATED).unwrap_or(16);
+    let stored = whole(tags::BITS_STORED).unwrap_or(allocated);
+    let format = PixelFormat {
+        rows,
+        columns,
+        samples: whole(tags::SAMPLES_PER_PIXEL).unwrap_or(1),
+        allocated,
+        stored,
+        high_bit: whole(tags::HIGH_BIT).unwrap_or(stored.saturating_sub(1)),
+        signed: whole(tags::PIXEL_REPRESENTATION) == Some(1),
+        float,
+        photometric: text(set, tags::PHOTOMETRIC_INTERPRETATION),
+        planar: whole(tags::PLANAR_CONFIGURATION) == Some(1),
+    };
+    if rows == 0 || columns == 0 {
+        return Err(fail(format!("declares a picture of {columns} x {rows} pixels; its header is damaged")));
+    }
+    if !matches!(format.samples, 1 | 3 | 4) || !matches!(allocated, 1 | 8 | 16 | 32 | 64) || allocated == 64 && !float {
+        return Err(fail(format!("stores {} samples of {allocated} bits per pixel, which cannot be read", format.samples)));
+    }
+    if stored == 0 || stored > allocated || format.high_bit >= allocated || format.high_bit + 1 < stored {
+        return Err(fail(format!("stores {stored} of {allocated} bits ending at bit {}; its header is damaged", format.high_bit)));
+    }
+    let class = text(set, tags::SOP_CLASS_UID);
+    let segmentation = SEGMENTATION.contains(&class.as_str()) || text(set, tags::MODALITY) == "SEG";
+    let frames = frames(set, &format, segmentation).map_err(fail)?;
+    let padding = number(set, tags::PIXEL_PADDING_VALUE).map(|value| {
+        let limit = number(set, tags::PIXEL_PADDING_RANGE_LIMIT).unwrap_or(value);
+        // The value's own representation may have been read as the other one.
+        let signed = |v: f64| if format.signed && v > 32_767.0 && allocated == 16 { v - 65_536.0 } else { v };
+        let (a, b) = (signed(value), signed(limit));
+        [a.min(b), a.max(b)]
+    });
+    let shared = item(set, tags::SHARED_FUNCTIONAL_GROUPS_SEQUENCE);
+    let measures = shared.and_then(|s| item(s, tags::PIXEL_MEASURES_SEQUENCE)).unwrap_or(set);
+    let slice_spacing = number(measures, tags::SPACING_BETWEEN_SLICES).or_else(|| number(measures, tags::SLICE_THICKNESS));
+    Ok(Some(Object {
+        series: text(set, tags::SERIES_INSTANCE_UID),
+        series_number: number(set, tags::SERIES_NUMBER).map(|n| n as i64),
+        description: text(set, tags::SERIES_DESCRIPTION),
+        modality: text(set, tags::MODALITY),
+        patient: [text(set, tags::PATIENT_NAME), text(set, tags::PATIENT_ID)],
+        padding: padding.filter(|_| !segmentation),
+        slice_spacing: slice_spacing.map(f64::abs).filter(|s| *s > 0.0),
+        segmentation,
+        segments: if segmentation { segments(set) } else { Vec::new() },
+        palette: if format.photometric == "PALETTE COLOR" { palette(set) } else { None },
+        frames,
+        format,
+        syntax,
+        source,
+    }))
+}
+
+/// Planes of an object, with the geometry that holds for each.
+fn frames(set: &InMemDicomObject, format: &PixelFormat, segmentation: bool) -> Result<Vec<Frame>, String> {
+    let count = number(set, tags::NUMBER_OF_FRAMES).unwrap_or(1.0);
+    if !(1.0..=MOST_FRAMES as f64).contains(&count) {
+        return Err(format!("declares {count} frames; its header is damaged"));
+    }
+    let count = count as usize;
+    let shared = item(set, tags::SHARED_FUNCTIONAL_GROUPS_SEQUENCE);
+    let per_frame = set.get(tags::PER_FRAME_FUNCTIONAL_GROUPS_SEQUENCE).and_then(|e| e.items()).unwrap_or(&[]);
+    let slice_spacing = number(set, tags::SPACING_BETWEEN_SLICES).or_else(|| number(set, tags::SLICE_THICKNESS)).map_or(1.0, f64::abs);
+    let detector = item(set, tags::DETECTOR_INFORMATION_SEQUENCE);
+    let mut frames = Vec::with_capacity(count.min(4096));
+    for n in 0..count {
+        let own = per_frame.get(n);
+        // A group of the frame's own, else the shared one, else the object itself.
+        let group = |tag: Tag| own.and_then(|o| item(o, tag)).or_else(|| shared.and_then(|s| item(s, tag)));
+        let from = |tag: Tag, attribute: Tag| group(tag).unwrap_or(set).get(attribute).is_some().then(|| group(tag).unwrap_or(set));
+        let orientation = from(tags::PLANE_ORIENTATION_SEQUENCE, tags::IMAGE_ORIENTATION_PATIENT)
+            .or(detector)
+            .and_then(|s| vector::<6>(s, tags::IMAGE_ORIENTATION_PATIENT));
+        let [along, down] = match orientation {
+            Some(v) => [DVec3::new(v[0], v[1], v[2]).normalize_or_zero(), DVec3::new(v[3], v[4], v[5]).normalize_or_zero()],
+            None => [DVec3::X, DVec3::Y],
+        };
+        if along.cross(down).length() < 1e-3 {
+            return Err("states directions of rows and columns that are no directions; its header is damaged".into());
+        }
+        let mut position = from(tags::PLANE_POSITION_SEQUENCE, tags::IMAGE_POSITION_PATIENT)
+            .or(detector)
+            .and_then(|s| vector::<3>(s, tags::IMAGE_POSITION_PATIENT))
+            .map(DVec3::from_array);
+        if count > 1 && own.is_none() {
+            // Frames without places of their own follow each other.
+            position = Some(position.unwrap_or(DVec3::ZERO) + along.cross(down).normalize_or_zero() * (slice_spacing * n as f64));
+        }
+        let measures = group(tags::PIXEL_MEASURES_SEQUENCE).unwrap_or(set);
+        let spacing = [tags::PIXEL_SPACING, tags::IMAGER_PIXEL_SPACING, tags::NOMINAL_SCANNED_PIXEL_SPACING]
+            .into_iter()
+            .find_map(|tag| vector::<2>(measures, tag).or_else(|| vector::<2>(set, tag)))
+            .filter(|s| s.iter().all(|v| *v > 0.0));
+        let transform = group(tags::PIXEL_VALUE_TRANSFORMATION_SEQUENCE).unwrap_or(set);
+        let slope = number(transform, tags::RESCALE_SLOPE).filter(|s| *s != 0.0);
+        let intercept = number(transform, tags::RESCALE_INTERCEPT).unwrap_or(0.0);
+        let rescale = match slope {
+            Some(slope) if format.samples == 1 && !segmentation => Rescale { slope, intercept },
+            _ => Rescale::NONE,
+        };
+        let content = group(tags::FRAME_CONTENT_SEQUENCE);
+        let order = [
+            content.and_then(|c| number(c, tags::TEMPORAL_POSITION_INDEX)).or_else(|| number(set, tags::TEMPORAL_POSITION_IDENTIFIER)),
+            number(set, tags::ACQUISITION_NUMBER),
+            number(set, tags::ECHO_TIME),
+            number(set, tags::TRIGGER_TIME),
+            number(set, tags::INSTANCE_NUMBER).map(|i| i + n as f64 * 1e-6),
+        ]
+        .map(|v| v.unwrap_or(0.0));
+        let segment = group(tags::SEGMENT_IDENTIFICATION_SEQUENCE).and_then(|s| number(s, tags::REFERENCED_SEGMENT_NUMBER));
+        frames.push(Frame {
+            object: 0,
+            number: n,
+            position,
+            along: [along, down],
+            // Stated as between rows, then between columns.
+            spacing: spacing.map_or([0.0; 2], |[rows, columns]| [columns, rows]),
+            rescale,
+            segment: segment.map_or(1, |s| s as u16),
+            order,
+        });
+    }
+    Ok(frames)
+}
+
+/// Names and colours of segments.
+fn segments(set: &InMemDicomObject) -> Vec<Label> {
+    let items = set.get(tags::SEGMENT_SEQUENCE).and_then(|e| e.items()).unwrap_or(&[]);
+    items
+        .iter()
+        .filter_map(|segment| {
+            let value = number(segment, tags::SEGMENT_NUMBER)? as u32;
+            let lab = vector::<3>(segment, tags::RECOMMENDED_DISPLAY_CIE_LAB_VALUE);
+            Some(Label { value, name: text(segment, tags::SEGMENT_LABEL), color: lab.map(rgb_of_lab) })
+        })
+        .collect()
+}
+
+/// sRGB of a colour in DICOM's 16-bit CIELab (white point D50). Source: DICOM PS3.3 C.10.7.1.1, PS3.15 B.
+fn rgb_of_lab([l, a, b]: [f64; 3]) -> [u8; 3] {
+    let (l, a, b) = (l / 65_535.0 * 100.0, a / 65_535.0 * 255.0 - 128.0, b / 65_535.0 * 255.0 - 128.0);
+    let fy = (l + 16.0) / 116.0;
+    let inverse = |t: f64| if t > 6.0 / 29.0 { t * t * t } else { 3.0 * (6.0f64 / 29.0).powi(2) * (t - 4.0 / 29.0) };
+    let (x, y, z) = (0.9642 * inverse(fy + a / 500.0), inverse(fy), 0.8249 * inverse(fy - b / 200.0));
+    // D50 to linear sRGB (Bradford).
+    let linear = [
+        3.133_856 * x - 1.616_867 * y - 0.490_615 * z,
+        -0.978_768 * x + 1.916_142 * y + 0.033_454 * z,
+        0.071_945 * x - 0.228_991 * y + 1.405_243 * z,
+    ];
+    linear.map(|v| {
+        let v = v.clamp(0.0, 1.0);
+        let encoded = if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 };
+        (encoded * 255.0 + 0.5) as u8
+    })
+}
+
+/// Colour tables of a palette, 8 bits each.
+fn palette(set: &InMemDicomObject) -> Option<[(i64, Vec<u8>); 3]> {
+    let channel = |descriptor: Tag, values: Tag| -> Option<(i64, Vec<u8>)> {
+        let d = numbers(set, descriptor)?;
+        let [entries, first, bits] = *d.get(..3)? else { return None };
+        let bytes = set.get(values)?.to_bytes().ok()?;
+        let table: Vec<u8> = if bits > 8.0 { bytes.chunks_exact(2).map(|b| b[1]).collect() } else { bytes.to_vec() };
+        let entries = if entries == 0.0 { 65_536 } else { entries as usize };
+        (!table.is_empty()).then(|| (first as i64, table.into_iter().take(entries).collect()))
+    };
+    Some([
+        channel(tags::RED_PALETTE_COLOR_LOOKUP_TABLE_DESCRIPTOR, tags::RED_PALETTE_COLOR_LOOKUP_TABLE_DATA)?,
+        channel(tags::GREEN_PALETTE_COLOR_LOOKUP_TABLE_DESCRIPTOR, tags::GREEN_PALETTE_COLOR_LOOKUP_TABLE_DATA)?,
+        channel(tags::BLUE_PALETTE_COLOR_LOOKUP_TABLE_DESCRIPTOR, tags::BLUE_PALETTE_COLOR_LOOKUP_TABLE_DATA)?,
+    ])
+}
+
+/// A whole object in memory: for the few whose pixels are not in the usual element.
+pub fn whole(source: &Source) -> Result<DefaultDicomObject> {
+    let damaged = |e: String| Error::file(source.path(), format!("is a damaged DICOM file ({e}); copy or export it again"));
+    dicom_object::from_reader(source.open()?).map_err(|e| damaged(one_line(&e)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn colours_of_segments() {
+        // Grey of half lightness, and the strongest red of sRGB (L 54.3, a 80.8, b 69.9 for D50).
+        let coded = |l: f64, a: f64, b: f64| [l / 100.0 * 65_535.0, (a + 128.0) / 255.0 * 65_535.0, (b + 128.0) / 255.0 * 65_535.0];
+        let [r, g, b] = rgb_of_lab(coded(50.0, 0.0, 0.0));
+        assert!(r.abs_diff(119) <= 1 && g.abs_diff(119) <= 1 && b.abs_diff(119) <= 1, "{r} {g} {b}");
+        let [r, g, b] = rgb_of_lab(coded(54.29, 80.81, 69.89));
+        assert!(r > 252 && g < 8 && b < 8, "{r} {g} {b}");
+    }
+}

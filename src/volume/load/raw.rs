@@ -1,0 +1,80 @@
+//! Files that are nothing but values. How they lie is said by the caller, by a file beside it (`NAME.raw.toml`, the keys of [`RawLayout`]), or
+//! by the name itself (`skull_256x256x256_uint8.raw`, as collections of volumes name them). They may be gzipped.
+
+use super::choice::{Choice, RawLayout};
+use super::image::{Image, Layout, ScalarType};
+use super::source::{Source, check_held, count, open, skip};
+use crate::{Error, Result, Watch};
+use glam::{DAffine3, DMat3, DVec3};
+use std::path::Path;
+
+/// Reads an image.
+pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
+    let fail = |problem: String| Error::file(path, problem);
+    let layout = match &choice.raw {
+        Some(layout) => layout.clone(),
+        None => match beside(path)? {
+            Some(layout) => layout,
+            None => of_name(path).ok_or_else(|| {
+                fail("is raw values of which nothing is known; say how they lie with --raw, e.g. --raw 256x256x128:u16, or in a file of the same name that ends in .toml".into())
+            })?,
+        },
+    };
+    let direction = DMat3::from_cols_array_2d(&layout.direction).transpose();
+    let linear = direction * DMat3::from_diagonal(DVec3::from(layout.spacing_mm));
+    let world_from_voxel = DAffine3 { matrix3: linear, translation: DVec3::from(layout.origin_mm) };
+    if !(world_from_voxel.is_finite() && linear.determinant().abs() > 1e-12) {
+        return Err(fail("is given a spacing or directions that are singular".into()));
+    }
+    if layout.size.contains(&0) || !(1..=1024).contains(&layout.components) {
+        return Err(fail(format!("is given {:?} voxels of {} values; each is 1 at least", layout.size, layout.components)));
+    }
+    let [i, j, k] = layout.size;
+    let total = count(path, &[i, j, k, layout.components], layout.scalar)?;
+    let bytes = (total * layout.scalar.bytes()) as u64;
+    let (mut reader, most_bytes) = open(path)?;
+    check_held(path, bytes.saturating_add(layout.skip), most_bytes)?;
+    skip(path, &mut reader, layout.skip)?;
+    let swap = layout.scalar.bytes() > 1 && layout.big_endian != cfg!(target_endian = "big");
+    let voxels = Source { path, reader, swap, count: total, watch }.read_as(layout.scalar)?;
+    let mut image = Image::new("raw", voxels, layout.size, world_from_voxel);
+    (image.components, image.layout) = (layout.components, Layout::Interleaved);
+    Ok(image)
+}
+
+/// The layout in the file beside.
+fn beside(path: &Path) -> Result<Option<RawLayout>> {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".toml");
+    let sidecar = Path::new(&name);
+    if !sidecar.is_file() {
+        return Ok(None);
+    }
+    let text = std::fs::read_to_string(sidecar).map_err(|e| Error::io(sidecar, "reading", e))?;
+    toml::from_str(&text).map(Some).map_err(|e| Error::file(sidecar, format!("does not say how raw values lie: {}", e.message())))
+}
+
+/// The layout that a name tells: three numbers joined by `x`, and a type.
+fn of_name(path: &Path) -> Option<RawLayout> {
+    let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
+    let words: Vec<&str> = name.split(['_', '.', '-', ' ']).collect();
+    let size = words.iter().find_map(|w| {
+        let size: Vec<usize> = w.split('x').map(|n| n.parse().ok().filter(|n| *n > 0)).collect::<Option<_>>()?;
+        <[usize; 3]>::try_from(size).ok()
+    })?;
+    let scalar = words.iter().find_map(|w| ScalarType::named(w))?;
+    Some(RawLayout::new(size, scalar))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_that_tell() {
+        let layout = of_name(Path::new("/x/skull_256x200x256_uint8.raw")).map(|l| (l.size, l.scalar));
+        assert_eq!(layout, Some(([256, 200, 256], ScalarType::U8)));
+        assert_eq!(of_name(Path::new("head.raw")), None);
+        assert_eq!(of_name(Path::new("head_0x2x3_uint8.raw")), None);
+    }
+}

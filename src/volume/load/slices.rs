@@ -1,0 +1,194 @@
+//! Pictures as slices: a folder of TIFF, PNG, JPEG or BMP files in the order of the numbers in their names, or one picture as a single slice.
+//!
+//! Pictures say nothing of spacing that could be trusted: voxels of 1 mm are taken unless the caller says otherwise.
+
+use super::super::Voxels;
+use super::guard::guarded;
+use super::image::{Image, Layout, Meaning};
+use super::source::{check_held, open_file};
+use super::{Choice, tiff};
+use crate::{Error, Meter, Result, Watch};
+use glam::DAffine3;
+use rayon::prelude::*;
+use std::cmp::Ordering;
+use std::path::{Path, PathBuf};
+
+/// Endings of pictures.
+pub const ENDINGS: [&str; 6] = ["tif", "tiff", "png", "jpg", "jpeg", "bmp"];
+/// The most that a packed picture can shrink: deflate's limit, and some for a picture of one colour in JPEG.
+const MOST_RATIO: u64 = 3000;
+/// Pictures decoded at once.
+const AT_ONCE: usize = 16;
+
+/// One slice.
+pub(super) struct Plane {
+    pub size: [usize; 2],
+    pub components: usize,
+    pub values: Voxels,
+}
+
+/// Slices that become one array.
+#[derive(Default)]
+pub(super) struct Stack {
+    pub size: [usize; 2],
+    pub components: usize,
+    pub count: usize,
+    values: Option<Voxels>,
+}
+
+impl Stack {
+    /// Adds a slice; false if it is of another size or type than the first one.
+    pub fn push(&mut self, plane: Plane, of: usize) -> bool {
+        match &mut self.values {
+            None => {
+                (self.size, self.components) = (plane.size, plane.components);
+                let mut values = plane.values;
+                values.reserve(plane.size[0].saturating_mul(plane.size[1]).saturating_mul(plane.components).saturating_mul(of.saturating_sub(1)));
+                self.values = Some(values);
+            }
+            Some(values) => {
+                if (self.size, self.components) != (plane.size, plane.components) || !values.append(&plane.values) {
+                    return false;
+                }
+            }
+        }
+        self.count += 1;
+        true
+    }
+
+    /// All values; none if there is no slice.
+    pub fn finish(self) -> Option<Voxels> {
+        self.values
+    }
+}
+
+/// The pictures of a folder, in order.
+pub fn pictures(folder: &Path) -> Result<Vec<PathBuf>> {
+    let entries = std::fs::read_dir(folder).map_err(|e| Error::io(folder, "reading", e))?;
+    let mut found: Vec<PathBuf> = entries
+        .flatten()
+        .map(|e| e.path())
+        .filter(|p| p.is_file() && is_picture(p) && !p.file_name().is_some_and(|n| n.to_string_lossy().starts_with('.')))
+        .collect();
+    found.sort_by(|a, b| natural(&a.to_string_lossy(), &b.to_string_lossy()));
+    Ok(found)
+}
+
+/// Whether a name ends as a picture's does.
+pub fn is_picture(path: &Path) -> bool {
+    path.extension().is_some_and(|e| ENDINGS.iter().any(|p| e.eq_ignore_ascii_case(p)))
+}
+
+/// Order of names in which numbers count as numbers.
+fn natural(a: &str, b: &str) -> Ordering {
+    let (mut a, mut b) = (a.as_bytes(), b.as_bytes());
+    let digits = |s: &[u8]| s.iter().take_while(|c| c.is_ascii_digit()).count();
+    loop {
+        let (da, db) = (digits(a), digits(b));
+        if da > 0 && db > 0 {
+            let strip = |s: &[u8], d: usize| s[..d].iter().position(|c| *c != b'0').unwrap_or(d - 1);
+            let (na, nb) = (&a[strip(a, da)..da], &b[strip(b, db)..db]);
+            let order = na.len().cmp(&nb.len()).then_with(|| na.cmp(nb));
+            if order != Ordering::Equal {
+                return order;
+            }
+            (a, b) = (&a[da..], &b[db..]);
+            continue;
+        }
+        match (a.split_first(), b.split_first()) {
+            (Some((x, rest_a)), Some((y, rest_b))) => {
+                let order = x.to_ascii_lowercase().cmp(&y.to_ascii_lowercase());
+                if order != Ordering::Equal {
+                    return order;
+                }
+                (a, b) = (rest_a, rest_b);
+            }
+            (None, None) => return Ordering::Equal,
+            (None, _) => return Ordering::Less,
+            (_, None) => return Ordering::Greater,
+        }
+    }
+}
+
+/// Reads the pictures of a folder as one volume.
+pub fn read_folder(folder: &Path, files: &[PathBuf], choice: &Choice, watch: &Watch) -> Result<Image> {
+    if let [file] = files {
+        return if tiff::is_tiff(file) { tiff::read(file, choice, watch) } else { read(file, choice, watch) };
+    }
+    let meter = Meter::new(watch, files.len() as u64);
+    let mut stack = Stack::default();
+    let mut odd = Vec::new();
+    for batch in files.chunks(AT_ONCE) {
+        let planes: Vec<Result<Plane>> = batch.par_iter().map(|file| if tiff::is_tiff(file) { tiff::first_page(file) } else { plane(file) }).collect();
+        for (file, plane) in batch.iter().zip(planes) {
+            if !stack.push(plane?, files.len()) {
+                odd.push(file.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default());
+            }
+            meter.add(1)?;
+        }
+    }
+    let mut image = image_of(folder, "pictures", stack, choice)?;
+    if let Some(first) = odd.first() {
+        image.warnings.push(format!("{} pictures ({first} and so on) are of another size or type than the first and are left out", odd.len()));
+    }
+    Ok(image)
+}
+
+/// Reads one picture as a volume of one slice.
+pub fn read(path: &Path, choice: &Choice, _watch: &Watch) -> Result<Image> {
+    let mut stack = Stack::default();
+    stack.push(plane(path)?, 1);
+    image_of(path, "picture", stack, choice)
+}
+
+fn image_of(path: &Path, format: &'static str, stack: Stack, choice: &Choice) -> Result<Image> {
+    let (size, components) = ([stack.size[0], stack.size[1], stack.count], stack.components);
+    let voxels = stack.finish().ok_or_else(|| Error::file(path, "holds no picture"))?;
+    let mut image = Image::new(format, voxels, size, DAffine3::IDENTITY);
+    (image.components, image.layout) = (components, Layout::Interleaved);
+    if components > 2 {
+        image.meaning = Meaning::Color;
+    }
+    if choice.spacing.is_none() {
+        image.warnings.push("pictures do not say how large a voxel is: 1 mm is taken (--spacing says otherwise)".into());
+    }
+    Ok(image)
+}
+
+/// Decodes a picture.
+fn plane(path: &Path) -> Result<Plane> {
+    let damaged = |e: String| Error::file(path, format!("is no picture that can be read ({e}); copy or export it again"));
+    let (file, bytes) = open_file(path)?;
+    let mut reader = image::ImageReader::new(std::io::BufReader::new(file)).with_guessed_format().map_err(|e| Error::io(path, "reading", e))?;
+    let mut limits = image::Limits::default();
+    limits.max_alloc = Some(bytes.saturating_mul(MOST_RATIO).saturating_add(1 << 20));
+    reader.limits(limits);
+    let decoded = guarded(|| reader.decode()).ok_or_else(|| damaged("its pixels are damaged".into()))?.map_err(|e| damaged(e.to_string()))?;
+    let size = [decoded.width() as usize, decoded.height() as usize];
+    check_held(path, (size[0] * size[1]) as u64, bytes.saturating_mul(MOST_RATIO))?;
+    use image::DynamicImage as D;
+    let (values, components): (Voxels, usize) = match decoded {
+        D::ImageLuma8(i) => (i.into_raw().into(), 1),
+        D::ImageLuma16(i) => (i.into_raw().into(), 1),
+        // What is see-through is black.
+        D::ImageLumaA8(i) => (i.pixels().map(|p| (u16::from(p.0[0]) * u16::from(p.0[1]) / 255) as u8).collect::<Vec<_>>().into(), 1),
+        D::ImageRgb8(i) => (i.into_raw().into(), 3),
+        D::ImageRgba8(i) => (i.into_raw().into(), 4),
+        D::ImageRgb16(i) => (i.into_raw().into(), 3),
+        D::ImageRgba16(i) => (i.into_raw().into(), 4),
+        other => (other.into_rgba8().into_raw().into(), 4),
+    };
+    Ok(Plane { size, components, values })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_in_names_count_as_numbers() {
+        let mut names = ["s10.png", "s9.png", "S1.png", "s010.png", "a.png", "s2b.png", "s2.png"];
+        names.sort_by(|a, b| natural(a, b));
+        assert_eq!(names, ["a.png", "S1.png", "s2.png", "s2b.png", "s9.png", "s10.png", "s010.png"]);
+    }
+}

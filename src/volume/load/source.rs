@@ -1,0 +1,227 @@
+//! Bytes of files, and how they become typed values: nothing is allocated that the file cannot fill, nothing is held twice.
+
+use super::super::Voxels;
+use super::ScalarType;
+use crate::{Error, Meter, Result, Watch};
+use flate2::read::MultiGzDecoder;
+use std::fs::File;
+use std::io::{BufReader, ErrorKind, Read};
+use std::path::{Path, PathBuf};
+
+/// Deflate cannot shrink data by more than this factor: a header that declares more is wrong.
+pub(super) const DEFLATE_LIMIT: u64 = 1040;
+/// The same for bzip2: 900 kB of one byte take 46 bytes.
+pub(super) const BZIP2_LIMIT: u64 = 25_000;
+/// Bytes read at once.
+const BUFFER: usize = 1 << 18;
+/// Bytes after the values of a compressed stream that are read to check its end.
+const MOST_TRAILING: u64 = 1 << 24;
+
+/// An ordinary file and its length.
+pub(super) fn open_file(path: &Path) -> Result<(File, u64)> {
+    let file = File::open(path).map_err(|e| Error::io(path, "opening", e))?;
+    let metadata = file.metadata().map_err(|e| Error::io(path, "reading", e))?;
+    if !metadata.is_file() {
+        return Err(Error::file(path, "is no ordinary file; name a file that holds an image"));
+    }
+    Ok((file, metadata.len()))
+}
+
+/// A buffered file and its length.
+pub(super) fn buffered(path: &Path) -> Result<(BufReader<File>, u64)> {
+    let (file, bytes) = open_file(path)?;
+    Ok((BufReader::with_capacity(BUFFER, file), bytes))
+}
+
+/// A file's bytes, unzipped if it starts as a gzip stream does; and the most bytes that can come out.
+pub(super) fn open(path: &Path) -> Result<(Box<dyn Read + Send>, u64)> {
+    let (mut reader, file_bytes) = buffered(path)?;
+    let mut magic = [0u8; 2];
+    reader.read_exact(&mut magic).map_err(|e| read_error(path, e))?;
+    let start = std::io::Cursor::new(magic);
+    if magic == [0x1f, 0x8b] {
+        Ok((Box::new(BufReader::with_capacity(BUFFER, MultiGzDecoder::new(start.chain(reader)))), file_bytes.saturating_mul(DEFLATE_LIMIT)))
+    } else {
+        Ok((Box::new(start.chain(reader)), file_bytes))
+    }
+}
+
+/// The first bytes of a file, unzipped: at most `most`.
+pub(super) fn first_bytes(path: &Path, most: u64) -> Result<Vec<u8>> {
+    let (reader, _) = open(path)?;
+    let mut bytes = Vec::new();
+    // What cannot be unzipped any further is what the readers complain of.
+    let _end = reader.take(most).read_to_end(&mut bytes);
+    Ok(bytes)
+}
+
+/// What went wrong while reading, in words for the file.
+pub(super) fn read_error(path: &Path, e: std::io::Error) -> Error {
+    match e.kind() {
+        ErrorKind::UnexpectedEof => Error::file(path, "ends too early: the file is truncated; copy or download it again"),
+        ErrorKind::InvalidInput | ErrorKind::InvalidData | ErrorKind::Other => {
+            Error::file(path, format!("its compressed stream is damaged ({e}); copy or download it again"))
+        }
+        _ => Error::io(path, "reading", e),
+    }
+}
+
+/// Number of values in an image, if they can be addressed.
+pub(super) fn count(path: &Path, extents: &[usize], scalar: ScalarType) -> Result<usize> {
+    extents
+        .iter()
+        .try_fold(1usize, |n, &d| n.checked_mul(d))
+        .filter(|n| n.checked_mul(scalar.bytes()).is_some_and(|b| b < isize::MAX as usize))
+        .ok_or_else(|| {
+            let size = extents.iter().map(usize::to_string).collect::<Vec<_>>().join(" x ");
+            Error::file(path, format!("declares {size} values, more than can be addressed: its header is damaged; copy or download it again"))
+        })
+}
+
+/// Refuses values that the file cannot hold.
+pub(super) fn check_held(path: &Path, bytes: u64, most_bytes: u64) -> Result<()> {
+    if bytes > most_bytes {
+        return Err(Error::file(
+            path,
+            format!("declares {bytes} bytes of values, more than the file can hold: it is truncated or its header is damaged; copy or download it again"),
+        ));
+    }
+    Ok(())
+}
+
+/// Passes over bytes.
+pub(super) fn skip(path: &Path, reader: &mut impl Read, bytes: u64) -> Result<()> {
+    let passed = std::io::copy(&mut reader.take(bytes), &mut std::io::sink()).map_err(|e| read_error(path, e))?;
+    if passed < bytes { Err(read_error(path, ErrorKind::UnexpectedEof.into())) } else { Ok(()) }
+}
+
+/// Reads what follows the values, so that a gzip stream is checked to its checksum. Other bytes after the stream are nobody's harm.
+pub(super) fn check_end(path: &Path, reader: impl Read) -> Result<()> {
+    match std::io::copy(&mut reader.take(MOST_TRAILING), &mut std::io::sink()) {
+        Err(e) if e.kind() == ErrorKind::UnexpectedEof || e.to_string().contains("checksum") || e.to_string().contains("corrupt gzip") => {
+            Err(read_error(path, e))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// A scalar whose bytes can be read straight from a file.
+pub(super) trait Stored: bytemuck::Pod + Default + Send + Sync {
+    fn swap(self) -> Self;
+}
+macro_rules! stored {
+    ($($t:ty),*) => {$(impl Stored for $t {
+        #[inline(always)]
+        fn swap(self) -> Self {
+            Self::from_ne_bytes({ let mut b = self.to_ne_bytes(); b.reverse(); b })
+        }
+    })*};
+}
+stored!(u8, i8, u16, i16, u32, i32, u64, i64, f32, f64);
+
+/// Calls a generic function with the Rust type of a [`ScalarType`].
+macro_rules! with_scalar {
+    ($scalar:expr, $t:ident => $body:expr) => {
+        match $scalar {
+            $crate::volume::load::ScalarType::U8 => { type $t = u8; $body }
+            $crate::volume::load::ScalarType::I8 => { type $t = i8; $body }
+            $crate::volume::load::ScalarType::U16 => { type $t = u16; $body }
+            $crate::volume::load::ScalarType::I16 => { type $t = i16; $body }
+            $crate::volume::load::ScalarType::U32 => { type $t = u32; $body }
+            $crate::volume::load::ScalarType::I32 => { type $t = i32; $body }
+            $crate::volume::load::ScalarType::U64 => { type $t = u64; $body }
+            $crate::volume::load::ScalarType::I64 => { type $t = i64; $body }
+            $crate::volume::load::ScalarType::F32 => { type $t = f32; $body }
+            $crate::volume::load::ScalarType::F64 => { type $t = f64; $body }
+        }
+    };
+}
+pub(super) use with_scalar;
+
+/// Bytes that become typed values.
+pub(super) struct Source<'a, R> {
+    pub path: &'a Path,
+    pub reader: R,
+    pub swap: bool,
+    pub count: usize,
+    pub watch: &'a Watch<'a>,
+}
+
+impl<R: Read> Source<'_, R> {
+    /// Reads values of a type known only now.
+    pub fn read_as(&mut self, scalar: ScalarType) -> Result<Voxels> {
+        with_scalar!(scalar, T => self.read::<T>().map(Into::into))
+    }
+
+    /// Reads in pieces into the one array that stays.
+    fn read<T: Stored>(&mut self) -> Result<Vec<T>> {
+        const PIECE: usize = 1 << 20;
+        let mut values: Vec<T> = reserved(self.path, self.count)?;
+        let meter = Meter::new(self.watch, (self.count * size_of::<T>()) as u64);
+        while values.len() < self.count {
+            let from = values.len();
+            values.resize((from + PIECE).min(self.count), T::default());
+            let piece = &mut values[from..];
+            self.reader.read_exact(bytemuck::cast_slice_mut(piece)).map_err(|e| read_error(self.path, e))?;
+            if self.swap {
+                piece.iter_mut().for_each(|v| *v = v.swap());
+            }
+            meter.add(size_of_val(piece) as u64)?;
+        }
+        Ok(values)
+    }
+}
+
+/// Room for `count` values.
+pub(super) fn reserved<T>(path: &Path, count: usize) -> Result<Vec<T>> {
+    let mut values = Vec::new();
+    let mib = count.saturating_mul(size_of::<T>()) >> 20;
+    values.try_reserve_exact(count).map_err(|_| Error::file(path, format!("needs {mib} MiB of memory, more than there is")))?;
+    Ok(values)
+}
+
+/// Room for `count` values, all zero.
+pub(super) fn zeroed<T: Stored>(path: &Path, count: usize) -> Result<Vec<T>> {
+    reserved::<T>(path, count)?;
+    // Fresh pages of zeros, not written to.
+    Ok(vec![T::default(); count])
+}
+
+/// The file that a header beside it names; `..` and folders are allowed, as people move neither.
+pub(super) fn beside(path: &Path, name: &str) -> PathBuf {
+    path.parent().unwrap_or(Path::new("")).join(name.trim())
+}
+
+/// Bytes of several files, one after the other: of each what remains behind its header, unpacked, and no more than a piece.
+pub(super) struct Chain {
+    files: std::vec::IntoIter<PathBuf>,
+    open: fn(&Path, u64) -> Result<Box<dyn Read + Send>>,
+    piece: u64,
+    current: Option<std::io::Take<Box<dyn Read + Send>>>,
+}
+
+impl Chain {
+    /// `open` is given a file and the bytes that it is to hold.
+    pub fn new(files: Vec<PathBuf>, piece: u64, open: fn(&Path, u64) -> Result<Box<dyn Read + Send>>) -> Self {
+        Self { files: files.into_iter(), open, piece, current: None }
+    }
+}
+
+impl Read for Chain {
+    fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
+        loop {
+            if let Some(current) = &mut self.current {
+                let read = current.read(bytes)?;
+                if read > 0 || bytes.is_empty() {
+                    return Ok(read);
+                }
+                if current.limit() > 0 {
+                    return Err(ErrorKind::UnexpectedEof.into());
+                }
+            }
+            let Some(path) = self.files.next() else { return Ok(0) };
+            let opened = (self.open)(&path, self.piece).map_err(|e| std::io::Error::new(ErrorKind::InvalidData, e.to_string()))?;
+            self.current = Some(opened.take(self.piece));
+        }
+    }
+}

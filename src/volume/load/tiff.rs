@@ -1,0 +1,361 @@
+//! TIFF and BigTIFF: pages are slices, or slices, channels and times where OME-XML or ImageJ says so.
+//!
+//! Source: OME-TIFF specification 6 (PhysicalSize, DimensionOrder); ImageJ's own description (`images=`, `slices=`, `spacing=`, `unit=`), whose
+//! files of more than 4 GiB hold a single directory and all slices one after the other.
+
+use super::guard::guarded;
+use super::image::{Channel, Image, Layout, Meaning, ScalarType};
+use super::slices::{Plane, Stack};
+use super::source::{Source, check_held, count, open_file, skip};
+use super::{Choice, Voxels};
+use crate::{Error, Meter, Result, Watch};
+use glam::{DAffine3, DVec3};
+use quick_xml::events::Event;
+use serde_json::json;
+use std::fs::File;
+use std::io::{BufReader, Seek, SeekFrom};
+use std::path::Path;
+use tiff::decoder::{Decoder, DecodingResult, Limits};
+use tiff::tags::Tag;
+use tiff::ColorType;
+
+/// The most that pages can have been packed by.
+const MOST_RATIO: u64 = 3000;
+/// Most pages of a file.
+const MOST_PAGES: usize = 1 << 20;
+
+/// Whether a file's name is a TIFF's.
+pub fn is_tiff(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("tif") || e.eq_ignore_ascii_case("tiff"))
+}
+
+/// What a description says of the pages.
+#[derive(Debug, Default, PartialEq)]
+struct Description {
+    /// Slices, channels, times.
+    extents: Option<[usize; 3]>,
+    /// Which of slices (0), channels (1) and times (2) changes fastest, then next.
+    order: [usize; 3],
+    /// mm, along x, y, z.
+    spacing: [Option<f64>; 3],
+    colors: Vec<Option<[u8; 3]>>,
+    imagej: bool,
+    ome: bool,
+}
+
+type Pages = Decoder<BufReader<File>>;
+
+fn damaged(path: &Path) -> impl Fn(tiff::TiffError) -> Error + '_ {
+    move |e| Error::file(path, format!("is no TIFF that can be read ({e}); copy or export it again"))
+}
+
+fn decoder(path: &Path) -> Result<(Pages, u64)> {
+    let (file, bytes) = open_file(path)?;
+    let mut limits = Limits::default();
+    limits.decoding_buffer_size = usize::try_from(bytes.saturating_mul(MOST_RATIO)).unwrap_or(usize::MAX).min(1 << 36);
+    limits.intermediate_buffer_size = limits.decoding_buffer_size;
+    limits.ifd_value_size = usize::try_from(bytes).unwrap_or(usize::MAX).min(1 << 28);
+    let decoder = Decoder::new(BufReader::new(file)).map_err(damaged(path))?.with_limits(limits);
+    Ok((decoder, bytes))
+}
+
+/// The first page alone.
+pub(super) fn first_page(path: &Path) -> Result<Plane> {
+    let ended = || Error::file(path, "its pixels are damaged; copy or export it again");
+    guarded(|| page(path, &mut decoder(path)?.0)).ok_or_else(ended)?
+}
+
+/// The page at which the decoder stands.
+fn page(path: &Path, decoder: &mut Pages) -> Result<Plane> {
+    let fail = |problem: String| Error::file(path, problem);
+    let (width, height) = decoder.dimensions().map_err(damaged(path))?;
+    let components = match decoder.colortype().map_err(damaged(path))? {
+        ColorType::Gray(_) => 1,
+        ColorType::GrayA(_) => 2,
+        ColorType::RGB(_) => 3,
+        ColorType::RGBA(_) => 4,
+        ColorType::Multiband { num_samples, .. } => usize::from(num_samples),
+        other => return Err(fail(format!("holds colours as {other:?}; convert it to grey or RGB"))),
+    };
+    if components > 1 && decoder.find_tag_unsigned::<u16>(Tag::PlanarConfiguration).ok().flatten() == Some(2) {
+        return Err(fail("keeps its colours in separate planes; convert it to interleaved ones".into()));
+    }
+    let values: Voxels = match decoder.read_image().map_err(damaged(path))? {
+        DecodingResult::U8(v) => v.into(),
+        DecodingResult::U16(v) => v.into(),
+        DecodingResult::U32(v) => v.into(),
+        DecodingResult::U64(v) => v.into(),
+        DecodingResult::I8(v) => v.into(),
+        DecodingResult::I16(v) => v.into(),
+        DecodingResult::I32(v) => v.into(),
+        DecodingResult::I64(v) => v.into(),
+        DecodingResult::F16(v) => v.into_iter().map(f32::from).collect::<Vec<f32>>().into(),
+        DecodingResult::F32(v) => v.into(),
+        DecodingResult::F64(v) => v.into(),
+    };
+    let size = [width as usize, height as usize];
+    if values.len() != size[0] * size[1] * components {
+        return Err(fail(format!("has a page of {width} x {height} pixels of which {} values were read; it is damaged", values.len())));
+    }
+    Ok(Plane { size, components, values })
+}
+
+/// Reads all pages.
+pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
+    let ended = || Error::file(path, "its pages are damaged; copy or export it again");
+    guarded(|| read_unguarded(path, choice, watch)).ok_or_else(ended)?
+}
+
+fn read_unguarded(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
+    let fail = |problem: String| Error::file(path, problem);
+    let (mut pages, file_bytes) = decoder(path)?;
+    let text = pages.find_tag(Tag::ImageDescription).ok().flatten().and_then(|v| v.into_string().ok()).unwrap_or_default();
+    let mut said = if text.contains("<OME") { ome(&text) } else { imagej(&text) };
+    let resolution = |pages: &mut Pages, tag| -> Option<f64> {
+        let per_unit = match pages.find_tag(tag).ok()?? {
+            tiff::decoder::ifd::Value::Rational(a, b) => f64::from(a) / f64::from(b),
+            other => f64::from(other.into_f32().ok()?),
+        };
+        (per_unit.is_finite() && per_unit > 0.0).then(|| 1.0 / per_unit)
+    };
+    if said.imagej
+        && let Some(mm) = unit_of_imagej(&text)
+    {
+        // In the unit that the description names; the tag's own unit is "none".
+        said.spacing[0] = resolution(&mut pages, Tag::XResolution).map(|s| s * mm);
+        said.spacing[1] = resolution(&mut pages, Tag::YResolution).map(|s| s * mm);
+        said.spacing[2] = said.spacing[2].map(|s| s * mm);
+    }
+    let mut warnings = Vec::new();
+    let total = 1 + {
+        let mut more = 0;
+        // Directories are followed without their pixels.
+        while pages.more_images() && more < MOST_PAGES {
+            pages.next_image().map_err(damaged(path))?;
+            more += 1;
+        }
+        pages.seek_to_image(0).map_err(damaged(path))?;
+        more
+    };
+    let [slices, channels, times] = match said.extents {
+        Some(e) if e.iter().try_fold(1usize, |n, &d| n.checked_mul(d)) == Some(total) || (said.imagej && total == 1) => e,
+        Some(e) => {
+            warnings.push(format!("holds {total} pages, not the {} x {} x {} that it says; they are taken as slices", e[0], e[1], e[2]));
+            [total, 1, 1]
+        }
+        None => [total, 1, 1],
+    };
+    let time = choice.time_of(times)?;
+    if times > 1 && choice.time.is_none() {
+        warnings.push(format!("holds {times} volumes; the first is used (--time chooses another)"));
+    }
+    let index_of = |slice: usize, channel: usize| {
+        let (at, extents) = ([slice, channel, time], [slices, channels, times]);
+        let [a, b, c] = said.order;
+        at[a] + extents[a] * (at[b] + extents[b] * at[c])
+    };
+    let (voxels, size, components, layout) = if total == 1 && slices * channels * times > 1 {
+        contiguous(path, &mut pages, file_bytes, [slices, channels, times], time, watch)?
+    } else {
+        let wanted: Vec<usize> = (0..channels).flat_map(|c| (0..slices).map(move |s| (s, c))).map(|(s, c)| index_of(s, c)).collect();
+        let mut stack = Stack::default();
+        let meter = Meter::new(watch, wanted.len() as u64);
+        let mut left_out = 0usize;
+        for &index in &wanted {
+            pages.seek_to_image(index).map_err(damaged(path))?;
+            if stack.count == 0 {
+                let (w, h) = pages.dimensions().map_err(damaged(path))?;
+                check_held(path, (u64::from(w) * u64::from(h)).saturating_mul(wanted.len() as u64), file_bytes.saturating_mul(MOST_RATIO))?;
+            } else if pages.dimensions().map_err(damaged(path))? != (stack.size[0] as u32, stack.size[1] as u32) {
+                left_out += 1;
+                continue;
+            }
+            left_out += usize::from(!stack.push(page(path, &mut pages)?, wanted.len()));
+            meter.add(1)?;
+        }
+        if left_out > 0 && channels > 1 {
+            return Err(fail("has pages of different sizes among its channels; export it as one".into()));
+        }
+        if left_out > 0 {
+            warnings.push(format!("{left_out} pages are of another size or type than the first and are left out"));
+        }
+        let (size, samples, count) = (stack.size, stack.components, stack.count);
+        if samples > 1 && channels > 1 {
+            return Err(fail("holds both channels and colours; split them".into()));
+        }
+        let voxels = stack.finish().ok_or_else(|| fail("holds no page".into()))?;
+        let layout = if samples > 1 { Layout::Interleaved } else { Layout::Planar };
+        (voxels, [size[0], size[1], count / channels], samples * channels, layout)
+    };
+    let spacing = said.spacing.map(|s| s.filter(|s| s.is_finite() && *s > 0.0));
+    if choice.spacing.is_none() && spacing.iter().any(Option::is_none) {
+        warnings.push("does not say how large a voxel is in every direction: 1 mm is taken where it is missing (--spacing says otherwise)".into());
+    }
+    let mut image = Image::new(
+        if said.ome { "OME-TIFF" } else if said.imagej { "ImageJ TIFF" } else { "TIFF" },
+        voxels,
+        size,
+        DAffine3::from_scale(DVec3::from(spacing.map(|s| s.unwrap_or(1.0)))),
+    );
+    (image.components, image.layout, image.warnings) = (components, layout, warnings);
+    if channels > 1 {
+        let looks = (0..channels).map(|c| Channel { color: said.colors.get(c).copied().flatten().unwrap_or(super::super::colors::CHANNELS[c % 4]), window: None });
+        image.meaning = Meaning::Channels(looks.collect());
+    } else if components > 2 {
+        image.meaning = Meaning::Color;
+    }
+    if times > 1 {
+        image.details.push(("time_points", json!(times)));
+    }
+    Ok(image)
+}
+
+/// Slices one after the other behind a single directory, as ImageJ writes large files.
+fn contiguous(
+    path: &Path,
+    pages: &mut Pages,
+    file_bytes: u64,
+    [slices, channels, times]: [usize; 3],
+    time: usize,
+    watch: &Watch,
+) -> Result<(Voxels, [usize; 3], usize, Layout)> {
+    let fail = |problem: &str| Error::file(path, problem);
+    let (width, height) = pages.dimensions().map_err(damaged(path))?;
+    let scalar = match (pages.colortype().map_err(damaged(path))?, pages.find_tag_unsigned::<u16>(Tag::SampleFormat).ok().flatten()) {
+        (ColorType::Gray(8), _) => ScalarType::U8,
+        (ColorType::Gray(16), Some(2)) => ScalarType::I16,
+        (ColorType::Gray(16), _) => ScalarType::U16,
+        (ColorType::Gray(32), Some(3)) => ScalarType::F32,
+        (ColorType::Gray(32), _) => ScalarType::U32,
+        _ => return Err(fail("has slices behind a single directory that are not grey; export it again")),
+    };
+    if pages.find_tag_unsigned::<u16>(Tag::Compression).ok().flatten().is_some_and(|c| c != 1) || channels > 1 && times > 1 {
+        return Err(fail("has packed slices behind a single directory; export it again"));
+    }
+    let first = pages.find_tag_unsigned_vec::<u64>(Tag::StripOffsets).ok().flatten().and_then(|o| o.first().copied());
+    let first = first.ok_or_else(|| fail("does not say where its pixels are"))?;
+    let big = pages.byte_order() == tiff::tags::ByteOrder::BigEndian;
+    // Channels change fastest.
+    let one_time = count(path, &[width as usize, height as usize, slices, channels], scalar)?;
+    let bytes = (one_time * scalar.bytes()) as u64;
+    let ahead = bytes.saturating_mul(time as u64);
+    check_held(path, first.saturating_add(ahead).saturating_add(bytes), file_bytes)?;
+    let mut reader = BufReader::new(open_file(path)?.0);
+    reader.seek(SeekFrom::Start(first)).map_err(|e| Error::io(path, "reading", e))?;
+    skip(path, &mut reader, ahead)?;
+    let swap = big != cfg!(target_endian = "big");
+    let voxels = Source { path, reader, swap, count: one_time, watch }.read_as(scalar)?;
+    let plane = width as usize * height as usize;
+    let voxels = if channels == 1 {
+        voxels
+    } else {
+        // From slices of channels to channels of slices.
+        voxels.gathered(one_time, |n| {
+            let (within, slice, channel) = (n % plane, n / plane % slices, n / plane / slices);
+            (slice * channels + channel) * plane + within
+        })
+    };
+    Ok((voxels, [width as usize, height as usize, slices], channels, Layout::Planar))
+}
+
+/// ImageJ's description: `name=value` lines.
+fn imagej(text: &str) -> Description {
+    let mut said = Description { order: [1, 0, 2], ..Description::default() };
+    if !text.starts_with("ImageJ=") {
+        return said;
+    }
+    said.imagej = true;
+    let get = |name: &str| text.lines().find_map(|l| l.strip_prefix(name)?.strip_prefix('=').map(str::trim));
+    let whole = |name: &str| get(name).and_then(|v| v.parse::<usize>().ok()).filter(|n| *n > 0);
+    let images = whole("images").unwrap_or(1);
+    let (channels, times) = (whole("channels").unwrap_or(1), whole("frames").unwrap_or(1));
+    let slices = whole("slices").or_else(|| images.checked_div(channels.saturating_mul(times)).filter(|n| *n > 0));
+    said.extents = slices.map(|s| [s, channels, times]);
+    said.spacing[2] = get("spacing").and_then(|v| v.parse().ok()).map(f64::abs);
+    said
+}
+
+/// Millimetres of the unit that ImageJ's description names; none for pixels.
+fn unit_of_imagej(text: &str) -> Option<f64> {
+    let unit = text.lines().find_map(|l| l.strip_prefix("unit=")).map(str::trim).unwrap_or("");
+    mm_of(if unit == "\\u00B5m" { "um" } else { unit })
+}
+
+/// Millimetres of a unit of length.
+pub(super) fn mm_of(unit: &str) -> Option<f64> {
+    Some(match unit.to_lowercase().as_str() {
+        "m" | "meter" | "metre" => 1000.0,
+        "cm" | "centimeter" | "centimetre" => 10.0,
+        "mm" | "millimeter" | "millimetre" => 1.0,
+        "um" | "µm" | "μm" | "micron" | "microns" | "micrometer" | "micrometre" => 1e-3,
+        "nm" | "nanometer" | "nanometre" => 1e-6,
+        "angstrom" | "å" => 1e-7,
+        "inch" | "in" => 25.4,
+        _ => return None,
+    })
+}
+
+/// The first image of OME-XML.
+fn ome(text: &str) -> Description {
+    let mut said = Description { ome: true, ..Description::default() };
+    let mut xml = quick_xml::Reader::from_str(text.trim_end_matches('\0'));
+    xml.config_mut().check_end_names = false;
+    let mut seen = false;
+    loop {
+        let event = match xml.read_event() {
+            Ok(Event::Start(tag) | Event::Empty(tag)) => tag,
+            Ok(Event::End(tag)) if tag.local_name().as_ref() == "Pixels" => break,
+            Ok(Event::Eof) | Err(_) => break,
+            Ok(_) => continue,
+        };
+        let get = |name: &str| {
+            event.attributes().flatten().find(|a| a.key.as_ref() == name).map(|a| a.value.into_owned())
+        };
+        match event.local_name().as_ref() {
+            "Pixels" if !seen => {
+                seen = true;
+                let extent = |name: &str| get(name).and_then(|v| v.parse::<usize>().ok()).filter(|n| *n > 0);
+                said.extents = extent("SizeZ").zip(extent("SizeC")).zip(extent("SizeT")).map(|((z, c), t)| [z, c, t]);
+                let order = get("DimensionOrder").unwrap_or_else(|| "XYZCT".into());
+                let axes: Vec<usize> = order.chars().filter_map(|c| "ZCT".find(c)).collect();
+                said.order = axes.try_into().ok().filter(|[a, b, c]: &[usize; 3]| a != b && b != c && a != c).unwrap_or([0, 1, 2]);
+                for (n, axis) in ["X", "Y", "Z"].into_iter().enumerate() {
+                    let unit = get(&format!("PhysicalSize{axis}Unit")).map_or(Some(1e-3), |u| mm_of(&u));
+                    said.spacing[n] = get(&format!("PhysicalSize{axis}")).and_then(|v| v.parse::<f64>().ok()).zip(unit).map(|(v, mm)| v * mm);
+                }
+            }
+            "Channel" => {
+                // Red, green, blue, alpha as one signed number.
+                let color = get("Color").and_then(|v| v.parse::<i32>().ok()).map(|v| v.to_be_bytes());
+                said.colors.push(color.map(|[r, g, b, _]| [r, g, b]).filter(|c| *c != [255; 3]));
+                // A channel may hold several samples; pages then hold them together.
+                if get("SamplesPerPixel").and_then(|v| v.parse::<usize>().ok()).is_some_and(|n| n > 1)
+                    && let Some(extents) = &mut said.extents
+                {
+                    extents[1] = 1;
+                }
+            }
+            _ => {}
+        }
+    }
+    said
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn descriptions() {
+        let said = imagej("ImageJ=1.53t\nimages=12\nchannels=2\nslices=3\nframes=2\nunit=micron\nspacing=2.5\n");
+        assert_eq!((said.extents, said.spacing[2], said.order), (Some([3, 2, 2]), Some(2.5), [1, 0, 2]));
+        assert_eq!(unit_of_imagej("unit=\\u00B5m\n"), Some(1e-3));
+        let said = ome(
+            r#"<?xml version="1.0"?><OME xmlns="x"><Image><Pixels DimensionOrder="XYCZT" SizeX="4" SizeY="5" SizeZ="6" SizeC="2" SizeT="1"
+            PhysicalSizeX="0.5" PhysicalSizeY="0.5" PhysicalSizeZ="2" PhysicalSizeZUnit="mm"><Channel Color="-16776961"/><Channel/></Pixels></Image></OME>"#,
+        );
+        assert_eq!((said.extents, said.order), (Some([6, 2, 1]), [1, 0, 2]));
+        assert_eq!(said.spacing, [Some(0.0005), Some(0.0005), Some(2.0)]);
+        assert_eq!(said.colors, [Some([255, 0, 0]), None]);
+    }
+}

@@ -1,0 +1,544 @@
+//! VTK image data in XML, `.vti`: values inline or appended, as text, base64 or raw, plain or in compressed blocks; one piece or several.
+//!
+//! *Geometry*: `Origin`, `Spacing` and `Direction` (columns are the axes) in LPS, as programs that read medical images into VTK leave them.
+//! Source: VTK file formats (VTK User's Guide; vtkXMLDataParser).
+
+use super::super::Voxels;
+use super::Choice;
+use super::image::{Image, Meaning, ScalarType};
+use super::source::{DEFLATE_LIMIT, Source, buffered, check_held, count, read_error, with_scalar, zeroed};
+use crate::{Error, Result, Watch};
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use flate2::read::ZlibDecoder;
+use glam::{DAffine3, DMat3, DVec3};
+use quick_xml::events::{BytesStart, Event};
+use rayon::prelude::*;
+use std::collections::HashMap;
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
+use std::path::Path;
+
+/// Compressed blocks unpacked at once.
+const BLOCKS_AT_ONCE: usize = 256;
+/// Most bytes of a block.
+const MOST_BLOCK: u64 = 1 << 28;
+/// Longest tag that is read.
+const MOST_TAG: usize = 1 << 20;
+
+/// Where the values of an array are.
+#[derive(Clone, Debug)]
+struct Array {
+    name: String,
+    scalar: Option<ScalarType>,
+    type_name: String,
+    components: usize,
+    place: Place,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Place {
+    /// Text after this byte of the file.
+    Text(u64),
+    /// Base64 after this byte of the file.
+    Base64(u64),
+    /// At an offset of the appended data.
+    Appended(u64),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Packing {
+    None,
+    Zlib,
+    Lz4,
+    Lzma,
+}
+
+#[derive(Default, Debug)]
+struct Piece {
+    extent: [i64; 6],
+    points: Vec<Array>,
+    cells: Vec<Array>,
+    active: [Option<String>; 2],
+}
+
+struct Document {
+    whole: [i64; 6],
+    origin: DVec3,
+    spacing: DVec3,
+    direction: DMat3,
+    big_endian: bool,
+    wide: bool,
+    packing: Packing,
+    pieces: Vec<Piece>,
+    /// First byte of the appended data, and whether they are base64.
+    appended: Option<(u64, bool)>,
+}
+
+/// Reads an image.
+pub fn read(path: &Path, _choice: &Choice, watch: &Watch) -> Result<Image> {
+    let fail = |problem: String| Error::file(path, problem);
+    let (reader, file_bytes) = buffered(path)?;
+    let document = document(path, reader)?;
+    let first = document.pieces.first().ok_or_else(|| fail("holds no piece of an image".into()))?;
+    let (on_cells, wanted) = chosen(first).ok_or_else(|| fail("holds no array of values".into()))?;
+    let extent = |e: &[i64; 6]| -> Option<[usize; 3]> {
+        let mut size = [0usize; 3];
+        for a in 0..3 {
+            let n = e[2 * a + 1].checked_sub(e[2 * a])?.checked_add(i64::from(!on_cells))?;
+            size[a] = usize::try_from(n).ok().filter(|n| *n > 0)?;
+        }
+        Some(size)
+    };
+    let size = extent(&document.whole).ok_or_else(|| fail(format!("has the extent {:?}, which holds nothing", document.whole)))?;
+    let scalar = wanted.scalar.ok_or_else(|| fail(format!("stores {}, which is no type that can be read", wanted.type_name)))?;
+    let components = wanted.components;
+    let total = count(path, &[size[0], size[1], size[2], components], scalar)?;
+    let most = if document.packing == Packing::None { file_bytes } else { file_bytes.saturating_mul(7 * DEFLATE_LIMIT) };
+    if !matches!(wanted.place, Place::Text(_)) {
+        check_held(path, (total * scalar.bytes()) as u64, most)?;
+    } else {
+        check_held(path, (total as u64).saturating_mul(2).saturating_sub(1), file_bytes)?;
+    }
+    let values = Values { path, document: &document, scalar, file_bytes, watch };
+    let voxels = if let [piece] = &document.pieces[..]
+        && piece.extent == document.whole
+    {
+        values.read(wanted, total)?
+    } else {
+        let mut parts = Vec::new();
+        let mut covered = 0usize;
+        for piece in &document.pieces {
+            let part = extent(&piece.extent).ok_or_else(|| fail(format!("has a piece of the extent {:?}, which holds nothing", piece.extent)))?;
+            let start: Option<[usize; 3]> = (0..3)
+                .map(|a| usize::try_from(piece.extent[2 * a] - document.whole[2 * a]).ok().filter(|s| s + part[a] <= size[a]))
+                .collect::<Option<Vec<_>>>()
+                .and_then(|v| v.try_into().ok());
+            let start = start.ok_or_else(|| fail("has a piece outside of the image's extent".into()))?;
+            let array = if on_cells { &piece.cells } else { &piece.points }.iter().find(|a| a.name == wanted.name);
+            let array = array.filter(|a| a.scalar == Some(scalar) && a.components == components);
+            let array = array.ok_or_else(|| fail(format!("has a piece without the array \"{}\"", wanted.name)))?;
+            let n = count(path, &[part[0], part[1], part[2], components], scalar)?;
+            covered = covered.saturating_add(n);
+            // Pieces share their outermost points; more than that is no division of one image.
+            if covered > total.saturating_mul(8) {
+                return Err(fail("has pieces that lie over one another".into()));
+            }
+            parts.push((start, part, values.read(array, n)?));
+        }
+        joined(path, size, components, scalar, &parts)?
+    };
+    let corner = DVec3::from_array(std::array::from_fn(|a| document.whole[2 * a] as f64 + if on_cells { 0.5 } else { 0.0 }));
+    let linear = document.direction * DMat3::from_diagonal(document.spacing);
+    let world_from_voxel = DAffine3 { matrix3: linear, translation: document.origin + linear * corner };
+    if !(world_from_voxel.is_finite() && linear.determinant().abs() > 1e-12) {
+        return Err(fail("has singular axes; its geometry cannot be used".into()));
+    }
+    let mut image = Image::new("VTK XML image data", voxels, size, world_from_voxel);
+    (image.components, image.frame) = (components, Some(DMat3::IDENTITY));
+    if first.active[1].as_deref() == Some(wanted.name.as_str()) && components == 3 {
+        image.meaning = Meaning::Vectors;
+    }
+    let others: Vec<&str> = first.points.iter().chain(&first.cells).map(|a| a.name.as_str()).filter(|n| *n != wanted.name).collect();
+    if !others.is_empty() {
+        image.warnings.push(format!("also holds the arrays {}; \"{}\" is used", others.join(", "), wanted.name));
+    }
+    Ok(image)
+}
+
+/// The array that is shown: the active scalars, else the active vectors, else the first; of points before those of cells.
+fn chosen(piece: &Piece) -> Option<(bool, &Array)> {
+    for (cells, arrays) in [(false, &piece.points), (true, &piece.cells)] {
+        let active = piece.active.iter().flatten().find_map(|name| arrays.iter().find(|a| a.name == *name));
+        if let Some(array) = active.or(arrays.first()) {
+            return Some((cells, array));
+        }
+    }
+    None
+}
+
+/// Pieces put into one grid.
+fn joined(path: &Path, size: [usize; 3], components: usize, scalar: ScalarType, parts: &[([usize; 3], [usize; 3], Voxels)]) -> Result<Voxels> {
+    with_scalar!(scalar, T => {
+        let mut all: Vec<T> = zeroed(path, size.iter().product::<usize>() * components)?;
+        for (start, part, voxels) in parts {
+            let run = part[0] * components;
+            for row in 0..part[1] * part[2] {
+                let (j, k) = (row % part[1] + start[1], row / part[1] + start[2]);
+                let to = ((k * size[1] + j) * size[0] + start[0]) * components;
+                for (n, v) in all[to..to + run].iter_mut().enumerate() {
+                    *v = voxels.get(row * run + n) as T;
+                }
+            }
+        }
+        Ok(all.into())
+    })
+}
+
+/// A reader that knows where it is.
+struct Counting {
+    inner: BufReader<File>,
+    at: u64,
+}
+
+impl Read for Counting {
+    fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
+        let read = self.inner.read(bytes)?;
+        self.at += read as u64;
+        Ok(read)
+    }
+}
+
+impl BufRead for Counting {
+    fn fill_buf(&mut self) -> std::io::Result<&[u8]> {
+        self.inner.fill_buf()
+    }
+    fn consume(&mut self, amount: usize) {
+        self.at += amount as u64;
+        self.inner.consume(amount);
+    }
+}
+
+impl Counting {
+    /// Passes over everything before a byte.
+    fn pass_to(&mut self, wanted: u8) -> std::io::Result<()> {
+        loop {
+            let bytes = self.inner.fill_buf()?;
+            if bytes.is_empty() {
+                return Ok(());
+            }
+            let found = bytes.iter().position(|b| *b == wanted);
+            let passed = found.unwrap_or(bytes.len());
+            self.consume(passed);
+            if found.is_some() {
+                return Ok(());
+            }
+        }
+    }
+}
+
+fn attributes(tag: &BytesStart) -> HashMap<String, String> {
+    tag.attributes()
+        .with_checks(false)
+        .flatten()
+        .map(|a| (a.key.as_ref().to_owned(), a.value.into_owned()))
+        .collect()
+}
+
+fn numbers<T: std::str::FromStr, const N: usize>(text: Option<&String>) -> Option<[T; N]> {
+    let all: Vec<T> = text?.split_whitespace().map_while(|w| w.parse().ok()).collect();
+    all.try_into().ok()
+}
+
+fn document(path: &Path, reader: BufReader<File>) -> Result<Document> {
+    let fail = |problem: String| Error::file(path, problem);
+    let mut xml = quick_xml::Reader::from_reader(Counting { inner: reader, at: 0 });
+    xml.config_mut().check_end_names = false;
+    let mut document = Document {
+        whole: [0; 6],
+        origin: DVec3::ZERO,
+        spacing: DVec3::ONE,
+        direction: DMat3::IDENTITY,
+        big_endian: false,
+        wide: false,
+        packing: Packing::None,
+        pieces: Vec::new(),
+        appended: None,
+    };
+    let mut buffer = Vec::new();
+    // Whether arrays belong to points (0) or cells (1).
+    let mut section = None;
+    let mut is_image = false;
+    loop {
+        buffer.clear();
+        let event = xml.read_event_into(&mut buffer).map_err(|e| fail(format!("is no readable XML ({e}); it is truncated or damaged")))?;
+        let (tag, empty) = match &event {
+            Event::Start(tag) => (tag, false),
+            Event::Empty(tag) => (tag, true),
+            Event::End(tag) => {
+                if matches!(tag.name().as_ref(), "PointData" | "CellData") {
+                    section = None;
+                }
+                continue;
+            }
+            Event::Eof => break,
+            _ => continue,
+        };
+        if tag.len() > MOST_TAG {
+            return Err(fail("has a tag of a megabyte; it is damaged".into()));
+        }
+        let get = attributes(tag);
+        match tag.name().as_ref() {
+            "VTKFile" => {
+                let kind = get.get("type").map_or("", String::as_str);
+                if kind != "ImageData" {
+                    return Err(fail(format!("is a VTK file of type \"{kind}\"; image data (.vti) can be read as a volume")));
+                }
+                is_image = true;
+                document.big_endian = get.get("byte_order").is_some_and(|b| b == "BigEndian");
+                document.wide = get.get("header_type").is_some_and(|t| t == "UInt64");
+                document.packing = match get.get("compressor").map_or("", String::as_str) {
+                    "" => Packing::None,
+                    "vtkZLibDataCompressor" => Packing::Zlib,
+                    "vtkLZ4DataCompressor" => Packing::Lz4,
+                    "vtkLZMADataCompressor" => Packing::Lzma,
+                    other => return Err(fail(format!("is compressed by {other}, which cannot be read; save it with zlib"))),
+                };
+            }
+            "ImageData" if is_image => {
+                document.whole = numbers(get.get("WholeExtent")).ok_or_else(|| fail("has no readable WholeExtent".into()))?;
+                let vector = |name: &str, otherwise: DVec3| match get.get(name) {
+                    None => Ok(otherwise),
+                    some => numbers::<f64, 3>(some).map(DVec3::from_array).ok_or_else(|| fail(format!("has a {name} that is not three numbers"))),
+                };
+                document.origin = vector("Origin", DVec3::ZERO)?;
+                document.spacing = vector("Spacing", DVec3::ONE)?;
+                if get.contains_key("Direction") {
+                    let rows: [f64; 9] = numbers(get.get("Direction")).ok_or_else(|| fail("has a Direction that is not nine numbers".into()))?;
+                    document.direction = DMat3::from_cols_array(&rows).transpose();
+                }
+            }
+            "Piece" if is_image => {
+                let extent = numbers(get.get("Extent")).unwrap_or(document.whole);
+                document.pieces.push(Piece { extent, ..Piece::default() });
+            }
+            name @ ("PointData" | "CellData") => {
+                section = (!empty).then_some(usize::from(name == "CellData"));
+                if let Some(piece) = document.pieces.last_mut()
+                    && piece.active == [None, None]
+                {
+                    piece.active = [get.get("Scalars").cloned(), get.get("Vectors").cloned()];
+                }
+            }
+            "DataArray" | "Array" => {
+                let Some(section) = section else { continue };
+                let at = xml.get_ref().at;
+                let place = match get.get("format").map_or("ascii", String::as_str) {
+                    "ascii" => Place::Text(at),
+                    "binary" => Place::Base64(at),
+                    "appended" => Place::Appended(get.get("offset").and_then(|o| o.parse().ok()).unwrap_or(0)),
+                    other => return Err(fail(format!("has an array in the format \"{other}\", which cannot be read"))),
+                };
+                let type_name = get.get("type").cloned().unwrap_or_default();
+                let components = get.get("NumberOfComponents").map_or(Some(1), |n| n.parse().ok()).filter(|n| (1..=1024).contains(n));
+                let array = Array {
+                    name: get.get("Name").cloned().unwrap_or_default(),
+                    scalar: ScalarType::named(&type_name),
+                    type_name,
+                    components: components.ok_or_else(|| fail("has an array with an impossible number of components".into()))?,
+                    place,
+                };
+                if let Some(piece) = document.pieces.last_mut() {
+                    if section == 0 { &mut piece.points } else { &mut piece.cells }.push(array);
+                }
+                if !empty {
+                    xml.get_mut().pass_to(b'<').map_err(|e| read_error(path, e))?;
+                }
+            }
+            "AppendedData" => {
+                let base64 = get.get("encoding").is_some_and(|e| e == "base64");
+                let reader = xml.get_mut();
+                reader.pass_to(b'_').map_err(|e| read_error(path, e))?;
+                document.appended = Some((reader.at + 1, base64));
+                break;
+            }
+            _ => {}
+        }
+    }
+    if !is_image {
+        return Err(fail("is no VTK file: it has no VTKFile element".into()));
+    }
+    Ok(document)
+}
+
+struct Values<'a> {
+    path: &'a Path,
+    document: &'a Document,
+    scalar: ScalarType,
+    file_bytes: u64,
+    watch: &'a Watch<'a>,
+}
+
+impl Values<'_> {
+    fn read(&self, array: &Array, count: usize) -> Result<Voxels> {
+        let path = self.path;
+        let start = |at: u64| -> Result<BufReader<File>> {
+            let (mut reader, _) = buffered(path)?;
+            reader.seek(SeekFrom::Start(at)).map_err(|e| read_error(path, e))?;
+            Ok(reader)
+        };
+        match array.place {
+            Place::Text(at) => super::text::values(path, start(at)?, [0, count], self.scalar, self.watch),
+            Place::Base64(at) => self.unpacked(Base64::new(start(at)?), count),
+            Place::Appended(offset) => {
+                let missing = || Error::file(path, "has no appended data for its values: it is truncated; copy or download it again");
+                let (first, base64) = self.document.appended.ok_or_else(missing)?;
+                let at = first.checked_add(offset).filter(|at| *at < self.file_bytes).ok_or_else(missing)?;
+                if base64 { self.unpacked(Base64::new(start(at)?), count) } else { self.unpacked(start(at)?, count) }
+            }
+        }
+    }
+
+    /// Values behind their header of lengths.
+    fn unpacked(&self, mut reader: impl Read, count: usize) -> Result<Voxels> {
+        let fail = |problem: String| Error::file(self.path, problem);
+        let swap = self.document.big_endian != cfg!(target_endian = "big");
+        let bytes = (count * self.scalar.bytes()) as u64;
+        let length = |reader: &mut dyn Read| -> Result<u64> {
+            let mut raw = [0u8; 8];
+            let width = if self.document.wide { 8 } else { 4 };
+            reader.read_exact(&mut raw[..width]).map_err(|e| read_error(self.path, e))?;
+            if self.document.big_endian {
+                raw[..width].reverse();
+            }
+            Ok(u64::from_le_bytes(raw))
+        };
+        if self.document.packing == Packing::None {
+            let stated = length(&mut reader)?;
+            // A length of 32 bits is cut off in files of more than 4 GiB.
+            if stated < bytes && self.document.wide {
+                return Err(fail(format!("holds {stated} bytes of values, and {bytes} are needed")));
+            }
+            return Source { path: self.path, reader, swap, count, watch: self.watch }.read_as(self.scalar);
+        }
+        let [blocks, size, last] = [length(&mut reader)?, length(&mut reader)?, length(&mut reader)?];
+        let whole = blocks.checked_mul(size).filter(|_| size <= MOST_BLOCK && last <= size).map(|n| if last > 0 { n - size + last } else { n });
+        if whole.is_none_or(|n| n < bytes) || blocks > self.file_bytes {
+            return Err(fail(format!("has {blocks} blocks of {size} bytes for {bytes} bytes of values; it is damaged")));
+        }
+        let mut packed = Vec::new();
+        for _ in 0..blocks {
+            packed.push(length(&mut reader)?);
+        }
+        if packed.iter().any(|n| *n > self.file_bytes) {
+            return Err(fail("has a block that is larger than the file; it is damaged".into()));
+        }
+        let blocks = Blocks { reader, packed: packed.into_iter(), size: size as usize, packing: self.document.packing, ready: Vec::new(), at: [0, 0] };
+        Source { path: self.path, reader: blocks, swap, count, watch: self.watch }.read_as(self.scalar)
+    }
+}
+
+/// Blocks, unpacked many at a time.
+struct Blocks<R> {
+    reader: R,
+    packed: std::vec::IntoIter<u64>,
+    size: usize,
+    packing: Packing,
+    ready: Vec<Vec<u8>>,
+    /// Block, and byte in it, that come next.
+    at: [usize; 2],
+}
+
+impl<R: Read> Read for Blocks<R> {
+    fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
+        while self.ready.get(self.at[0]).is_none_or(|b| b.len() <= self.at[1]) {
+            if self.at[0] + 1 < self.ready.len() {
+                self.at = [self.at[0] + 1, 0];
+                continue;
+            }
+            let at_once = ((1 << 24) / self.size.max(1)).clamp(1, BLOCKS_AT_ONCE);
+            let mut packed = Vec::new();
+            for length in self.packed.by_ref().take(at_once) {
+                let mut block = Vec::new();
+                if (&mut self.reader).take(length).read_to_end(&mut block)? as u64 != length {
+                    return Err(std::io::ErrorKind::UnexpectedEof.into());
+                }
+                packed.push(block);
+            }
+            if packed.is_empty() {
+                return Ok(0);
+            }
+            let (size, packing) = (self.size, self.packing);
+            self.ready = packed.into_par_iter().map(|block| unpack(&block, size, packing)).collect::<std::io::Result<_>>()?;
+            self.at = [0, 0];
+        }
+        let block = &self.ready[self.at[0]][self.at[1]..];
+        let n = block.len().min(bytes.len());
+        bytes[..n].copy_from_slice(&block[..n]);
+        self.at[1] += n;
+        Ok(n)
+    }
+}
+
+fn unpack(block: &[u8], size: usize, packing: Packing) -> std::io::Result<Vec<u8>> {
+    let mut out = Vec::new();
+    match packing {
+        Packing::None => out.extend_from_slice(block),
+        Packing::Zlib => {
+            ZlibDecoder::new(block).take(size as u64).read_to_end(&mut out)?;
+        }
+        Packing::Lz4 => {
+            // LZ4 cannot shrink by more than 255.
+            out.resize(size.min(block.len().saturating_mul(255)), 0);
+            let n = lz4_flex::block::decompress_into(block, &mut out).map_err(|e| std::io::Error::new(std::io::ErrorKind::InvalidData, e.to_string()))?;
+            out.truncate(n);
+        }
+        Packing::Lzma => {
+            lzma_rust2::XzReader::new(block, false).take(size as u64).read_to_end(&mut out)?;
+        }
+    }
+    Ok(out)
+}
+
+/// Bytes in base64, of which parts may have been encoded, and padded, one by one. Ends at the first character that is none.
+struct Base64 {
+    reader: BufReader<File>,
+    ready: Vec<u8>,
+    at: usize,
+}
+
+impl Base64 {
+    fn new(reader: BufReader<File>) -> Self {
+        Self { reader, ready: Vec::new(), at: 0 }
+    }
+
+    fn more(&mut self) -> std::io::Result<()> {
+        const GROUPS: usize = 1 << 16;
+        let mut text = Vec::with_capacity(GROUPS);
+        'fill: while text.len() < GROUPS {
+            let bytes = self.reader.fill_buf()?;
+            if bytes.is_empty() {
+                break;
+            }
+            let mut used = 0;
+            let mut end = false;
+            for &b in bytes {
+                match b {
+                    b'A'..=b'Z' | b'a'..=b'z' | b'0'..=b'9' | b'+' | b'/' | b'=' => text.push(b),
+                    b if b.is_ascii_whitespace() => {}
+                    _ => {
+                        end = true;
+                        break;
+                    }
+                }
+                used += 1;
+                // A padded group ends what can be decoded at once.
+                let padded = b == b'=' && text.len().is_multiple_of(4);
+                if padded || text.len() == GROUPS {
+                    end = padded;
+                    break;
+                }
+            }
+            self.reader.consume(used);
+            if end {
+                break 'fill;
+            }
+        }
+        text.truncate(text.len() / 4 * 4);
+        self.ready = STANDARD.decode(&text).map_err(|e| std::io::Error::new(std::io::ErrorKind::InvalidData, e.to_string()))?;
+        self.at = 0;
+        Ok(())
+    }
+}
+
+impl Read for Base64 {
+    fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
+        if self.at == self.ready.len() {
+            self.more()?;
+        }
+        let n = (self.ready.len() - self.at).min(bytes.len());
+        bytes[..n].copy_from_slice(&self.ready[self.at..self.at + n]);
+        self.at += n;
+        Ok(n)
+    }
+}

@@ -1,0 +1,124 @@
+//! VTK's older format, `.vtk`: structured points as text or in binary (most significant byte first).
+//!
+//! *Geometry*: origin and spacing along the axes, taken as LPS; the format has no directions. Source: VTK file formats, "Simple legacy formats".
+
+use super::Choice;
+use super::image::{Image, Meaning, ScalarType};
+use super::source::{Source, buffered, check_held, count, read_error};
+use crate::{Error, Result, Watch};
+use glam::{DAffine3, DMat3, DVec3};
+use std::io::{BufRead, Read};
+use std::path::Path;
+
+/// Longest line of a header.
+const MOST_LINE: u64 = 1 << 16;
+/// Most lines of a header.
+const MOST_LINES: usize = 10_000;
+
+/// Reads an image.
+pub fn read(path: &Path, _choice: &Choice, watch: &Watch) -> Result<Image> {
+    let fail = |problem: String| Error::file(path, problem);
+    let (mut reader, file_bytes) = buffered(path)?;
+    let mut line = || -> Result<Option<String>> {
+        let mut bytes = Vec::new();
+        let read = (&mut reader).take(MOST_LINE).read_until(b'\n', &mut bytes).map_err(|e| read_error(path, e))?;
+        Ok((read > 0).then(|| String::from_utf8_lossy(&bytes).trim().to_owned()))
+    };
+    if !line()?.is_some_and(|l| l.starts_with("# vtk DataFile")) {
+        return Err(fail("is no VTK file (it does not start with \"# vtk DataFile\")".into()));
+    }
+    let _title = line()?;
+    let binary = match line()?.unwrap_or_default().to_ascii_uppercase().as_str() {
+        "BINARY" => true,
+        "ASCII" => false,
+        other => return Err(fail(format!("is written as \"{other}\"; ASCII or BINARY is meant"))),
+    };
+    let (mut size, mut spacing, mut origin) = (None, DVec3::ONE, DVec3::ZERO);
+    let mut on_cells = false;
+    // Type, components and meaning of the first array.
+    let mut array = None;
+    for _ in 0..MOST_LINES {
+        let Some(text) = line()? else { break };
+        let words: Vec<&str> = text.split_whitespace().collect();
+        let three = || -> Option<[f64; 3]> { words.get(1..4)?.iter().map(|w| w.parse().ok()).collect::<Option<Vec<_>>>()?.try_into().ok() };
+        let number = |n: usize| words.get(n).and_then(|w| w.parse::<usize>().ok());
+        match words.first().map(|w| w.to_ascii_uppercase()).as_deref() {
+            Some("DATASET") if !words.get(1).is_some_and(|k| k.eq_ignore_ascii_case("STRUCTURED_POINTS")) => {
+                return Err(fail(format!("holds {}; structured points can be read as a volume", words.get(1).unwrap_or(&"nothing"))));
+            }
+            Some("DIMENSIONS") => size = words.get(1..4).and_then(|w| w.iter().map(|n| n.parse::<usize>().ok().filter(|n| *n > 0)).collect::<Option<Vec<_>>>()),
+            Some("SPACING" | "ASPECT_RATIO") => {
+                spacing = three().map(DVec3::from_array).ok_or_else(|| fail(format!("has \"{text}\", which is not three numbers")))?;
+            }
+            Some("ORIGIN") => origin = three().map(DVec3::from_array).ok_or_else(|| fail(format!("has \"{text}\", which is not three numbers")))?,
+            Some("POINT_DATA") => on_cells = false,
+            Some("CELL_DATA") => on_cells = true,
+            Some("SCALARS") => {
+                let scalar = scalar_type(words.get(2).unwrap_or(&"")).map_err(&fail)?;
+                // The table that follows is named, and may be left out.
+                let table = line()?.unwrap_or_default();
+                if !table.to_ascii_uppercase().starts_with("LOOKUP_TABLE") {
+                    return Err(fail("has scalars without a lookup table; its header is damaged".into()));
+                }
+                array = Some((scalar, number(3).unwrap_or(1), Meaning::Unstated));
+                break;
+            }
+            Some("COLOR_SCALARS") => {
+                let components = number(2).ok_or_else(|| fail(format!("has \"{text}\", which cannot be read")))?;
+                array = Some((if binary { ScalarType::U8 } else { ScalarType::F32 }, components, Meaning::Color));
+                break;
+            }
+            Some("VECTORS" | "NORMALS") => {
+                array = Some((scalar_type(words.get(2).unwrap_or(&"")).map_err(&fail)?, 3, Meaning::Vectors));
+                break;
+            }
+            Some("FIELD") => {
+                let next = line()?.unwrap_or_default();
+                let words: Vec<&str> = next.split_whitespace().collect();
+                let [_, components, _, kind, ..] = words[..] else { return Err(fail(format!("has the field \"{next}\", which cannot be read"))) };
+                let components = components.parse().map_err(|_| fail(format!("has the field \"{next}\", which cannot be read")))?;
+                array = Some((scalar_type(kind).map_err(&fail)?, components, Meaning::Unstated));
+                break;
+            }
+            _ => {}
+        }
+    }
+    let size: [usize; 3] = size.and_then(|s| s.try_into().ok()).ok_or_else(|| fail("has no readable DIMENSIONS".into()))?;
+    let (scalar, components, meaning) = array.ok_or_else(|| fail("holds no values: it is truncated or has no scalars".into()))?;
+    if !(1..=1024).contains(&components) {
+        return Err(fail(format!("has {components} values per voxel; its header is damaged")));
+    }
+    let size = if on_cells { size.map(|n| n.saturating_sub(1).max(1)) } else { size };
+    let total = count(path, &[size[0], size[1], size[2], components], scalar)?;
+    let voxels = if binary {
+        check_held(path, (total * scalar.bytes()) as u64, file_bytes)?;
+        Source { path, reader, swap: scalar.bytes() > 1 && cfg!(target_endian = "little"), count: total, watch }.read_as(scalar)?
+    } else {
+        check_held(path, (total as u64).saturating_mul(2).saturating_sub(1), file_bytes)?;
+        super::text::values(path, reader, [0, total], scalar, watch)?
+    };
+    let world_from_voxel =
+        DAffine3 { matrix3: DMat3::from_diagonal(spacing), translation: origin + if on_cells { spacing * 0.5 } else { DVec3::ZERO } };
+    if !(world_from_voxel.is_finite() && world_from_voxel.matrix3.determinant().abs() > 1e-12) {
+        return Err(fail("has a spacing of zero, or numbers that are not finite; its geometry cannot be used".into()));
+    }
+    let mut image = Image::new("legacy VTK", voxels, size, world_from_voxel);
+    (image.components, image.meaning, image.frame) = (components, meaning, Some(DMat3::IDENTITY));
+    Ok(image)
+}
+
+fn scalar_type(name: &str) -> Result<ScalarType, String> {
+    Ok(match name.to_ascii_lowercase().as_str() {
+        "unsigned_char" => ScalarType::U8,
+        "char" | "signed_char" => ScalarType::I8,
+        "unsigned_short" => ScalarType::U16,
+        "short" => ScalarType::I16,
+        "unsigned_int" => ScalarType::U32,
+        "int" => ScalarType::I32,
+        "unsigned_long" | "unsigned_long_long" | "vtktypeuint64" => ScalarType::U64,
+        "long" | "long_long" | "vtktypeint64" | "vtkidtype" => ScalarType::I64,
+        "float" => ScalarType::F32,
+        "double" => ScalarType::F64,
+        _ => return Err(format!("stores \"{name}\", which is no type that can be read")),
+    })
+}

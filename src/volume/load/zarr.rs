@@ -1,0 +1,304 @@
+//! OME-Zarr 0.4 and 0.5 (and the older 0.1 to 0.3), a folder: one of the resolutions of a multiscale image, its channels in their colours.
+//! A Zarr array without a word about its axes is taken as (z, y, x).
+//!
+//! Source: the OME-NGFF specification 0.4 and 0.5, "multiscales", "coordinateTransformations", "omero".
+
+use super::guard::guarded;
+use super::image::{Channel, Image, Layout, Meaning, ScalarType};
+use super::source::{count, reserved, with_scalar};
+use super::tiff::mm_of;
+use super::{Choice, Voxels};
+use crate::{Error, Meter, Result, Watch};
+use glam::{DAffine3, DMat3, DVec3};
+use serde_json::{Value, json};
+use std::ops::Range;
+use std::path::Path;
+use std::sync::Arc;
+use zarrs::array::Array;
+use zarrs::array::ArraySubset;
+use zarrs::filesystem::FilesystemStore;
+
+/// The most that chunks can have been packed by, and what is believed of any array whose chunks were left out as empty.
+const MOST_RATIO: u64 = 5000;
+const ALWAYS_BELIEVED: u64 = 64 << 20;
+/// Largest metadata file that is read.
+const MOST_METADATA: u64 = 16 << 20;
+
+/// Whether a folder is a Zarr group or array.
+pub fn is_zarr(folder: &Path) -> bool {
+    [".zattrs", ".zgroup", ".zarray", "zarr.json"].iter().any(|n| folder.join(n).is_file())
+}
+
+/// JSON of a file; null if there is none.
+fn metadata(path: &Path) -> Result<Value> {
+    match std::fs::metadata(path) {
+        Err(_) => return Ok(Value::Null),
+        Ok(m) if m.len() > MOST_METADATA => return Err(Error::file(path, "is too large for metadata; it is damaged")),
+        Ok(_) => {}
+    }
+    let bytes = std::fs::read(path).map_err(|e| Error::io(path, "reading", e))?;
+    serde_json::from_slice(&bytes).map_err(|e| Error::file(path, format!("is no readable JSON ({e}); it is truncated or damaged")))
+}
+
+/// Attributes of a group, in either version of Zarr.
+fn attributes(folder: &Path) -> Result<Value> {
+    let three = metadata(&folder.join("zarr.json"))?;
+    if !three.is_null() {
+        let own = &three["attributes"];
+        return Ok(if own["ome"].is_object() { own["ome"].clone() } else { own.clone() });
+    }
+    metadata(&folder.join(".zattrs"))
+}
+
+/// Reads an image.
+pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
+    let ended = || Error::file(path, "its chunks are damaged; copy it again");
+    guarded(|| read_unguarded(path, choice, watch)).ok_or_else(ended)?
+}
+
+fn read_unguarded(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
+    let fail = |problem: String| Error::file(path, problem);
+    let mut folder = path.to_owned();
+    let mut said = attributes(&folder)?;
+    // Converted files keep their first image one level down.
+    if !said["multiscales"].is_array() && said.get("bioformats2raw.layout").is_some() {
+        folder = folder.join("0");
+        said = attributes(&folder)?;
+    }
+    if said["plate"].is_object() || said["well"].is_object() {
+        return Err(fail("is a plate of many images; name one of them (a folder such as A/1/0 inside)".into()));
+    }
+    let multiscale = &said["multiscales"][0];
+    let datasets = multiscale["datasets"].as_array().cloned().unwrap_or_default();
+    let level = choice.level.unwrap_or(0);
+    let array_folder = if datasets.is_empty() {
+        if !folder.join(".zarray").is_file() && metadata(&folder.join("zarr.json"))?["node_type"] != "array" {
+            return Err(fail("is a Zarr group without an image (no multiscales); name an image inside of it".into()));
+        }
+        folder.clone()
+    } else {
+        let dataset = datasets
+            .get(level)
+            .ok_or_else(|| Error::value("level", format!("{level} is none of the {} resolutions; they count from 0, the full one", datasets.len())))?;
+        let name = dataset["path"].as_str().ok_or_else(|| fail("has a resolution without a path; its metadata are damaged".into()))?;
+        if Path::new(name).components().any(|c| !matches!(c, std::path::Component::Normal(_))) {
+            return Err(fail(format!("names \"{name}\", which is outside of it; its metadata are damaged")));
+        }
+        folder.join(name)
+    };
+    let layout = ArrayLayout::of(&array_folder)?;
+    let rank = layout.shape.len();
+    let axes = axes(multiscale, rank).map_err(&fail)?;
+    let find = |name: &str| axes.iter().position(|a| a.name == name);
+    let (Some(x), Some(y)) = (find("x"), find("y")) else { return Err(fail("has no axes x and y; a volume is needed".into())) };
+    let (z, c, t) = (find("z"), find("c"), find("t"));
+    let extent = |axis: Option<usize>| axis.map_or(1, |a| layout.shape[a] as usize);
+    let (channels, times) = (extent(c), extent(t));
+    let mut warnings = Vec::new();
+    let time = choice.time_of(times)?;
+    if times > 1 && choice.time.is_none() {
+        warnings.push(format!("holds {times} volumes; the first is used (--time chooses another)"));
+    }
+    if x + 1 != rank || y + 2 != rank || z.is_some_and(|z| z + 3 != rank) {
+        return Err(fail("has its axes in another order than time, channel, z, y, x; reorder them".into()));
+    }
+    // One channel is read alone where one is asked for.
+    let one = Choice::index("channel", choice.channel, channels)?;
+    let chosen: Vec<usize> = one.map_or_else(|| (0..channels).collect(), |c| vec![c]);
+    if chosen.len() > 4 {
+        return Err(fail(format!("holds {channels} channels, which cannot be shown together; choose one with --channel 1 to {channels}")));
+    }
+    let size = [extent(Some(x)), extent(Some(y)), extent(z)];
+    let total = count(path, &[size[0], size[1], size[2], chosen.len()], layout.scalar)?;
+    layout.check(path, &array_folder, (total * layout.scalar.bytes()) as u64)?;
+
+    let store = FilesystemStore::new(&array_folder).map_err(|e| fail(format!("cannot be opened ({e})")))?;
+    let array = Array::open(Arc::new(store), "/").map_err(|e| fail(format!("holds an array that cannot be read ({e})")))?;
+    let subset = |channel: usize, slices: Range<usize>| -> ArraySubset {
+        let ranges: Vec<Range<u64>> = (0..rank)
+            .map(|a| match a {
+                a if a == x || a == y => 0..layout.shape[a],
+                a if Some(a) == z => slices.start as u64..slices.end as u64,
+                a if Some(a) == c => channel as u64..channel as u64 + 1,
+                a if Some(a) == t => time as u64..time as u64 + 1,
+                _ => 0..1,
+            })
+            .collect();
+        ArraySubset::new_with_ranges(&ranges)
+    };
+    // Whole layers of chunks at once, so that none is unpacked twice.
+    let layer = z.map_or(1, |z| layout.chunks[z] as usize).clamp(1, size[2]);
+    let voxels: Voxels = with_scalar!(layout.scalar, T => {
+        let mut values: Vec<T> = reserved(path, total)?;
+        let meter = Meter::new(watch, (total * size_of::<T>()) as u64);
+        for &channel in &chosen {
+            for first in (0..size[2]).step_by(layer) {
+                let region = subset(channel, first..(first + layer).min(size[2]));
+                let part: Vec<T> = array.retrieve_array_subset(&region).map_err(|e| fail(format!("holds a chunk that cannot be read ({e})")))?;
+                values.extend_from_slice(&part);
+                meter.add(size_of_val(&part[..]) as u64)?;
+            }
+        }
+        values.into()
+    });
+    if voxels.len() != total {
+        return Err(fail("holds fewer values than it declares; it is damaged".into()));
+    }
+    let (scale, translation) = placement(multiscale, datasets.get(level).unwrap_or(&Value::Null), rank).map_err(&fail)?;
+    let mut stated = true;
+    let per_axis = |values: &[f64]| {
+        DVec3::from_array([Some(x), Some(y), z].map(|axis| axis.map_or(1.0, |a| values[a] * axes[a].mm)))
+    };
+    let linear = match &scale {
+        Some(scale) => per_axis(scale),
+        None => {
+            stated = false;
+            DVec3::ONE
+        }
+    };
+    if !stated && choice.spacing.is_none() {
+        warnings.push("does not say how large a voxel is: 1 mm is taken (--spacing says otherwise)".into());
+    }
+    let origin = translation.map_or(DVec3::ZERO, |t| {
+        DVec3::from_array([Some(x), Some(y), z].map(|axis| axis.map_or(0.0, |a| t[a] * axes[a].mm)))
+    });
+    let world_from_voxel = DAffine3 { matrix3: DMat3::from_diagonal(linear), translation: origin };
+    if !(world_from_voxel.is_finite() && linear.abs().min_element() > 1e-12) {
+        return Err(fail("has a scale of zero, or one that is not finite; its geometry cannot be used".into()));
+    }
+    let mut image = Image::new(if folder.join("zarr.json").is_file() { "OME-Zarr 0.5" } else { "OME-Zarr 0.4" }, voxels, size, world_from_voxel);
+    (image.components, image.layout) = (chosen.len(), Layout::Planar);
+    if chosen.len() > 1 {
+        image.meaning = Meaning::Channels(chosen.iter().map(|&n| look(&said["omero"]["channels"][n], n)).collect());
+    } else if folder.parent().is_some_and(|p| p.ends_with("labels")) || said["image-label"].is_object() {
+        image.meaning = Meaning::Labels(Vec::new());
+    }
+    image.details.push(("levels", json!(datasets.len().max(1))));
+    if channels > 1 {
+        image.details.push(("channels", json!(channels)));
+    }
+    if times > 1 {
+        image.details.push(("time_points", json!(times)));
+    }
+    image.warnings = warnings;
+    Ok(image)
+}
+
+/// What a Zarr array says of itself, read before anything is allocated.
+struct ArrayLayout {
+    shape: Vec<u64>,
+    chunks: Vec<u64>,
+    scalar: ScalarType,
+}
+
+impl ArrayLayout {
+    fn of(folder: &Path) -> Result<Self> {
+        let fail = |problem: String| Error::file(folder, problem);
+        let two = metadata(&folder.join(".zarray"))?;
+        let (shape, chunks, kind) = if two.is_null() {
+            let three = metadata(&folder.join("zarr.json"))?;
+            if three.is_null() {
+                return Err(fail("is no Zarr array (neither .zarray nor zarr.json is in it)".into()));
+            }
+            let chunks = three["chunk_grid"]["configuration"]["chunk_shape"].clone();
+            (three["shape"].clone(), chunks, three["data_type"].as_str().unwrap_or("").to_owned())
+        } else {
+            let kind = two["dtype"].as_str().unwrap_or("").trim_start_matches(['<', '>', '|']);
+            let kind = match kind {
+                "u1" | "b1" => "uint8",
+                "i1" => "int8",
+                "u2" => "uint16",
+                "i2" => "int16",
+                "u4" => "uint32",
+                "i4" => "int32",
+                "u8" => "uint64",
+                "i8" => "int64",
+                "f4" => "float32",
+                "f8" => "float64",
+                other => other,
+            };
+            (two["shape"].clone(), two["chunks"].clone(), kind.to_owned())
+        };
+        let numbers = |v: &Value| v.as_array()?.iter().map(|n| n.as_u64().filter(|n| *n > 0)).collect::<Option<Vec<u64>>>();
+        let (Some(shape), Some(chunks)) = (numbers(&shape), numbers(&chunks)) else {
+            return Err(fail("has a shape or chunks that are not positive numbers; its metadata are damaged".into()));
+        };
+        if shape.len() != chunks.len() || !(2..=5).contains(&shape.len()) {
+            return Err(fail(format!("has {} axes; 2 to 5 can be read", shape.len())));
+        }
+        let scalar = ScalarType::named(&kind).ok_or_else(|| fail(format!("stores \"{kind}\", which cannot be rendered")))?;
+        Ok(Self { shape, chunks, scalar })
+    }
+
+    /// Refuses arrays and chunks that are far larger than what is there.
+    fn check(&self, path: &Path, folder: &Path, bytes: u64) -> Result<()> {
+        let there: u64 = walkdir::WalkDir::new(folder).into_iter().flatten().filter_map(|e| e.metadata().ok()).filter(|m| m.is_file()).map(|m| m.len()).sum();
+        let most = there.saturating_mul(MOST_RATIO).max(ALWAYS_BELIEVED);
+        let chunk = self.chunks.iter().try_fold(self.scalar.bytes() as u64, |n, &c| n.checked_mul(c));
+        super::source::check_held(path, bytes.max(chunk.unwrap_or(u64::MAX)), most)
+    }
+}
+
+struct Axis {
+    name: String,
+    mm: f64,
+}
+
+/// Names and units of the axes; those of 0.1 and 0.2 are always t, c, z, y, x.
+fn axes(multiscale: &Value, rank: usize) -> Result<Vec<Axis>, String> {
+    let Some(stated) = multiscale["axes"].as_array() else {
+        let names: &[&str] = if multiscale.is_null() { &["t", "c", "z", "y", "x"][5 - rank.min(5)..] } else { &["t", "c", "z", "y", "x"] };
+        return if names.len() == rank {
+            Ok(names.iter().map(|n| Axis { name: (*n).to_owned(), mm: 1.0 }).collect())
+        } else {
+            Err("does not name its axes; its metadata are damaged".into())
+        };
+    };
+    if stated.len() != rank {
+        return Err(format!("names {} axes of an array of {rank}; its metadata are damaged", stated.len()));
+    }
+    Ok(stated
+        .iter()
+        .map(|a| Axis {
+            name: a.as_str().or(a["name"].as_str()).unwrap_or("").to_ascii_lowercase(),
+            mm: a["unit"].as_str().and_then(mm_of).unwrap_or(1.0),
+        })
+        .collect())
+}
+
+/// Scale and translation per axis: those of the resolution, then those of the whole.
+#[allow(clippy::type_complexity, reason = "two optional lists")]
+fn placement(multiscale: &Value, dataset: &Value, rank: usize) -> Result<(Option<Vec<f64>>, Option<Vec<f64>>), String> {
+    let (mut scale, mut translation): (Option<Vec<f64>>, Option<Vec<f64>>) = (None, None);
+    for list in [&dataset["coordinateTransformations"], &multiscale["coordinateTransformations"]] {
+        for step in list.as_array().map_or(&[][..], Vec::as_slice) {
+            let kind = step["type"].as_str().unwrap_or("");
+            let values: Option<Vec<f64>> = step[kind].as_array().map(|a| a.iter().map(|v| v.as_f64().unwrap_or(f64::NAN)).collect());
+            let Some(values) = values.filter(|v| v.len() == rank) else {
+                if kind == "identity" {
+                    continue;
+                }
+                return Err(format!("has a transformation \"{kind}\" that cannot be read"));
+            };
+            match kind {
+                "scale" => {
+                    let times = |old: &Vec<f64>| old.iter().zip(&values).map(|(a, b)| a * b).collect::<Vec<f64>>();
+                    (scale, translation) = (Some(scale.as_ref().map_or(values.clone(), times)), translation.as_ref().map(times));
+                }
+                "translation" => {
+                    translation = Some(translation.map_or(values.clone(), |old| old.iter().zip(&values).map(|(a, b)| a + b).collect()));
+                }
+                _ => return Err(format!("has a transformation \"{kind}\", which cannot be used")),
+            }
+        }
+    }
+    Ok((scale, translation))
+}
+
+/// Colour and window of a channel.
+fn look(said: &Value, n: usize) -> Channel {
+    let color = said["color"].as_str().filter(|t| t.len() == 6).and_then(|t| u32::from_str_radix(t, 16).ok());
+    let [_, r, g, b] = color.unwrap_or(0).to_be_bytes();
+    let window = said["window"]["start"].as_f64().zip(said["window"]["end"].as_f64()).filter(|(a, b)| a < b);
+    Channel { color: if color.is_some() { [r, g, b] } else { super::super::colors::CHANNELS[n % 4] }, window: window.map(|(a, b)| [a, b]) }
+}

@@ -1,0 +1,65 @@
+//! What long work tells, and how it is told to stop.
+
+use crate::{Error, Result};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+/// Tells how far the work is and whether to go on.
+#[derive(Clone, Copy)]
+pub struct Watch<'a> {
+    /// Share of the work done, from several threads.
+    pub progress: &'a (dyn Fn(f32) + Sync),
+    /// Set to stop.
+    pub cancel: &'a AtomicBool,
+}
+
+/// Never asked to stop.
+static GO_ON: AtomicBool = AtomicBool::new(false);
+
+impl Watch<'static> {
+    /// Tells nobody.
+    pub const NOBODY: Self = Self { progress: &|_| (), cancel: &GO_ON };
+}
+
+impl<'a> Watch<'a> {
+    /// Tells `progress`; never asked to stop.
+    pub fn telling(progress: &'a (dyn Fn(f32) + Sync)) -> Self {
+        Self { progress, cancel: &GO_ON }
+    }
+
+    /// Whether it was asked to stop.
+    pub fn stopped(&self) -> bool {
+        self.cancel.load(Ordering::Relaxed)
+    }
+
+    /// Goes on, unless it was asked to stop.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`].
+    pub fn check(&self) -> Result<()> {
+        if self.stopped() { Err(Error::Cancelled) } else { Ok(()) }
+    }
+}
+
+/// Counts bytes of a known number, from any thread.
+pub struct Meter<'a> {
+    watch: &'a Watch<'a>,
+    done: AtomicU64,
+    all: u64,
+}
+
+impl<'a> Meter<'a> {
+    /// None of `all` bytes yet.
+    pub fn new(watch: &'a Watch<'a>, all: u64) -> Self {
+        Self { watch, done: AtomicU64::new(0), all: all.max(1) }
+    }
+
+    /// Counts more bytes.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`].
+    pub fn add(&self, bytes: u64) -> Result<()> {
+        let done = self.done.fetch_add(bytes, Ordering::Relaxed) + bytes;
+        (self.watch.progress)((done as f64 / self.all as f64).min(1.0) as f32);
+        self.watch.check()
+    }
+}
