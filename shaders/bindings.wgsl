@@ -21,9 +21,14 @@
 @group(0) @binding(15) var behind: texture_2d<f32>;
 @group(0) @binding(16) var behind_t: texture_2d<f32>;
 
+// Own colours of the voxels, multiplied by their weights.
+@group(0) @binding(17) var colors: texture_3d<f32>;
+
 // No surface.
 const FAR_AWAY: f32 = 1e30;
 
+// 1: voxels have colours of their own.
+override COLORS: u32 = 0u;
 // 1: there are surfaces behind the volume.
 override BEHIND: u32 = 0u;
 // Number of cuts that are shapes.
@@ -43,7 +48,11 @@ override GRADIENT: u32 = 0u;
 
 // Normalised value at a position in voxels.
 fn sample_volume(p: vec3<f32>) -> f32 {
-    return textureSampleLevel(volume, linear_clamp, (p + 0.5) / frame.grid_size, 0.0).r * frame.value_scale + frame.value_offset;
+    return textureSampleLevel(volume, linear_clamp, (p + 0.5) / frame.texture_size, 0.0).r * frame.value_scale + frame.value_offset;
+}
+
+fn sample_colors(p: vec3<f32>) -> vec4<f32> {
+    return textureSampleLevel(colors, linear_clamp, (p + 0.5) / frame.texture_size, 0.0);
 }
 
 // Stored (D / scale, alpha) of map k; x inside the unit cube. Grid points lie on the cube's faces.

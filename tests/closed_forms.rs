@@ -176,7 +176,7 @@ pub fn normals_under_linear_maps() {
             }
             seen += 1;
             let want = s.transpose() * on_sphere;
-            let got = normal_at(&prepared, &assets.grid, deformed, false).unwrap();
+            let got = normal_at(&prepared, assets.grid(), deformed, false).unwrap();
             let off = angle_deg(got, want);
             worst = worst.max(off);
             assert!(off <= 2.0, "{name}: {off} degrees at {deformed}");
@@ -194,8 +194,8 @@ pub fn normals_under_a_twist() {
     s.deformation
         .push(Deformation { parameters: [("angle", 80.0.into())].into(), ..deformation("twist", [0.0; 3], [260.0, 260.0, 170.0], [10.0, 0.0, 0.0]) });
     let prepared = Prepared::new(&s, &assets).unwrap();
-    let GridVoxels::F32(voxels) = &assets.grid.voxels else { panic!() };
-    let sampler = Sampler::new(&assets.grid, voxels);
+    let GridVoxels::F32(voxels) = &assets.grid().voxels else { panic!() };
+    let sampler = Sampler::new(assets.grid(), voxels);
     let field = |p: Vec3| {
         let source = prepared.stack.source_from_deformed(p).unwrap();
         sampler.sample(prepared.frame.voxel_from_world.transform_point3(source))
@@ -214,7 +214,7 @@ pub fn normals_under_a_twist() {
             continue;
         }
         seen += 1;
-        close += usize::from(angle_deg(normal_at(&prepared, &assets.grid, p, false).unwrap(), -central) <= 3.0);
+        close += usize::from(angle_deg(normal_at(&prepared, assets.grid(), p, false).unwrap(), -central) <= 3.0);
     }
     println!("normals under a twist: {:.2} % within 3 degrees", 100.0 * close as f64 / seen as f64);
     assert!(seen > 5000 && close as f64 >= 0.95 * seen as f64, "{close} of {seen}");
@@ -249,7 +249,7 @@ fn faces(assets: &Assets, exact: bool) {
                 continue;
             }
             seen += 1;
-            let got = normal_at(&prepared, &assets.grid, deformed, true).unwrap_or_else(|| panic!("{kind}: cut at {deformed}"));
+            let got = normal_at(&prepared, assets.grid(), deformed, true).unwrap_or_else(|| panic!("{kind}: cut at {deformed}"));
             let off = angle_deg(got, turned * out);
             worst = worst.max(off);
             assert!(off <= 3.0, "{kind}: {off} degrees at {deformed}");

@@ -95,8 +95,8 @@ fn numbers_agree(kind: &str) {
     let at: Vec<[f32; 3]> = points(10_000).map(|x| ((x - 0.5) * 150.0).to_array()).collect();
     let probes = with_renderer(|r| r.probe(&prepared, &at).unwrap());
     assert_eq!(probes.len(), at.len());
-    let GridVoxels::I16(voxels) = &assets.grid.voxels else { panic!() };
-    let sampler = Sampler::new(&assets.grid, voxels);
+    let GridVoxels::I16(voxels) = &assets.grid().voxels else { panic!() };
+    let sampler = Sampler::new(assets.grid(), voxels);
     let (mut worst, mut moved) = ([0.0f32; 5], 0);
     for (p, probe) in at.iter().zip(&probes) {
         let p = Vec3::from(*p);

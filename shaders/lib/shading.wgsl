@@ -138,9 +138,19 @@ fn visible(at: Look, deformed: vec3<f32>) -> Sample {
     return Sample(deformed, at.in_voxel, t.rgb, t.a, at.value);
 }
 
+// The colour that a voxel has of its own, if it has one, in place of another.
+fn own_color(in_voxel: vec3<f32>, otherwise: vec3<f32>) -> vec3<f32> {
+    if COLORS == 0u {
+        return otherwise;
+    }
+    let c = sample_colors(in_voxel);
+    return clamp(c.rgb / max(c.a, 1.0 / 1024.0), vec3<f32>(0.0), vec3<f32>(1.0));
+}
+
 fn shade_with(s: Sample, j: Jet, cut: Cut, direction: vec3<f32>) -> Shaded {
+    let color = own_color(s.in_voxel, s.color);
     if !is_lit() && !uses_gradient_opacity() {
-        return Shaded(s.color, 1.0);
+        return Shaded(color, 1.0);
     }
     let gradient_in_source = voxel_covector(gradient(s.in_voxel));
     var depth_factor = 1.0;
@@ -148,14 +158,14 @@ fn shade_with(s: Sample, j: Jet, cut: Cut, direction: vec3<f32>) -> Shaded {
         depth_factor = gradient_factor(length(gradient_in_source));
     }
     if !is_lit() {
-        return Shaded(s.color, depth_factor);
+        return Shaded(color, depth_factor);
     }
     var falling = 1.0;
     if frame.two_sided == 0u {
         falling = falling_side(s.value);
     }
     let n = shaded_normal(j.d_source_d_deformed, gradient_in_source * falling, cut, direction);
-    return Shaded(light(n, direction, s.color), depth_factor);
+    return Shaded(light(n, direction, color), depth_factor);
 }
 
 // The nearer of a cut and the surface of the cuts that are shapes.
@@ -248,7 +258,7 @@ fn iso_surface(deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> vec3<
         }
     }
     let hit = look(inside);
-    let color = lookup(select(frame.iso, hit.value, through_cut)).rgb;
+    let color = own_color(hit.in_voxel, lookup(select(frame.iso, hit.value, through_cut)).rgb);
     if !is_lit() {
         return color;
     }

@@ -44,6 +44,9 @@ struct Frame {
     // Normalised value of the surface that is shown.
     iso: f32,
     padding: f32,
+    // Voxels that the volume's texture spans: the grid's size, or a little more where it was reduced.
+    texture_size: vec3<f32>,
+    padding_2: f32,
 }
 
 // A cut that is a shape (src/deform/cut.rs).

@@ -87,6 +87,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             eprintln!("incise: {note}");
         }
     }
+    if volume.colors.is_some() && !arguments.field && !arguments.quiet {
+        eprintln!("incise: {}: colours are not baked; the file gets their brightness (--channel chooses one channel)", scene.volume_name());
+    }
     let grid = if arguments.enlarge { bake::enlarged(volume, &stack) } else { volume.geometry() };
     let interpolation = match arguments.interpolation {
         Some(InterpolationName::Nearest) => bake::Interpolation::Nearest,

@@ -224,6 +224,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let wants_stats = arguments.stats.is_some() || arguments.json;
     let done = render_on(arguments, gpu, &prepared, wants_stats, &bar)?;
     bar.finish();
+    if !arguments.quiet {
+        for notice in &done.rendered.notices {
+            eprintln!("incise: {notice}");
+        }
+    }
     let mut stages = assets.stages.clone();
     stages.0.extend(prepared.stages.0.iter().copied());
     stages.0.extend(done.rendered.stages.0.iter().copied());

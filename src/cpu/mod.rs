@@ -34,7 +34,7 @@ pub fn render(scene: &Prepared, progress: &(dyn Fn(f32) + Sync)) -> Rendered {
         GridVoxels::I16(v) => rows(scene, &Sampler::new(scene.grid, v), progress),
         GridVoxels::F32(v) => rows(scene, &Sampler::new(scene.grid, v), progress),
     });
-    Rendered { picture: picture.reduced(scene.settings.antialias), stats: Some(stats), stages }
+    Rendered { picture: picture.reduced(scene.settings.antialias), stats: Some(stats), stages, notices: Vec::new() }
 }
 
 fn rows<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, progress: &(dyn Fn(f32) + Sync)) -> (Picture, RenderStats) {

@@ -100,19 +100,25 @@ fn shade_entry<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, entry: &Entry, 
     shade_with(scene, sampler, first, &jet, &cut, direction)
 }
 
+/// The colour that voxels have of their own, if they have one and show it.
+fn own_color(scene: &Prepared, in_voxel: Vec3) -> Option<Vec3> {
+    scene.colors.map(|colors| colors.sample(scene.grid.size, in_voxel))
+}
+
 /// Light and gradient opacity of a point.
 fn shade_with<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, sample: &Sample, jet: &Jet, cut: &Cut, direction: Vec3) -> Shaded {
+    let color = own_color(scene, sample.in_voxel).unwrap_or(sample.color);
     if !scene.is_lit() && !scene.uses_gradient_opacity() {
-        return Shaded { color: sample.color, depth_factor: 1.0 };
+        return Shaded { color, depth_factor: 1.0 };
     }
     let gradient_in_source = voxel_covector(scene, sampler.gradient(sample.in_voxel, scene.gradient_filter()));
     let depth_factor = if scene.uses_gradient_opacity() { scene.table.gradient_factor(gradient_in_source.length()) } else { 1.0 };
     if !scene.is_lit() {
-        return Shaded { color: sample.color, depth_factor };
+        return Shaded { color, depth_factor };
     }
     let falling = if scene.light.two_sided { 1.0 } else { scene.table.falling_side(sample.value) };
     let normal = normal(scene, &jet.d_source_d_deformed, gradient_in_source * falling, cut, direction);
-    Shaded { color: light(scene, normal, direction, sample.color), depth_factor }
+    Shaded { color: light(scene, normal, direction, color), depth_factor }
 }
 
 /// Matter between a cut and a sample that shows nothing, thinner than a step: found only if a cut lies between this sample and the
@@ -287,7 +293,7 @@ pub(super) fn iso_surface<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, iso:
     }
     let hit = super::look(scene, sampler, inside);
     let [r, g, b, _] = scene.table.lookup(if through_cut { hit.value } else { iso });
-    let color = Vec3::new(r, g, b);
+    let color = own_color(scene, hit.in_voxel).unwrap_or(Vec3::new(r, g, b));
     if !scene.is_lit() {
         return color;
     }

@@ -6,7 +6,7 @@ use crate::deform::cut::Cuts;
 use crate::math::Bounds;
 use crate::volume::load::ScalarType;
 use crate::volume::save::{Content, Format, Writer};
-use crate::volume::{GridGeometry, Volume, Voxels};
+use crate::volume::{GridGeometry, Rescale, Volume, Voxels};
 use crate::{Error, Result};
 use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
@@ -163,6 +163,25 @@ fn slabs(
     Ok(())
 }
 
+/// The type that a volume's data values are written as, where its rescale cannot be stated: integers if the rescale is, else floating point.
+fn data_type(volume: &Volume, stored: ScalarType) -> (ScalarType, Rescale) {
+    let Rescale { slope, intercept } = volume.rescale;
+    if volume.rescale == Rescale::NONE {
+        return (stored, Rescale::NONE);
+    }
+    let whole = volume.voxels.is_integer() && slope.fract() == 0.0 && intercept.fract() == 0.0;
+    let [low, high] = volume.range;
+    // Padding and holes lie outside of the range.
+    let (low, high) = volume.padding.map_or((low, high), |p| p.iter().map(|v| v * slope + intercept).fold((low, high), |(a, b), v| (a.min(v), b.max(v))));
+    let scalar = match stored {
+        _ if whole && low >= f64::from(i16::MIN) && high <= f64::from(i16::MAX) => ScalarType::I16,
+        _ if whole && low >= f64::from(i32::MIN) && high <= f64::from(i32::MAX) => ScalarType::I32,
+        ScalarType::U8 | ScalarType::I8 | ScalarType::U16 | ScalarType::I16 | ScalarType::F32 => ScalarType::F32,
+        _ => ScalarType::F64,
+    };
+    (scalar, Rescale::NONE)
+}
+
 /// Writes the deformed volume on `grid`: the source's type and scale; `fill` (in data units) where nothing is.
 ///
 /// # Errors
@@ -180,7 +199,11 @@ pub fn volume(
 ) -> Result<()> {
     let fail = |e: String| Error::value("output", e);
     let scalar = scalar_of(&volume.voxels);
-    let mut writer = Writer::new(out, format, grid, Content::Scalar(scalar, volume.rescale)).map_err(fail)?;
+    // A format without a slope and an intercept gets the data values themselves.
+    let (scalar, written) = if format.states_rescale() { (scalar, volume.rescale) } else { data_type(volume, scalar) };
+    let content = if volume.declared_labels && written == Rescale::NONE { Content::Labels(scalar) } else { Content::Scalar(scalar, written) };
+    let in_data = if written == volume.rescale { Rescale::NONE } else { volume.rescale };
+    let mut writer = Writer::new(out, format, grid, content).map_err(fail)?;
     let stored = Stored { volume, interpolation };
     let voxel_from_world = volume.world_from_voxel.inverse();
     let fill = (fill - volume.rescale.intercept) / volume.rescale.slope;
@@ -194,7 +217,7 @@ pub fn volume(
                 let exact = p + (source - deformed).as_dvec3();
                 stored.sample(voxel_from_world.transform_point3(exact))
             });
-            put(bytes, scalar, value.unwrap_or(fill));
+            put(bytes, scalar, value.unwrap_or(fill) * in_data.slope + in_data.intercept);
         }
     };
     slabs(grid, scalar.bytes(), row, |b| writer.push(b).map_err(|e| fail(e.to_string())), progress)?;
@@ -241,7 +264,6 @@ pub fn field(deformation: &Deformation, grid: &GridGeometry, format: Format, out
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::volume::Rescale;
 
     #[test]
     fn cubic_weights_reproduce_parabolas_and_voxels() {

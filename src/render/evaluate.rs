@@ -22,7 +22,7 @@ impl Renderer {
     pub fn probe(&mut self, scene: &Prepared, points: &[[f32; 3]]) -> Result<Vec<[f32; 24]>> {
         let device = self.device.device.clone();
         checked(&device, || {
-            self.upload_volume(scene.grid)?;
+            self.upload_volume(scene.grid, scene.colors)?;
             let bindings = self.bind(scene)?;
             let variant = Self::variant(scene, Program::Probe, false);
             let pipeline = self.compute_pipeline(Program::Probe, &self.shared_layout, &overrides(&variant));

@@ -15,6 +15,7 @@ mod evaluate;
 mod slices;
 mod surfaces;
 pub mod uniforms;
+mod volume;
 
 use crate::deform::cut::MAX_CUTS;
 use crate::deform::{DisplacementMap, MAX_MAPS, Stack, Storage};
@@ -22,13 +23,11 @@ use crate::gpu::shaders::Program;
 use crate::gpu::{Device, checked, read_buffer, read_rgba16f, wait};
 use crate::scene::{IsoLight, Mode, Normals, Picture, Prepared, RenderStats, Rendered, Stages};
 use crate::transfer::{Blend, GRADIENT_ENTRIES, TABLE_ENTRIES};
-use crate::volume::{GradientFilter, Grid, GridVoxels};
+use crate::volume::GradientFilter;
 use crate::{Error, Result};
-use half::f16;
-use rayon::prelude::*;
 use std::collections::HashMap;
-use std::sync::Arc;
 use surfaces::Layer;
+use volume::VolumeTexture;
 use uniforms::{CutShapeUniform, FrameUniform, PlacedMapUniform};
 use wgpu::util::DeviceExt;
 use wgpu::{Features, TextureFormat};
@@ -55,6 +54,7 @@ struct Variant {
     grey_faces: bool,
     iso: u32,
     behind: bool,
+    colors: bool,
 }
 
 /// A device with what it has compiled and uploaded.
@@ -64,6 +64,8 @@ pub struct Renderer {
     sampler: wgpu::Sampler,
     pipelines: HashMap<Variant, wgpu::RenderPipeline>,
     volume: Option<VolumeTexture>,
+    /// Smaller limits on the volume than the device's: voxels along an axis, and bytes.
+    most: Option<(usize, u64)>,
 }
 
 /// What the shaders' shared functions read, uploaded.
@@ -102,27 +104,6 @@ impl Draw<'_> {
     }
 }
 
-/// A volume on the GPU.
-struct VolumeTexture {
-    /// Identity of the voxels: the pointer is kept alive by `_voxels`.
-    identity: usize,
-    _voxels: GridVoxels,
-    view: wgpu::TextureView,
-    scale: f32,
-    offset: f32,
-}
-
-impl GridVoxels {
-    fn identity(&self) -> usize {
-        match self {
-            Self::U8(v) => Arc::as_ptr(v) as usize,
-            Self::U16(v) => Arc::as_ptr(v) as usize,
-            Self::I16(v) => Arc::as_ptr(v) as usize,
-            Self::F32(v) => Arc::as_ptr(v) as usize,
-        }
-    }
-}
-
 impl Renderer {
     /// A renderer on an open device.
     pub fn new(device: Device) -> Self {
@@ -133,7 +114,7 @@ impl Renderer {
             ..Default::default()
         });
         let shared_layout = shared_layout(&device.device);
-        Self { device, shared_layout, sampler, pipelines: HashMap::new(), volume: None }
+        Self { device, shared_layout, sampler, pipelines: HashMap::new(), volume: None, most: None }
     }
 
     /// The device.
@@ -175,12 +156,14 @@ impl Renderer {
                 picture: Picture { width, height, pixels }.reduced(scene.settings.antialias),
                 stats: Some(RenderStats::default()),
                 stages,
+                notices: Vec::new(),
             });
         }
         stages.time("upload", || -> Result<()> {
-            self.upload_volume(scene.grid)?;
+            self.upload_volume(scene.grid, scene.colors)?;
             wait(&self.device.device)
         })?;
+        let notices: Vec<String> = self.volume.as_ref().and_then(|v| v.notice.clone()).filter(|_| shows_volume).into_iter().collect();
         let shared = stages.time("bind", || self.shared(scene))?;
         let counter = counting.then(|| Counter::new(&self.device.device));
         let behind = if scene.surfaces.objects.is_empty() {
@@ -191,7 +174,7 @@ impl Renderer {
         if let (false, Some(layer)) = (shows_volume, &behind) {
             let pixels = stages.time("readback", || read_rgba16f(&self.device.device, &self.device.queue, &layer.color))?;
             let stats = counter.map(|c| c.read(&self.device)).transpose()?;
-            return Ok(Rendered { picture: Picture { width, height, pixels }.reduced(scene.settings.antialias), stats, stages });
+            return Ok(Rendered { picture: Picture { width, height, pixels }.reduced(scene.settings.antialias), stats, stages, notices });
         }
         let bindings = self.group(&shared, behind.as_ref());
         let target = self.target(width, height, TextureFormat::Rgba16Float);
@@ -204,7 +187,7 @@ impl Renderer {
         })?;
         let pixels = stages.time("readback", || read_rgba16f(&self.device.device, &self.device.queue, &target))?;
         let stats = counter.map(|c| c.read(&self.device)).transpose()?;
-        Ok(Rendered { picture: Picture { width, height, pixels }.reduced(scene.settings.antialias), stats, stages })
+        Ok(Rendered { picture: Picture { width, height, pixels }.reduced(scene.settings.antialias), stats, stages, notices })
     }
 
     fn variant(scene: &Prepared, program: Program, counting: bool) -> Variant {
@@ -228,6 +211,7 @@ impl Renderer {
                 (Some(_), IsoLight::Gradient) => 1,
                 (Some(_), IsoLight::Derivative) => 2,
             },
+            colors: scene.colors.is_some(),
             behind: matches!(program, Program::Raycast | Program::Slice | Program::Resolve) && !scene.surfaces.objects.is_empty(),
         }
     }
@@ -423,28 +407,8 @@ impl Renderer {
         self.device.queue.submit([encoder.finish()]);
     }
 
-    fn texture_3d(&self, label: &str, size: [usize; 3], format: TextureFormat) -> Result<wgpu::Texture> {
-        let most = self.device.device.limits().max_texture_dimension_3d as usize;
-        if size.iter().any(|&n| n > most) {
-            return Err(Error::Gpu(format!(
-                "the {label} of {} x {} x {} exceeds this device's {most} per axis; use --backend cpu",
-                size[0], size[1], size[2]
-            )));
-        }
-        Ok(self.device.device.create_texture(&wgpu::TextureDescriptor {
-            label: Some(label),
-            size: extent(size),
-            mip_level_count: 1,
-            sample_count: 1,
-            dimension: wgpu::TextureDimension::D3,
-            format,
-            usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
-            view_formats: &[],
-        }))
-    }
-
     /// Copies whole layers into a 3D texture.
-    fn write_layers(&self, texture: &wgpu::Texture, first_layer: usize, bytes: &[u8], size: [usize; 3]) {
+    pub(super) fn write_layers(&self, texture: &wgpu::Texture, first_layer: usize, bytes: &[u8], size: [usize; 3]) {
         let texel = texture.format().block_copy_size(None).unwrap_or(4) as usize;
         let layers = bytes.len() / (size[0] * size[1] * texel);
         self.device.queue.write_texture(
@@ -453,59 +417,6 @@ impl Renderer {
             wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some((size[0] * texel) as u32), rows_per_image: Some(size[1] as u32) },
             extent([size[0], size[1], layers]),
         );
-    }
-
-    /// Puts the volume on the GPU unless it is there already.
-    fn upload_volume(&mut self, grid: &Grid) -> Result<()> {
-        let identity = grid.voxels.identity();
-        if self.volume.as_ref().is_some_and(|v| v.identity == identity) {
-            return Ok(());
-        }
-        self.volume = None;
-        let features = self.device.device.features();
-        let (unorm16, float32) = (features.contains(Features::TEXTURE_FORMAT_16BIT_NORM), features.contains(Features::FLOAT32_FILTERABLE));
-        // Software drivers filter 8-bit textures in 8-bit arithmetic, which shows as steps: they get 16 bits.
-        let format = match &grid.voxels {
-            GridVoxels::U8(_) if !(self.device.is_software() && unorm16) => TextureFormat::R8Unorm,
-            GridVoxels::F32(_) if float32 => TextureFormat::R32Float,
-            GridVoxels::F32(_) => TextureFormat::R16Float,
-            _ if unorm16 => TextureFormat::R16Unorm,
-            _ => TextureFormat::R16Float,
-        };
-        let texture = self.texture_3d("volume", grid.size, format)?;
-        let layer = grid.size[0] * grid.size[1];
-        let layers_at_once = ((16 << 20) / (layer * 4)).max(1);
-        let normalise = |v: f32| f16::from_f32(v * grid.scale + grid.offset).to_bits();
-        for (n, first) in (0..grid.size[2]).step_by(layers_at_once).enumerate() {
-            let range = first * layer..(first + layers_at_once).min(grid.size[2]) * layer;
-            let bytes: Vec<u8> = match (&grid.voxels, format) {
-                (GridVoxels::U8(v), TextureFormat::R8Unorm) => v[range].to_vec(),
-                (GridVoxels::U8(v), TextureFormat::R16Unorm) => to_bytes(&v[range], |v| u16::from(v) * 257),
-                (GridVoxels::U16(v), TextureFormat::R16Unorm) => to_bytes(&v[range], |v| v),
-                (GridVoxels::I16(v), TextureFormat::R16Unorm) => to_bytes(&v[range], |v| (i32::from(v) + 32768) as u16),
-                (GridVoxels::F32(v), TextureFormat::R32Float) => bytemuck::cast_slice(&v[range]).to_vec(),
-                (GridVoxels::U8(v), _) => to_bytes(&v[range], |v| normalise(f32::from(v))),
-                (GridVoxels::U16(v), _) => to_bytes(&v[range], |v| normalise(f32::from(v))),
-                (GridVoxels::I16(v), _) => to_bytes(&v[range], |v| normalise(f32::from(v))),
-                (GridVoxels::F32(v), _) => to_bytes(&v[range], normalise),
-            };
-            self.write_layers(&texture, first, &bytes, grid.size);
-            if n % 4 == 3 {
-                // Staging memory is given back only when a submission is done.
-                self.device.queue.submit([]);
-                wait(&self.device.device)?;
-            }
-        }
-        let (scale, offset) = match (&grid.voxels, format) {
-            (_, TextureFormat::R16Float) => (1.0, 0.0),
-            (GridVoxels::U8(_), _) => (255.0 * grid.scale, grid.offset),
-            (GridVoxels::U16(_), _) => (65535.0 * grid.scale, grid.offset),
-            (GridVoxels::I16(_), _) => (65535.0 * grid.scale, grid.offset - 32768.0 * grid.scale),
-            (GridVoxels::F32(_), _) => (grid.scale, grid.offset),
-        };
-        let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
-        self.volume = Some(VolumeTexture { identity, _voxels: grid.voxels.clone(), view, scale, offset });
-        Ok(())
     }
 
     fn upload_map(&self, map: &DisplacementMap) -> Result<wgpu::TextureView> {
@@ -533,7 +444,7 @@ impl Renderer {
     fn shared(&self, scene: &Prepared) -> Result<Shared> {
         let device = &self.device.device;
         let volume = self.volume.as_ref().ok_or_else(|| Error::Gpu("no volume was uploaded".into()))?;
-        let frame = FrameUniform::new(scene, volume.scale, volume.offset);
+        let frame = FrameUniform::new(scene, volume.scale, volume.offset, volume.spanned);
         let mut placed = [bytemuck::Zeroable::zeroed(); MAX_MAPS];
         for (uniform, map) in placed.iter_mut().zip(scene.stack.maps()) {
             *uniform = PlacedMapUniform::new(map);
@@ -568,6 +479,7 @@ impl Renderer {
         let buffer = |binding: u32, buffer: &'_ wgpu::Buffer| (binding, buffer.clone());
         let buffers = [buffer(0, &shared.frame), buffer(1, &shared.placed), buffer(14, &shared.shapes)];
         let volume = self.volume.as_ref().map_or(&shared.maps[0], |v| &v.view);
+        let colors = self.volume.as_ref().and_then(|v| v.colors.as_ref()).unwrap_or(&shared.maps[0]);
         let [color, distance] = behind.unwrap_or(&shared.nothing).views();
         let mut entries = vec![
             texture(2, volume),
@@ -576,6 +488,7 @@ impl Renderer {
             texture(5, &shared.cells),
             texture(15, color),
             texture(16, distance),
+            texture(17, colors),
         ];
         entries.extend(buffers.iter().map(|(binding, b)| wgpu::BindGroupEntry { binding: *binding, resource: b.as_entire_binding() }));
         entries.extend(shared.maps.iter().enumerate().map(|(k, view)| texture(6 + k as u32, view)));
@@ -615,7 +528,7 @@ impl Renderer {
 }
 
 /// Values of the shaders' `override` constants.
-fn overrides(variant: &Variant) -> [(&'static str, f64); 8] {
+fn overrides(variant: &Variant) -> [(&'static str, f64); 9] {
     let normals = match variant.normals {
         Normals::None => 0.0,
         Normals::Source => 1.0,
@@ -631,17 +544,13 @@ fn overrides(variant: &Variant) -> [(&'static str, f64); 8] {
         ("CUTS", variant.cuts as f64),
         ("GREY_FACES", f64::from(u8::from(variant.grey_faces))),
         ("ISO", f64::from(variant.iso)),
+        ("COLORS", f64::from(u8::from(variant.colors))),
         ("BEHIND", f64::from(u8::from(variant.behind))),
     ]
 }
 
 fn extent(size: [usize; 3]) -> wgpu::Extent3d {
     wgpu::Extent3d { width: size[0] as u32, height: size[1] as u32, depth_or_array_layers: size[2] as u32 }
-}
-
-fn to_bytes<T: Copy + Send + Sync>(voxels: &[T], convert: impl Fn(T) -> u16 + Sync + Send) -> Vec<u8> {
-    let converted: Vec<u16> = voxels.par_iter().map(|&v| convert(v)).collect();
-    bytemuck::cast_slice(&converted).to_vec()
 }
 
 /// Vertex ranges of whole slices, about [`FRAGMENTS_PER_BATCH`] pixels each if every slice filled the picture.
@@ -678,6 +587,7 @@ fn shared_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     ];
     entries.extend((0..MAX_MAPS as u32).map(|k| entry(6 + k, texture(filtered, wgpu::TextureViewDimension::D3))));
     entries.push(entry(14, uniform));
+    entries.push(entry(17, texture(filtered, wgpu::TextureViewDimension::D3)));
     let unfiltered = wgpu::TextureSampleType::Float { filterable: false };
     entries.extend([15, 16].map(|n| entry(n, texture(unfiltered, wgpu::TextureViewDimension::D2))));
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some("scene"), entries: &entries })

@@ -313,7 +313,7 @@ impl Renderer {
     pub fn surface_distances(&mut self, scene: &Prepared) -> Result<Vec<f32>> {
         let device = self.device.device.clone();
         crate::gpu::checked(&device, || {
-            self.upload_volume(scene.grid)?;
+            self.upload_volume(scene.grid, scene.colors)?;
             let shared = self.shared(scene)?;
             let layer = self.draw_surfaces(scene, &shared, None, &|_| ())?;
             let distances = crate::gpu::read_r32f(&self.device.device, &self.device.queue, &layer.distance)?;

@@ -51,6 +51,8 @@ pub struct FrameUniform {
     pub grey_high: f32,
     pub iso: f32,
     pub padding: f32,
+    pub texture_size: [f32; 3],
+    pub padding_2: f32,
 }
 
 /// `CutShape` of the shaders.
@@ -100,8 +102,8 @@ fn affine(m: &Affine3A) -> [f32; 16] {
 }
 
 impl FrameUniform {
-    /// The constants of a scene; texels become normalised values by `value_scale` and `value_offset`.
-    pub fn new(scene: &Prepared, value_scale: f32, value_offset: f32) -> Self {
+    /// The constants of a scene; texels become normalised values by `value_scale` and `value_offset`, and span `texture_size` voxels.
+    pub fn new(scene: &Prepared, value_scale: f32, value_offset: f32, texture_size: [f32; 3]) -> Self {
         let frame = &scene.frame;
         let light = &scene.light;
         let cells = &scene.macrocells;
@@ -141,6 +143,8 @@ impl FrameUniform {
             grey_high: scene.grey_window[1],
             iso: scene.iso.unwrap_or(0.0),
             padding: 0.0,
+            texture_size,
+            padding_2: 0.0,
         }
     }
 }

@@ -8,12 +8,12 @@ use crate::deform::cut::Cuts;
 use crate::deform::{Library, PlacedMap, Stack};
 use crate::math::{Bounds, MinMaxPyramid, normalize_or, to_f32};
 use crate::mesh::Mesh;
-use crate::transfer::{Blend, Table, default_preset};
-use crate::volume::{GradientFilter, Grid, Volume, load, phantom};
+use crate::transfer::{Blend, OWN_COLORS, Table, default_preset};
+use crate::volume::{Colors, GradientFilter, Grid, Volume, load, phantom};
 use crate::{Error, Result, Watch};
 use glam::{Affine3A, DVec3, Vec3};
-use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
 /// Largest edge of a picture, pixels.
@@ -43,10 +43,10 @@ impl Stages {
 pub struct Assets {
     /// The volume.
     pub volume: Arc<Volume>,
-    /// Its sampled form.
-    pub grid: Grid,
-    /// Bounds of its normalised values.
-    pub pyramid: MinMaxPyramid<1>,
+    /// Its sampled form, and bounds of its normalised values.
+    plain: (Grid, MinMaxPyramid<1>),
+    /// A label map as colours, made when it is first shown so.
+    labels: OnceLock<Option<(Grid, MinMaxPyramid<1>)>>,
     /// What deformations read besides.
     pub library: Library,
     /// Meshes and distance fields.
@@ -89,8 +89,9 @@ impl Assets {
         }
         if !assets.has_volume {
             let empty = Volume::empty_over(&assets.mesh_box);
-            assets.grid = Grid::new(&empty);
-            assets.pyramid = MinMaxPyramid::new(assets.grid.size, 2, |i, j, k| [assets.grid.value(i, j, k)]);
+            let grid = Grid::new(&empty);
+            let pyramid = bounds_of(&grid);
+            assets.plain = (grid, pyramid);
             assets.volume = Arc::new(empty);
         }
         assets.stages = stages;
@@ -108,6 +109,21 @@ impl Assets {
         Bounds::new(self.mesh_box.min - more, self.mesh_box.max + more)
     }
 
+    /// The volume's sampled form.
+    pub fn grid(&self) -> &Grid {
+        &self.plain.0
+    }
+
+    /// The grid that the label map shows as colours; none if the volume is no label map.
+    fn as_labels(&self) -> Option<&(Grid, MinMaxPyramid<1>)> {
+        let made = self.labels.get_or_init(|| {
+            let grid = Grid::of_labels(&self.volume)?;
+            let pyramid = bounds_of(&grid);
+            Some((grid, pyramid))
+        });
+        made.as_ref()
+    }
+
     /// The assets of a volume that is already in memory.
     pub fn of_volume(volume: Volume, stages: Stages) -> Self {
         Self::in_folder(volume, std::path::PathBuf::new(), stages)
@@ -123,11 +139,16 @@ impl Assets {
 
     fn in_folder(volume: Volume, folder: std::path::PathBuf, mut stages: Stages) -> Self {
         let grid = stages.time("grid", || Grid::new(&volume));
-        let pyramid = stages.time("bricks", || MinMaxPyramid::new(grid.size, 2, |i, j, k| [grid.value(i, j, k)]));
+        let pyramid = stages.time("bricks", || bounds_of(&grid));
         let volume = Arc::new(volume);
         let library = Library::new(volume.clone(), folder);
-        Self { library, volume, grid, pyramid, objects: Objects::default(), has_volume: true, mesh_box: Bounds::EMPTY, stages }
+        Self { library, volume, plain: (grid, pyramid), labels: OnceLock::new(), objects: Objects::default(), has_volume: true, mesh_box: Bounds::EMPTY, stages }
     }
+}
+
+/// Bounds of the values of a grid.
+fn bounds_of(grid: &Grid) -> MinMaxPyramid<1> {
+    MinMaxPyramid::new(grid.size, 2, |i, j, k| [grid.value(i, j, k)])
 }
 
 /// The constants of one picture.
@@ -157,6 +178,8 @@ pub struct Frame {
 pub struct Prepared<'a> {
     /// What is sampled.
     pub grid: &'a Grid,
+    /// The voxels' own colours, which take the place of the table's.
+    pub colors: Option<&'a Colors>,
     /// Baked transfer function.
     pub table: Table,
     /// How samples blend.
@@ -222,10 +245,20 @@ impl<'a> Prepared<'a> {
             .strip_prefix("phantom:")
             .and_then(phantom::preset)
             .unwrap_or_else(|| if scene.transfer.preset.is_none() && scene.transfer.points.is_empty() { default_preset(volume) } else { "grey" });
-        let (function, table) = stages.time("transfer", || -> Result<_> {
-            let function = scene.transfer.resolve(volume, fallback)?;
+        let (shown, colors, function, table) = stages.time("transfer", || -> Result<_> {
+            let transfer = &scene.transfer;
+            let function = transfer.resolve(volume, fallback)?;
+            // Labels in their colours, unless a curve over the labels themselves is wanted.
+            let plain = transfer.points.is_empty() && transfer.window.is_none() && transfer.level.is_none() && function.blend == Blend::Composite;
+            let by_label = plain && transfer.preset.as_deref().unwrap_or(fallback) == "labels" && settings.iso.is_none() && settings.cut_faces == CutFaces::Lit;
+            if let Some(labels) = by_label.then(|| assets.as_labels()).flatten() {
+                let function = function.of_presence();
+                let table = Table::new(&function, [0.0, 1.0]);
+                return Ok((labels, labels.0.colors.as_ref(), function, table));
+            }
             let table = Table::new(&function, volume.range);
-            Ok((function, table))
+            let own = transfer.own_colors.unwrap_or(transfer.preset.as_deref().is_none_or(|p| p == OWN_COLORS));
+            Ok((&assets.plain, assets.plain.0.colors.as_ref().filter(|_| own), function, table))
         })?;
         let scene_box = assets.scene_box();
         let mut view = scene.camera.frame(&scene_box, settings.size)?;
@@ -258,7 +291,7 @@ impl<'a> Prepared<'a> {
         let normalised = |v: f64| ((v - volume.range[0]) / span) as f32;
         let iso = settings.iso.map(normalised);
         let grey_window = volume.window(scene.transfer.window, scene.transfer.level).map(normalised);
-        let grid_size = Vec3::from(assets.grid.size.map(|n| n as f32));
+        let grid_size = Vec3::from(shown.0.size.map(|n| n as f32));
         let voxel_from_world = to_f32(&volume.world_from_voxel.inverse());
         if !voxel_from_world.is_finite() {
             return Err(Error::value("volume", "its voxel axes are singular; the file's geometry cannot be used"));
@@ -281,7 +314,7 @@ impl<'a> Prepared<'a> {
                 grey_faces: settings.cut_faces == CutFaces::Grey,
                 voxel_from_world: &voxel_from_world,
                 voxel_box: Bounds::new(Vec3::splat(-0.5), grid_size - 0.5),
-                pyramid: &assets.pyramid,
+                pyramid: &shown.1,
                 table: &table,
                 blend: function.blend,
             };
@@ -309,7 +342,8 @@ impl<'a> Prepared<'a> {
             blend_mm,
         };
         Ok(Self {
-            grid: &assets.grid,
+            grid: &shown.0,
+            colors,
             table,
             blend: function.blend,
             stack,
@@ -419,6 +453,8 @@ pub struct Rendered {
     pub stats: Option<RenderStats>,
     /// Time by stage.
     pub stages: Stages,
+    /// What a user should be told, one sentence each.
+    pub notices: Vec<String>,
 }
 
 impl Picture {

@@ -7,7 +7,7 @@
 mod presets;
 mod table;
 
-pub use presets::{Preset, Scale, list, preset};
+pub use presets::{OWN_COLORS, Preset, Scale, list, preset};
 pub use table::{GRADIENT_ENTRIES, TABLE_ENTRIES, Table};
 
 use crate::volume::Volume;
@@ -74,6 +74,9 @@ pub struct TransferSettings {
     /// Opacity by gradient magnitude.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub gradient_opacity: Vec<GradientPoint>,
+    /// Whether voxels that have a colour of their own show it; by default where no preset is named, or the preset is "color".
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub own_colors: Option<bool>,
     /// Blend mode instead of the preset's.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub blend: Option<Blend>,
@@ -161,6 +164,13 @@ impl TransferFunction {
         [first, last]
     }
 
+    /// The function of a label map shown by what is there (1) and what is not (0): the highest opacity of this one from halfway between on.
+    pub fn of_presence(&self) -> Self {
+        let opacity = self.points.iter().map(|p| p.opacity).fold(0.0, f32::max);
+        let point = |value, opacity| ControlPoint { value, color: [1.0; 3], opacity };
+        Self { points: vec![point(PRESENCE[0], 0.0), point(PRESENCE[1], opacity)], gradient_opacity: Vec::new(), blend: self.blend }
+    }
+
     /// Moves the curve's domain onto `level ± window/2`; the one that is missing stays as it is.
     fn set_window(&mut self, window: Option<f64>, level: Option<f64>) -> Result<()> {
         if window.is_none() && level.is_none() {
@@ -183,9 +193,14 @@ impl TransferFunction {
     }
 }
 
+/// Presence between which a label becomes visible: narrow around a half, so that surfaces lie between voxels.
+const PRESENCE: [f64; 2] = [0.4, 0.6];
+
 /// The preset that suits a volume when none is asked for: Hounsfield units are recognised by their air.
 pub fn default_preset(volume: &Volume) -> &'static str {
-    if volume.labels().is_some() {
+    if volume.colors.is_some() {
+        OWN_COLORS
+    } else if volume.labels().is_some() {
         "labels"
     } else if volume.range[0] <= -500.0 && volume.range[1] >= 300.0 {
         "ct-bone"

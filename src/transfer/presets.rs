@@ -51,7 +51,17 @@ macro_rules! preset {
     };
 }
 
+/// The preset of volumes whose voxels have colours of their own.
+pub const OWN_COLORS: &str = "color";
+
 const PRESETS: &[Preset] = &[
+    preset!(
+        "color",
+        "voxels in colours of their own, as opaque as they are bright (or as they say)",
+        Absolute,
+        Composite,
+        [(0.0, WHITE, 0.0), (0.06, WHITE, 0.0), (0.3, WHITE, 0.35), (0.7, WHITE, 0.8), (1.0, WHITE, 0.95)]
+    ),
     preset!(
         "ct-bone",
         "bone, opaque, marrow darker than cortex",
@@ -360,6 +370,13 @@ impl Preset {
     /// The curve in a volume's data units.
     pub fn adapted_to(&self, volume: &Volume) -> TransferFunction {
         let [low, span] = match self.scale {
+            // Luminance or opacity over the whole range of its type, however much of it is used.
+            _ if self.name == OWN_COLORS && volume.colors.is_some() && volume.range[1] > 1.5 => [0.0, 255.0],
+            // DICOM's inverted pictures are bright where values are low.
+            Scale::Relative if volume.inverted => {
+                let histogram = volume.histogram(1024);
+                [volume.range[1], histogram.percentile(0.002, true) - volume.range[1]]
+            }
             Scale::Absolute => [0.0, 1.0],
             Scale::Relative if self.name == "labels" => [volume.range[0], volume.range[1] - volume.range[0]],
             Scale::Relative => {
@@ -367,12 +384,15 @@ impl Preset {
                 [volume.range[0], histogram.percentile(0.998, true) - volume.range[0]]
             }
         };
-        let points = self
+        let mut points: Vec<ControlPoint> = self
             .points
             .iter()
             .map(|&(value, color, opacity)| ControlPoint { value: low + value * span, color: color.map(|c| f32::from(c) / 255.0), opacity })
             .collect();
-        let gradient_opacity = self.gradient.iter().map(|&(m, factor)| GradientPoint { magnitude: m * span, factor }).collect();
+        if span < 0.0 {
+            points.reverse();
+        }
+        let gradient_opacity = self.gradient.iter().map(|&(m, factor)| GradientPoint { magnitude: m * span.abs(), factor }).collect();
         TransferFunction { points, gradient_opacity, blend: self.blend }
     }
 }

@@ -4,6 +4,7 @@
 //! volume): luminance, or opacity where the image has it. Colours are mixed weighted by it, so that what is not there lends none.
 
 use super::Voxels;
+use super::grid::block;
 use glam::{Vec3, Vec4};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -80,6 +81,18 @@ impl Colors {
     /// Premultiplied RGBA bytes of a run of voxels.
     pub fn rgba8(&self, range: Range<usize>) -> Vec<[u8; 4]> {
         range.into_par_iter().map(|n| self.bytes(n)).collect()
+    }
+
+    /// As [`Self::rgba8`], of blocks of voxels averaged: the blocks of `range`.
+    pub fn reduced(&self, size: [usize; 3], factors: [usize; 3], range: Range<usize>) -> Vec<[u8; 4]> {
+        let mean = |index: usize| {
+            let (sum, count) = block(size, factors, index).fold(([0u32; 4], 0u32), |(sum, n), at| {
+                let c = self.bytes(at);
+                (std::array::from_fn(|k| sum[k] + u32::from(c[k])), n + 1)
+            });
+            sum.map(|s| ((s + count / 2) / count.max(1)) as u8)
+        };
+        range.into_par_iter().map(mean).collect()
     }
 
     /// The colour at a position in voxels, trilinear, clamped to the outermost voxel centres.

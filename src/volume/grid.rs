@@ -104,6 +104,20 @@ impl Grid {
         Some(Self { voxels: GridVoxels::U8(Arc::new(occupied)), size: volume.size, scale: 1.0, offset: 0.0, has_holes: false, colors: Some(colors) })
     }
 
+    /// The grid with blocks of voxels averaged, the last ones of an axis being smaller; a block without any but holes is one. Colours are left
+    /// out: see [`Colors::reduced`].
+    pub fn reduced(&self, factors: [usize; 3]) -> Self {
+        let size: [usize; 3] = std::array::from_fn(|a| self.size[a].div_ceil(factors[a]));
+        let hole = |v: f32| v * self.scale + self.offset <= 0.5 * HOLE;
+        let voxels = match &self.voxels {
+            GridVoxels::U8(v) => GridVoxels::U8(Arc::new(means(v, self.size, factors, |_| false, |m| m.round() as u8))),
+            GridVoxels::U16(v) => GridVoxels::U16(Arc::new(means(v, self.size, factors, |_| false, |m| m.round() as u16))),
+            GridVoxels::I16(v) => GridVoxels::I16(Arc::new(means(v, self.size, factors, |_| false, |m| m.round() as i16))),
+            GridVoxels::F32(v) => GridVoxels::F32(Arc::new(means(v, self.size, factors, hole, |m| if m.is_nan() { HOLE } else { m }))),
+        };
+        Self { voxels, size, scale: self.scale, offset: self.offset, has_holes: self.has_holes, colors: None }
+    }
+
     /// Normalised value at a voxel.
     pub fn value(&self, i: usize, j: usize, k: usize) -> f32 {
         let index = (k * self.size[1] + j) * self.size[0] + i;
@@ -115,6 +129,27 @@ impl Grid {
         };
         stored * self.scale + self.offset
     }
+}
+
+/// Flat indices of the voxels in a block of a grid.
+pub(super) fn block(size: [usize; 3], factors: [usize; 3], index: usize) -> impl Iterator<Item = usize> {
+    let blocks: [usize; 3] = std::array::from_fn(|a| size[a].div_ceil(factors[a]));
+    let at = [index % blocks[0], index / blocks[0] % blocks[1], index / blocks[0] / blocks[1]];
+    let range = move |a: usize| at[a] * factors[a]..((at[a] + 1) * factors[a]).min(size[a]);
+    range(2).flat_map(move |k| range(1).flat_map(move |j| range(0).map(move |i| (k * size[1] + j) * size[0] + i)))
+}
+
+/// Means of blocks; NaN for a block of holes.
+fn means<T: Voxel, U: Send>(v: &[T], size: [usize; 3], factors: [usize; 3], hole: impl Fn(f32) -> bool + Sync, finish: impl Fn(f32) -> U + Sync) -> Vec<U> {
+    use rayon::prelude::*;
+    let blocks = (0..3).map(|a| size[a].div_ceil(factors[a])).product();
+    (0..blocks)
+        .into_par_iter()
+        .map(|index| {
+            let (sum, count) = block(size, factors, index).map(|n| v[n].to_f32()).filter(|x| !hole(*x)).fold((0.0f64, 0u32), |(s, n), x| (s + f64::from(x), n + 1));
+            finish((sum / f64::from(count)) as f32)
+        })
+        .collect()
 }
 
 /// Trilinear sampling of one typed grid.
@@ -186,6 +221,15 @@ mod tests {
                 assert!((got - want).abs() < 1e-6, "{name}: {got} for {want}");
             }
         }
+    }
+
+    #[test]
+    fn blocks_are_averaged() {
+        let voxels: Vec<f32> = vec![1.0, 3.0, 5.0, f32::NAN, 7.0, f32::NAN];
+        let grid = Grid::new(&Volume::new(voxels.into(), [3, 2, 1], Rescale::NONE, DAffine3::IDENTITY)).reduced([2, 2, 1]);
+        assert_eq!(grid.size, [2, 1, 1]);
+        // Means of 1, 3, 7 and of 5 alone, normalised over 1 to 7.
+        assert!((grid.value(0, 0, 0) - (11.0 / 3.0 - 1.0) / 6.0).abs() < 1e-6 && (grid.value(1, 0, 0) - 4.0 / 6.0).abs() < 1e-6);
     }
 
     #[test]

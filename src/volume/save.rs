@@ -1,8 +1,8 @@
-//! Writing volumes and displacement fields: NIfTI-1, NRRD and MetaImage.
+//! Writing volumes, label maps and displacement fields: NIfTI (version 2 where 1 cannot count the voxels), NRRD, MetaImage and VTK XML.
 //!
 //! A file is a header followed by values in the order of the voxels, so that a large one can be made slab by slab ([`Writer`]). Fields are
-//! LPS in NRRD and MetaImage; in NIfTI they carry the intent 1007 and LPS vectors, as ITK and ANTs write them. NIfTI keeps the components
-//! of vectors one after the other, the other two keep them together ([`Format::planar`]).
+//! LPS in NRRD, MetaImage and VTK; in NIfTI they carry the intent 1007 and LPS vectors, as ITK and ANTs write them. NIfTI keeps the components
+//! of vectors one after the other, the others keep them together ([`Format::planar`]).
 
 use super::load::ScalarType;
 use super::{GridGeometry, Rescale};
@@ -25,6 +25,8 @@ pub enum Format {
     Nrrd,
     /// `.mha`, not compressed
     Mha,
+    /// `.vti`, appended, not compressed
+    Vti,
 }
 
 /// What the voxels are.
@@ -32,6 +34,8 @@ pub enum Format {
 pub enum Content {
     /// One stored value per voxel.
     Scalar(ScalarType, Rescale),
+    /// One label per voxel.
+    Labels(ScalarType),
     /// Three f32: source minus deformed point, LPS mm.
     Field,
     /// Four f32: as a field, and the mask.
@@ -45,10 +49,15 @@ impl Format {
     /// An ending that is not written.
     pub fn of(path: &Path) -> Result<Self> {
         let name = path.file_name().map(|n| n.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
-        let endings = [(".nii.gz", Self::NiftiGz), (".nii", Self::Nifti), (".nrrd", Self::Nrrd), (".mha", Self::Mha)];
+        let endings = [(".nii.gz", Self::NiftiGz), (".nii", Self::Nifti), (".nrrd", Self::Nrrd), (".mha", Self::Mha), (".vti", Self::Vti)];
         endings.into_iter().find(|(e, _)| name.ends_with(e)).map(|(_, f)| f).ok_or_else(|| {
-            Error::value(format!("--output {}", path.display()), "is of a format that is not written; end it in .nii.gz, .nii, .nrrd or .mha")
+            Error::value(format!("--output {}", path.display()), "is of a format that is not written; end it in .nii.gz, .nii, .nrrd, .mha or .vti")
         })
+    }
+
+    /// Whether a slope and an intercept can be stated.
+    pub fn states_rescale(self) -> bool {
+        matches!(self, Self::Nifti | Self::NiftiGz)
     }
 
     /// Whether the components of vectors are written one whole grid after the other.
@@ -60,7 +69,7 @@ impl Format {
 impl Content {
     fn components(self) -> usize {
         match self {
-            Self::Scalar(..) => 1,
+            Self::Scalar(..) | Self::Labels(_) => 1,
             Self::Field => 3,
             Self::Map => 4,
         }
@@ -68,7 +77,7 @@ impl Content {
 
     fn scalar(self) -> ScalarType {
         match self {
-            Self::Scalar(t, _) => t,
+            Self::Scalar(t, _) | Self::Labels(t) => t,
             _ => ScalarType::F32,
         }
     }
@@ -77,6 +86,8 @@ impl Content {
 /// A file being written: values follow in order, in the machine's little-endian bytes.
 pub struct Writer<W: Write> {
     sink: Sink<W>,
+    /// What follows the values.
+    end: &'static str,
 }
 
 enum Sink<W: Write> {
@@ -93,7 +104,7 @@ impl<W: Write> Writer<W> {
         let io = |e: std::io::Error| e.to_string();
         let sink = match format {
             Format::Nifti | Format::NiftiGz => {
-                let header = nifti_header(grid, content)?;
+                let header = nifti_header(grid, content);
                 let mut sink =
                     if format == Format::Nifti { Sink::Plain(out) } else { Sink::Gzip(Box::new(GzEncoder::new(out, Compression::new(4)))) };
                 sink.write_all(&header).map_err(io)?;
@@ -107,8 +118,14 @@ impl<W: Write> Writer<W> {
                 out.write_all(mha_header(grid, content)?.as_bytes()).map_err(io)?;
                 Sink::Plain(out)
             }
+            Format::Vti => {
+                out.write_all(vti_header(grid, content)?.as_bytes()).map_err(io)?;
+                let bytes = grid.size.iter().product::<usize>() * content.components() * content.scalar().bytes();
+                out.write_all(&(bytes as u64).to_le_bytes()).map_err(io)?;
+                Sink::Plain(out)
+            }
         };
-        Ok(Self { sink })
+        Ok(Self { sink, end: if format == Format::Vti { "\n  </AppendedData>\n</VTKFile>\n" } else { "" } })
     }
 
     /// Appends values.
@@ -125,7 +142,10 @@ impl<W: Write> Writer<W> {
     /// What the destination reports.
     pub fn finish(self) -> std::io::Result<W> {
         match self.sink {
-            Sink::Plain(w) => Ok(w),
+            Sink::Plain(mut w) => {
+                w.write_all(self.end.as_bytes())?;
+                Ok(w)
+            }
             Sink::Gzip(g) => g.finish(),
         }
     }
@@ -149,17 +169,49 @@ impl<W: Write> Write for Sink<W> {
 
 const LPS_FROM_RAS: DMat3 = DMat3::from_diagonal(DVec3::new(-1.0, -1.0, 1.0));
 
-fn nifti_header(grid: &GridGeometry, content: Content) -> Result<Vec<u8>, String> {
-    let mut h = vec![0u8; 352];
-    let mut put = |at: usize, bytes: &[u8]| h[at..at + bytes.len()].copy_from_slice(bytes);
-    put(0, &348i32.to_le_bytes());
-    let components = content.components();
-    if grid.size.iter().any(|&n| n > i16::MAX as usize) {
-        return Err(format!("NIfTI-1 holds at most 32767 voxels along an axis, and the grid has {:?}; write .nrrd instead", grid.size));
+/// Where NIfTI-1 and NIfTI-2 keep what both have; offsets of the two, and how wide a number is.
+struct NiftiHeader {
+    bytes: Vec<u8>,
+    two: bool,
+}
+
+impl NiftiHeader {
+    fn put(&mut self, at: usize, bytes: &[u8]) {
+        self.bytes[at..at + bytes.len()].copy_from_slice(bytes);
     }
+
+    /// A number of single precision, or of double precision in NIfTI-2: the n-th from an offset on.
+    fn number(&mut self, one: usize, two: usize, n: usize, value: f64) {
+        if self.two {
+            self.put(two + 8 * n, &value.to_le_bytes());
+        } else {
+            self.put(one + 4 * n, &(value as f32).to_le_bytes());
+        }
+    }
+
+    /// A code of 16 bits, or of 32 bits in NIfTI-2.
+    fn code(&mut self, one: usize, two: usize, value: i16) {
+        if self.two {
+            self.put(two, &i32::from(value).to_le_bytes());
+        } else {
+            self.put(one, &value.to_le_bytes());
+        }
+    }
+}
+
+fn nifti_header(grid: &GridGeometry, content: Content) -> Vec<u8> {
+    let two = grid.size.iter().any(|&n| n > i16::MAX as usize);
+    let length = if two { 540 } else { 348 };
+    let mut h = NiftiHeader { bytes: vec![0u8; length + 4], two };
+    h.put(0, &(length as i32).to_le_bytes());
+    let components = content.components();
     let dim: [usize; 8] = [if components > 1 { 5 } else { 3 }, grid.size[0], grid.size[1], grid.size[2], 1, components, 1, 1];
     for (n, d) in dim.into_iter().enumerate() {
-        put(40 + 2 * n, &(d as i16).to_le_bytes());
+        if two {
+            h.put(16 + 8 * n, &(d as i64).to_le_bytes());
+        } else {
+            h.put(40 + 2 * n, &(d as i16).to_le_bytes());
+        }
     }
     let (code, bits) = match content.scalar() {
         ScalarType::U8 => (2i16, 8i16),
@@ -173,10 +225,13 @@ fn nifti_header(grid: &GridGeometry, content: Content) -> Result<Vec<u8>, String
         ScalarType::U64 => (1280, 64),
         ScalarType::F64 => (64, 64),
     };
-    put(70, &code.to_le_bytes());
-    put(72, &bits.to_le_bytes());
-    if components == 3 {
-        put(68, &1007i16.to_le_bytes());
+    let [datatype, bits_at] = if two { [12, 14] } else { [70, 72] };
+    h.put(datatype, &code.to_le_bytes());
+    h.put(bits_at, &bits.to_le_bytes());
+    match content {
+        Content::Field => h.code(68, 504, 1007),
+        Content::Labels(_) => h.code(68, 504, 1002),
+        _ => {}
     }
     let ras_from_voxel = DAffine3::from_mat3(LPS_FROM_RAS) * grid.world_from_voxel;
     let m = ras_from_voxel.matrix3;
@@ -186,32 +241,40 @@ fn nifti_header(grid: &GridGeometry, content: Content) -> Result<Vec<u8>, String
     rotation.z_axis *= handedness;
     let pixdim = [handedness, spacing.x, spacing.y, spacing.z, 1.0, 1.0, 1.0, 1.0];
     for (n, v) in pixdim.into_iter().enumerate() {
-        put(76 + 4 * n, &(v as f32).to_le_bytes());
+        h.number(76, 104, n, v);
     }
-    put(108, &352f32.to_le_bytes());
+    if two {
+        h.put(168, &((length + 4) as i64).to_le_bytes());
+    } else {
+        h.number(108, 0, 0, (length + 4) as f64);
+    }
     let rescale = if let Content::Scalar(_, r) = content { r } else { Rescale::NONE };
-    put(112, &(rescale.slope as f32).to_le_bytes());
-    put(116, &(rescale.intercept as f32).to_le_bytes());
+    h.number(112, 176, 0, rescale.slope);
+    h.number(116, 184, 0, rescale.intercept);
     // Millimetres.
-    put(123, &[2]);
+    h.put(if two { 500 } else { 123 }, &[2]);
     let t = ras_from_voxel.translation;
     let orthogonal = (rotation.transpose() * rotation - DMat3::IDENTITY).to_cols_array().iter().all(|v| v.abs() < 1e-4);
     if orthogonal {
         let q = DQuat::from_mat3(&rotation).normalize();
         let q = if q.w < 0.0 { -q } else { q };
-        put(252, &1i16.to_le_bytes());
+        h.code(252, 344, 1);
         for (n, v) in [q.x, q.y, q.z, t.x, t.y, t.z].into_iter().enumerate() {
-            put(256 + 4 * n, &(v as f32).to_le_bytes());
+            h.number(256, 352, n, v);
         }
     }
-    put(254, &1i16.to_le_bytes());
+    h.code(254, 348, 1);
     for row in 0..3 {
         for (column, v) in [m.x_axis[row], m.y_axis[row], m.z_axis[row], t[row]].into_iter().enumerate() {
-            put(280 + 16 * row + 4 * column, &(v as f32).to_le_bytes());
+            h.number(280, 400, 4 * row + column, v);
         }
     }
-    put(344, b"n+1\0");
-    Ok(h)
+    if two {
+        h.put(4, b"n+2\0\r\n\x1a\n");
+    } else {
+        h.put(344, b"n+1\0");
+    }
+    h.bytes
 }
 
 fn nrrd_header(grid: &GridGeometry, content: Content) -> Result<String, String> {
@@ -289,6 +352,43 @@ fn mha_header(grid: &GridGeometry, content: Content) -> Result<String, String> {
         grid.size[1],
         grid.size[2],
         content.components()
+    ))
+}
+
+fn vti_header(grid: &GridGeometry, content: Content) -> Result<String, String> {
+    let type_name = match content.scalar() {
+        ScalarType::U8 => "UInt8",
+        ScalarType::I8 => "Int8",
+        ScalarType::U16 => "UInt16",
+        ScalarType::I16 => "Int16",
+        ScalarType::U32 => "UInt32",
+        ScalarType::I32 => "Int32",
+        ScalarType::U64 => "UInt64",
+        ScalarType::I64 => "Int64",
+        ScalarType::F32 => "Float32",
+        ScalarType::F64 => "Float64",
+    };
+    if let Content::Scalar(_, r) = content
+        && r != Rescale::NONE
+    {
+        return Err("VTK cannot state a slope and an intercept; write .nii.gz instead".into());
+    }
+    let m = grid.world_from_voxel.matrix3;
+    let spacing = DVec3::new(m.x_axis.length(), m.y_axis.length(), m.z_axis.length());
+    let direction = DMat3::from_cols(m.x_axis / spacing.x, m.y_axis / spacing.y, m.z_axis / spacing.z).transpose();
+    let list = |v: &[f64]| v.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
+    let extent = format!("0 {} 0 {} 0 {}", grid.size[0] - 1, grid.size[1] - 1, grid.size[2] - 1);
+    let (name, active, components) = match content {
+        Content::Scalar(..) => ("values", "Scalars", 1),
+        Content::Labels(_) => ("labels", "Scalars", 1),
+        Content::Field => ("displacement", "Vectors", 3),
+        Content::Map => return Err("VTK cannot say that a file is a displacement map; write .nrrd instead".into()),
+    };
+    Ok(format!(
+        "<?xml version=\"1.0\"?>\n<VTKFile type=\"ImageData\" version=\"1.0\" byte_order=\"LittleEndian\" header_type=\"UInt64\">\n  <ImageData WholeExtent=\"{extent}\" Origin=\"{}\" Spacing=\"{}\" Direction=\"{}\">\n    <Piece Extent=\"{extent}\">\n      <PointData {active}=\"{name}\">\n        <DataArray type=\"{type_name}\" Name=\"{name}\" NumberOfComponents=\"{components}\" format=\"appended\" offset=\"0\"/>\n      </PointData>\n    </Piece>\n  </ImageData>\n  <AppendedData encoding=\"raw\">\n   _",
+        list(&grid.world_from_voxel.translation.to_array()),
+        list(&spacing.to_array()),
+        list(&direction.to_cols_array()),
     ))
 }
 

@@ -149,9 +149,10 @@ impl Header {
         let dim = self.dimensions().map_err(&fail)?;
         let size = [dim[0], dim[1], dim[2]];
         let intent = self.intent();
-        // Vectors lie along the fifth axis; FSL's warps have theirs along the fourth.
+        // Vectors lie along the fifth axis; FSL's warps and directions have theirs along the fourth.
         let fsl = (2006..=2009).contains(&intent);
-        let (components, frames) = if fsl && dim[4] == 1 { (dim[3], 1) } else { (dim[4], dim[3] * dim[5] * dim[6]) };
+        let colors_by_axis = INTENT_RGB.contains(&intent) && (3..=4).contains(&dim[3]);
+        let (components, frames) = if (fsl || colors_by_axis) && dim[4] == 1 { (dim[3], 1) } else { (dim[4], dim[3] * dim[5] * dim[6]) };
         if frames > 1 && components > 1 {
             return Err(fail(format!("holds {components} values per voxel at {frames} times; a single time is needed: split it by time")));
         }
@@ -185,6 +186,8 @@ impl Header {
         }
         let meaning = match intent {
             _ if colors > 1 => Meaning::Color,
+            // Colours in floating point are directions.
+            i if INTENT_RGB.contains(&i) && components == 3 && matches!(scalar, ScalarType::F32 | ScalarType::F64) => Meaning::Vectors,
             i if INTENT_RGB.contains(&i) && (3..=4).contains(&components) => Meaning::Color,
             INTENT_LABEL => Meaning::Labels(Vec::new()),
             i if INTENT_VECTOR.contains(&i) || fsl => Meaning::Vectors,

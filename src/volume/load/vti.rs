@@ -67,6 +67,7 @@ struct Document {
     origin: DVec3,
     spacing: DVec3,
     direction: DMat3,
+    directed: bool,
     big_endian: bool,
     wide: bool,
     packing: Packing,
@@ -138,6 +139,9 @@ pub fn read(path: &Path, _choice: &Choice, watch: &Watch) -> Result<Image> {
     (image.components, image.frame) = (components, Some(DMat3::IDENTITY));
     if first.active[1].as_deref() == Some(wanted.name.as_str()) && components == 3 {
         image.meaning = Meaning::Vectors;
+    }
+    if !document.directed {
+        image.warnings.push("does not say how its axes lie in the patient: they are taken as left, posterior, superior".into());
     }
     let others: Vec<&str> = first.points.iter().chain(&first.cells).map(|a| a.name.as_str()).filter(|n| *n != wanted.name).collect();
     if !others.is_empty() {
@@ -239,6 +243,7 @@ fn document(path: &Path, reader: BufReader<File>) -> Result<Document> {
         origin: DVec3::ZERO,
         spacing: DVec3::ONE,
         direction: DMat3::IDENTITY,
+        directed: false,
         big_endian: false,
         wide: false,
         packing: Packing::None,
@@ -296,6 +301,7 @@ fn document(path: &Path, reader: BufReader<File>) -> Result<Document> {
                 if get.contains_key("Direction") {
                     let rows: [f64; 9] = numbers(get.get("Direction")).ok_or_else(|| fail("has a Direction that is not nine numbers".into()))?;
                     document.direction = DMat3::from_cols_array(&rows).transpose();
+                    document.directed = true;
                 }
             }
             "Piece" if is_image => {

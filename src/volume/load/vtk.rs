@@ -104,6 +104,7 @@ pub fn read(path: &Path, _choice: &Choice, watch: &Watch) -> Result<Image> {
     }
     let mut image = Image::new("legacy VTK", voxels, size, world_from_voxel);
     (image.components, image.meaning, image.frame) = (components, meaning, Some(DMat3::IDENTITY));
+    image.warnings.push("cannot say how its axes lie in the patient: they are taken as left, posterior, superior".into());
     Ok(image)
 }
 

@@ -73,7 +73,8 @@ pub fn read(object: &Object) -> Result<Pixels> {
         return native(path, bytes, native_bytes, cfg!(target_endian = "big"));
     }
     let read = guarded(|| -> Result<(Vec<u32>, Vec<Vec<u8>>, bool)> {
-        let packed = matches!(TransferSyntaxRegistry.get(&object.syntax).map(|s| s.codec()), Some(Codec::EncapsulatedPixelData(..)));
+        let packed = JPEG.contains(&object.syntax.as_str())
+            || matches!(TransferSyntaxRegistry.get(&object.syntax).map(|s| s.codec()), Some(Codec::EncapsulatedPixelData(..)));
         // A deflated object needs its pixels and what lies before them.
         let mut opened = open(&object.source, (native_bytes as u64).saturating_add(64 << 20))?;
         opened.collector.read_dataset_up_to_pixeldata(&mut InMemDicomObject::new_empty()).map_err(|e| damaged(one_line(&e)))?;

@@ -6,7 +6,9 @@ use crate::volume::{Label, Rescale};
 use crate::{Error, Meter, Result, Watch};
 use dicom_core::Tag;
 use dicom_dictionary_std::tags;
-use dicom_object::{DefaultDicomObject, DicomCollector, InMemDicomObject};
+use dicom_encoding::transfer_syntax::TransferSyntaxIndex;
+use dicom_object::{DicomCollector, InMemDicomObject};
+use dicom_transfer_syntax_registry::TransferSyntaxRegistry;
 use glam::DVec3;
 use rayon::prelude::*;
 use std::collections::HashSet;
@@ -14,12 +16,16 @@ use std::io::{BufReader, Cursor, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Explicit VR little endian, deflated.
+/// Little endian: implicit VR, explicit VR, and that deflated.
+const IMPLICIT: &str = "1.2.840.10008.1.2";
+const EXPLICIT: &str = "1.2.840.10008.1.2.1";
 const DEFLATED: &str = "1.2.840.10008.1.2.1.99";
 /// Segmentation storage, and the newer kind whose pixels are labels.
 const SEGMENTATION: [&str; 2] = ["1.2.840.10008.5.1.4.1.1.66.4", "1.2.840.10008.5.1.4.1.1.66.7"];
 /// Bytes of a deflated object in which its header must end.
 const MOST_HEADER: u64 = 64 << 20;
+/// Most bytes of the meta information.
+const MOST_META: u64 = 1 << 20;
 /// Most files and folders that are looked at.
 const MOST_FILES: usize = 1 << 20;
 /// Deepest folder in a folder.
@@ -274,31 +280,71 @@ pub struct Opened {
 pub fn open(source: &Source, most: u64) -> Result<Opened> {
     let path = source.path();
     let damaged = |e: String| Error::file(path, format!("is no DICOM file that can be read ({e}); copy or export it again"));
+    let io = |e: std::io::Error| Error::io(path, "reading", e);
     let mut start = Vec::new();
-    source.open()?.take(132).read_to_end(&mut start).map_err(|e| Error::io(path, "reading", e))?;
+    source.open()?.take(132).read_to_end(&mut start).map_err(io)?;
     if !is_dicom(&start) {
         return Err(Error::file(path, "is no DICOM file"));
     }
-    if start.len() < 132 || &start[128..132] != b"DICM" && bare_dataset(&start) {
+    let magic = if start.len() >= 132 && &start[128..132] == b"DICM" { 132 } else { 4 };
+    if magic == 4 && bare_dataset(&start) {
         let explicit = start[4..6].iter().all(u8::is_ascii_uppercase);
-        let syntax = if explicit { "1.2.840.10008.1.2.1" } else { "1.2.840.10008.1.2" };
+        let syntax = if explicit { EXPLICIT } else { IMPLICIT };
         return Ok(Opened { collector: DicomCollector::new_with_ts(source.open()?, syntax), syntax: syntax.to_owned() });
     }
-    let mut collector = DicomCollector::new(source.open()?);
-    let meta = collector.read_file_meta().map_err(|e| damaged(one_line(&e)))?;
-    let syntax = meta.transfer_syntax().trim_end_matches(['\0', ' ']).to_owned();
-    if syntax != DEFLATED {
-        return Ok(Opened { collector, syntax });
-    }
-    // Preamble, magic and the element that states the length of the rest.
-    let skipped = 128 + 4 + 12 + u64::from(meta.information_group_length);
     let mut reader = source.open()?;
-    reader.seek(SeekFrom::Start(skipped)).map_err(|e| Error::io(path, "reading", e))?;
+    reader.seek(SeekFrom::Start(magic)).map_err(io)?;
+    let (syntax, length) = meta(&mut reader).ok_or_else(|| damaged("its first elements are damaged or end too early".into()))?;
+    reader.seek(SeekFrom::Start(magic + length)).map_err(io)?;
+    if syntax != DEFLATED {
+        // Retired kinds of packed pixels lie in an explicit data set as all others do.
+        let dataset = TransferSyntaxRegistry.get(&syntax).map_or(EXPLICIT, |s| s.uid());
+        return Ok(Opened { collector: DicomCollector::new_with_ts(reader, dataset), syntax });
+    }
     let mut bytes = Vec::new();
     let limit = most.min(source.bytes().saturating_mul(DEFLATE_LIMIT));
     flate2::read::DeflateDecoder::new(reader).take(limit).read_to_end(&mut bytes).map_err(|e| damaged(e.to_string()))?;
     let reader: Box<dyn ReadSeek> = Box::new(Cursor::new(bytes));
-    Ok(Opened { collector: DicomCollector::new_with_ts(BufReader::new(reader), "1.2.840.10008.1.2.1"), syntax })
+    Ok(Opened { collector: DicomCollector::new_with_ts(BufReader::new(reader), EXPLICIT), syntax })
+}
+
+/// The transfer syntax in the meta information (group 0002, always explicit little endian), and its length. By hand, because `dicom-object`
+/// refuses files for faults in elements that do not matter, such as a title that is too long.
+fn meta(reader: &mut impl Read) -> Option<(String, u64)> {
+    let (mut syntax, mut at) = (String::new(), 0u64);
+    while at < MOST_META {
+        let mut head = [0u8; 8];
+        if reader.read_exact(&mut head).is_err() {
+            break;
+        }
+        if head[..2] != [2, 0] {
+            break;
+        }
+        let vr = &head[4..6];
+        let (head_bytes, length) = if !vr.iter().all(u8::is_ascii_uppercase) {
+            (8, u32::from_le_bytes([head[4], head[5], head[6], head[7]]))
+        } else if matches!(vr, b"OB" | b"OW" | b"OF" | b"OD" | b"OL" | b"SQ" | b"UN" | b"UT" | b"UC" | b"UR") {
+            let mut long = [0u8; 4];
+            reader.read_exact(&mut long).ok()?;
+            (12, u32::from_le_bytes(long))
+        } else {
+            (8, u32::from(u16::from_le_bytes([head[6], head[7]])))
+        };
+        if u64::from(length) > MOST_META {
+            return None;
+        }
+        let mut value = Vec::new();
+        reader.by_ref().take(u64::from(length)).read_to_end(&mut value).ok()?;
+        if value.len() as u64 != u64::from(length) {
+            return None;
+        }
+        if head[2..4] == [0x10, 0] {
+            syntax = String::from_utf8_lossy(&value).trim_matches(['\0', ' ']).to_owned();
+        }
+        at += head_bytes + u64::from(length);
+    }
+    // Files without one are of the default syntax.
+    Some((if syntax.is_empty() { IMPLICIT.to_owned() } else { syntax }, at))
 }
 
 /// What is wrong, without the line breaks of nested errors.
@@ -531,10 +577,12 @@ fn palette(set: &InMemDicomObject) -> Option<[(i64, Vec<u8>); 3]> {
     ])
 }
 
-/// A whole object in memory: for the few whose pixels are not in the usual element.
-pub fn whole(source: &Source) -> Result<DefaultDicomObject> {
+/// A whole data set in memory: for the few objects whose pixels are not in the usual element.
+pub fn whole(source: &Source) -> Result<InMemDicomObject> {
     let damaged = |e: String| Error::file(source.path(), format!("is a damaged DICOM file ({e}); copy or export it again"));
-    dicom_object::from_reader(source.open()?).map_err(|e| damaged(one_line(&e)))
+    let mut set = InMemDicomObject::new_empty();
+    open(source, u64::MAX)?.collector.read_dataset_to_end(&mut set).map_err(|e| damaged(one_line(&e)))?;
+    Ok(set)
 }
 
 #[cfg(test)]

@@ -1,0 +1,208 @@
+//! The volume as a texture: in the type it has, reduced where the device cannot hold it, with its voxels' colours beside it.
+//!
+//! A volume beyond the device's limits is reduced by whole factors, each texel being the mean of a block of voxels, and the user is told. The
+//! whole of it stays on the CPU, whose renderer shows every voxel.
+
+use super::{Renderer, extent};
+use crate::gpu::wait;
+use crate::volume::{Colors, Grid, GridVoxels};
+use crate::{Error, Result};
+use half::f16;
+use rayon::prelude::*;
+use std::sync::Arc;
+use wgpu::{Features, TextureFormat};
+
+/// Bytes that are copied at once.
+const PIECE: usize = 16 << 20;
+
+/// A volume on the GPU.
+pub(super) struct VolumeTexture {
+    /// Identity of the voxels: the pointer is kept alive by `_voxels`.
+    identity: (usize, bool),
+    _voxels: GridVoxels,
+    pub view: wgpu::TextureView,
+    pub colors: Option<wgpu::TextureView>,
+    pub scale: f32,
+    pub offset: f32,
+    /// Voxels that the texture spans.
+    pub spanned: [f32; 3],
+    /// What the user should be told.
+    pub notice: Option<String>,
+}
+
+impl GridVoxels {
+    fn identity(&self) -> usize {
+        match self {
+            Self::U8(v) => Arc::as_ptr(v) as usize,
+            Self::U16(v) => Arc::as_ptr(v) as usize,
+            Self::I16(v) => Arc::as_ptr(v) as usize,
+            Self::F32(v) => Arc::as_ptr(v) as usize,
+        }
+    }
+}
+
+/// By how much a grid has to be reduced along each axis to fit: whole factors, equal ones where bytes are what is short.
+fn factors(size: [usize; 3], bytes_per_voxel: u64, most_voxels: usize, most_bytes: u64) -> [usize; 3] {
+    let mut factors = size.map(|n| n.div_ceil(most_voxels.max(1)));
+    loop {
+        let bytes = (0..3).map(|a| size[a].div_ceil(factors[a]) as u64).product::<u64>() * bytes_per_voxel;
+        if bytes <= most_bytes {
+            return factors;
+        }
+        // The axis that is reduced least, the longest of them.
+        let least = factors.iter().copied().min().unwrap_or(1);
+        let axis = (0..3).filter(|&a| factors[a] == least).max_by_key(|&a| size[a].div_ceil(factors[a])).unwrap_or(0);
+        if size[axis].div_ceil(factors[axis]) == 1 {
+            return factors;
+        }
+        factors[axis] += 1;
+    }
+}
+
+impl Renderer {
+    /// Holds volumes to smaller limits than the device's: voxels along an axis, and bytes of a texture. What is larger is reduced.
+    pub fn limit_volume(&mut self, most_voxels: usize, most_bytes: u64) {
+        self.most = Some((most_voxels, most_bytes));
+        self.volume = None;
+    }
+
+    /// Puts the volume on the GPU unless it is there already.
+    pub(super) fn upload_volume(&mut self, grid: &Grid, colors: Option<&Colors>) -> Result<()> {
+        let identity = (grid.voxels.identity(), colors.is_some());
+        if self.volume.as_ref().is_some_and(|v| v.identity == identity) {
+            return Ok(());
+        }
+        self.volume = None;
+        let limits = self.device.device.limits();
+        let (most_voxels, most_bytes) = self.most.unwrap_or((usize::MAX, u64::MAX));
+        let most_voxels = most_voxels.min(limits.max_texture_dimension_3d as usize);
+        let most_bytes = most_bytes.min(limits.max_buffer_size);
+        let format = self.volume_format(grid);
+        let texel = u64::from(format.block_copy_size(None).unwrap_or(4)).max(if colors.is_some() { 4 } else { 1 });
+        let factors = factors(grid.size, texel, most_voxels, most_bytes);
+        let reduced = (factors != [1; 3]).then(|| grid.reduced(factors));
+        let shown = reduced.as_ref().unwrap_or(grid);
+        let notice = reduced.as_ref().map(|r| {
+            let by = |s: [usize; 3]| format!("{} x {} x {}", s[0], s[1], s[2]);
+            format!(
+                "the volume of {} voxels is more than this GPU holds and is shown at {}; --backend cpu shows all of it",
+                by(grid.size),
+                by(r.size)
+            )
+        });
+        let texture = self.texture_3d("volume", shown.size, format)?;
+        self.write_voxels(&texture, shown, format)?;
+        let colors = match colors {
+            Some(colors) => Some(self.upload_colors(colors, grid.size, factors)?),
+            None => None,
+        };
+        let (scale, offset) = match (&shown.voxels, format) {
+            (_, TextureFormat::R16Float) => (1.0, 0.0),
+            (GridVoxels::U8(_), _) => (255.0 * shown.scale, shown.offset),
+            (GridVoxels::U16(_), _) => (65535.0 * shown.scale, shown.offset),
+            (GridVoxels::I16(_), _) => (65535.0 * shown.scale, shown.offset - 32768.0 * shown.scale),
+            (GridVoxels::F32(_), _) => (shown.scale, shown.offset),
+        };
+        let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
+        let spanned = std::array::from_fn(|a| (shown.size[a] * factors[a]) as f32);
+        self.volume = Some(VolumeTexture { identity, _voxels: grid.voxels.clone(), view, colors, scale, offset, spanned, notice });
+        Ok(())
+    }
+
+    fn volume_format(&self, grid: &Grid) -> TextureFormat {
+        let features = self.device.device.features();
+        let (unorm16, float32) = (features.contains(Features::TEXTURE_FORMAT_16BIT_NORM), features.contains(Features::FLOAT32_FILTERABLE));
+        // Software drivers filter 8-bit textures in 8-bit arithmetic, which shows as steps: they get 16 bits.
+        match &grid.voxels {
+            GridVoxels::U8(_) if !(self.device.is_software() && unorm16) => TextureFormat::R8Unorm,
+            GridVoxels::F32(_) if float32 => TextureFormat::R32Float,
+            GridVoxels::F32(_) => TextureFormat::R16Float,
+            _ if unorm16 => TextureFormat::R16Unorm,
+            _ => TextureFormat::R16Float,
+        }
+    }
+
+    fn write_voxels(&self, texture: &wgpu::Texture, grid: &Grid, format: TextureFormat) -> Result<()> {
+        let normalise = |v: f32| f16::from_f32(v * grid.scale + grid.offset).to_bits();
+        self.in_pieces(texture, grid.size, |range| match (&grid.voxels, format) {
+            (GridVoxels::U8(v), TextureFormat::R8Unorm) => v[range].to_vec(),
+            (GridVoxels::U8(v), TextureFormat::R16Unorm) => to_bytes(&v[range], |v| u16::from(v) * 257),
+            (GridVoxels::U16(v), TextureFormat::R16Unorm) => to_bytes(&v[range], |v| v),
+            (GridVoxels::I16(v), TextureFormat::R16Unorm) => to_bytes(&v[range], |v| (i32::from(v) + 32768) as u16),
+            (GridVoxels::F32(v), TextureFormat::R32Float) => bytemuck::cast_slice(&v[range]).to_vec(),
+            (GridVoxels::U8(v), _) => to_bytes(&v[range], |v| normalise(f32::from(v))),
+            (GridVoxels::U16(v), _) => to_bytes(&v[range], |v| normalise(f32::from(v))),
+            (GridVoxels::I16(v), _) => to_bytes(&v[range], |v| normalise(f32::from(v))),
+            (GridVoxels::F32(v), _) => to_bytes(&v[range], normalise),
+        })
+    }
+
+    /// Own colours, multiplied by their weights, as a hardware filter has to mix them.
+    fn upload_colors(&self, colors: &Colors, size: [usize; 3], factors: [usize; 3]) -> Result<wgpu::TextureView> {
+        let software = self.device.is_software() && self.device.device.features().contains(Features::TEXTURE_FORMAT_16BIT_NORM);
+        let format = if software { TextureFormat::Rgba16Unorm } else { TextureFormat::Rgba8Unorm };
+        let shown: [usize; 3] = std::array::from_fn(|a| size[a].div_ceil(factors[a]));
+        let texture = self.texture_3d("colours", shown, format)?;
+        self.in_pieces(&texture, shown, |range| {
+            let texels = if factors == [1; 3] { colors.rgba8(range) } else { colors.reduced(size, factors, range) };
+            if software { to_bytes(texels.as_flattened(), |v| u16::from(v) * 257) } else { texels.into_flattened() }
+        })?;
+        Ok(texture.create_view(&wgpu::TextureViewDescriptor::default()))
+    }
+
+    /// Writes whole layers at once: `bytes` of a range of voxels.
+    fn in_pieces(&self, texture: &wgpu::Texture, size: [usize; 3], bytes: impl Fn(std::ops::Range<usize>) -> Vec<u8>) -> Result<()> {
+        let layer = size[0] * size[1];
+        let layers_at_once = (PIECE / (layer * 4).max(1)).max(1);
+        for (n, first) in (0..size[2]).step_by(layers_at_once).enumerate() {
+            let range = first * layer..(first + layers_at_once).min(size[2]) * layer;
+            self.write_layers(texture, first, &bytes(range), size);
+            if n % 4 == 3 {
+                // Staging memory is given back only when a submission is done.
+                self.device.queue.submit([]);
+                wait(&self.device.device)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// An empty 3D texture.
+    pub(super) fn texture_3d(&self, label: &str, size: [usize; 3], format: TextureFormat) -> Result<wgpu::Texture> {
+        let most = self.device.device.limits().max_texture_dimension_3d as usize;
+        if size.iter().any(|&n| n > most) {
+            return Err(Error::Gpu(format!(
+                "the {label} of {} x {} x {} exceeds this device's {most} per axis; use --backend cpu",
+                size[0], size[1], size[2]
+            )));
+        }
+        Ok(self.device.device.create_texture(&wgpu::TextureDescriptor {
+            label: Some(label),
+            size: extent(size),
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D3,
+            format,
+            usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+            view_formats: &[],
+        }))
+    }
+}
+
+fn to_bytes<T: Copy + Send + Sync>(voxels: &[T], convert: impl Fn(T) -> u16 + Sync + Send) -> Vec<u8> {
+    let converted: Vec<u16> = voxels.par_iter().map(|&v| convert(v)).collect();
+    bytemuck::cast_slice(&converted).to_vec()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_does_not_fit_is_reduced() {
+        assert_eq!(factors([2049, 100, 100], 2, 2048, u64::MAX), [2, 1, 1]);
+        assert_eq!(factors([256; 3], 2, 2048, 1 << 30), [1; 3]);
+        let f = factors([1024; 3], 2, 2048, 256 << 20);
+        assert_eq!(f, [2; 3]);
+        assert_eq!(factors([5, 1, 1], 4, 2048, 1), [5, 1, 1]);
+    }
+}
