@@ -8,11 +8,13 @@ mod architecture;
 mod closed_forms;
 mod command_line;
 mod contract;
+mod damage;
 mod fields;
 mod metrics;
 mod nifti;
 #[cfg(feature = "gpu")]
 mod parity;
+mod readers;
 mod scenes;
 #[cfg(feature = "gpu")]
 mod shaders;
@@ -46,6 +48,10 @@ fn main() {
         baking_is_itk_resampling, affine_conventions_agree, vectors_turn_with_their_axes, all_orientations_agree, live_is_the_baked_picture,
         long_stacks_are_composed, composition_keeps_its_bound, fsl_warp_is_inverted, radial_field_is_inverted, written_files_come_back,
         composed_stacks_are_one_map, groups_with_a_vanished_member, baking_keeps_nan_in_its_place));
+    all.extend(trials!(readers:
+        one_phantom_in_every_format, scans_are_what_peers_read, real_series_have_their_geometry, orientations_are_one_world,
+        series_are_listed_and_chosen, loads_are_watched, several_values_per_voxel, a_gigabyte_needs_little_more));
+    all.extend(trials!(damage: damaged_files_are_named, mutated_files_do_no_harm));
     all.extend(trials!(surfaces:
         distances_of_closed_forms, broken_meshes_keep_their_inside, thin_flat_and_far_things, a_part_is_part_of_the_whole, deformed_sphere_is_the_ellipsoid,
         narrow_pull_is_found_by_jacobian_steps, three_modes_share_one_deformation, two_stages_are_one_picture, skipping_changes_no_surface,

@@ -41,7 +41,7 @@ impl GridVoxels {
     }
 }
 
-/// By how much a grid has to be reduced along each axis to fit: whole factors, equal ones where bytes are what is short.
+/// By how much a grid has to be reduced along each axis to fit: whole factors, the longest axes first.
 fn factors(size: [usize; 3], bytes_per_voxel: u64, most_voxels: usize, most_bytes: u64) -> [usize; 3] {
     let mut factors = size.map(|n| n.div_ceil(most_voxels.max(1)));
     loop {
@@ -49,9 +49,8 @@ fn factors(size: [usize; 3], bytes_per_voxel: u64, most_voxels: usize, most_byte
         if bytes <= most_bytes {
             return factors;
         }
-        // The axis that is reduced least, the longest of them.
-        let least = factors.iter().copied().min().unwrap_or(1);
-        let axis = (0..3).filter(|&a| factors[a] == least).max_by_key(|&a| size[a].div_ceil(factors[a])).unwrap_or(0);
+        // The axis that has the most texels left.
+        let axis = (0..3).max_by_key(|&a| size[a].div_ceil(factors[a])).unwrap_or(0);
         if size[axis].div_ceil(factors[axis]) == 1 {
             return factors;
         }

@@ -1,7 +1,8 @@
 //! Pixels of DICOM objects: out of their transfer syntax into typed values, every frame on its own and many at once.
 //!
-//! JPEG and JPEG 2000 are decoded here rather than by the registry's adapters, which take a picture of another size than declared, and drop
-//! the sign of what is not whole bytes; RLE and (as an option) JPEG-LS are left to them.
+//! JPEG and JPEG 2000 are decoded here rather than by the registry's adapters, which take a picture of another size than declared; for JPEG
+//! 2000 they also need OpenJPEG, in C or in what was translated from it, where `hayro-jpeg2000` is safe Rust. RLE and (as an option) JPEG-LS
+//! are left to the registry.
 
 use super::super::guard::guarded;
 use super::super::source::{Stored, read_error};
@@ -73,7 +74,9 @@ pub fn read(object: &Object) -> Result<Pixels> {
         return native(path, bytes, native_bytes, cfg!(target_endian = "big"));
     }
     let read = guarded(|| -> Result<(Vec<u32>, Vec<Vec<u8>>, bool)> {
-        let packed = JPEG.contains(&object.syntax.as_str())
+        let uid = object.syntax.as_str();
+        let packed = JPEG.contains(&uid)
+            || JPEG_2000.contains(&uid)
             || matches!(TransferSyntaxRegistry.get(&object.syntax).map(|s| s.codec()), Some(Codec::EncapsulatedPixelData(..)));
         // A deflated object needs its pixels and what lies before them.
         let mut opened = open(&object.source, (native_bytes as u64).saturating_add(64 << 20))?;
@@ -292,19 +295,23 @@ fn jpeg_2000(format: &PixelFormat, packed: &[u8]) -> Result<Vec<u8>, String> {
     if (width, height) != (u32::from(format.columns), u32::from(format.rows)) {
         return Err(format!("the picture has {width} x {height} pixels instead of {} x {}", format.columns, format.rows));
     }
-    let image = jpeg2k::Image::from_bytes(packed).map_err(|e| e.to_string())?;
+    let settings = hayro_jpeg2000::DecodeSettings { resolve_palette_indices: false, ..Default::default() };
+    let image = hayro_jpeg2000::Image::new(packed, &settings).map_err(|e| format!("{e:?}"))?;
+    let mut context = hayro_jpeg2000::DecoderContext::default();
+    let decoded = image.decode(&mut context).map_err(|e| format!("{e:?}"))?;
     let samples = usize::from(format.samples);
-    let components = image.components();
+    let components = decoded.components();
     let pixels = usize::from(format.rows) * usize::from(format.columns);
-    if components.len() < samples || components.iter().take(samples).any(|c| c.data().len() != pixels) {
+    if components.len() < samples || components.iter().take(samples).any(|c| c.samples().len() != pixels) {
         return Err("its components are of another size than the picture".into());
     }
     let width = usize::from(format.allocated / 8).clamp(1, 4);
     let mut bytes = vec![0u8; pixels * samples * width];
     for (c, component) in components.iter().take(samples).enumerate() {
-        for (n, sample) in component.data().iter().enumerate() {
+        for (n, sample) in component.samples().iter().enumerate() {
             let to = (n * samples + c) * width;
-            bytes[to..to + width].copy_from_slice(&sample.to_le_bytes()[..width]);
+            // Floating point, in which whole numbers of 24 bits are exact.
+            bytes[to..to + width].copy_from_slice(&(sample.round() as i32).to_le_bytes()[..width]);
         }
     }
     Ok(bytes)
