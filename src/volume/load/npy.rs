@@ -79,7 +79,7 @@ pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
     let mut image = Image::new("NumPy", voxels, size, DAffine3::IDENTITY);
     (image.components, image.layout) = (components, Layout::Interleaved);
     if choice.spacing.is_none() {
-        image.warnings.push("has no spacing: voxels of 1 mm are taken (--spacing says otherwise)".into());
+        image.warnings.push("does not say how large a voxel is: 1 mm is taken (--spacing says otherwise)".into());
     }
     if frames > 1 {
         if choice.time.is_none() {

@@ -308,10 +308,13 @@ fn jpeg_2000(format: &PixelFormat, packed: &[u8]) -> Result<Vec<u8>, String> {
     let width = usize::from(format.allocated / 8).clamp(1, 4);
     let mut bytes = vec![0u8; pixels * samples * width];
     for (c, component) in components.iter().take(samples).enumerate() {
+        // The decoder takes every component for an unsigned one, and shifts it by half its range.
+        let signed = packed.get(at + 42 + 3 * c).is_some_and(|s| s & 0x80 != 0);
+        let shift = if signed { (1u32 << component.bit_depth().clamp(1, 31).saturating_sub(1)) as f32 } else { 0.0 };
         for (n, sample) in component.samples().iter().enumerate() {
             let to = (n * samples + c) * width;
             // Floating point, in which whole numbers of 24 bits are exact.
-            bytes[to..to + width].copy_from_slice(&(sample.round() as i32).to_le_bytes()[..width]);
+            bytes[to..to + width].copy_from_slice(&((sample - shift).round() as i32).to_le_bytes()[..width]);
         }
     }
     Ok(bytes)
