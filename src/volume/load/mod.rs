@@ -204,8 +204,8 @@ pub fn series(path: &Path, patient: bool, watch: &Watch) -> Result<Option<Vec<Se
         && if path.is_dir() {
             !zarr::is_zarr(path) && dicom::any(path, watch)?
         } else {
-            let start = source::first_bytes(path, START)?;
-            matches!(Format::of_start(&start), Some(Format::Dicom | Format::Zip))
+            // What cannot be opened is what reading it complains of.
+            source::first_bytes(path, START).is_ok_and(|start| matches!(Format::of_start(&start), Some(Format::Dicom | Format::Zip)))
         };
     if holds { dicom::list(path, patient, watch).map(Some) } else { Ok(None) }
 }

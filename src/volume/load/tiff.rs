@@ -109,7 +109,9 @@ pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
 fn read_unguarded(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
     let fail = |problem: String| Error::file(path, problem);
     let (mut pages, file_bytes) = decoder(path)?;
-    let text = pages.find_tag(Tag::ImageDescription).ok().flatten().and_then(|v| v.into_string().ok()).unwrap_or_default();
+    // A description longer than the file makes the decoder write to the terminal.
+    let described = pages.image_ifd().find_entry(Tag::ImageDescription).is_some_and(|e| e.count() <= file_bytes);
+    let text = described.then(|| pages.find_tag(Tag::ImageDescription)).and_then(Result::ok).flatten().and_then(|v| v.into_string().ok()).unwrap_or_default();
     let mut said = if text.contains("<OME") { ome(&text) } else { imagej(&text) };
     let resolution = |pages: &mut Pages, tag| -> Option<f64> {
         let per_unit = match pages.find_tag(tag).ok()?? {

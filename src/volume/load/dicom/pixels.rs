@@ -8,11 +8,13 @@ use super::super::guard::guarded;
 use super::super::source::{Stored, read_error};
 use super::scan::{Frame, Object, PixelFormat, one_line, open, whole};
 use crate::{Error, Result};
-use dicom_core::Tag;
+use dicom_core::header::HasLength;
+use dicom_core::{Length, Tag};
 use dicom_dictionary_std::tags;
 use dicom_encoding::adapters::{PixelDataObject, RawPixelData};
 use dicom_encoding::transfer_syntax::{Codec, Endianness, TransferSyntaxIndex};
-use dicom_object::InMemDicomObject;
+use dicom_parser::StatefulDecode;
+use dicom_parser::dataset::LazyDataToken;
 use dicom_transfer_syntax_registry::TransferSyntaxRegistry;
 use jpeg_decoder::{ColorTransform, PixelFormat as JpegFormat};
 use std::borrow::Cow;
@@ -79,23 +81,50 @@ pub fn read(object: &Object) -> Result<Pixels> {
             || JPEG_2000.contains(&uid)
             || matches!(TransferSyntaxRegistry.get(&object.syntax).map(|s| s.codec()), Some(Codec::EncapsulatedPixelData(..)));
         // A deflated object needs its pixels and what lies before them.
-        let mut opened = open(&object.source, (native_bytes as u64).saturating_add(64 << 20))?;
-        opened.collector.read_dataset_up_to_pixeldata(&mut InMemDicomObject::new_empty()).map_err(|e| damaged(one_line(&e)))?;
-        let mut table = Vec::new();
-        let mut fragments = Vec::new();
-        if packed {
-            opened.collector.read_basic_offset_table(&mut table).map_err(|e| damaged(one_line(&e)))?;
-        }
-        loop {
-            let mut fragment = Vec::new();
-            match opened.collector.read_next_fragment(&mut fragment).map_err(|e| damaged(one_line(&e)))? {
-                Some(_) => fragments.push(fragment),
-                None => break,
+        let opened = open(&object.source, (native_bytes as u64).saturating_add(64 << 20))?;
+        let (mut tokens, end) = opened.tokens().map_err(|e| damaged(e.to_string()))?;
+        let (mut table, mut fragments, mut in_pixels) = (None, Vec::new(), false);
+        while let Some(token) = tokens.advance() {
+            // What lies behind the pixels may be cut off.
+            let token = match token {
+                Ok(token) => token,
+                Err(_) if !fragments.is_empty() && !packed => break,
+                Err(e) => return Err(damaged(one_line(&e))),
+            };
+            let here = |len: u32, at: u64| if u64::from(len) > end.saturating_sub(at) { Err(read_error(path, ErrorKind::UnexpectedEof.into())) } else { Ok(()) };
+            match token {
+                LazyDataToken::PixelSequenceStart => in_pixels = true,
+                LazyDataToken::SequenceEnd if in_pixels => break,
+                LazyDataToken::LazyValue { header, decoder } => {
+                    let len = header.length().0;
+                    here(len, decoder.position())?;
+                    if header.tag == tags::PIXEL_DATA {
+                        let mut bytes = Vec::new();
+                        decoder.read_to_vec(len, &mut bytes).map_err(|e| damaged(one_line(&e)))?;
+                        fragments.push(bytes);
+                        break;
+                    }
+                    decoder.skip_bytes(len).map_err(|e| damaged(one_line(&e)))?;
+                }
+                LazyDataToken::LazyItemValue { len, decoder } => {
+                    here(len, decoder.position())?;
+                    let mut bytes = Vec::new();
+                    decoder.read_to_vec(len, &mut bytes).map_err(|e| damaged(one_line(&e)))?;
+                    match table {
+                        // The first item says where frames start.
+                        None => table = Some(bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()),
+                        Some(_) => fragments.push(bytes),
+                    }
+                }
+                // An item without a value.
+                LazyDataToken::ItemStart { len: Length(0) } if in_pixels => match table {
+                    None => table = Some(Vec::new()),
+                    Some(_) => fragments.push(Vec::new()),
+                },
+                _ => {}
             }
-            if !packed {
-                break;
-            }
         }
+        let table = table.unwrap_or_default();
         Ok((table, fragments, packed))
     });
     let (table, mut fragments, packed) = read.ok_or_else(ended)??;

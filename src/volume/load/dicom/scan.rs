@@ -4,10 +4,14 @@ use super::super::guard::guarded;
 use super::super::source::{DEFLATE_LIMIT, open_file};
 use crate::volume::{Label, Rescale};
 use crate::{Error, Meter, Result, Watch};
+use dicom_core::header::HasLength;
 use dicom_core::Tag;
 use dicom_dictionary_std::tags;
 use dicom_encoding::transfer_syntax::TransferSyntaxIndex;
 use dicom_object::{DicomCollector, InMemDicomObject};
+use dicom_parser::dataset::LazyDataToken;
+use dicom_parser::dataset::lazy_read::LazyDataSetReader;
+use dicom_parser::{DynStatefulDecoder, StatefulDecode};
 use dicom_transfer_syntax_registry::TransferSyntaxRegistry;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -270,10 +274,57 @@ fn members(path: &Path) -> Result<Option<Vec<Source>>> {
     Ok(Some(members))
 }
 
-/// A collector at the start of an object's data set, and its transfer syntax.
+/// An object at the start of its data set.
 pub struct Opened {
-    pub collector: DicomCollector<Bytes>,
+    reader: Bytes,
+    /// Transfer syntax of the data set, and of the whole.
+    dataset: String,
     pub syntax: String,
+}
+
+/// The data set's elements one by one, values unread.
+pub type Tokens = LazyDataSetReader<DynStatefulDecoder<Bytes>>;
+
+impl Opened {
+    /// The data set's elements, and where its bytes end: positions are those in the object's bytes.
+    pub fn tokens(mut self) -> std::io::Result<(Tokens, u64)> {
+        let invalid = |e: String| std::io::Error::new(std::io::ErrorKind::InvalidData, e);
+        let start = self.reader.stream_position()?;
+        let end = self.reader.seek(SeekFrom::End(0))?;
+        self.reader.seek(SeekFrom::Start(start))?;
+        let syntax = TransferSyntaxRegistry.get(&self.dataset).ok_or_else(|| invalid("an unknown transfer syntax".into()))?;
+        let tokens = LazyDataSetReader::new_with_ts(self.reader, syntax).map_err(|e| invalid(one_line(&e)))?;
+        Ok((tokens, end))
+    }
+
+    fn collector(self) -> DicomCollector<Bytes> {
+        DicomCollector::new_with_ts(self.reader, self.dataset)
+    }
+}
+
+/// Goes through a header without keeping anything, to see that no element is longer than what is left of its object: what reads it afterwards
+/// makes room for an element before it looks whether it is there.
+fn check_lengths(opened: Opened) -> Result<(), String> {
+    let (mut tokens, end) = opened.tokens().map_err(|e| e.to_string())?;
+    while let Some(token) = tokens.advance() {
+        match token.map_err(|e| one_line(&e))? {
+            LazyDataToken::PixelSequenceStart => return Ok(()),
+            LazyDataToken::LazyValue { header, decoder } => {
+                let value = header.length().0;
+                if u64::from(value) > end.saturating_sub(decoder.position()) {
+                    // Pixels that are cut off are another matter, and are told of later.
+                    return if header.tag == tags::PIXEL_DATA { Ok(()) } else { Err(format!("an element of {value} bytes goes beyond its end")) };
+                }
+                if header.tag == tags::PIXEL_DATA {
+                    return Ok(());
+                }
+                decoder.skip_bytes(value).map_err(|e| one_line(&e))?;
+            }
+            LazyDataToken::LazyItemValue { .. } => return Err("an item lies outside of every sequence".into()),
+            _ => {}
+        }
+    }
+    Ok(())
 }
 
 /// Opens an object; `most` bounds what a deflated one is unpacked to.
@@ -290,7 +341,7 @@ pub fn open(source: &Source, most: u64) -> Result<Opened> {
     if magic == 4 && bare_dataset(&start) {
         let explicit = start[4..6].iter().all(u8::is_ascii_uppercase);
         let syntax = if explicit { EXPLICIT } else { IMPLICIT };
-        return Ok(Opened { collector: DicomCollector::new_with_ts(source.open()?, syntax), syntax: syntax.to_owned() });
+        return Ok(Opened { reader: source.open()?, dataset: syntax.to_owned(), syntax: syntax.to_owned() });
     }
     let mut reader = source.open()?;
     reader.seek(SeekFrom::Start(magic)).map_err(io)?;
@@ -299,13 +350,13 @@ pub fn open(source: &Source, most: u64) -> Result<Opened> {
     if syntax != DEFLATED {
         // Retired kinds of packed pixels lie in an explicit data set as all others do.
         let dataset = TransferSyntaxRegistry.get(&syntax).map_or(EXPLICIT, |s| s.uid());
-        return Ok(Opened { collector: DicomCollector::new_with_ts(reader, dataset), syntax });
+        return Ok(Opened { reader, dataset: dataset.to_owned(), syntax });
     }
     let mut bytes = Vec::new();
     let limit = most.min(source.bytes().saturating_mul(DEFLATE_LIMIT));
     flate2::read::DeflateDecoder::new(reader).take(limit).read_to_end(&mut bytes).map_err(|e| damaged(e.to_string()))?;
     let reader: Box<dyn ReadSeek> = Box::new(Cursor::new(bytes));
-    Ok(Opened { collector: DicomCollector::new_with_ts(BufReader::new(reader), EXPLICIT), syntax })
+    Ok(Opened { reader: BufReader::new(reader), dataset: EXPLICIT.to_owned(), syntax })
 }
 
 /// The transfer syntax in the meta information (group 0002, always explicit little endian), and its length. By hand, because `dicom-object`
@@ -363,13 +414,13 @@ fn object(source: Source) -> Result<Option<Object>> {
     let path = source.path().to_owned();
     let ended = || Error::file(&path, "is a damaged DICOM file; copy or export it again");
     guarded(|| -> Result<Option<Object>> {
-        let mut opened = open(&source, MOST_HEADER)?;
+        let damaged = |e: String| Error::file(source.path(), format!("is a damaged DICOM file ({e}); copy or export it again"));
+        check_lengths(open(&source, MOST_HEADER)?).map_err(damaged)?;
+        let opened = open(&source, MOST_HEADER)?;
+        let syntax = opened.syntax.clone();
         let mut dataset = InMemDicomObject::new_empty();
-        opened
-            .collector
-            .read_dataset_up_to_pixeldata(&mut dataset)
-            .map_err(|e| Error::file(source.path(), format!("is a damaged DICOM file ({}); copy or export it again", one_line(&e))))?;
-        described(source.clone(), opened.syntax, &dataset)
+        opened.collector().read_dataset_up_to_pixeldata(&mut dataset).map_err(|e| damaged(one_line(&e)))?;
+        described(source.clone(), syntax, &dataset)
     })
     .ok_or_else(ended)?
 }
@@ -580,8 +631,9 @@ fn palette(set: &InMemDicomObject) -> Option<[(i64, Vec<u8>); 3]> {
 /// A whole data set in memory: for the few objects whose pixels are not in the usual element.
 pub fn whole(source: &Source) -> Result<InMemDicomObject> {
     let damaged = |e: String| Error::file(source.path(), format!("is a damaged DICOM file ({e}); copy or export it again"));
+    check_lengths(open(source, u64::MAX)?).map_err(damaged)?;
     let mut set = InMemDicomObject::new_empty();
-    open(source, u64::MAX)?.collector.read_dataset_to_end(&mut set).map_err(|e| damaged(one_line(&e)))?;
+    open(source, u64::MAX)?.collector().read_dataset_to_end(&mut set).map_err(|e| damaged(one_line(&e)))?;
     Ok(set)
 }
 
