@@ -61,6 +61,16 @@ impl Error {
         Self::File { path: path.to_owned(), problem: problem.into() }
     }
 
+    /// The same without line breaks and other control characters, which a damaged file may have put into what is quoted of it.
+    pub fn printable(self) -> Self {
+        let plain = |text: String| if text.contains(char::is_control) { text.replace(char::is_control, " ") } else { text };
+        match self {
+            Self::File { path, problem } => Self::File { path, problem: plain(problem) },
+            Self::Value { name, problem } => Self::Value { name, problem: plain(problem) },
+            other => other,
+        }
+    }
+
     /// An [`Error::Value`].
     pub fn value(name: impl Into<String>, problem: impl Into<String>) -> Self {
         Self::Value { name: name.into(), problem: problem.into() }

@@ -60,7 +60,8 @@ pub fn trials() -> Vec<Trial> {
     all.push(gpu("parity::eight_maps_agree".into(), Box::new(eight_maps_agree)));
     all.push(gpu("parity::composition_agrees".into(), Box::new(composition_agrees)));
     all.push(gpu("parity::voxel_types_agree".into(), Box::new(voxel_types_agree)));
-    all.push(gpu("parity::too_large_is_refused".into(), Box::new(too_large_is_refused)));
+    all.push(gpu("parity::own_colors_agree".into(), Box::new(own_colors_agree)));
+    all.push(gpu("parity::larger_than_the_device_is_reduced".into(), Box::new(larger_than_the_device_is_reduced)));
     all
 }
 
@@ -276,17 +277,65 @@ fn voxel_types_agree() {
     }
 }
 
-/// A device's limits end in a message, not in a black picture.
-fn too_large_is_refused() {
+/// Voxels in their own colours, opaque and not, undeformed and twisted, by rays and by slices; and with the table's colours where that is wanted.
+fn own_colors_agree() {
+    use incise::volume::{Colors, Volume, phantom};
+    let phantom = phantom::generate("tomato", [48; 3], Vec3::splat(160.0 / 48.0)).unwrap();
+    let count = phantom.voxels.len();
+    let color = |n: usize| [(n % 48 * 5) as u8, (n / 48 % 48 * 5) as u8, 255 - (n / 2304 * 5) as u8];
+    let rgb: Vec<u8> = (0..count).flat_map(color).collect();
+    let weight = |n: usize| if n % 5 == 0 { 0 } else { 200u8 };
+    let premultiplied = |n: usize| color(n).map(|c| (u32::from(c) * u32::from(weight(n)) / 255) as u8);
+    let rgba: Vec<u8> = (0..count).flat_map(|n| [premultiplied(n)[0], premultiplied(n)[1], premultiplied(n)[2], weight(n)]).collect();
+    for (name, colors) in [("RGB", Colors::rgb(rgb)), ("RGBA", Colors::Rgba(rgba.into()))] {
+        let volume = Volume { colors: Some(colors), ..phantom.clone() };
+        let assets = incise::scene::Assets::of_volume(volume, incise::scene::Stages::default());
+        let mut scene = Scene::of_volume("phantom:tomato");
+        scene.render.size = [96, 96];
+        scene.deformation.push(Deformation::new("twist"));
+        for mode in [Mode::Raycast, Mode::Slice] {
+            scene.render.mode = mode;
+            agree(&format!("{name} {mode:?}"), &Prepared::new(&scene, &assets).unwrap());
+        }
+        let own = cpu::render(&Prepared::new(&scene, &assets).unwrap(), &|_| ()).picture;
+        scene.transfer.own_colors = Some(false);
+        let table = cpu::render(&Prepared::new(&scene, &assets).unwrap(), &|_| ()).picture;
+        assert!(difference(&own, &table).unwrap().mean > 5.0 * STEP, "{name}: colours show");
+    }
+}
+
+/// A volume that the device cannot hold is shown reduced, with a notice: never black, never refused.
+fn larger_than_the_device_is_reduced() {
     use incise::volume::{Rescale, Volume};
     let most = with_renderer(|r| r.device().device.limits().max_texture_dimension_3d) as usize;
-    let volume = Volume::new(vec![0u8; most + 1].into(), [most + 1, 1, 1], Rescale::NONE, glam::DAffine3::IDENTITY);
+    let volume = Volume::new(vec![200u8; most + 1].into(), [most + 1, 1, 1], Rescale::NONE, glam::DAffine3::IDENTITY);
     let assets = incise::scene::Assets::of_volume(volume, incise::scene::Stages::default());
     let mut scene = Scene::of_volume("phantom:ball");
+    scene.render.size = [64, 64];
     scene.transfer.points = vec![incise::transfer::ControlPoint { value: 0.0, color: [1.0; 3], opacity: 1.0 }];
-    let prepared = Prepared::new(&scene, &assets).unwrap();
-    let message = with_renderer(|r| r.render(&prepared, false, &|_| ()).err().unwrap().to_string());
-    assert!(message.contains("exceeds"), "{message}");
+    let done = with_renderer(|r| r.render(&Prepared::new(&scene, &assets).unwrap(), false, &|_| ())).unwrap();
+    assert!(done.notices[0].contains("more than this GPU holds") && done.notices[0].contains(&format!("{} x 1 x 1", (most + 1).div_ceil(2))), "{:?}", done.notices);
+    assert!(done.picture.pixels.iter().any(|p| p[3] > 0.5));
+    // Labels in colours and a scan, cut: reduced, they are nearly what they are in full.
+    for (spec, bound) in [("phantom:head-ct:size=64", 4.0), ("volumes/colin27-aal-labels.nii.gz", 9.0)] {
+        let mut scene = Scene::of_volume(spec);
+        scene.folder = env!("CARGO_MANIFEST_DIR").into();
+        scene.render.size = [128, 128];
+        scene.deformation.push(Deformation::new("box"));
+        let assets = scenes::assets(&scene);
+        let prepared = Prepared::new(&scene, &assets).unwrap();
+        let whole = with_renderer(|r| r.render(&prepared, false, &|_| ())).unwrap();
+        let reduced = with_renderer(|r| {
+            r.limit_volume(if spec.starts_with("phantom") { 40 } else { 110 }, u64::MAX);
+            let done = r.render(&prepared, false, &|_| ());
+            r.limit_volume(usize::MAX, u64::MAX);
+            done.unwrap()
+        });
+        assert!(whole.notices.is_empty() && reduced.notices.len() == 1, "{spec}");
+        let d = difference(&whole.picture, &reduced.picture).unwrap();
+        println!("{spec} by half the voxels: mean {:.2}/255", d.mean / STEP);
+        assert!(d.mean < bound * STEP && d.mean > 0.01 * STEP, "{spec}: {}", d.mean / STEP);
+    }
 }
 
 /// Depth of surfaces: within a thousandth of the box of the CPU's where both see one.

@@ -126,6 +126,10 @@ pub fn volume(path: &Path, choice: &Choice, watch: &Watch) -> Result<Volume> {
 /// # Errors
 /// As [`volume`].
 pub fn image(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
+    by_kind(path, choice, watch).map_err(Error::printable)
+}
+
+fn by_kind(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
     let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, "opening", e))?;
     if metadata.is_dir() {
         return folder(path, choice, watch);
@@ -207,5 +211,5 @@ pub fn series(path: &Path, patient: bool, watch: &Watch) -> Result<Option<Vec<Se
             // What cannot be opened is what reading it complains of.
             source::first_bytes(path, START).is_ok_and(|start| matches!(Format::of_start(&start), Some(Format::Dicom | Format::Zip)))
         };
-    if holds { dicom::list(path, patient, watch).map(Some) } else { Ok(None) }
+    if holds { dicom::list(path, patient, watch).map(Some).map_err(Error::printable) } else { Ok(None) }
 }
