@@ -183,7 +183,6 @@ pub fn bad_deformations_are_named() {
         ("field", "path"),
         ("field:pth=affine.tfm", "path"),
         ("field:path=affine.tfm,center=1,2,3", "center"),
-        ("field:path=affine.tfm,moving=field.nrrd", "scalar volume"),
         ("map:path=field.nrrd", "field:path"),
         ("map:path=words.txt", "words.txt"),
         ("points", "pairs"),

@@ -27,8 +27,18 @@ fn damaged(folder: &Path) -> Vec<(PathBuf, &'static str)> {
         all.push((file(&format!("text.{ending}"), b"This is a text and no scan at all.\n".repeat(40).as_slice()), ""));
     }
     // Right content under wrong names.
-    for (name, wrong) in [("itk.nii", "a.nrrd"), ("itk.nrrd", "b.nii"), ("itk.mha", "c.vti"), ("vtk-ascii.vtk", "d.mha"), ("lzw.tif", "e.png"), ("c.npy", "f.tif"),
-        ("dicom-explicit/0-1.dcm", "g.nii.gz"), ("dicom.zip", "h.dcm"), ("vtk-appended-zlib-64-raw.vti", "i.npy"), ("pngs/8.png", "j.vtk")] {
+    for (name, wrong) in [
+        ("itk.nii", "a.nrrd"),
+        ("itk.nrrd", "b.nii"),
+        ("itk.mha", "c.vti"),
+        ("vtk-ascii.vtk", "d.mha"),
+        ("lzw.tif", "e.png"),
+        ("c.npy", "f.tif"),
+        ("dicom-explicit/0-1.dcm", "g.nii.gz"),
+        ("dicom.zip", "h.dcm"),
+        ("vtk-appended-zlib-64-raw.vti", "i.npy"),
+        ("pngs/8.png", "j.vtk"),
+    ] {
         all.push((file(wrong, &phantom(name)), "is not what its name says"));
     }
     // Gzip that unpacks to far more than its header says, or says more than it can hold.
@@ -135,16 +145,55 @@ impl Random {
 
 /// One file of each format and packing.
 const SEEDS: [&str; 29] = [
-    "itk.nii", "itk.nii.gz", "nib2.nii.gz", "nrrd-raw.nrrd", "itk-gzip.nrrd", "nrrd-bzip2.nrrd", "nrrd-ascii.nrrd", "hex.nrrd", "itk.mha", "itk-zlib.mha", "text.mha",
-    "vtk-ascii-none-32.vti", "vtk-binary-zlib-64.vti", "vtk-appended-lz4-64-raw.vti", "vtk-appended-lzma-32.vti", "vtk-ascii.vtk", "vtk-binary.vtk", "lzw.tif",
-    "imagej.tif", "ome.tif", "pngs/8.png", "c.npy", "dicom-explicit/0-1.dcm", "dicom-rle/0-1.dcm", "dicom-deflated/0-1.dcm", "dicom.zip",
-    "../emri_small_jpeg_2k_lossless.dcm", "../JPEG-LL.dcm", "../emri_small_RLE.dcm",
+    "itk.nii",
+    "itk.nii.gz",
+    "nib2.nii.gz",
+    "nrrd-raw.nrrd",
+    "itk-gzip.nrrd",
+    "nrrd-bzip2.nrrd",
+    "nrrd-ascii.nrrd",
+    "hex.nrrd",
+    "itk.mha",
+    "itk-zlib.mha",
+    "text.mha",
+    "vtk-ascii-none-32.vti",
+    "vtk-binary-zlib-64.vti",
+    "vtk-appended-lz4-64-raw.vti",
+    "vtk-appended-lzma-32.vti",
+    "vtk-ascii.vtk",
+    "vtk-binary.vtk",
+    "lzw.tif",
+    "imagej.tif",
+    "ome.tif",
+    "pngs/8.png",
+    "c.npy",
+    "dicom-explicit/0-1.dcm",
+    "dicom-rle/0-1.dcm",
+    "dicom-deflated/0-1.dcm",
+    "dicom.zip",
+    "../emri_small_jpeg_2k_lossless.dcm",
+    "../JPEG-LL.dcm",
+    "../emri_small_RLE.dcm",
 ];
 
 /// Mutations that know what headers look like: bytes, numbers in text and in binary, pieces moved, doubled, taken out, cut off.
 fn mutate(bytes: &mut Vec<u8>, header: usize, random: &mut Random) {
-    const ODD: [&[u8]; 14] =
-        [b"0", b"-1", b"99999999999", b"1e308", b"nan", b"", b"%", b"<", b"\n\n", b"2147483648", b"65535", b"4294967295", b"18446744073709551615", b"/dev/zero"];
+    const ODD: [&[u8]; 14] = [
+        b"0",
+        b"-1",
+        b"99999999999",
+        b"1e308",
+        b"nan",
+        b"",
+        b"%",
+        b"<",
+        b"\n\n",
+        b"2147483648",
+        b"65535",
+        b"4294967295",
+        b"18446744073709551615",
+        b"/dev/zero",
+    ];
     for _ in 0..1 + random.below(3) {
         if bytes.is_empty() {
             return;
@@ -222,7 +271,15 @@ pub fn mutated_files_do_no_harm() {
             opened += usize::from(matches!(result, Ok(Ok(_))));
             let one_line = !matches!(&result, Ok(Err(e)) if e.to_string().contains('\n'));
             if result.is_err() || !one_line || took > Duration::from_secs(2) || grown > 300 << 20 {
-                let what = if result.is_err() { "panicked" } else if !one_line { "says several lines" } else if grown > 300 << 20 { "took memory" } else { "took long" };
+                let what = if result.is_err() {
+                    "panicked"
+                } else if !one_line {
+                    "says several lines"
+                } else if grown > 300 << 20 {
+                    "took memory"
+                } else {
+                    "took long"
+                };
                 bad.push(format!("{name} case {n} {what}: {took:?}, {} MiB", grown >> 20));
                 if let Some(keep) = &keep {
                     std::fs::write(keep.join(format!("{seed}-{n}-{file_name}")), &bytes).unwrap();

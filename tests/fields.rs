@@ -74,7 +74,10 @@ pub fn baking_is_itk_resampling() {
     let mut scene = Scene::of_volume(fixture("volume.nii.gz").to_str().unwrap());
     for (transform, expected) in cases {
         scene.deformation = vec![field(&fixture(transform))];
-        let (got, want) = (baked(&scene, -1000.0, Interpolation::Linear), load::volume(&fixture(expected), &load::Choice::default(), &incise::Watch::NOBODY).unwrap());
+        let (got, want) = (
+            baked(&scene, -1000.0, Interpolation::Linear),
+            load::volume(&fixture(expected), &load::Choice::default(), &incise::Watch::NOBODY).unwrap(),
+        );
         let worst = (0..got.voxels.len()).map(|n| (got.voxels.get(n) - want.voxels.get(n)).abs()).fold(0.0, f64::max);
         println!("{transform}: largest difference {worst} grey levels");
         assert!(worst <= 1.0, "{transform}: {worst}");
@@ -85,8 +88,10 @@ pub fn baking_is_itk_resampling() {
     let paths = ["affine.tfm", "field.nrrd"].map(|n| fixture(n).to_str().unwrap().to_owned());
     let chain = Deformation { parameters: Arguments::from([("path", incise::deform::Argument::Texts(paths.to_vec()))]), ..Deformation::new("field") };
     scene.deformation = vec![chain];
-    let (got, want) =
-        (baked(&scene, -1000.0, Interpolation::Linear), load::volume(&fixture("resampled-affine-then-field.nii.gz"), &load::Choice::default(), &incise::Watch::NOBODY).unwrap());
+    let (got, want) = (
+        baked(&scene, -1000.0, Interpolation::Linear),
+        load::volume(&fixture("resampled-affine-then-field.nii.gz"), &load::Choice::default(), &incise::Watch::NOBODY).unwrap(),
+    );
     assert!((0..got.voxels.len()).all(|n| (got.voxels.get(n) - want.voxels.get(n)).abs() <= 1.0));
 }
 

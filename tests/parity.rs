@@ -308,13 +308,18 @@ fn own_colors_agree() {
 fn larger_than_the_device_is_reduced() {
     use incise::volume::{Rescale, Volume};
     let most = with_renderer(|r| r.device().device.limits().max_texture_dimension_3d) as usize;
-    let volume = Volume::new(vec![200u8; most + 1].into(), [most + 1, 1, 1], Rescale::NONE, glam::DAffine3::IDENTITY);
+    let volume = Volume::new(vec![200u8; (most + 1) * 900].into(), [most + 1, 900, 1], Rescale::NONE, glam::DAffine3::IDENTITY);
     let assets = incise::scene::Assets::of_volume(volume, incise::scene::Stages::default());
     let mut scene = Scene::of_volume("phantom:ball");
     scene.render.size = [64, 64];
+    scene.camera.view = "superior".parse().unwrap();
     scene.transfer.points = vec![incise::transfer::ControlPoint { value: 0.0, color: [1.0; 3], opacity: 1.0 }];
     let done = with_renderer(|r| r.render(&Prepared::new(&scene, &assets).unwrap(), false, &|_| ())).unwrap();
-    assert!(done.notices[0].contains("more than this GPU holds") && done.notices[0].contains(&format!("{} x 1 x 1", (most + 1).div_ceil(2))), "{:?}", done.notices);
+    assert!(
+        done.notices[0].contains("more than this GPU holds") && done.notices[0].contains(&format!("{} x 900 x 1", (most + 1).div_ceil(2))),
+        "{:?}",
+        done.notices
+    );
     assert!(done.picture.pixels.iter().any(|p| p[3] > 0.5));
     // Labels in colours and a scan, cut: reduced, they are nearly what they are in full.
     for (spec, bound) in [("phantom:head-ct:size=64", 4.0), ("volumes/colin27-aal-labels.nii.gz", 9.0)] {

@@ -78,7 +78,12 @@ pub fn one_phantom_in_every_format() {
         };
         let off = apart(&v.world_from_voxel, &want, size);
         assert!(off < 1e-4, "{name}: {off} mm off");
-        assert_eq!(v.warnings.iter().any(|w| w.contains("1 mm is taken")), file["states"] == "nothing" && !name.ends_with(".raw"), "{name}: {:?}", v.warnings);
+        assert_eq!(
+            v.warnings.iter().any(|w| w.contains("1 mm is taken")),
+            file["states"] == "nothing" && !name.ends_with(".raw"),
+            "{name}: {:?}",
+            v.warnings
+        );
     }
     println!("{} files of one phantom are equal, geometry to 1e-4 mm where the format states it", files.len());
 }
@@ -308,7 +313,9 @@ mod dicom {
         let m = grid.world_from_voxel.matrix3;
         let [nx, ny, nz] = grid.size;
         for k in 0..nz {
-            let texts = |v: &[f64]| v.iter().map(|x| format!("{x:.10}").trim_end_matches('0').trim_end_matches('.').to_owned()).collect::<Vec<_>>().join("\\");
+            let texts = |v: &[f64]| {
+                v.iter().map(|x| format!("{x:.10}").trim_end_matches('0').trim_end_matches('.').to_owned()).collect::<Vec<_>>().join("\\")
+            };
             let (x, y) = (m.x_axis.normalize(), m.y_axis.normalize());
             let position = grid.world_from_voxel.transform_point3(DVec3::new(0.0, 0.0, k as f64));
             let text = |tag: Tag, vr: VR, value: &str| DataElement::new(tag, vr, PrimitiveValue::from(value));
@@ -453,7 +460,20 @@ pub fn a_gigabyte_needs_little_more() {
     }
     let picture = folder.path().join("big.png");
     let output = incise(&[
-        "render", path.to_str().unwrap(), "--raw", "1024x1024x1024:u8", "-o", picture.to_str().unwrap(), "--backend", "cpu", "--size", "64x64", "--stats", "-", "--preset", "mr-default",
+        "render",
+        path.to_str().unwrap(),
+        "--raw",
+        "1024x1024x1024:u8",
+        "-o",
+        picture.to_str().unwrap(),
+        "--backend",
+        "cpu",
+        "--size",
+        "64x64",
+        "--stats",
+        "-",
+        "--preset",
+        "mr-default",
     ]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let report: Value = serde_json::from_slice(&output.stdout).unwrap();

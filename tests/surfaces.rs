@@ -3,10 +3,10 @@
 use crate::metrics::{STEP, difference};
 use crate::scenes;
 use glam::{Affine3A, Mat3, Vec3};
+use incise::Watch;
 use incise::cpu::surface::{Side, normal, trace};
 use incise::deform::{DisplacementMap, PlacedMap, Placement, Storage, TexelSample};
 use incise::math::Bounds;
-use incise::Watch;
 use incise::mesh::field::{FieldSettings, MeshField};
 use incise::mesh::{Mesh, load, shapes};
 use incise::scene::surface::{CutModel, MeshSource, ShapeSource, Steps};

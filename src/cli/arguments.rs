@@ -58,7 +58,9 @@ impl VolumeArguments {
         match &mut scene.volume {
             Some(volume) => volume.choice = self.over(&volume.choice),
             None if chosen.is_default() => {}
-            None => return Err(Error::value("--series, --time, --channel, --level, --spacing, --resample, --raw", "are of volumes, and there is none")),
+            None => {
+                return Err(Error::value("--series, --time, --channel, --level, --spacing, --resample, --raw", "are of volumes, and there is none"));
+            }
         }
         Ok(())
     }
@@ -109,12 +111,17 @@ pub fn protect<'a>(option: &str, output: &Path, read: impl IntoIterator<Item = &
     if read.clone().into_iter().any(|r| same_file(output, r)) {
         return Err(Error::value(format!("{option} {}", output.display()), "is a file that is read; choose another name"));
     }
-    let inside = |folder: &Path| match (output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).canonicalize(), folder.canonicalize()) {
-        (Ok(output), Ok(folder)) => output.starts_with(folder),
-        _ => false,
-    };
+    let inside =
+        |folder: &Path| match (output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).canonicalize(), folder.canonicalize())
+        {
+            (Ok(output), Ok(folder)) => output.starts_with(folder),
+            _ => false,
+        };
     if read.clone().into_iter().any(|r| r.is_dir() && inside(r) && load::is_part_of(r, output)) {
-        return Err(Error::value(format!("{option} {}", output.display()), "would be one of the files of a folder that is read; choose another folder"));
+        return Err(Error::value(
+            format!("{option} {}", output.display()),
+            "would be one of the files of a folder that is read; choose another folder",
+        ));
     }
     Ok(())
 }

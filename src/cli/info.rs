@@ -1,12 +1,12 @@
 //! `incise info`: what a file holds. `incise list`: what there is to choose from.
 
+use super::arguments::VolumeArguments;
+use super::progress::Progress;
 use crate::deform::kinds::{self, Unit};
 use crate::scene::Scene;
 use crate::scene::deformations::FILE_KINDS;
 use crate::scene::surface::{DEFORMERS, LOOKS};
 use crate::transfer;
-use super::arguments::VolumeArguments;
-use super::progress::Progress;
 use crate::volume::load::{self, Choice, SeriesInfo};
 use crate::volume::{Volume, phantom};
 use crate::{Result, Watch, mesh};
@@ -43,9 +43,18 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             let reading = |share: f32| bar.set("reading", share);
             let watch = Watch::telling(&reading);
             let series = load::series(path, arguments.patient, &Watch::NOBODY)?;
-            let volume = load::volume(path, &arguments.volume.over(&Choice::default()), &watch)?;
+            let volume = load::volume(path, &arguments.volume.over(&Choice::default()), &watch);
             bar.finish();
-            file_report(&volume, series.as_deref())
+            match (volume, series) {
+                (Ok(volume), series) => file_report(&volume, series.as_deref()),
+                // The one that cannot be read is one of several.
+                (Err(error), Some(series)) if series.len() > 1 => {
+                    let report = json!({ "kind": "volume", "format": "DICOM", "all_series": series });
+                    super::print(&if arguments.json { format!("{report:#}") } else { plain(&report) });
+                    return Err(error);
+                }
+                (Err(error), _) => return Err(error),
+            }
         }
     };
     super::print(&if arguments.json { format!("{report:#}") } else { plain(&report) });
@@ -173,6 +182,14 @@ fn plain(report: &Value) -> String {
                 Value::Object(_) => {
                     out.push_str(&format!("{:indent$}{name}:\n", ""));
                     lines(value, indent + 2, out);
+                    continue;
+                }
+                Value::Array(items) if items.iter().any(Value::is_object) => {
+                    out.push_str(&format!("{:indent$}{name}:\n", ""));
+                    for item in items {
+                        lines(item, indent + 2, out);
+                        out.push('\n');
+                    }
                     continue;
                 }
                 Value::String(s) => s.clone(),

@@ -2,9 +2,9 @@
 
 use super::arguments;
 use super::progress::Progress;
+use crate::Watch;
 use crate::export::Output;
 use crate::math::Bounds;
-use crate::Watch;
 use crate::mesh::field::{FieldSettings, MeshField};
 use crate::mesh::load;
 use crate::volume::load::ScalarType;

@@ -5,9 +5,9 @@
 
 use super::compose::{grid_of, placement_of};
 use super::{DisplacementMap, PlacedMap, Storage, TexelSample};
-use crate::volume::save::{self, Content, Format};
 use crate::volume::GridGeometry;
 use crate::volume::load::{self, Choice};
+use crate::volume::save::{self, Content, Format};
 use crate::{Error, Result, Watch};
 use glam::{Mat3, Vec3};
 use std::path::Path;

@@ -172,7 +172,8 @@ fn data_type(volume: &Volume, stored: ScalarType) -> (ScalarType, Rescale) {
     let whole = volume.voxels.is_integer() && slope.fract() == 0.0 && intercept.fract() == 0.0;
     let [low, high] = volume.range;
     // Padding and holes lie outside of the range.
-    let (low, high) = volume.padding.map_or((low, high), |p| p.iter().map(|v| v * slope + intercept).fold((low, high), |(a, b), v| (a.min(v), b.max(v))));
+    let (low, high) =
+        volume.padding.map_or((low, high), |p| p.iter().map(|v| v * slope + intercept).fold((low, high), |(a, b), v| (a.min(v), b.max(v))));
     let scalar = match stored {
         _ if whole && low >= f64::from(i16::MIN) && high <= f64::from(i16::MAX) => ScalarType::I16,
         _ if whole && low >= f64::from(i32::MIN) && high <= f64::from(i32::MAX) => ScalarType::I32,

@@ -27,8 +27,8 @@ use crate::volume::GradientFilter;
 use crate::{Error, Result};
 use std::collections::HashMap;
 use surfaces::Layer;
-use volume::VolumeTexture;
 use uniforms::{CutShapeUniform, FrameUniform, PlacedMapUniform};
+use volume::VolumeTexture;
 use wgpu::util::DeviceExt;
 use wgpu::{Features, TextureFormat};
 

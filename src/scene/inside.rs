@@ -12,10 +12,10 @@
 
 use super::objects::{deformers, placement};
 use super::{Assets, InsideMesh, Scene};
+use crate::Watch;
 use crate::deform::{DisplacementMap, PlacedMap, Placement, Storage, TexelSample, invert};
 use crate::math::Bounds;
 use crate::mesh::deformer::{Deformer, apply_all};
-use crate::Watch;
 use crate::mesh::field::{FieldSettings, MeshField};
 use crate::mesh::{Mesh, load};
 use crate::volume::GridGeometry;

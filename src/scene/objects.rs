@@ -4,6 +4,7 @@
 use super::macrocells::Macrocells;
 use super::surface::{Appearance, CutModel, DeformerSource, Look, MeshPlace, MeshSource, Representation, ShapeSource, Steps, SurfaceSettings};
 use super::{Assets, Mode, Scene, Size};
+use crate::Watch;
 use crate::deform::cut::Cuts;
 use crate::deform::distance::{Region, of_region};
 use crate::deform::slope::Slopes;
@@ -12,7 +13,6 @@ use crate::error::suggestion;
 use crate::math::{Bounds, DistanceGrid};
 use crate::mesh::deformer::{Deform, Deformer, LATTICE, MOST_DEFORMERS, NormalMethod, apply_all, deform_vertex};
 use crate::mesh::depth_map::{DepthMaps, FACES};
-use crate::Watch;
 use crate::mesh::field::{FieldSettings, MARGIN, MeshField, cell_of, of_iso_value};
 use crate::mesh::formula::{Formula, Join, MOST_SOLIDS, PlacedSolid, Solid};
 use crate::mesh::{Implicit, Mesh, Tree, load};

@@ -142,7 +142,16 @@ impl Assets {
         let pyramid = stages.time("bricks", || bounds_of(&grid));
         let volume = Arc::new(volume);
         let library = Library::new(volume.clone(), folder);
-        Self { library, volume, plain: (grid, pyramid), labels: OnceLock::new(), objects: Objects::default(), has_volume: true, mesh_box: Bounds::EMPTY, stages }
+        Self {
+            library,
+            volume,
+            plain: (grid, pyramid),
+            labels: OnceLock::new(),
+            objects: Objects::default(),
+            has_volume: true,
+            mesh_box: Bounds::EMPTY,
+            stages,
+        }
     }
 }
 
@@ -250,7 +259,8 @@ impl<'a> Prepared<'a> {
             let function = transfer.resolve(volume, fallback)?;
             // Labels in their colours, unless a curve over the labels themselves is wanted.
             let plain = transfer.points.is_empty() && transfer.window.is_none() && transfer.level.is_none() && function.blend == Blend::Composite;
-            let by_label = plain && transfer.preset.as_deref().unwrap_or(fallback) == "labels" && settings.iso.is_none() && settings.cut_faces == CutFaces::Lit;
+            let by_label =
+                plain && transfer.preset.as_deref().unwrap_or(fallback) == "labels" && settings.iso.is_none() && settings.cut_faces == CutFaces::Lit;
             if let Some(labels) = by_label.then(|| assets.as_labels()).flatten() {
                 let function = function.of_presence();
                 let table = Table::new(&function, [0.0, 1.0]);

@@ -140,13 +140,20 @@ pub(super) fn block(size: [usize; 3], factors: [usize; 3], index: usize) -> impl
 }
 
 /// Means of blocks; NaN for a block of holes.
-fn means<T: Voxel, U: Send>(v: &[T], size: [usize; 3], factors: [usize; 3], hole: impl Fn(f32) -> bool + Sync, finish: impl Fn(f32) -> U + Sync) -> Vec<U> {
+fn means<T: Voxel, U: Send>(
+    v: &[T],
+    size: [usize; 3],
+    factors: [usize; 3],
+    hole: impl Fn(f32) -> bool + Sync,
+    finish: impl Fn(f32) -> U + Sync,
+) -> Vec<U> {
     use rayon::prelude::*;
     let blocks = (0..3).map(|a| size[a].div_ceil(factors[a])).product();
     (0..blocks)
         .into_par_iter()
         .map(|index| {
-            let (sum, count) = block(size, factors, index).map(|n| v[n].to_f32()).filter(|x| !hole(*x)).fold((0.0f64, 0u32), |(s, n), x| (s + f64::from(x), n + 1));
+            let (sum, count) =
+                block(size, factors, index).map(|n| v[n].to_f32()).filter(|x| !hole(*x)).fold((0.0f64, 0u32), |(s, n), x| (s + f64::from(x), n + 1));
             finish((sum / f64::from(count)) as f32)
         })
         .collect()

@@ -265,7 +265,13 @@ impl Volume {
     /// declares to be one, or that looks like one (at most 1000 labels; at least 90 % of all voxels, and 75 % of those with a label,
     /// equal their neighbour along i).
     pub fn labels(&self) -> Option<usize> {
-        if self.colors.is_some() || self.padding.is_some() || self.rescale != Rescale::NONE || !self.voxels.is_integer() || self.range[0] < 0.0 || self.range[1] > 65_535.0 {
+        if self.colors.is_some()
+            || self.padding.is_some()
+            || self.rescale != Rescale::NONE
+            || !self.voxels.is_integer()
+            || self.range[0] < 0.0
+            || self.range[1] > 65_535.0
+        {
             return None;
         }
         let mut seen = vec![false; self.range[1] as usize + 1];

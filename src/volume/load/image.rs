@@ -73,6 +73,8 @@ pub struct Image {
     pub frame: Option<DMat3>,
     /// The file says that it is a displacement map of this program: four components, the last being the mask.
     pub displacement: bool,
+    /// The reader has read the channel that was chosen, and no other.
+    pub channel_taken: bool,
     /// What else the file says of itself, for `info`.
     pub details: Vec<(&'static str, Value)>,
     /// What was odd, one sentence each.
@@ -96,6 +98,7 @@ impl Image {
             intent: 0,
             frame: None,
             displacement: false,
+            channel_taken: false,
             details: Vec::new(),
             warnings: Vec::new(),
         }
@@ -109,7 +112,8 @@ impl Image {
     pub fn into_volume(mut self, path: &Path, choice: &Choice) -> Result<Volume> {
         let source_type = self.voxels.type_name();
         let components = self.components;
-        if let Some(channel) = Choice::index("channel", choice.channel, components)? {
+        let wanted = choice.channel.filter(|_| !self.channel_taken);
+        if let Some(channel) = Choice::index("channel", wanted, components)? {
             self.voxels = self.one_component(channel);
             self.components = 1;
             if !matches!(self.meaning, Meaning::Labels(_)) {
@@ -132,7 +136,8 @@ impl Image {
         volume.format = self.format;
         volume.inverted = self.inverted;
         volume.details = self.details;
-        volume.warnings = self.warnings;
+        // What is quoted of a file may hold anything.
+        volume.warnings = self.warnings.into_iter().map(|w| w.replace(char::is_control, " ")).collect();
         if volume.non_finite > 0 {
             volume.warnings.push(format!("{} voxels are NaN or infinite and are rendered as empty", volume.non_finite));
         }
@@ -207,7 +212,8 @@ impl Image {
             }
             Meaning::Channels(looks) if c <= 4 => {
                 self.warnings.push(format!("holds {c} channels, shown together in colour; choose one with --channel 1 to {c} to see its values"));
-                let planes: Vec<Channel> = (0..c).map(|k| looks.get(k).cloned().unwrap_or(Channel { color: colors::CHANNELS[k], window: None })).collect();
+                let planes: Vec<Channel> =
+                    (0..c).map(|k| looks.get(k).cloned().unwrap_or(Channel { color: colors::CHANNELS[k], window: None })).collect();
                 let windows: Vec<[f64; 2]> = (0..c).map(|k| planes[k].window.unwrap_or_else(|| self.range_of(k, n))).collect();
                 let shares = |v: usize| -> [f64; 4] {
                     std::array::from_fn(|k| {

@@ -6,7 +6,7 @@
 use super::Choice;
 use super::image::{Image, ScalarType};
 use super::nrrd::{last_bytes, numbered};
-use super::source::{Chain, DEFLATE_LIMIT, Source, beside, buffered, check_held, count, open_file, read_error, skip};
+use super::source::{Chain, DEFLATE_LIMIT, Source, beside, buffered, check_held, count, open_file, read_error, skip, usable};
 use crate::{Error, Result, Watch};
 use flate2::read::ZlibDecoder;
 use glam::{DAffine3, DMat3, DVec3};
@@ -66,7 +66,7 @@ pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
     }
     let translation = origin.map_or(DVec3::ZERO, |o| DVec3::from_array(std::array::from_fn(|c| if c < rank { o[c] } else { 0.0 })));
     let world_from_voxel = DAffine3 { matrix3: linear, translation };
-    if !(world_from_voxel.is_finite() && linear.determinant().abs() > 1e-12) {
+    if !usable(&world_from_voxel) {
         return Err(fail("has singular axes; its geometry cannot be used".into()));
     }
     let data = need("elementdatafile")?;

@@ -61,7 +61,7 @@ impl Format {
             Self::Vti => "VTK XML (.vti)",
             Self::Vtk => "legacy VTK (.vtk)",
             Self::Tiff => "TIFF (.tif)",
-            Self::Picture => "a picture (.png, .jpg or .bmp)",
+            Self::Picture => "a picture (.png or .jpg)",
             Self::Npy => "NumPy (.npy)",
             Self::Zip => "a zip (.zip)",
             Self::Raw => "raw values (.raw)",
@@ -79,7 +79,7 @@ impl Format {
             () if ends(&[".vti"]) => Self::Vti,
             () if ends(&[".vtk"]) => Self::Vtk,
             () if ends(&[".tif", ".tiff"]) => Self::Tiff,
-            () if ends(&[".png", ".jpg", ".jpeg", ".bmp"]) => Self::Picture,
+            () if ends(&[".png", ".jpg", ".jpeg"]) => Self::Picture,
             () if ends(&[".npy"]) => Self::Npy,
             () if ends(&[".dcm", ".dicom", ".ima"]) => Self::Dicom,
             () if ends(&[".zip"]) => Self::Zip,
@@ -98,7 +98,9 @@ impl Format {
             () if start.starts_with(b"ObjectType") || start.starts_with(b"NDims") => Self::MetaImage,
             () if xml.trim_start().starts_with('<') && xml.contains("<VTKFile") => Self::Vti,
             () if start.starts_with(b"# vtk DataFile") => Self::Vtk,
-            () if start.starts_with(b"II*\0") || start.starts_with(b"MM\0*") || start.starts_with(b"II+\0") || start.starts_with(b"MM\0+") => Self::Tiff,
+            () if start.starts_with(b"II*\0") || start.starts_with(b"MM\0*") || start.starts_with(b"II+\0") || start.starts_with(b"MM\0+") => {
+                Self::Tiff
+            }
             () if start.starts_with(b"\x89PNG") || start.starts_with(&[0xff, 0xd8, 0xff]) => Self::Picture,
             () if start.starts_with(b"\x93NUMPY") => Self::Npy,
             () if start.starts_with(b"PK\x03\x04") => Self::Zip,
@@ -130,6 +132,19 @@ pub fn image(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
 }
 
 fn by_kind(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
+    let image = by_format(path, choice, watch)?;
+    let only = |name: &str, of: &str| Err(Error::value(name, format!("is of {of}, and {} is {}", path.display(), image.format)));
+    match () {
+        () if image.format == "DICOM" => {}
+        () if choice.series.is_some() => return only("series", "DICOM"),
+        () if choice.resample => return only("resample", "DICOM series"),
+        () if choice.level.is_some() && !image.format.starts_with("OME-Zarr") => return only("level", "OME-Zarr"),
+        () => {}
+    }
+    Ok(image)
+}
+
+fn by_format(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
     let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, "opening", e))?;
     if metadata.is_dir() {
         return folder(path, choice, watch);
@@ -204,12 +219,15 @@ pub fn is_part_of(folder: &Path, file: &Path) -> bool {
 /// A file that cannot be read.
 pub fn series(path: &Path, patient: bool, watch: &Watch) -> Result<Option<Vec<SeriesInfo>>> {
     let is_phantom = path.to_str().is_some_and(|p| p.starts_with("phantom:"));
-    let holds = !is_phantom
-        && if path.is_dir() {
-            !zarr::is_zarr(path) && dicom::any(path, watch)?
-        } else {
-            // What cannot be opened is what reading it complains of.
-            source::first_bytes(path, START).is_ok_and(|start| matches!(Format::of_start(&start), Some(Format::Dicom | Format::Zip)))
-        };
-    if holds { dicom::list(path, patient, watch).map(Some).map_err(Error::printable) } else { Ok(None) }
+    if is_phantom || path.is_dir() && zarr::is_zarr(path) {
+        return Ok(None);
+    }
+    // What cannot be opened is what reading it complains of.
+    let holds =
+        path.is_dir() || source::first_bytes(path, START).is_ok_and(|start| matches!(Format::of_start(&start), Some(Format::Dicom | Format::Zip)));
+    match holds.then(|| dicom::list(path, patient, watch)) {
+        Some(Ok(list)) => Ok(Some(list)),
+        Some(Err(Error::Cancelled)) => Err(Error::Cancelled),
+        _ => Ok(None),
+    }
 }

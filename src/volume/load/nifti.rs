@@ -9,9 +9,9 @@
 //! is LPS, so x and y change sign. Source: nifti1.h and nifti2.h (Cox et al. 2004, 2011), "METHOD 2" and "METHOD 3".
 
 use super::super::Rescale;
+use super::Choice;
 use super::image::{Image, Layout, Meaning, ScalarType};
 use super::source::{Source, check_end, check_held, count, open, read_error, skip};
-use super::Choice;
 use crate::{Error, Result, Watch};
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 use serde_json::json;
@@ -51,7 +51,11 @@ pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
 /// The other file of a pair: the same name with another ending in either case, gzipped or not.
 fn partner(path: &Path, name: &str, own: &str, other: &str) -> Result<PathBuf> {
     let at = name.to_ascii_lowercase().rfind(own).unwrap_or(name.len());
-    let other_case = if name.get(at..at + own.len()).is_some_and(|e| e.chars().all(|c| c.is_ascii_uppercase())) { other.to_ascii_uppercase() } else { other.to_owned() };
+    let other_case = if name.get(at..at + own.len()).is_some_and(|e| e.chars().all(|c| c.is_ascii_uppercase())) {
+        other.to_ascii_uppercase()
+    } else {
+        other.to_owned()
+    };
     let stem = name.get(..at).unwrap_or(name);
     let candidates = [format!("{stem}{other_case}"), format!("{stem}{other_case}.gz")].map(|n| path.with_file_name(n));
     candidates
@@ -302,7 +306,12 @@ impl Header {
             warnings.push(format!("has {why}: axes are taken as right, anterior, superior"));
             DAffine3::from_scale(spacing)
         });
-        lps_from_ras * ras_from_voxel
+        let world_from_voxel = lps_from_ras * ras_from_voxel;
+        if super::source::usable(&world_from_voxel) {
+            return world_from_voxel;
+        }
+        warnings.push("has a geometry that cannot be used: voxels of 1 mm along right, anterior, superior are taken".into());
+        DAffine3::from_scale(DVec3::new(-1.0, -1.0, 1.0))
     }
 }
 

@@ -40,8 +40,13 @@ pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
     let descr = entry("descr").and_then(|t| t.strip_prefix('\'')?.split_once('\'')).ok_or_else(unclear)?.0;
     let fortran = entry("fortran_order").ok_or_else(unclear)?.starts_with("True");
     let shape = entry("shape").and_then(|t| t.strip_prefix('(')?.split_once(')')).ok_or_else(unclear)?.0;
-    let shape: Vec<usize> =
-        shape.split(',').map(str::trim).filter(|w| !w.is_empty()).map(|w| w.parse().ok().filter(|n| *n > 0)).collect::<Option<_>>().ok_or_else(unclear)?;
+    let shape: Vec<usize> = shape
+        .split(',')
+        .map(str::trim)
+        .filter(|w| !w.is_empty())
+        .map(|w| w.parse().ok().filter(|n| *n > 0))
+        .collect::<Option<_>>()
+        .ok_or_else(unclear)?;
     let (order, kind) = descr.split_at_checked(1).ok_or_else(unclear)?;
     let scalar = match kind {
         "b1" | "u1" => ScalarType::U8,

@@ -9,7 +9,7 @@ use super::super::Voxels;
 use super::super::colors::Label;
 use super::Choice;
 use super::image::{Image, Layout, Meaning, ScalarType};
-use super::source::{BZIP2_LIMIT, Chain, DEFLATE_LIMIT, Source, beside, buffered, check_end, check_held, count, open_file, read_error, skip};
+use super::source::{BZIP2_LIMIT, Chain, DEFLATE_LIMIT, Source, beside, buffered, check_end, check_held, count, open_file, read_error, skip, usable};
 use crate::{Error, Result, Watch};
 use bzip2::read::MultiBzDecoder;
 use flate2::read::MultiGzDecoder;
@@ -94,7 +94,7 @@ pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
     let time = choice.time_of(frames)?;
     let slowest = axes.time.is_some_and(|t| t + 1 == axes.sizes.len());
     let (stored, ahead) = if slowest { (total / frames, total / frames * time) } else { (total, 0) };
-    let data = Data { path, scalar, swap, encoding, line_skip: line_skip as u64, byte_skip, watch };
+    let data = Data { path, scalar, swap, encoding, line_skip: line_skip as u64, byte_skip, whole: total, watch };
     let pieces = data_files(path, &fields, &axes).map_err(&fail)?;
     let voxels = match pieces {
         None => data.read(path, reader, file_bytes, [ahead, stored], slowest && time + 1 < frames)?,
@@ -128,6 +128,8 @@ struct Data<'a> {
     encoding: Encoding,
     line_skip: u64,
     byte_skip: i64,
+    /// Values of all times.
+    whole: usize,
     watch: &'a Watch<'a>,
 }
 
@@ -143,7 +145,9 @@ impl Data<'_> {
                 check_held(path, before.saturating_add(bytes), file_bytes)?;
                 if self.byte_skip < 0 {
                     // From the file's end.
-                    reader.seek(SeekFrom::End(-((before + bytes) as i64))).map_err(|e| read_error(path, e))?;
+                    let all = self.whole as u64 * size;
+                    check_held(path, all, file_bytes)?;
+                    reader.seek(SeekFrom::End(-(all as i64))).map_err(|e| read_error(path, e))?;
                 }
                 skip(path, &mut reader, byte_skip.saturating_add(before))?;
                 self.source(path, reader, count).read_as(self.scalar)
@@ -289,7 +293,7 @@ pub(super) fn numbered(pattern: &str, first: i64, last: i64, step: i64) -> Resul
     let (width, after) = (&rest[..end], &rest[end..]);
     let after = after.strip_prefix(['d', 'i', 'u']).filter(|a| !a.contains('%')).ok_or_else(unclear)?;
     let digits = width.parse::<usize>().unwrap_or(0).min(32);
-    if step == 0 || (last - first).checked_div(step).is_none_or(|n| n < 0 || n >= MOST_FILES as i64) {
+    if last.checked_sub(first).and_then(|d| d.checked_div(step)).is_none_or(|n| n < 0 || n >= MOST_FILES as i64) {
         return Err(format!("numbers its data files from {first} to {last} by {step}, which is no sequence"));
     }
     let zero = width.starts_with('0');
@@ -503,6 +507,15 @@ fn geometry(fields: &HashMap<String, String>, spatial: &[usize], axes: usize, wa
             *linear.col_mut(n) =
                 all.get(axis).and_then(|w| vector(w)).ok_or_else(|| format!("has the space directions \"{directions}\", which cannot be read"))?;
         }
+        // A plane or line turned in space: what is missing is at right angles to it.
+        match spatial.len() {
+            2 => linear.z_axis = linear.x_axis.cross(linear.y_axis).normalize_or(DVec3::Z),
+            1 => {
+                let (y, z) = linear.x_axis.normalize_or(DVec3::X).any_orthonormal_pair();
+                (linear.y_axis, linear.z_axis) = (y, z);
+            }
+            _ => {}
+        }
     }
     let mut origin = DVec3::ZERO;
     if !fields.contains_key("space directions") {
@@ -542,7 +555,7 @@ fn geometry(fields: &HashMap<String, String>, spatial: &[usize], axes: usize, wa
     }
     let origin = fields.get("space origin").map_or(Some(origin), |o| vector(o)).ok_or("has a space origin that cannot be read")?;
     let affine = DAffine3 { matrix3: lps_from_space * linear, translation: lps_from_space * origin };
-    if !(affine.is_finite() && affine.matrix3.determinant().abs() > 1e-12) {
+    if !usable(&affine) {
         return Err("has singular space directions; its geometry cannot be used".into());
     }
     let frame = match fields.get("measurement frame") {

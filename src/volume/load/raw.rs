@@ -3,7 +3,7 @@
 
 use super::choice::{Choice, RawLayout};
 use super::image::{Image, Layout, ScalarType};
-use super::source::{Source, check_held, count, open, skip};
+use super::source::{Source, check_held, count, open, skip, usable};
 use crate::{Error, Result, Watch};
 use glam::{DAffine3, DMat3, DVec3};
 use std::path::Path;
@@ -23,7 +23,7 @@ pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
     let direction = DMat3::from_cols_array_2d(&layout.direction).transpose();
     let linear = direction * DMat3::from_diagonal(DVec3::from(layout.spacing_mm));
     let world_from_voxel = DAffine3 { matrix3: linear, translation: DVec3::from(layout.origin_mm) };
-    if !(world_from_voxel.is_finite() && linear.determinant().abs() > 1e-12) {
+    if !usable(&world_from_voxel) {
         return Err(fail("is given a spacing or directions that are singular".into()));
     }
     if layout.size.contains(&0) || !(1..=1024).contains(&layout.components) {
@@ -37,8 +37,12 @@ pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
     skip(path, &mut reader, layout.skip)?;
     let swap = layout.scalar.bytes() > 1 && layout.big_endian != cfg!(target_endian = "big");
     let voxels = Source { path, reader, swap, count: total, watch }.read_as(layout.scalar)?;
+    let length = std::fs::metadata(path).map_or(0, |m| m.len());
     let mut image = Image::new("raw", voxels, layout.size, world_from_voxel);
     (image.components, image.layout) = (layout.components, Layout::Interleaved);
+    if most_bytes == length && length > bytes + layout.skip {
+        image.warnings.push(format!("holds {} bytes more than it was said to; see that its size and type are right", length - bytes - layout.skip));
+    }
     Ok(image)
 }
 

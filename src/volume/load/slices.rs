@@ -1,4 +1,4 @@
-//! Pictures as slices: a folder of TIFF, PNG, JPEG or BMP files in the order of the numbers in their names, or one picture as a single slice.
+//! Pictures as slices: a folder of TIFF, PNG or JPEG files in the order of the numbers in their names, or one picture as a single slice.
 //!
 //! Pictures say nothing of spacing that could be trusted: voxels of 1 mm are taken unless the caller says otherwise.
 
@@ -8,13 +8,13 @@ use super::image::{Image, Layout, Meaning};
 use super::source::{check_held, open_file};
 use super::{Choice, tiff};
 use crate::{Error, Meter, Result, Watch};
-use glam::DAffine3;
+use glam::{DAffine3, DVec3};
 use rayon::prelude::*;
 use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
 
 /// Endings of pictures.
-pub const ENDINGS: [&str; 6] = ["tif", "tiff", "png", "jpg", "jpeg", "bmp"];
+pub const ENDINGS: [&str; 5] = ["tif", "tiff", "png", "jpg", "jpeg"];
 /// The most that a packed picture can shrink: deflate's limit, and some for a picture of one colour in JPEG.
 const MOST_RATIO: u64 = 3000;
 /// Pictures decoded at once.
@@ -115,11 +115,13 @@ pub fn read_folder(folder: &Path, files: &[PathBuf], choice: &Choice, watch: &Wa
     if let [file] = files {
         return if tiff::is_tiff(file) { tiff::read(file, choice, watch) } else { read(file, choice, watch) };
     }
+    choice.time_of(1)?;
     let meter = Meter::new(watch, files.len() as u64);
     let mut stack = Stack::default();
     let mut odd = Vec::new();
     for batch in files.chunks(AT_ONCE) {
-        let planes: Vec<Result<Plane>> = batch.par_iter().map(|file| if tiff::is_tiff(file) { tiff::first_page(file) } else { plane(file) }).collect();
+        let planes: Vec<Result<Plane>> =
+            batch.par_iter().map(|file| if tiff::is_tiff(file) { tiff::first_page(file) } else { plane(file) }).collect();
         for (file, plane) in batch.iter().zip(planes) {
             if !stack.push(plane?, files.len()) {
                 odd.push(file.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default());
@@ -127,7 +129,9 @@ pub fn read_folder(folder: &Path, files: &[PathBuf], choice: &Choice, watch: &Wa
             meter.add(1)?;
         }
     }
-    let mut image = image_of(folder, "pictures", stack, choice)?;
+    // What the first TIFF says of its voxels holds for all.
+    let said = files.first().filter(|f| tiff::is_tiff(f)).and_then(|f| tiff::spacing(f)).unwrap_or_default();
+    let mut image = image_of(folder, "pictures", stack, choice, said)?;
     if let Some(first) = odd.first() {
         image.warnings.push(format!("{} pictures ({first} and so on) are of another size or type than the first and are left out", odd.len()));
     }
@@ -136,21 +140,22 @@ pub fn read_folder(folder: &Path, files: &[PathBuf], choice: &Choice, watch: &Wa
 
 /// Reads one picture as a volume of one slice.
 pub fn read(path: &Path, choice: &Choice, _watch: &Watch) -> Result<Image> {
+    choice.time_of(1)?;
     let mut stack = Stack::default();
     stack.push(plane(path)?, 1);
-    image_of(path, "picture", stack, choice)
+    image_of(path, "picture", stack, choice, [None; 3])
 }
 
-fn image_of(path: &Path, format: &'static str, stack: Stack, choice: &Choice) -> Result<Image> {
+fn image_of(path: &Path, format: &'static str, stack: Stack, choice: &Choice, spacing: [Option<f64>; 3]) -> Result<Image> {
     let (size, components) = ([stack.size[0], stack.size[1], stack.count], stack.components);
     let voxels = stack.finish().ok_or_else(|| Error::file(path, "holds no picture"))?;
-    let mut image = Image::new(format, voxels, size, DAffine3::IDENTITY);
+    let mut image = Image::new(format, voxels, size, DAffine3::from_scale(DVec3::from(spacing.map(|s| s.unwrap_or(1.0)))));
     (image.components, image.layout) = (components, Layout::Interleaved);
     if components > 2 {
         image.meaning = Meaning::Color;
     }
-    if choice.spacing.is_none() {
-        image.warnings.push("pictures do not say how large a voxel is: 1 mm is taken (--spacing says otherwise)".into());
+    if choice.spacing.is_none() && spacing.iter().any(Option::is_none) {
+        image.warnings.push("pictures do not say how large a voxel is in every direction: 1 mm is taken (--spacing says otherwise)".into());
     }
     Ok(image)
 }

@@ -4,6 +4,7 @@ use super::super::Voxels;
 use super::ScalarType;
 use crate::{Error, Meter, Result, Watch};
 use flate2::read::MultiGzDecoder;
+use glam::DAffine3;
 use std::fs::File;
 use std::io::{BufReader, ErrorKind, Read};
 use std::path::{Path, PathBuf};
@@ -19,11 +20,12 @@ const MOST_TRAILING: u64 = 1 << 24;
 
 /// An ordinary file and its length.
 pub(super) fn open_file(path: &Path) -> Result<(File, u64)> {
-    let file = File::open(path).map_err(|e| Error::io(path, "opening", e))?;
-    let metadata = file.metadata().map_err(|e| Error::io(path, "reading", e))?;
+    // Asked before it is opened, which of a pipe would wait for ever.
+    let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, "opening", e))?;
     if !metadata.is_file() {
         return Err(Error::file(path, "is no ordinary file; name a file that holds an image"));
     }
+    let file = File::open(path).map_err(|e| Error::io(path, "opening", e))?;
     Ok((file, metadata.len()))
 }
 
@@ -83,10 +85,22 @@ pub(super) fn check_held(path: &Path, bytes: u64, most_bytes: u64) -> Result<()>
     if bytes > most_bytes {
         return Err(Error::file(
             path,
-            format!("declares {bytes} bytes of values, more than the file can hold: it is truncated or its header is damaged; copy or download it again"),
+            format!(
+                "declares {bytes} bytes of values, more than the file can hold: it is truncated or its header is damaged; copy or download it again"
+            ),
         ));
     }
     Ok(())
+}
+
+/// Whether a grid's geometry can be used: finite, no axis of no length or of a light year, no two of them alike. Voxels may be of any size.
+pub(super) fn usable(world_from_voxel: &DAffine3) -> bool {
+    let m = world_from_voxel.matrix3;
+    let lengths = [m.x_axis, m.y_axis, m.z_axis].map(|c| c.length());
+    world_from_voxel.is_finite()
+        && world_from_voxel.translation.length() < 1e12
+        && lengths.iter().all(|l| (1e-12..1e12).contains(l))
+        && m.determinant().abs() > 1e-9 * lengths.iter().product::<f64>()
 }
 
 /// Passes over bytes.
@@ -123,16 +137,46 @@ stored!(u8, i8, u16, i16, u32, i32, u64, i64, f32, f64);
 macro_rules! with_scalar {
     ($scalar:expr, $t:ident => $body:expr) => {
         match $scalar {
-            $crate::volume::load::ScalarType::U8 => { type $t = u8; $body }
-            $crate::volume::load::ScalarType::I8 => { type $t = i8; $body }
-            $crate::volume::load::ScalarType::U16 => { type $t = u16; $body }
-            $crate::volume::load::ScalarType::I16 => { type $t = i16; $body }
-            $crate::volume::load::ScalarType::U32 => { type $t = u32; $body }
-            $crate::volume::load::ScalarType::I32 => { type $t = i32; $body }
-            $crate::volume::load::ScalarType::U64 => { type $t = u64; $body }
-            $crate::volume::load::ScalarType::I64 => { type $t = i64; $body }
-            $crate::volume::load::ScalarType::F32 => { type $t = f32; $body }
-            $crate::volume::load::ScalarType::F64 => { type $t = f64; $body }
+            $crate::volume::load::ScalarType::U8 => {
+                type $t = u8;
+                $body
+            }
+            $crate::volume::load::ScalarType::I8 => {
+                type $t = i8;
+                $body
+            }
+            $crate::volume::load::ScalarType::U16 => {
+                type $t = u16;
+                $body
+            }
+            $crate::volume::load::ScalarType::I16 => {
+                type $t = i16;
+                $body
+            }
+            $crate::volume::load::ScalarType::U32 => {
+                type $t = u32;
+                $body
+            }
+            $crate::volume::load::ScalarType::I32 => {
+                type $t = i32;
+                $body
+            }
+            $crate::volume::load::ScalarType::U64 => {
+                type $t = u64;
+                $body
+            }
+            $crate::volume::load::ScalarType::I64 => {
+                type $t = i64;
+                $body
+            }
+            $crate::volume::load::ScalarType::F32 => {
+                type $t = f32;
+                $body
+            }
+            $crate::volume::load::ScalarType::F64 => {
+                type $t = f64;
+                $body
+            }
         }
     };
 }

@@ -15,9 +15,9 @@ use serde_json::json;
 use std::fs::File;
 use std::io::{BufReader, Seek, SeekFrom};
 use std::path::Path;
+use tiff::ColorType;
 use tiff::decoder::{Decoder, DecodingResult, Limits};
 use tiff::tags::Tag;
-use tiff::ColorType;
 
 /// The most that pages can have been packed by.
 const MOST_RATIO: u64 = 3000;
@@ -40,6 +40,7 @@ struct Description {
     spacing: [Option<f64>; 3],
     colors: Vec<Option<[u8; 3]>>,
     imagej: bool,
+    has_unit: bool,
     ome: bool,
 }
 
@@ -62,7 +63,14 @@ fn decoder(path: &Path) -> Result<(Pages, u64)> {
 /// The first page alone.
 pub(super) fn first_page(path: &Path) -> Result<Plane> {
     let ended = || Error::file(path, "its pixels are damaged; copy or export it again");
-    guarded(|| page(path, &mut decoder(path)?.0)).ok_or_else(ended)?
+    guarded(|| {
+        let mut pages = decoder(path)?.0;
+        if pages.more_images() {
+            return Err(Error::file(path, "has several pages and is one of several files; name one file, or give each a single page"));
+        }
+        page(path, &mut pages)
+    })
+    .ok_or_else(ended)?
 }
 
 /// The page at which the decoder stands.
@@ -100,6 +108,41 @@ fn page(path: &Path, decoder: &mut Pages) -> Result<Plane> {
     Ok(Plane { size, components, values })
 }
 
+/// What the first page says of all.
+fn described(pages: &mut Pages, file_bytes: u64) -> Description {
+    // A description longer than the file makes the decoder write to the terminal.
+    let described = pages.image_ifd().find_entry(Tag::ImageDescription).is_some_and(|e| e.count() <= file_bytes);
+    let text = described
+        .then(|| pages.find_tag(Tag::ImageDescription))
+        .and_then(Result::ok)
+        .flatten()
+        .and_then(|v| v.into_string().ok())
+        .unwrap_or_default();
+    let mut said = if text.contains("<OME") { ome(&text) } else { imagej(&text) };
+    let resolution = |pages: &mut Pages, tag| -> Option<f64> {
+        let per_unit = match pages.find_tag(tag).ok()?? {
+            tiff::decoder::ifd::Value::Rational(a, b) => f64::from(a) / f64::from(b),
+            other => f64::from(other.into_f32().ok()?),
+        };
+        (per_unit.is_finite() && per_unit > 0.0).then(|| 1.0 / per_unit)
+    };
+    if said.imagej {
+        let unit = unit_of_imagej(&text);
+        said.has_unit = unit.is_some();
+        let mm = unit.unwrap_or(1.0);
+        // In the unit that the description names; the tag's own unit is "none".
+        said.spacing[0] = resolution(pages, Tag::XResolution).map(|s| s * mm);
+        said.spacing[1] = resolution(pages, Tag::YResolution).map(|s| s * mm);
+        said.spacing[2] = said.spacing[2].map(|s| s * mm);
+    }
+    said
+}
+
+/// The spacing that a file states, mm along x, y, z.
+pub(super) fn spacing(path: &Path) -> Option<[Option<f64>; 3]> {
+    guarded(|| decoder(path).ok().map(|(mut pages, bytes)| described(&mut pages, bytes).spacing))?
+}
+
 /// Reads all pages.
 pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
     let ended = || Error::file(path, "its pages are damaged; copy or export it again");
@@ -109,26 +152,11 @@ pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
 fn read_unguarded(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
     let fail = |problem: String| Error::file(path, problem);
     let (mut pages, file_bytes) = decoder(path)?;
-    // A description longer than the file makes the decoder write to the terminal.
-    let described = pages.image_ifd().find_entry(Tag::ImageDescription).is_some_and(|e| e.count() <= file_bytes);
-    let text = described.then(|| pages.find_tag(Tag::ImageDescription)).and_then(Result::ok).flatten().and_then(|v| v.into_string().ok()).unwrap_or_default();
-    let mut said = if text.contains("<OME") { ome(&text) } else { imagej(&text) };
-    let resolution = |pages: &mut Pages, tag| -> Option<f64> {
-        let per_unit = match pages.find_tag(tag).ok()?? {
-            tiff::decoder::ifd::Value::Rational(a, b) => f64::from(a) / f64::from(b),
-            other => f64::from(other.into_f32().ok()?),
-        };
-        (per_unit.is_finite() && per_unit > 0.0).then(|| 1.0 / per_unit)
-    };
-    if said.imagej
-        && let Some(mm) = unit_of_imagej(&text)
-    {
-        // In the unit that the description names; the tag's own unit is "none".
-        said.spacing[0] = resolution(&mut pages, Tag::XResolution).map(|s| s * mm);
-        said.spacing[1] = resolution(&mut pages, Tag::YResolution).map(|s| s * mm);
-        said.spacing[2] = said.spacing[2].map(|s| s * mm);
-    }
+    let said = described(&mut pages, file_bytes);
     let mut warnings = Vec::new();
+    if said.imagej && !said.has_unit && said.spacing.iter().any(Option::is_some) {
+        warnings.push("gives its spacing without a unit of length: mm are taken".into());
+    }
     let total = 1 + {
         let mut more = 0;
         // Directories are followed without their pixels.
@@ -194,14 +222,21 @@ fn read_unguarded(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> 
         warnings.push("does not say how large a voxel is in every direction: 1 mm is taken where it is missing (--spacing says otherwise)".into());
     }
     let mut image = Image::new(
-        if said.ome { "OME-TIFF" } else if said.imagej { "ImageJ TIFF" } else { "TIFF" },
+        if said.ome {
+            "OME-TIFF"
+        } else if said.imagej {
+            "ImageJ TIFF"
+        } else {
+            "TIFF"
+        },
         voxels,
         size,
         DAffine3::from_scale(DVec3::from(spacing.map(|s| s.unwrap_or(1.0)))),
     );
     (image.components, image.layout, image.warnings) = (components, layout, warnings);
     if channels > 1 {
-        let looks = (0..channels).map(|c| Channel { color: said.colors.get(c).copied().flatten().unwrap_or(super::super::colors::CHANNELS[c % 4]), window: None });
+        let looks = (0..channels)
+            .map(|c| Channel { color: said.colors.get(c).copied().flatten().unwrap_or(super::super::colors::CHANNELS[c % 4]), window: None });
         image.meaning = Meaning::Channels(looks.collect());
     } else if components > 2 {
         image.meaning = Meaning::Color;
@@ -310,9 +345,7 @@ fn ome(text: &str) -> Description {
             Ok(Event::Eof) | Err(_) => break,
             Ok(_) => continue,
         };
-        let get = |name: &str| {
-            event.attributes().flatten().find(|a| a.key.as_ref() == name).map(|a| a.value.into_owned())
-        };
+        let get = |name: &str| event.attributes().flatten().find(|a| a.key.as_ref() == name).map(|a| a.value.into_owned());
         match event.local_name().as_ref() {
             "Pixels" if !seen => {
                 seen = true;

@@ -6,7 +6,7 @@
 use super::super::Voxels;
 use super::Choice;
 use super::image::{Image, Meaning, ScalarType};
-use super::source::{DEFLATE_LIMIT, Source, buffered, check_held, count, read_error, with_scalar, zeroed};
+use super::source::{DEFLATE_LIMIT, Source, buffered, check_held, count, read_error, usable, with_scalar, zeroed};
 use crate::{Error, Result, Watch};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -77,8 +77,9 @@ struct Document {
 }
 
 /// Reads an image.
-pub fn read(path: &Path, _choice: &Choice, watch: &Watch) -> Result<Image> {
+pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
     let fail = |problem: String| Error::file(path, problem);
+    choice.time_of(1)?;
     let (reader, file_bytes) = buffered(path)?;
     let document = document(path, reader)?;
     let first = document.pieces.first().ok_or_else(|| fail("holds no piece of an image".into()))?;
@@ -112,7 +113,11 @@ pub fn read(path: &Path, _choice: &Choice, watch: &Watch) -> Result<Image> {
         for piece in &document.pieces {
             let part = extent(&piece.extent).ok_or_else(|| fail(format!("has a piece of the extent {:?}, which holds nothing", piece.extent)))?;
             let start: Option<[usize; 3]> = (0..3)
-                .map(|a| usize::try_from(piece.extent[2 * a] - document.whole[2 * a]).ok().filter(|s| s + part[a] <= size[a]))
+                .map(|a| {
+                    usize::try_from(piece.extent[2 * a].checked_sub(document.whole[2 * a])?)
+                        .ok()
+                        .filter(|s| s.checked_add(part[a]).is_some_and(|end| end <= size[a]))
+                })
                 .collect::<Option<Vec<_>>>()
                 .and_then(|v| v.try_into().ok());
             let start = start.ok_or_else(|| fail("has a piece outside of the image's extent".into()))?;
@@ -132,7 +137,7 @@ pub fn read(path: &Path, _choice: &Choice, watch: &Watch) -> Result<Image> {
     let corner = DVec3::from_array(std::array::from_fn(|a| document.whole[2 * a] as f64 + if on_cells { 0.5 } else { 0.0 }));
     let linear = document.direction * DMat3::from_diagonal(document.spacing);
     let world_from_voxel = DAffine3 { matrix3: linear, translation: document.origin + linear * corner };
-    if !(world_from_voxel.is_finite() && linear.determinant().abs() > 1e-12) {
+    if !usable(&world_from_voxel) {
         return Err(fail("has singular axes; its geometry cannot be used".into()));
     }
     let mut image = Image::new("VTK XML image data", voxels, size, world_from_voxel);
@@ -222,11 +227,7 @@ impl Counting {
 }
 
 fn attributes(tag: &BytesStart) -> HashMap<String, String> {
-    tag.attributes()
-        .with_checks(false)
-        .flatten()
-        .map(|a| (a.key.as_ref().to_owned(), a.value.into_owned()))
-        .collect()
+    tag.attributes().with_checks(false).flatten().map(|a| (a.key.as_ref().to_owned(), a.value.into_owned())).collect()
 }
 
 fn numbers<T: std::str::FromStr, const N: usize>(text: Option<&String>) -> Option<[T; N]> {
@@ -402,13 +403,16 @@ impl Values<'_> {
         if self.document.packing == Packing::None {
             let stated = length(&mut reader)?;
             // A length of 32 bits is cut off in files of more than 4 GiB.
-            if stated < bytes && self.document.wide {
+            if stated < bytes && (self.document.wide || bytes <= u64::from(u32::MAX)) {
                 return Err(fail(format!("holds {stated} bytes of values, and {bytes} are needed")));
             }
             return Source { path: self.path, reader, swap, count, watch: self.watch }.read_as(self.scalar);
         }
         let [blocks, size, last] = [length(&mut reader)?, length(&mut reader)?, length(&mut reader)?];
-        let whole = blocks.checked_mul(size).filter(|_| size <= MOST_BLOCK && last <= size).map(|n| if last > 0 { n - size + last } else { n });
+        let whole = blocks
+            .checked_mul(size)
+            .filter(|_| size <= MOST_BLOCK && last <= size)
+            .and_then(|n| if last > 0 { Some(n.checked_sub(size)? + last) } else { Some(n) });
         if whole.is_none_or(|n| n < bytes) || blocks > self.file_bytes {
             return Err(fail(format!("has {blocks} blocks of {size} bytes for {bytes} bytes of values; it is damaged")));
         }
@@ -419,7 +423,8 @@ impl Values<'_> {
         if packed.iter().any(|n| *n > self.file_bytes) {
             return Err(fail("has a block that is larger than the file; it is damaged".into()));
         }
-        let blocks = Blocks { reader, packed: packed.into_iter(), size: size as usize, packing: self.document.packing, ready: Vec::new(), at: [0, 0] };
+        let blocks =
+            Blocks { reader, packed: packed.into_iter(), size: size as usize, packing: self.document.packing, ready: Vec::new(), at: [0, 0] };
         Source { path: self.path, reader: blocks, swap, count, watch: self.watch }.read_as(self.scalar)
     }
 }
@@ -476,7 +481,8 @@ fn unpack(block: &[u8], size: usize, packing: Packing) -> std::io::Result<Vec<u8
         Packing::Lz4 => {
             // LZ4 cannot shrink by more than 255.
             out.resize(size.min(block.len().saturating_mul(255)), 0);
-            let n = lz4_flex::block::decompress_into(block, &mut out).map_err(|e| std::io::Error::new(std::io::ErrorKind::InvalidData, e.to_string()))?;
+            let n =
+                lz4_flex::block::decompress_into(block, &mut out).map_err(|e| std::io::Error::new(std::io::ErrorKind::InvalidData, e.to_string()))?;
             out.truncate(n);
         }
         Packing::Lzma => {

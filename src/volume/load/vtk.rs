@@ -4,7 +4,7 @@
 
 use super::Choice;
 use super::image::{Image, Meaning, ScalarType};
-use super::source::{Source, buffered, check_held, count, read_error};
+use super::source::{Source, buffered, check_held, count, read_error, usable};
 use crate::{Error, Result, Watch};
 use glam::{DAffine3, DMat3, DVec3};
 use std::io::{BufRead, Read};
@@ -16,8 +16,9 @@ const MOST_LINE: u64 = 1 << 16;
 const MOST_LINES: usize = 10_000;
 
 /// Reads an image.
-pub fn read(path: &Path, _choice: &Choice, watch: &Watch) -> Result<Image> {
+pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
     let fail = |problem: String| Error::file(path, problem);
+    choice.time_of(1)?;
     let (mut reader, file_bytes) = buffered(path)?;
     let mut line = || -> Result<Option<String>> {
         let mut bytes = Vec::new();
@@ -46,7 +47,9 @@ pub fn read(path: &Path, _choice: &Choice, watch: &Watch) -> Result<Image> {
             Some("DATASET") if !words.get(1).is_some_and(|k| k.eq_ignore_ascii_case("STRUCTURED_POINTS")) => {
                 return Err(fail(format!("holds {}; structured points can be read as a volume", words.get(1).unwrap_or(&"nothing"))));
             }
-            Some("DIMENSIONS") => size = words.get(1..4).and_then(|w| w.iter().map(|n| n.parse::<usize>().ok().filter(|n| *n > 0)).collect::<Option<Vec<_>>>()),
+            Some("DIMENSIONS") => {
+                size = words.get(1..4).and_then(|w| w.iter().map(|n| n.parse::<usize>().ok().filter(|n| *n > 0)).collect::<Option<Vec<_>>>())
+            }
             Some("SPACING" | "ASPECT_RATIO") => {
                 spacing = three().map(DVec3::from_array).ok_or_else(|| fail(format!("has \"{text}\", which is not three numbers")))?;
             }
@@ -72,7 +75,8 @@ pub fn read(path: &Path, _choice: &Choice, watch: &Watch) -> Result<Image> {
                 array = Some((scalar_type(words.get(2).unwrap_or(&"")).map_err(&fail)?, 3, Meaning::Vectors));
                 break;
             }
-            Some("FIELD") => {
+            // Fields before the points belong to the whole.
+            Some("FIELD") if size.is_some() => {
                 let next = line()?.unwrap_or_default();
                 let words: Vec<&str> = next.split_whitespace().collect();
                 let [_, components, _, kind, ..] = words[..] else { return Err(fail(format!("has the field \"{next}\", which cannot be read"))) };
@@ -99,7 +103,7 @@ pub fn read(path: &Path, _choice: &Choice, watch: &Watch) -> Result<Image> {
     };
     let world_from_voxel =
         DAffine3 { matrix3: DMat3::from_diagonal(spacing), translation: origin + if on_cells { spacing * 0.5 } else { DVec3::ZERO } };
-    if !(world_from_voxel.is_finite() && world_from_voxel.matrix3.determinant().abs() > 1e-12) {
+    if !usable(&world_from_voxel) {
         return Err(fail("has a spacing of zero, or numbers that are not finite; its geometry cannot be used".into()));
     }
     let mut image = Image::new("legacy VTK", voxels, size, world_from_voxel);

@@ -71,15 +71,18 @@ fn read_unguarded(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> 
     let multiscale = &said["multiscales"][0];
     let datasets = multiscale["datasets"].as_array().cloned().unwrap_or_default();
     let level = choice.level.unwrap_or(0);
+    if datasets.is_empty() && level > 0 {
+        return Err(Error::value("level", format!("{level} is none of the resolutions: the array has a single one, 0")));
+    }
     let array_folder = if datasets.is_empty() {
         if !folder.join(".zarray").is_file() && metadata(&folder.join("zarr.json"))?["node_type"] != "array" {
             return Err(fail("is a Zarr group without an image (no multiscales); name an image inside of it".into()));
         }
         folder.clone()
     } else {
-        let dataset = datasets
-            .get(level)
-            .ok_or_else(|| Error::value("level", format!("{level} is none of the {} resolutions; they count from 0, the full one", datasets.len())))?;
+        let dataset = datasets.get(level).ok_or_else(|| {
+            Error::value("level", format!("{level} is none of the {} resolutions; they count from 0, the full one", datasets.len()))
+        })?;
         let name = dataset["path"].as_str().ok_or_else(|| fail("has a resolution without a path; its metadata are damaged".into()))?;
         if Path::new(name).components().any(|c| !matches!(c, std::path::Component::Normal(_))) {
             return Err(fail(format!("names \"{name}\", which is outside of it; its metadata are damaged")));
@@ -146,9 +149,7 @@ fn read_unguarded(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> 
     }
     let (scale, translation) = placement(multiscale, datasets.get(level).unwrap_or(&Value::Null), rank).map_err(&fail)?;
     let mut stated = true;
-    let per_axis = |values: &[f64]| {
-        DVec3::from_array([Some(x), Some(y), z].map(|axis| axis.map_or(1.0, |a| values[a] * axes[a].mm)))
-    };
+    let per_axis = |values: &[f64]| DVec3::from_array([Some(x), Some(y), z].map(|axis| axis.map_or(1.0, |a| values[a] * axes[a].mm)));
     let linear = match &scale {
         Some(scale) => per_axis(scale),
         None => {
@@ -159,11 +160,9 @@ fn read_unguarded(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> 
     if !stated && choice.spacing.is_none() {
         warnings.push("does not say how large a voxel is: 1 mm is taken (--spacing says otherwise)".into());
     }
-    let origin = translation.map_or(DVec3::ZERO, |t| {
-        DVec3::from_array([Some(x), Some(y), z].map(|axis| axis.map_or(0.0, |a| t[a] * axes[a].mm)))
-    });
+    let origin = translation.map_or(DVec3::ZERO, |t| DVec3::from_array([Some(x), Some(y), z].map(|axis| axis.map_or(0.0, |a| t[a] * axes[a].mm))));
     let world_from_voxel = DAffine3 { matrix3: DMat3::from_diagonal(linear), translation: origin };
-    if !(world_from_voxel.is_finite() && linear.abs().min_element() > 1e-12) {
+    if !super::source::usable(&world_from_voxel) {
         return Err(fail("has a scale of zero, or one that is not finite; its geometry cannot be used".into()));
     }
     let mut image = Image::new(if folder.join("zarr.json").is_file() { "OME-Zarr 0.5" } else { "OME-Zarr 0.4" }, voxels, size, world_from_voxel);
@@ -173,6 +172,7 @@ fn read_unguarded(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> 
     } else if folder.parent().is_some_and(|p| p.ends_with("labels")) || said["image-label"].is_object() {
         image.meaning = Meaning::Labels(Vec::new());
     }
+    image.channel_taken = one.is_some();
     image.details.push(("levels", json!(datasets.len().max(1))));
     if channels > 1 {
         image.details.push(("channels", json!(channels)));
@@ -232,7 +232,8 @@ impl ArrayLayout {
 
     /// Refuses arrays and chunks that are far larger than what is there.
     fn check(&self, path: &Path, folder: &Path, bytes: u64) -> Result<()> {
-        let there: u64 = walkdir::WalkDir::new(folder).into_iter().flatten().filter_map(|e| e.metadata().ok()).filter(|m| m.is_file()).map(|m| m.len()).sum();
+        let there: u64 =
+            walkdir::WalkDir::new(folder).into_iter().flatten().filter_map(|e| e.metadata().ok()).filter(|m| m.is_file()).map(|m| m.len()).sum();
         let most = there.saturating_mul(MOST_RATIO).max(ALWAYS_BELIEVED);
         let chunk = self.chunks.iter().try_fold(self.scalar.bytes() as u64, |n, &c| n.checked_mul(c));
         super::source::check_held(path, bytes.max(chunk.unwrap_or(u64::MAX)), most)

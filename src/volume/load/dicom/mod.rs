@@ -12,24 +12,29 @@ mod scan;
 pub use scan::is_dicom;
 
 use super::image::{Image, Meaning};
-use super::source::{reserved, zeroed};
+use super::source::{usable, zeroed};
 use super::{Choice, Voxels};
 use crate::volume::Rescale;
 use crate::{Error, Meter, Result, Watch};
 use glam::{DAffine3, DMat3, DVec3};
-use pixels::{Pixel, check_syntax, decode, syntax_name};
+use pixels::{Pixel, check_syntax, decode, most_ratio, syntax_name};
 use rayon::prelude::*;
-use scan::{Frame, Object, PixelFormat, scan};
+use scan::{Frame, Object, PixelFormat, SegmentsAs, scan};
 use serde_json::{Value, json};
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 /// Steps that differ by more than this, mm or share of the step, are uneven.
 const UNEVEN: [f64; 2] = [0.01, 0.01];
 /// Frames closer than this, mm, are at the same place.
 const SAME_PLACE: f64 = 1e-3;
+/// Most slices that a segmentation is believed to have left out empty ones among.
+const MOST_LEFT_OUT: f64 = 10_000.0;
 /// Positions named in one message.
 const MOST_NAMED: usize = 8;
+/// Packed syntaxes whose decoders give colours as they were stored: RLE, lossless JPEG, JPEG-LS.
+const AS_STORED: [&str; 5] =
+    ["1.2.840.10008.1.2.5", "1.2.840.10008.1.2.4.57", "1.2.840.10008.1.2.4.70", "1.2.840.10008.1.2.4.80", "1.2.840.10008.1.2.4.81"];
 /// An evened-out series has at most this many times the slices.
 const MOST_RESAMPLED: f64 = 16.0;
 
@@ -100,6 +105,9 @@ fn nothing(path: &Path, found: scan::Found) -> Error {
             path,
             format!("holds no image that can be read ({} files were looked at); name a file, or a folder of DICOM files or pictures", found.others),
         ),
+        None if found.others > 0 && path.extension().is_some_and(|e| e.eq_ignore_ascii_case("zip")) => {
+            Error::file(path, "is a zip without a DICOM picture in it; unpack it and name the file that you mean")
+        }
         None => Error::file(path, "is DICOM without a picture; name an object that holds pixels"),
     }
 }
@@ -129,7 +137,11 @@ pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
     let series = &all[index];
     let mut warnings = Vec::new();
     if all.len() > 1 && choice.series.is_none() {
-        warnings.push(format!("holds {} series; the largest is used ({}); --series chooses another, and info lists them", all.len(), named(series, &found.objects)));
+        warnings.push(format!(
+            "holds {} series; the largest is used ({}); --series chooses another, and info lists them",
+            all.len(),
+            named(series, &found.objects)
+        ));
     }
     if found.damaged > 0 {
         let first = found.complaint.as_ref().map(ToString::to_string).unwrap_or_default();
@@ -169,7 +181,11 @@ fn named(series: &Series, objects: &[Object]) -> String {
 fn chosen(wanted: &str, all: &[Series], objects: &[Object]) -> Result<usize> {
     let known = || all.iter().enumerate().take(MOST_NAMED).map(|(n, s)| format!("{}: {}", n + 1, named(s, objects))).collect::<Vec<_>>().join("; ");
     if let Ok(n) = wanted.parse::<usize>() {
-        return if (1..=all.len()).contains(&n) { Ok(n - 1) } else { Err(Error::value("series", format!("{n} is none of {}: {}", all.len(), known()))) };
+        return if (1..=all.len()).contains(&n) {
+            Ok(n - 1)
+        } else {
+            Err(Error::value("series", format!("{n} is none of {}: {}", all.len(), known())))
+        };
     }
     let fits = |s: &Series| objects[s.object].series == wanted || objects[s.object].description.to_lowercase().contains(&wanted.to_lowercase());
     all.iter().position(fits).ok_or_else(|| Error::value("series", format!("\"{wanted}\" is none of {}: {}", all.len(), known())))
@@ -271,17 +287,32 @@ fn placement(frames: &[&Frame], object: &Object, warnings: &mut Vec<String>) -> 
     let unit = normal(first);
     let stated = object.slice_spacing.unwrap_or(1.0);
     let start = first.position.unwrap_or(DVec3::ZERO);
-    if first.position.is_none() {
+    if !first.stated[1] && first.stated[0] {
+        warnings.push("does not say how its slices are turned: their axes are taken as left and posterior".into());
+    }
+    if !first.stated[0] {
         warnings.push("does not say where its slices lie: they are taken in the order of their numbers, axes as left, posterior, superior".into());
     }
     let step = match (first.position, last.position) {
         (Some(a), Some(b)) if n > 1 && (b - a).dot(unit).abs() > SAME_PLACE => (b - a) / (n - 1) as f64,
         _ => unit * stated,
     };
+    // Writers of segmentations leave out slices that hold nothing.
+    let mut step = step;
+    if object.segmentation && n > 1 {
+        let at: Vec<f64> = frames.iter().filter_map(|f| f.position).map(|p| (p - start).dot(unit)).collect();
+        let least = at.windows(2).map(|w| w[1] - w[0]).fold(f64::INFINITY, f64::min);
+        let count = at.last().map_or(0.0, |last| last / least);
+        let whole = |a: &f64| (a / least - (a / least).round()).abs() < 0.05;
+        if at.len() == n && least > SAME_PLACE && count < MOST_LEFT_OUT && at.iter().all(whole) {
+            step = step * (n - 1) as f64 / count.round();
+        }
+    }
     let along: Vec<f64> = frames.iter().enumerate().map(|(k, f)| f.position.map_or(k as f64, |p| (p - start).dot(unit) / step.dot(unit))).collect();
     let gaps: Vec<f64> = along.windows(2).map(|w| (w[1] - w[0]) * step.dot(unit)).collect();
     let mm = step.dot(unit);
-    let uneven = gaps.iter().any(|g| (g - mm).abs() > UNEVEN[0].max(UNEVEN[1] * mm));
+    let off_grid = |a: &f64| (a - a.round()).abs() * mm > UNEVEN[0].max(0.05 * mm);
+    let uneven = if object.segmentation { along.iter().any(off_grid) } else { gaps.iter().any(|g| (g - mm).abs() > UNEVEN[0].max(UNEVEN[1] * mm)) };
     if uneven {
         let mut by_size = gaps.clone();
         by_size.sort_by(f64::total_cmp);
@@ -328,9 +359,10 @@ fn volume(path: &Path, objects: &[Object], frames: &[Frame], choice: &Choice, wa
     }
     // One frame for every slice; of a segmentation, which frames go onto which.
     let mut slices: Vec<&Frame> = Vec::new();
-    let mut slot = Vec::with_capacity(frames.len());
+    let mut slot: Vec<usize> = Vec::with_capacity(frames.len());
     for frame in frames {
-        let same = |f: &&&Frame| object.segmentation && f.position.zip(frame.position).is_some_and(|(a, b)| (a - b).dot(normal(f)).abs() < SAME_PLACE);
+        let same =
+            |f: &&&Frame| object.segmentation && f.position.zip(frame.position).is_some_and(|(a, b)| (a - b).dot(normal(f)).abs() < SAME_PLACE);
         if slices.last().filter(same).is_none() {
             slices.push(frame);
         }
@@ -338,7 +370,15 @@ fn volume(path: &Path, objects: &[Object], frames: &[Frame], choice: &Choice, wa
     }
     let placement = placement(&slices, object, warnings);
     let format = &object.format;
-    let size = [usize::from(format.columns), usize::from(format.rows), slices.len()];
+    let mut depth = slices.len();
+    if object.segmentation && placement.even {
+        slot.iter_mut().for_each(|s| *s = placement.at[*s].round() as usize);
+        depth = slot.last().map_or(1, |s| s + 1);
+    }
+    let size = [usize::from(format.columns), usize::from(format.rows), depth];
+    if !usable(&placement.world_from_voxel) {
+        return Err(Error::file(path, "states positions or spacings that cannot be used; its header is damaged"));
+    }
     let samples = usize::from(format.samples);
     let total = size.iter().product::<usize>().checked_mul(samples).ok_or_else(|| Error::file(path, "is larger than can be addressed"))?;
     check_pixels(path, objects, frames)?;
@@ -398,8 +438,10 @@ fn check_pixels(path: &Path, objects: &[Object], frames: &[Frame]) -> Result<()>
     }
     for (object, bytes) in needed {
         let object = &objects[object];
-        let native = matches!(object.syntax.as_str(), "1.2.840.10008.1.2" | "1.2.840.10008.1.2.1" | "1.2.840.10008.1.2.2") && object.format.allocated > 1;
-        let most = object.source.bytes().saturating_mul(if native { 1 } else { 20_000 });
+        let ratio = most_ratio(&object.syntax, object.format.frame_bytes());
+        // Single bits are not padded to bytes between frames.
+        let bytes = if object.format.allocated == 1 { bytes.saturating_sub(frames.len()) } else { bytes };
+        let most = object.source.bytes().saturating_mul(ratio);
         if bytes as u64 > most {
             let named = if path.is_dir() { object.source.path() } else { path };
             return Err(Error::file(named, "declares more pixels than it can hold: it is truncated or damaged; copy or export it again"));
@@ -451,7 +493,11 @@ impl Job<'_> {
 
     /// Data values, where every frame has a rescale of its own.
     fn scaled(&self) -> Result<Voxels> {
-        Ok(self.run::<f32>(&|frame, v| (f64::from(v) * frame.rescale.slope + frame.rescale.intercept) as f32)?.into())
+        let value = |frame: &Frame, v: f32| {
+            let nothing = self.objects[frame.object].padding.is_some_and(|[low, high]| (low..=high).contains(&f64::from(v)));
+            if nothing { f32::NAN } else { (f64::from(v) * frame.rescale.slope + frame.rescale.intercept) as f32 }
+        };
+        Ok(self.run::<f32>(&value)?.into())
     }
 
     /// Red, green and blue of 8 bits.
@@ -459,7 +505,8 @@ impl Job<'_> {
         let format = self.format();
         let object = &self.objects[self.frames[0].object];
         if format.photometric == "PALETTE COLOR" {
-            let tables = object.palette.as_ref().ok_or_else(|| Error::file(self.path, "is in colours of a palette that it does not hold; export it again"))?;
+            let tables =
+                object.palette.as_ref().ok_or_else(|| Error::file(self.path, "is in colours of a palette that it does not hold; export it again"))?;
             let indices = self.run::<u16>(&|_, v| v)?;
             return Ok(indices
                 .into_par_iter()
@@ -475,7 +522,7 @@ impl Job<'_> {
         }
         let mut values = self.run::<u8>(&|_, v| v)?;
         // Decoders of JPEG and JPEG 2000 give RGB.
-        if format.photometric.starts_with("YBR_FULL") && (self.uncompressed() || object.syntax == "1.2.840.10008.1.2.5") {
+        if format.photometric.starts_with("YBR_FULL") && (self.uncompressed() || AS_STORED.contains(&object.syntax.as_str())) {
             values.par_chunks_exact_mut(3).for_each(|v| {
                 let [y, b, r] = [f32::from(v[0]), f32::from(v[1]) - 128.0, f32::from(v[2]) - 128.0];
                 let rgb = [y + 1.402 * r, y - 0.344_136 * b - 0.714_136 * r, y + 1.772 * b];
@@ -496,30 +543,30 @@ impl Job<'_> {
     fn labels(&self, warnings: &mut Vec<String>) -> Result<Voxels> {
         let format = self.format();
         let plane = format.values();
-        // Pixels are labels themselves, or say how much of the frame's segment there is: single bits, or shares of which half counts.
-        let are_labels = format.allocated > 1 && self.frames.iter().all(|f| f.segment <= 1) && self.objects[self.frames[0].object].segments.len() > 1;
         let mut labels: Vec<u16> = zeroed(self.path, self.total)?;
-        let mut by_object: HashMap<usize, Vec<usize>> = HashMap::new();
+        let mut by_object: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
         for (n, frame) in self.frames.iter().enumerate() {
             by_object.entry(frame.object).or_default().push(n);
         }
         let meter = Meter::new(self.watch, (self.frames.len() * plane) as u64);
         let mut overlaps = 0usize;
-        let mut values: Vec<u16> = reserved(self.path, plane)?;
-        values.resize(plane, 0);
         for (index, frames) in by_object {
             let object = &self.objects[index];
             let pixels = pixels::read(object)?;
+            let mut values: Vec<u16> = zeroed(self.path, plane)?;
             for n in frames {
                 let frame = &self.frames[n];
                 decode(object, &pixels, frame, &mut values, &|v| v)?;
                 let out = &mut labels[self.slot[n] * plane..][..plane];
                 for (label, &value) in out.iter_mut().zip(&values) {
-                    if are_labels {
-                        *label = value;
-                    } else if format.allocated == 1 && value > 0 || format.allocated > 1 && value >= 128 {
-                        overlaps += usize::from(*label != 0 && *label != frame.segment);
-                        *label = frame.segment;
+                    // Pixels are labels themselves, or say how much of the frame's segment there is, of which half counts.
+                    match object.segments_as {
+                        SegmentsAs::Labels => *label = value,
+                        SegmentsAs::Shares(whole) if value > 0 && 2 * u32::from(value) >= u32::from(whole) => {
+                            overlaps += usize::from(*label != 0 && *label != frame.segment);
+                            *label = frame.segment;
+                        }
+                        SegmentsAs::Shares(_) => {}
                     }
                 }
                 meter.add(plane as u64)?;
@@ -544,7 +591,7 @@ fn evened(path: &Path, image: &mut Image, placement: &Placement, warnings: &mut 
     let count = ((at.len() - 1) as f64 / step).round() as usize + 1;
     let step = (at.len() - 1) as f64 / (count - 1) as f64;
     let plane = image.size[0] * image.size[1];
-    let labels = matches!(image.meaning, Meaning::Labels(_));
+    let (labels, padding) = (matches!(image.meaning, Meaning::Labels(_)), image.padding);
     // Which two slices, and how far between them.
     let between: Vec<(usize, f64)> = (0..count)
         .map(|k| {
@@ -555,8 +602,11 @@ fn evened(path: &Path, image: &mut Image, placement: &Placement, warnings: &mut 
         .collect();
     image.voxels = image.voxels.mixed(count * plane, |n| {
         let (slice, share) = between[n / plane];
-        let share = if labels { share.round() } else { share };
-        (slice * plane + n % plane, (slice + 1) * plane + n % plane, share)
+        let (a, b) = (slice * plane + n % plane, (slice + 1) * plane + n % plane);
+        let nothing = |v: f64| padding.is_some_and(|[low, high]| (low..=high).contains(&v));
+        // Labels are not mixed, nor is nothing with something.
+        let nearest = labels || padding.is_some() && (nothing(image.voxels.get(a)) || nothing(image.voxels.get(b)));
+        (a, b, if nearest { share.round() } else { share })
     });
     image.size[2] = count;
     image.world_from_voxel.matrix3.z_axis *= step;

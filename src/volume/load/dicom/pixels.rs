@@ -21,12 +21,30 @@ use std::borrow::Cow;
 use std::io::ErrorKind;
 
 /// JPEG in its kinds: baseline, extended, lossless.
-const JPEG: [&str; 6] =
-    ["1.2.840.10008.1.2.4.50", "1.2.840.10008.1.2.4.51", "1.2.840.10008.1.2.4.53", "1.2.840.10008.1.2.4.55", "1.2.840.10008.1.2.4.57", "1.2.840.10008.1.2.4.70"];
+const JPEG: [&str; 6] = [
+    "1.2.840.10008.1.2.4.50",
+    "1.2.840.10008.1.2.4.51",
+    "1.2.840.10008.1.2.4.53",
+    "1.2.840.10008.1.2.4.55",
+    "1.2.840.10008.1.2.4.57",
+    "1.2.840.10008.1.2.4.70",
+];
 /// JPEG 2000, lossless only and not, and its multi-component kinds.
 const JPEG_2000: [&str; 4] = ["1.2.840.10008.1.2.4.90", "1.2.840.10008.1.2.4.91", "1.2.840.10008.1.2.4.92", "1.2.840.10008.1.2.4.93"];
-/// A pixel may be packed into this share of a byte at most.
-const MOST_RATIO: usize = 20_000;
+/// Bytes of a frame up to which a picture of one colour is believed, whatever it was packed to.
+const SMALL_FRAME: usize = 64 << 20;
+
+/// The most that pixels can have been packed by in a transfer syntax, in frames of some bytes.
+pub fn most_ratio(syntax: &str, frame_bytes: usize) -> u64 {
+    match syntax {
+        "1.2.840.10008.1.2" | "1.2.840.10008.1.2.1" | "1.2.840.10008.1.2.2" => 1,
+        "1.2.840.10008.1.2.1.99" => super::super::source::DEFLATE_LIMIT,
+        // A run of 128 takes two bytes.
+        "1.2.840.10008.1.2.5" => 64,
+        _ if frame_bytes <= SMALL_FRAME => 20_000,
+        _ => 1000,
+    }
+}
 
 /// A transfer syntax by name, for messages and `info`.
 pub fn syntax_name(uid: &str) -> String {
@@ -49,15 +67,19 @@ pub fn check_syntax(object: &Object) -> Result<()> {
     let uid = object.syntax.as_str();
     let name = syntax_name(uid);
     let fail = |problem: String| Error::file(object.source.path(), problem);
+    let native = matches!(TransferSyntaxRegistry.get(uid).map(|s| s.codec()), Some(Codec::None | Codec::Dataset(_)));
+    if object.format.allocated == 1 && !native {
+        return Err(fail(format!("holds packed single bits ({name}), which cannot be decoded; convert it to Explicit VR Little Endian")));
+    }
     if JPEG.contains(&uid) || JPEG_2000.contains(&uid) {
         return Ok(());
     }
     match TransferSyntaxRegistry.get(uid).map(|s| s.codec()) {
         None => Err(fail(format!("is in the transfer syntax {name}, which is not known; convert it to Explicit VR Little Endian"))),
         Some(Codec::None | Codec::Dataset(_) | Codec::EncapsulatedPixelData(Some(_), _)) => Ok(()),
-        Some(_) if name.contains("JPEG-LS") => {
-            Err(fail(format!("is in the transfer syntax {name}, which this build cannot decode; build it with the feature jpeg-ls, or convert the file to Explicit VR Little Endian")))
-        }
+        Some(_) if name.contains("JPEG-LS") => Err(fail(format!(
+            "is in the transfer syntax {name}, which this build cannot decode; build it with the feature jpeg-ls, or convert the file to Explicit VR Little Endian"
+        ))),
         Some(_) => Err(fail(format!("is in the transfer syntax {name}, which cannot be decoded; convert it to Explicit VR Little Endian"))),
     }
 }
@@ -68,7 +90,8 @@ pub fn read(object: &Object) -> Result<Pixels> {
     let damaged = |e: String| Error::file(path, format!("its pixels cannot be read ({e}); copy or export it again"));
     let ended = || damaged("the file is damaged".into());
     let frames = object.frames.len();
-    let native_bytes = if object.format.allocated == 1 { (object.format.values() * frames).div_ceil(8) } else { object.format.frame_bytes() * frames };
+    let native_bytes =
+        if object.format.allocated == 1 { (object.format.values() * frames).div_ceil(8) } else { object.format.frame_bytes() * frames };
     if object.format.float {
         let whole = guarded(|| whole(&object.source)).ok_or_else(ended)??;
         let element = |tag: Tag| whole.get(tag).and_then(|e| e.to_bytes().ok().map(Cow::into_owned));
@@ -91,7 +114,9 @@ pub fn read(object: &Object) -> Result<Pixels> {
                 Err(_) if !fragments.is_empty() && !packed => break,
                 Err(e) => return Err(damaged(one_line(&e))),
             };
-            let here = |len: u32, at: u64| if u64::from(len) > end.saturating_sub(at) { Err(read_error(path, ErrorKind::UnexpectedEof.into())) } else { Ok(()) };
+            let here = |len: u32, at: u64| {
+                if u64::from(len) > end.saturating_sub(at) { Err(read_error(path, ErrorKind::UnexpectedEof.into())) } else { Ok(()) }
+            };
             match token {
                 LazyDataToken::PixelSequenceStart => in_pixels = true,
                 LazyDataToken::SequenceEnd if in_pixels => break,
@@ -180,6 +205,8 @@ fn frames_of(table: &[u32], fragments: Vec<Vec<u8>>, frames: usize) -> Option<Ve
 
 /// The sample type that a format's values have when they are read as stored.
 pub trait Pixel: Stored {
+    /// Whether it is of floating point.
+    const FLOAT: bool;
     /// The lowest `bits` bits of `raw` as a value, with their sign if they have one.
     fn of_bits(raw: u64, bits: u32, signed: bool) -> Self;
     /// From a floating-point sample.
@@ -190,6 +217,7 @@ macro_rules! pixel {
     ($($t:ty),*) => {$(
         #[allow(clippy::unnecessary_cast, reason = "some of the types are what is cast to")]
         impl Pixel for $t {
+            const FLOAT: bool = (0.5 as $t) as f64 == 0.5;
             #[inline(always)]
             fn of_bits(raw: u64, bits: u32, signed: bool) -> Self {
                 let shift = 64 - bits;
@@ -234,7 +262,7 @@ pub fn decode<T: Pixel>(object: &Object, pixels: &Pixels, frame: &Frame, out: &m
     let planes = format.samples > 1 && format.planar && matches!(pixels, Pixels::Native(..));
     let samples = usize::from(format.samples);
     let pixels_in_plane = out.len() / samples;
-    let plain = width == size_of::<T>() && bits as usize == 8 * width && !planes && !big && !format.float;
+    let plain = width == size_of::<T>() && bits as usize == 8 * width && !planes && !big && T::FLOAT == format.float;
     if plain && cfg!(target_endian = "little") {
         let target: &mut [u8] = bytemuck::cast_slice_mut(out);
         if target.len() != bytes.len() {
@@ -267,7 +295,7 @@ fn unpacked(object: &Object, packed: &[u8]) -> Result<Vec<u8>> {
     let format = &object.format;
     let needed = format.frame_bytes();
     let damaged = |e: String| Error::file(object.source.path(), format!("its pixels cannot be decoded ({e}); copy or export it again"));
-    if needed / MOST_RATIO > packed.len() {
+    if needed / most_ratio(&object.syntax, needed) as usize > packed.len() {
         return Err(damaged(format!("{} bytes do not make a picture of {} x {}", packed.len(), format.columns, format.rows)));
     }
     let uid = object.syntax.as_str();
@@ -324,8 +352,15 @@ fn jpeg_2000(format: &PixelFormat, packed: &[u8]) -> Result<Vec<u8>, String> {
     if (width, height) != (u32::from(format.columns), u32::from(format.rows)) {
         return Err(format!("the picture has {width} x {height} pixels instead of {} x {}", format.columns, format.rows));
     }
+    let components = packed.get(at + 40..at + 42).map(|b| u16::from_be_bytes([b[0], b[1]])).ok_or("no code stream")?;
+    if !(format.samples..=4).contains(&components) {
+        return Err(format!("the picture has {components} components instead of {}", format.samples));
+    }
     let settings = hayro_jpeg2000::DecodeSettings { resolve_palette_indices: false, ..Default::default() };
     let image = hayro_jpeg2000::Image::new(packed, &settings).map_err(|e| format!("{e:?}"))?;
+    if (image.width(), image.height()) != (width, height) {
+        return Err("its headers contradict each other".into());
+    }
     let mut context = hayro_jpeg2000::DecoderContext::default();
     let decoded = image.decode(&mut context).map_err(|e| format!("{e:?}"))?;
     let samples = usize::from(format.samples);

@@ -4,8 +4,8 @@ use super::super::guard::guarded;
 use super::super::source::{DEFLATE_LIMIT, open_file};
 use crate::volume::{Label, Rescale};
 use crate::{Error, Meter, Result, Watch};
-use dicom_core::header::HasLength;
 use dicom_core::Tag;
+use dicom_core::header::HasLength;
 use dicom_dictionary_std::tags;
 use dicom_encoding::transfer_syntax::TransferSyntaxIndex;
 use dicom_object::{DicomCollector, InMemDicomObject};
@@ -16,9 +16,10 @@ use dicom_transfer_syntax_registry::TransferSyntaxRegistry;
 use glam::DVec3;
 use rayon::prelude::*;
 use std::collections::HashSet;
+use std::fs::File;
 use std::io::{BufReader, Cursor, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use zip::ZipArchive;
 
 /// Little endian: implicit VR, explicit VR, and that deflated.
 const IMPLICIT: &str = "1.2.840.10008.1.2";
@@ -34,6 +35,8 @@ const MOST_META: u64 = 1 << 20;
 const MOST_FILES: usize = 1 << 20;
 /// Deepest folder in a folder.
 const MOST_DEPTH: usize = 32;
+/// Deepest sequence in a sequence.
+const MOST_NESTED: usize = 64;
 /// Most frames of one object.
 const MOST_FRAMES: usize = 1 << 20;
 
@@ -41,8 +44,46 @@ const MOST_FRAMES: usize = 1 << 20;
 #[derive(Clone)]
 pub enum Source {
     File(PathBuf),
-    /// A member of a zip, by its name, unpacked.
-    Member(PathBuf, Arc<Vec<u8>>),
+    /// A member of a zip: its name, which one it is, and how long it says to be.
+    Member {
+        name: PathBuf,
+        archive: ZipArchive<Again>,
+        index: usize,
+        bytes: u64,
+    },
+}
+
+/// A file that everyone who has a copy of this opens for himself, when he first reads it.
+pub struct Again {
+    path: PathBuf,
+    file: Option<BufReader<File>>,
+}
+
+impl Clone for Again {
+    fn clone(&self) -> Self {
+        Self { path: self.path.clone(), file: None }
+    }
+}
+
+impl Again {
+    fn file(&mut self) -> std::io::Result<&mut BufReader<File>> {
+        if self.file.is_none() {
+            self.file = Some(BufReader::new(File::open(&self.path)?));
+        }
+        self.file.as_mut().ok_or_else(|| std::io::ErrorKind::NotFound.into())
+    }
+}
+
+impl Read for Again {
+    fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
+        self.file()?.read(bytes)
+    }
+}
+
+impl Seek for Again {
+    fn seek(&mut self, to: SeekFrom) -> std::io::Result<u64> {
+        self.file()?.seek(to)
+    }
 }
 
 /// Something to read an object from.
@@ -54,14 +95,22 @@ impl Source {
     /// Its name for messages.
     pub fn path(&self) -> &Path {
         match self {
-            Self::File(path) | Self::Member(path, _) => path,
+            Self::File(path) | Self::Member { name: path, .. } => path,
         }
     }
 
-    fn open(&self) -> Result<Bytes> {
+    /// Its bytes from the first one on; of a member of a zip, at most so many are unpacked.
+    fn open(&self, most: u64) -> Result<Bytes> {
         let reader: Box<dyn ReadSeek> = match self {
             Self::File(path) => Box::new(open_file(path)?.0),
-            Self::Member(_, bytes) => Box::new(Cursor::new(Shared(bytes.clone()))),
+            Self::Member { name, archive, index, .. } => {
+                let damaged = |e: String| Error::file(name, format!("cannot be unpacked ({e}); copy or download the zip again"));
+                let mut archive = archive.clone();
+                let member = archive.by_index(*index).map_err(|e| damaged(e.to_string()))?;
+                let mut bytes = Vec::new();
+                member.take(most).read_to_end(&mut bytes).map_err(|e| damaged(e.to_string()))?;
+                Box::new(Cursor::new(bytes))
+            }
         };
         Ok(BufReader::with_capacity(1 << 16, reader))
     }
@@ -70,15 +119,8 @@ impl Source {
     pub fn bytes(&self) -> u64 {
         match self {
             Self::File(path) => std::fs::metadata(path).map_or(0, |m| m.len()),
-            Self::Member(_, bytes) => bytes.len() as u64,
+            Self::Member { bytes, .. } => *bytes,
         }
-    }
-}
-
-struct Shared(Arc<Vec<u8>>);
-impl AsRef<[u8]> for Shared {
-    fn as_ref(&self) -> &[u8] {
-        &self.0
     }
 }
 
@@ -118,6 +160,8 @@ pub struct Frame {
     pub number: usize,
     /// Centre of the first pixel, mm; none if the object does not say.
     pub position: Option<DVec3>,
+    /// Whether the object says where the frame lies, and how it is turned.
+    pub stated: [bool; 2],
     /// Directions in which columns and rows are counted.
     pub along: [DVec3; 2],
     /// Distance between columns and between rows, mm.
@@ -129,10 +173,20 @@ pub struct Frame {
     pub order: [f64; 5],
 }
 
+/// What the pixels of a segmentation are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum SegmentsAs {
+    /// Labels.
+    Labels,
+    /// How much of a frame's segment there is, out of a whole.
+    Shares(u16),
+}
+
 /// What an object's header says.
 pub struct Object {
     pub source: Source,
     pub syntax: String,
+    pub instance: String,
     pub series: String,
     pub series_number: Option<i64>,
     pub description: String,
@@ -143,6 +197,7 @@ pub struct Object {
     /// Distance between slices that the object states, if it does.
     pub slice_spacing: Option<f64>,
     pub segmentation: bool,
+    pub segments_as: SegmentsAs,
     pub segments: Vec<Label>,
     pub frames: Vec<Frame>,
     /// Red, green, blue tables of a palette: first value mapped, and entries.
@@ -176,8 +231,8 @@ fn bare_dataset(start: &[u8]) -> bool {
 
 /// The objects in a file, in a folder and all folders in it, or in a zip.
 pub fn scan(path: &Path, watch: &Watch) -> Result<Found> {
-    let sources = if path.is_dir() { files_in(path, watch)? } else { members(path)?.unwrap_or_else(|| vec![Source::File(path.to_owned())]) };
-    let single = sources.len() == 1;
+    let sources = if path.is_dir() { files_in(path, watch)? } else { members(path, watch)?.unwrap_or_else(|| vec![Source::File(path.to_owned())]) };
+    let single = !path.is_dir() && sources.len() == 1;
     let meter = Meter::new(watch, sources.len() as u64);
     let read: Vec<Result<Option<Object>>> = sources
         .into_par_iter()
@@ -190,8 +245,11 @@ pub fn scan(path: &Path, watch: &Watch) -> Result<Found> {
         })
         .collect();
     let mut found = Found { objects: Vec::new(), others: 0, damaged: 0, complaint: None };
+    let mut seen = HashSet::new();
     for result in read {
         match result {
+            // The same object twice, under whatever names, is one.
+            Ok(Some(object)) if !object.instance.is_empty() && !seen.insert(object.instance.clone()) => found.others += 1,
             Ok(Some(mut object)) => {
                 let index = found.objects.len();
                 object.frames.iter_mut().for_each(|f| f.object = index);
@@ -210,7 +268,7 @@ pub fn scan(path: &Path, watch: &Watch) -> Result<Found> {
 
 fn looks_like_dicom(source: &Source) -> bool {
     let mut start = Vec::new();
-    source.open().is_ok_and(|reader| reader.take(132).read_to_end(&mut start).is_ok()) && is_dicom(&start)
+    source.open(132).is_ok_and(|reader| reader.take(132).read_to_end(&mut start).is_ok()) && is_dicom(&start)
 }
 
 /// All files in a folder and its folders, each once however often links lead to it.
@@ -225,7 +283,8 @@ fn files_in(folder: &Path, watch: &Watch) -> Result<Vec<Source>> {
         if !entry.file_type().is_file() || hidden || entry.file_name() == "DICOMDIR" {
             continue;
         }
-        let own = if entry.path_is_symlink() { entry.path().canonicalize().unwrap_or_else(|_| entry.path().to_owned()) } else { entry.path().to_owned() };
+        let own =
+            if entry.path_is_symlink() { entry.path().canonicalize().unwrap_or_else(|_| entry.path().to_owned()) } else { entry.path().to_owned() };
         if seen.insert(own) {
             files.push(Source::File(entry.into_path()));
         }
@@ -236,40 +295,29 @@ fn files_in(folder: &Path, watch: &Watch) -> Result<Vec<Source>> {
     Ok(files)
 }
 
-/// The members of a zip; none if the file is no zip.
-fn members(path: &Path) -> Result<Option<Vec<Source>>> {
+/// The members of a zip; none if the file is no zip. They are unpacked one at a time, when they are read.
+fn members(path: &Path, watch: &Watch) -> Result<Option<Vec<Source>>> {
     let (mut file, length) = open_file(path)?;
     let mut magic = [0u8; 4];
     if file.read_exact(&mut magic).is_err() || &magic != b"PK\x03\x04" {
         return Ok(None);
     }
-    file.seek(SeekFrom::Start(0)).map_err(|e| Error::io(path, "reading", e))?;
     let damaged = |e: String| Error::file(path, format!("is a zip that cannot be read ({e}); copy or download it again"));
-    let mut archive = guarded(|| zip::ZipArchive::new(BufReader::new(file))).ok_or_else(|| damaged("it is damaged".into()))?.map_err(|e| damaged(e.to_string()))?;
+    let reader = Again { path: path.to_owned(), file: None };
+    let mut archive = guarded(|| ZipArchive::new(reader)).ok_or_else(|| damaged("it is damaged".into()))?.map_err(|e| damaged(e.to_string()))?;
     let mut members = Vec::new();
-    let mut unpacked = 0u64;
     for index in 0..archive.len().min(MOST_FILES) {
+        watch.check()?;
         let member = archive.by_index(index).map_err(|e| damaged(e.to_string()))?;
         let name = member.name().map_err(|e| damaged(e.to_string()))?.into_owned();
         let base = name.rsplit('/').next().unwrap_or("");
         if member.is_dir() || base.starts_with('.') || base == "DICOMDIR" {
             continue;
         }
-        let most = length.saturating_mul(DEFLATE_LIMIT).saturating_sub(unpacked);
-        let mut bytes = Vec::new();
-        let mut member = member.take(most + 1);
-        // A look at its first bytes spares unpacking what is no DICOM.
-        member.by_ref().take(132).read_to_end(&mut bytes).map_err(|e| damaged(e.to_string()))?;
-        if !is_dicom(&bytes) {
-            continue;
-        }
-        member.read_to_end(&mut bytes).map_err(|e| damaged(e.to_string()))?;
-        unpacked += bytes.len() as u64;
-        if bytes.len() as u64 > most {
-            return Err(damaged("its members are larger than it can hold".into()));
-        }
-        bytes.shrink_to_fit();
-        members.push(Source::Member(path.join(name), Arc::new(bytes)));
+        // What it says of its length is believed as far as the zip can hold it.
+        let bytes = member.size().min(length.saturating_mul(DEFLATE_LIMIT));
+        drop(member);
+        members.push(Source::Member { name: path.join(name), archive: archive.clone(), index, bytes });
     }
     Ok(Some(members))
 }
@@ -306,6 +354,7 @@ impl Opened {
 /// makes room for an element before it looks whether it is there.
 fn check_lengths(opened: Opened) -> Result<(), String> {
     let (mut tokens, end) = opened.tokens().map_err(|e| e.to_string())?;
+    let mut depth = 0;
     while let Some(token) = tokens.advance() {
         match token.map_err(|e| one_line(&e))? {
             LazyDataToken::PixelSequenceStart => return Ok(()),
@@ -321,6 +370,10 @@ fn check_lengths(opened: Opened) -> Result<(), String> {
                 decoder.skip_bytes(value).map_err(|e| one_line(&e))?;
             }
             LazyDataToken::LazyItemValue { .. } => return Err("an item lies outside of every sequence".into()),
+            // What reads it afterwards goes down by calling itself.
+            LazyDataToken::SequenceStart { .. } if depth == MOST_NESTED => return Err(format!("its sequences are more than {MOST_NESTED} deep")),
+            LazyDataToken::SequenceStart { .. } => depth += 1,
+            LazyDataToken::SequenceEnd => depth = depth.saturating_sub(1),
             _ => {}
         }
     }
@@ -333,7 +386,7 @@ pub fn open(source: &Source, most: u64) -> Result<Opened> {
     let damaged = |e: String| Error::file(path, format!("is no DICOM file that can be read ({e}); copy or export it again"));
     let io = |e: std::io::Error| Error::io(path, "reading", e);
     let mut start = Vec::new();
-    source.open()?.take(132).read_to_end(&mut start).map_err(io)?;
+    source.open(132)?.take(132).read_to_end(&mut start).map_err(io)?;
     if !is_dicom(&start) {
         return Err(Error::file(path, "is no DICOM file"));
     }
@@ -341,9 +394,9 @@ pub fn open(source: &Source, most: u64) -> Result<Opened> {
     if magic == 4 && bare_dataset(&start) {
         let explicit = start[4..6].iter().all(u8::is_ascii_uppercase);
         let syntax = if explicit { EXPLICIT } else { IMPLICIT };
-        return Ok(Opened { reader: source.open()?, dataset: syntax.to_owned(), syntax: syntax.to_owned() });
+        return Ok(Opened { reader: source.open(most)?, dataset: syntax.to_owned(), syntax: syntax.to_owned() });
     }
-    let mut reader = source.open()?;
+    let mut reader = source.open(most)?;
     reader.seek(SeekFrom::Start(magic)).map_err(io)?;
     let (syntax, length) = meta(&mut reader).ok_or_else(|| damaged("its first elements are damaged or end too early".into()))?;
     reader.seek(SeekFrom::Start(magic + length)).map_err(io)?;
@@ -478,7 +531,15 @@ fn described(source: Source, syntax: String, set: &InMemDicomObject) -> Result<O
     }
     let class = text(set, tags::SOP_CLASS_UID);
     let segmentation = SEGMENTATION.contains(&class.as_str()) || text(set, tags::MODALITY) == "SEG";
-    let frames = frames(set, &format, segmentation).map_err(fail)?;
+    // No more frames are believed than the object's bytes can make up.
+    let ratio = super::pixels::most_ratio(&syntax, format.frame_bytes());
+    let most = if ratio <= super::pixels::most_ratio(DEFLATED, 0) && allocated > 1 {
+        source.bytes().saturating_mul(ratio) / format.frame_bytes() as u64
+    } else {
+        // A packed frame has a head of eight bytes; single bits are not padded.
+        source.bytes().saturating_mul(8) / if allocated == 1 { format.values() as u64 } else { 64 }
+    };
+    let frames = frames(set, &format, segmentation, most.max(1)).map_err(fail)?;
     let padding = number(set, tags::PIXEL_PADDING_VALUE).map(|value| {
         let limit = number(set, tags::PIXEL_PADDING_RANGE_LIMIT).unwrap_or(value);
         // The value's own representation may have been read as the other one.
@@ -490,6 +551,13 @@ fn described(source: Source, syntax: String, set: &InMemDicomObject) -> Result<O
     let measures = shared.and_then(|s| item(s, tags::PIXEL_MEASURES_SEQUENCE)).unwrap_or(set);
     let slice_spacing = number(measures, tags::SPACING_BETWEEN_SLICES).or_else(|| number(measures, tags::SLICE_THICKNESS));
     Ok(Some(Object {
+        instance: text(set, tags::SOP_INSTANCE_UID),
+        segments_as: match text(set, tags::SEGMENTATION_TYPE).as_str() {
+            "LABELMAP" => SegmentsAs::Labels,
+            _ if class == SEGMENTATION[1] => SegmentsAs::Labels,
+            "FRACTIONAL" => SegmentsAs::Shares(whole(tags::MAXIMUM_FRACTIONAL_VALUE).unwrap_or(255)),
+            _ => SegmentsAs::Shares(1),
+        },
         series: text(set, tags::SERIES_INSTANCE_UID),
         series_number: number(set, tags::SERIES_NUMBER).map(|n| n as i64),
         description: text(set, tags::SERIES_DESCRIPTION),
@@ -508,15 +576,17 @@ fn described(source: Source, syntax: String, set: &InMemDicomObject) -> Result<O
 }
 
 /// Planes of an object, with the geometry that holds for each.
-fn frames(set: &InMemDicomObject, format: &PixelFormat, segmentation: bool) -> Result<Vec<Frame>, String> {
+fn frames(set: &InMemDicomObject, format: &PixelFormat, segmentation: bool, most: u64) -> Result<Vec<Frame>, String> {
     let count = number(set, tags::NUMBER_OF_FRAMES).unwrap_or(1.0);
-    if !(1.0..=MOST_FRAMES as f64).contains(&count) {
-        return Err(format!("declares {count} frames; its header is damaged"));
+    if !(1.0..=(MOST_FRAMES as u64).min(most) as f64).contains(&count) {
+        return Err(format!("declares {count} frames, which it cannot hold: it is truncated or its header is damaged; copy or export it again"));
     }
     let count = count as usize;
     let shared = item(set, tags::SHARED_FUNCTIONAL_GROUPS_SEQUENCE);
     let per_frame = set.get(tags::PER_FRAME_FUNCTIONAL_GROUPS_SEQUENCE).and_then(|e| e.items()).unwrap_or(&[]);
-    let slice_spacing = number(set, tags::SPACING_BETWEEN_SLICES).or_else(|| number(set, tags::SLICE_THICKNESS)).map_or(1.0, f64::abs);
+    // Where frames follow each other its sign says which way (PS3.3 C.8.4.15).
+    let slice_spacing =
+        [tags::SPACING_BETWEEN_SLICES, tags::SLICE_THICKNESS].into_iter().filter_map(|t| number(set, t)).find(|s| *s != 0.0).unwrap_or(1.0);
     let detector = item(set, tags::DETECTOR_INFORMATION_SEQUENCE);
     let mut frames = Vec::with_capacity(count.min(4096));
     for n in 0..count {
@@ -538,6 +608,7 @@ fn frames(set: &InMemDicomObject, format: &PixelFormat, segmentation: bool) -> R
             .or(detector)
             .and_then(|s| vector::<3>(s, tags::IMAGE_POSITION_PATIENT))
             .map(DVec3::from_array);
+        let stated = [position.is_some(), orientation.is_some()];
         if count > 1 && own.is_none() {
             // Frames without places of their own follow each other.
             position = Some(position.unwrap_or(DVec3::ZERO) + along.cross(down).normalize_or_zero() * (slice_spacing * n as f64));
@@ -568,6 +639,7 @@ fn frames(set: &InMemDicomObject, format: &PixelFormat, segmentation: bool) -> R
             object: 0,
             number: n,
             position,
+            stated,
             along: [along, down],
             // Stated as between rows, then between columns.
             spacing: spacing.map_or([0.0; 2], |[rows, columns]| [columns, rows]),
