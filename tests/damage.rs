@@ -143,6 +143,16 @@ impl Random {
     }
 }
 
+/// Files in folders of OME-Zarr.
+const FOLDERS: [&str; 6] = [
+    "blosc-04.zarr#.zattrs",
+    "blosc-04.zarr#0/.zarray",
+    "blosc-04.zarr#0/0.0.0.0.0",
+    "zstd-05.zarr#0/zarr.json",
+    "zstd-05.zarr#zarr.json",
+    "sharded-05.zarr#0/c/0/0/0/0/0",
+];
+
 /// One file of each format and packing.
 const SEEDS: [&str; 29] = [
     "itk.nii",
@@ -236,6 +246,18 @@ fn mutate(bytes: &mut Vec<u8>, header: usize, random: &mut Random) {
     }
 }
 
+fn copy_folder(from: &Path, to: &Path) {
+    std::fs::create_dir_all(to).unwrap();
+    for entry in std::fs::read_dir(from).unwrap().flatten() {
+        let to = to.join(entry.file_name());
+        if entry.path().is_dir() {
+            copy_folder(&entry.path(), &to);
+        } else {
+            std::fs::copy(entry.path(), to).unwrap();
+        }
+    }
+}
+
 /// Resident memory of this process, bytes.
 fn resident() -> usize {
     let text = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
@@ -253,10 +275,16 @@ pub fn mutated_files_do_no_harm() {
     let folder = if memory.is_dir() { tempfile::tempdir_in(memory) } else { tempfile::tempdir() }.unwrap();
     let keep = variable("INCISE_FUZZ_KEEP").map(PathBuf::from);
     let (mut total, mut opened, mut bad) = (0usize, 0usize, Vec::new());
-    for name in SEEDS.iter().filter(|n| n.contains(&only)) {
-        let whole = std::fs::read(fixtures().join("phantom").join(name)).unwrap();
-        let file_name = Path::new(name).file_name().unwrap().to_string_lossy().into_owned();
-        let target = folder.path().join(&file_name);
+    for name in SEEDS.iter().chain(&FOLDERS).filter(|n| n.contains(&only)) {
+        // Of a folder, the file behind its `#` is changed.
+        let (image, part) = name.split_once('#').unwrap_or((name, ""));
+        let file_name = Path::new(image).file_name().unwrap().to_string_lossy().into_owned();
+        let opened_path = folder.path().join(&file_name);
+        if !part.is_empty() {
+            copy_folder(&fixtures().join("phantom").join(image), &opened_path);
+        }
+        let target = if part.is_empty() { opened_path.clone() } else { opened_path.join(part) };
+        let whole = std::fs::read(if part.is_empty() { fixtures().join("phantom").join(image) } else { target.clone() }).unwrap();
         let mut random = Random(0x9e37_79b9_7f4a_7c15 ^ seed.wrapping_mul(0x1000_0001) ^ whole.len() as u64);
         let (mut worst, start) = (Duration::ZERO, Instant::now());
         for n in 0..cases {
@@ -265,7 +293,7 @@ pub fn mutated_files_do_no_harm() {
             mutate(&mut bytes, if name.ends_with(".dcm") { 8192 } else { 1200 }, &mut random);
             std::fs::write(&target, &bytes).unwrap();
             let (before, from) = (resident(), Instant::now());
-            let result = std::panic::catch_unwind(|| read(&target, &Choice::default()).map(|v| v.voxels.len()));
+            let result = std::panic::catch_unwind(|| read(&opened_path, &Choice::default()).map(|v| v.voxels.len()));
             let (took, grown) = (from.elapsed(), resident().saturating_sub(before));
             worst = worst.max(took);
             opened += usize::from(matches!(result, Ok(Ok(_))));
@@ -288,7 +316,7 @@ pub fn mutated_files_do_no_harm() {
             total += 1;
         }
         println!("{name}: {cases} cases in {:.1} s, the longest {worst:?}", start.elapsed().as_secs_f64());
-        std::fs::remove_file(&target).unwrap();
+        if part.is_empty() { std::fs::remove_file(&target).unwrap() } else { std::fs::remove_dir_all(&opened_path).unwrap() }
     }
     println!("{total} mutated files, {opened} still open, {} do harm", bad.len());
     assert!(bad.is_empty(), "{bad:#?}");

@@ -303,7 +303,7 @@ pub fn orientations_are_one_world() {
 mod dicom {
     //! A series written slice by slice, in no order.
     use super::*;
-    use dicom_core::value::PrimitiveValue;
+    use dicom_core::value::{DataSetSequence, PrimitiveValue};
     use dicom_core::{DataElement, Tag, VR};
     use dicom_dictionary_std::tags;
     use dicom_object::{FileMetaTableBuilder, InMemDicomObject};
@@ -321,7 +321,14 @@ mod dicom {
             let text = |tag: Tag, vr: VR, value: &str| DataElement::new(tag, vr, PrimitiveValue::from(value));
             let short = |tag: Tag, value: u16| DataElement::new(tag, VR::US, PrimitiveValue::from(value));
             let plane = &values[k * nx * ny..(k + 1) * nx * ny];
+            // An icon has pixels of its own, before those of the picture.
+            let icon = InMemDicomObject::from_element_iter([
+                short(tags::ROWS, 1),
+                short(tags::COLUMNS, 2),
+                DataElement::new(tags::PIXEL_DATA, VR::OB, PrimitiveValue::U8(vec![7u8, 9].into())),
+            ]);
             let set = InMemDicomObject::from_element_iter([
+                DataElement::new(tags::ICON_IMAGE_SEQUENCE, VR::SQ, DataSetSequence::from(vec![icon])),
                 text(tags::SOP_CLASS_UID, VR::UI, "1.2.840.10008.5.1.4.1.1.2"),
                 text(tags::SOP_INSTANCE_UID, VR::UI, &format!("1.2.3.{k}")),
                 text(tags::MODALITY, VR::CS, "CT"),

@@ -107,6 +107,7 @@ pub fn read(object: &Object) -> Result<Pixels> {
         let opened = open(&object.source, (native_bytes as u64).saturating_add(64 << 20))?;
         let (mut tokens, end) = opened.tokens().map_err(|e| damaged(e.to_string()))?;
         let (mut table, mut fragments, mut in_pixels) = (None, Vec::new(), false);
+        let mut depth = 0usize;
         while let Some(token) = tokens.advance() {
             // What lies behind the pixels may be cut off.
             let token = match token {
@@ -118,12 +119,15 @@ pub fn read(object: &Object) -> Result<Pixels> {
                 if u64::from(len) > end.saturating_sub(at) { Err(read_error(path, ErrorKind::UnexpectedEof.into())) } else { Ok(()) }
             };
             match token {
-                LazyDataToken::PixelSequenceStart => in_pixels = true,
+                // Pixels in a sequence are those of an icon.
+                LazyDataToken::PixelSequenceStart if depth == 0 => in_pixels = true,
+                LazyDataToken::SequenceStart { .. } | LazyDataToken::PixelSequenceStart => depth += 1,
                 LazyDataToken::SequenceEnd if in_pixels => break,
+                LazyDataToken::SequenceEnd => depth = depth.saturating_sub(1),
                 LazyDataToken::LazyValue { header, decoder } => {
                     let len = header.length().0;
                     here(len, decoder.position())?;
-                    if header.tag == tags::PIXEL_DATA {
+                    if header.tag == tags::PIXEL_DATA && depth == 0 {
                         let mut bytes = Vec::new();
                         decoder.read_to_vec(len, &mut bytes).map_err(|e| damaged(one_line(&e)))?;
                         fragments.push(bytes);
@@ -133,6 +137,10 @@ pub fn read(object: &Object) -> Result<Pixels> {
                 }
                 LazyDataToken::LazyItemValue { len, decoder } => {
                     here(len, decoder.position())?;
+                    if !in_pixels {
+                        decoder.skip_bytes(len).map_err(|e| damaged(one_line(&e)))?;
+                        continue;
+                    }
                     let mut bytes = Vec::new();
                     decoder.read_to_vec(len, &mut bytes).map_err(|e| damaged(one_line(&e)))?;
                     match table {

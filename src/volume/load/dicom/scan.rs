@@ -350,6 +350,14 @@ impl Opened {
     }
 }
 
+/// Passes over a value, if it is all there.
+fn pass(decoder: &mut DynStatefulDecoder<Bytes>, length: u32, end: u64) -> Result<(), String> {
+    if u64::from(length) > end.saturating_sub(decoder.position()) {
+        return Err(format!("an element of {length} bytes goes beyond its end"));
+    }
+    decoder.skip_bytes(length).map_err(|e| one_line(&e))
+}
+
 /// Goes through a header without keeping anything, to see that no element is longer than what is left of its object: what reads it afterwards
 /// makes room for an element before it looks whether it is there.
 fn check_lengths(opened: Opened) -> Result<(), String> {
@@ -357,22 +365,16 @@ fn check_lengths(opened: Opened) -> Result<(), String> {
     let mut depth = 0;
     while let Some(token) = tokens.advance() {
         match token.map_err(|e| one_line(&e))? {
-            LazyDataToken::PixelSequenceStart => return Ok(()),
-            LazyDataToken::LazyValue { header, decoder } => {
-                let value = header.length().0;
-                if u64::from(value) > end.saturating_sub(decoder.position()) {
-                    // Pixels that are cut off are another matter, and are told of later.
-                    return if header.tag == tags::PIXEL_DATA { Ok(()) } else { Err(format!("an element of {value} bytes goes beyond its end")) };
-                }
-                if header.tag == tags::PIXEL_DATA {
-                    return Ok(());
-                }
-                decoder.skip_bytes(value).map_err(|e| one_line(&e))?;
-            }
-            LazyDataToken::LazyItemValue { .. } => return Err("an item lies outside of every sequence".into()),
+            // Pixels in a sequence are those of an icon.
+            LazyDataToken::PixelSequenceStart if depth == 0 => return Ok(()),
+            LazyDataToken::LazyValue { header, .. } if header.tag == tags::PIXEL_DATA && depth == 0 => return Ok(()),
+            LazyDataToken::LazyValue { header, decoder } => pass(decoder, header.length().0, end)?,
+            LazyDataToken::LazyItemValue { len, decoder } => pass(decoder, len, end)?,
             // What reads it afterwards goes down by calling itself.
-            LazyDataToken::SequenceStart { .. } if depth == MOST_NESTED => return Err(format!("its sequences are more than {MOST_NESTED} deep")),
-            LazyDataToken::SequenceStart { .. } => depth += 1,
+            LazyDataToken::SequenceStart { .. } | LazyDataToken::PixelSequenceStart if depth == MOST_NESTED => {
+                return Err(format!("its sequences are more than {MOST_NESTED} deep"));
+            }
+            LazyDataToken::SequenceStart { .. } | LazyDataToken::PixelSequenceStart => depth += 1,
             LazyDataToken::SequenceEnd => depth = depth.saturating_sub(1),
             _ => {}
         }
