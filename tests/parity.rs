@@ -284,7 +284,7 @@ fn own_colors_agree() {
     let count = phantom.voxels.len();
     let color = |n: usize| [(n % 48 * 5) as u8, (n / 48 % 48 * 5) as u8, 255 - (n / 2304 * 5) as u8];
     let rgb: Vec<u8> = (0..count).flat_map(color).collect();
-    let weight = |n: usize| if n % 5 == 0 { 0 } else { 200u8 };
+    let weight = |n: usize| if n.is_multiple_of(5) { 0 } else { 200u8 };
     let premultiplied = |n: usize| color(n).map(|c| (u32::from(c) * u32::from(weight(n)) / 255) as u8);
     let rgba: Vec<u8> = (0..count).flat_map(|n| [premultiplied(n)[0], premultiplied(n)[1], premultiplied(n)[2], weight(n)]).collect();
     for (name, colors) in [("RGB", Colors::rgb(rgb)), ("RGBA", Colors::Rgba(rgba.into()))] {

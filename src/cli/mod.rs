@@ -37,7 +37,7 @@ enum Command {
     /// Write the signed distance field of a mesh.
     Sdf(sdf::Arguments),
     /// Say what a file holds.
-    Info(info::Arguments),
+    Info(Box<info::Arguments>),
     /// Print the JSON schema of scene files.
     Schema,
     /// List presets, kinds of deformation with their parameters, and phantoms.

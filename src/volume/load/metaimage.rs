@@ -6,7 +6,7 @@
 use super::Choice;
 use super::image::{Image, ScalarType};
 use super::nrrd::{last_bytes, numbered};
-use super::source::{Chain, DEFLATE_LIMIT, Source, beside, buffered, check_held, count, open_file, read_error, skip, usable};
+use super::source::{Chain, DEFLATE_LIMIT, OpenPiece, Source, beside, buffered, check_held, count, open_file, read_error, skip, usable};
 use crate::{Error, Result, Watch};
 use flate2::read::ZlibDecoder;
 use glam::{DAffine3, DMat3, DVec3};
@@ -89,7 +89,7 @@ pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
             most = most.saturating_add(open_file(file)?.1);
         }
         check_held(path, ahead.saturating_add(bytes), most.saturating_mul(if compressed { DEFLATE_LIMIT } else { 1 }))?;
-        let open: fn(&Path, u64) -> Result<Box<dyn Read + Send>> = match (compressed, header_size) {
+        let open: OpenPiece = match (compressed, header_size) {
             (true, _) => |p, _| Ok(Box::new(ZlibDecoder::new(buffered(p)?.0))),
             (false, -1) => last_bytes,
             _ => |p, _| Ok(Box::new(buffered(p)?.0)),

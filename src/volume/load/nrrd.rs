@@ -9,7 +9,9 @@ use super::super::Voxels;
 use super::super::colors::Label;
 use super::Choice;
 use super::image::{Image, Layout, Meaning, ScalarType};
-use super::source::{BZIP2_LIMIT, Chain, DEFLATE_LIMIT, Source, beside, buffered, check_end, check_held, count, open_file, read_error, skip, usable};
+use super::source::{
+    BZIP2_LIMIT, Chain, DEFLATE_LIMIT, OpenPiece, Source, beside, buffered, check_end, check_held, count, open_file, read_error, skip, usable,
+};
 use crate::{Error, Result, Watch};
 use bzip2::read::MultiBzDecoder;
 use flate2::read::MultiGzDecoder;
@@ -196,7 +198,7 @@ impl Data<'_> {
         for file in &files {
             most = most.saturating_add(open_file(file)?.1);
         }
-        let (open, limit): (fn(&Path, u64) -> Result<Box<dyn Read + Send>>, u64) = match (self.encoding, self.byte_skip) {
+        let (open, limit): (OpenPiece, u64) = match (self.encoding, self.byte_skip) {
             (Encoding::Gzip, _) => (|p, _| Ok(Box::new(MultiGzDecoder::new(buffered(p)?.0))), DEFLATE_LIMIT),
             (Encoding::Bzip2, _) => (|p, _| Ok(Box::new(MultiBzDecoder::new(buffered(p)?.0))), BZIP2_LIMIT),
             (_, -1) => (last_bytes, 1),
@@ -419,15 +421,14 @@ fn scalar_type(name: &str) -> Option<ScalarType> {
 
 /// Which axis is what: by kinds, by directions that are none, else the first three are spatial.
 fn axes(fields: &HashMap<String, String>, sizes: Vec<usize>) -> Result<Axes, String> {
-    let n = sizes.len();
     let kinds: Vec<String> = fields.get("kinds").map_or(Vec::new(), |k| k.split_whitespace().map(str::to_ascii_lowercase).collect());
     let directions = fields.get("space directions").map_or(Vec::new(), |d| words(d));
     let map = fields.contains_key(MAP_KEY);
     let (mut components, mut time, mut spatial) = (None, None, Vec::new());
-    for axis in 0..n {
+    for (axis, &size) in sizes.iter().enumerate() {
         let kind = kinds.get(axis).map_or("???", String::as_str);
         let none = directions.get(axis).is_some_and(|d| d == "none");
-        let is_time = kind == "time" || (kind == "list" && !map && sizes[axis] > 4);
+        let is_time = kind == "time" || (kind == "list" && !map && size > 4);
         if is_time && time.is_none() {
             time = Some(axis);
         } else if (none || !matches!(kind, "domain" | "space" | "???" | "none")) && !is_time {

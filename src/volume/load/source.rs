@@ -236,17 +236,20 @@ pub(super) fn beside(path: &Path, name: &str) -> PathBuf {
     path.parent().unwrap_or(Path::new("")).join(name.trim())
 }
 
+/// Opens a file that is to hold so many bytes.
+pub(super) type OpenPiece = fn(&Path, u64) -> Result<Box<dyn Read + Send>>;
+
 /// Bytes of several files, one after the other: of each what remains behind its header, unpacked, and no more than a piece.
 pub(super) struct Chain {
     files: std::vec::IntoIter<PathBuf>,
-    open: fn(&Path, u64) -> Result<Box<dyn Read + Send>>,
+    open: OpenPiece,
     piece: u64,
     current: Option<std::io::Take<Box<dyn Read + Send>>>,
 }
 
 impl Chain {
     /// `open` is given a file and the bytes that it is to hold.
-    pub fn new(files: Vec<PathBuf>, piece: u64, open: fn(&Path, u64) -> Result<Box<dyn Read + Send>>) -> Self {
+    pub fn new(files: Vec<PathBuf>, piece: u64, open: OpenPiece) -> Self {
         Self { files: files.into_iter(), open, piece, current: None }
     }
 }
