@@ -107,10 +107,10 @@ fn read_unguarded(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> 
     }
     // One channel is read alone where one is asked for.
     let one = Choice::index("channel", choice.channel, channels)?;
-    let chosen: Vec<usize> = one.map_or_else(|| (0..channels).collect(), |c| vec![c]);
-    if chosen.len() > 4 {
+    if one.is_none() && channels > 4 {
         return Err(fail(format!("holds {channels} channels, which cannot be shown together; choose one with --channel 1 to {channels}")));
     }
+    let chosen: Vec<usize> = one.map_or_else(|| (0..channels).collect(), |c| vec![c]);
     let size = [extent(Some(x)), extent(Some(y)), extent(z)];
     let total = count(path, &[size[0], size[1], size[2], chosen.len()], layout.scalar)?;
     layout.check(path, &array_folder, (total * layout.scalar.bytes()) as u64)?;
