@@ -21,6 +21,8 @@ use zarrs::filesystem::FilesystemStore;
 /// The most that chunks can have been packed by, and what is believed of any array whose chunks were left out as empty.
 const MOST_RATIO: u64 = 5000;
 const ALWAYS_BELIEVED: u64 = 64 << 20;
+/// Chunks that may be left out as empty.
+const MOST_MISSING: u64 = 100_000;
 /// Largest metadata file that is read.
 const MOST_METADATA: u64 = 16 << 20;
 
@@ -232,8 +234,17 @@ impl ArrayLayout {
 
     /// Refuses arrays and chunks that are far larger than what is there.
     fn check(&self, path: &Path, folder: &Path, bytes: u64) -> Result<()> {
-        let there: u64 =
-            walkdir::WalkDir::new(folder).into_iter().flatten().filter_map(|e| e.metadata().ok()).filter(|m| m.is_file()).map(|m| m.len()).sum();
+        let (there, files) = walkdir::WalkDir::new(folder)
+            .into_iter()
+            .flatten()
+            .filter_map(|e| e.metadata().ok())
+            .filter(|m| m.is_file())
+            .fold((0u64, 0u64), |(bytes, files), m| (bytes + m.len(), files + 1));
+        // Each chunk is looked for, whether it is there or not.
+        let chunks = self.shape.iter().zip(&self.chunks).try_fold(1u64, |n, (s, c)| n.checked_mul(s.div_ceil(*c)));
+        if chunks.is_none_or(|n| n > MOST_MISSING.saturating_add(files.saturating_mul(64))) {
+            return Err(Error::file(path, format!("declares far more chunks than the {files} files in it: its metadata are damaged; copy it again")));
+        }
         let most = there.saturating_mul(MOST_RATIO).max(ALWAYS_BELIEVED);
         let chunk = self.chunks.iter().try_fold(self.scalar.bytes() as u64, |n, &c| n.checked_mul(c));
         super::source::check_held(path, bytes.max(chunk.unwrap_or(u64::MAX)), most)
