@@ -1,13 +1,12 @@
 //! Values as people type them.
 
 use crate::deform::{Argument, Storage};
-use crate::mesh;
 use crate::scene::deformations::FILE_KINDS;
 use crate::scene::{Deformation, Scene, Size};
 use crate::volume::load::{self, Choice, RawLayout};
 use crate::{Error, Result};
 use clap::Args;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Options that say which part of a volume's file is meant.
 #[derive(Args, Clone, Debug)]
@@ -76,31 +75,9 @@ fn spacing(text: &str) -> Result<[f64; 3], String> {
     }
 }
 
-/// The scene that an input names: a scene file, or a volume or mesh with all defaults.
-///
-/// # Errors
-/// A scene that cannot be read.
-pub fn scene_of(input: &Path) -> Result<Scene> {
-    let text = input.to_str().ok_or_else(|| Error::file(input, "has a name that is not valid Unicode; rename it"))?;
-    match input.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
-        Some("toml") => Scene::load(input),
-        _ if mesh::load::is_mesh(input) => Ok(Scene::of_mesh(text)),
-        _ => Ok(Scene::of_volume(text)),
-    }
-}
-
 /// Whether two paths name one file.
 pub fn same_file(a: &Path, b: &Path) -> bool {
     a == b || matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
-}
-
-/// Files that a scene reads: its volume, its meshes and what its deformations name.
-pub fn read_by(scene: &Scene) -> Vec<PathBuf> {
-    const NAMES: [&str; 10] = ["path", "moving", "reference", "labels", "mask", "pairs", "from", "to", "offsets", "points"];
-    let named = scene.deformation.iter().flat_map(|d| NAMES.iter().flat_map(|n| d.parameters.texts(n).ok().flatten().unwrap_or_default()));
-    let holder = scene.volume.iter().flat_map(|v| &v.inside).map(|i| &i.path);
-    let meshes = scene.mesh.iter().flat_map(|m| m.path.iter().chain(&m.volume)).chain(holder).map(|p| scene.folder.join(p));
-    scene.volume_path().into_iter().chain(meshes).chain(named.map(|p| scene.folder.join(p))).collect()
 }
 
 /// Nothing is ever written to a file that is read.

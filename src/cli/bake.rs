@@ -63,12 +63,12 @@ pub(super) fn exact_stack(scene: &Scene, assets: &Assets, exact_cuts: bool) -> R
 /// Bakes and writes.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let format = Format::of(&arguments.output)?;
-    let mut scene = arguments::scene_of(&arguments.input)?;
+    let mut scene = Scene::of_input(&arguments.input)?;
     arguments.volume.apply(&mut scene)?;
     for text in &arguments.deform {
         scene.deformation.push(arguments::deformation(text)?);
     }
-    let read = arguments::read_by(&scene);
+    let read = scene.files();
     arguments::protect("--output", &arguments.output, read.iter().map(PathBuf::as_path).chain([arguments.input.as_path()]))?;
     if arguments.fill.is_some_and(|f| !f.is_finite()) {
         return Err(Error::value("--fill", "must be a finite number"));

@@ -3,11 +3,9 @@
 use super::progress::Progress;
 use crate::deform::kinds::{self, Kind, Unit};
 use crate::export::{Output, png};
-use crate::math::Bounds;
-use crate::scene::{Assets, Deformation, Prepared, Scene, Size};
+use crate::scene::{Assets, Prepared, Scene, example};
 use crate::{Error, Result, cpu};
 use clap::Args;
-use glam::Vec3;
 use std::path::PathBuf;
 
 /// Options as typed.
@@ -28,57 +26,6 @@ pub struct Arguments {
     /// No progress.
     #[arg(short, long)]
     quiet: bool,
-}
-
-/// Where a kind shows best: centre and size in shares of the volume's extent from its middle; rotation in degrees.
-type Place = ([f32; 3], [f32; 3], [f32; 3]);
-
-/// On top, somewhat to the front and left, where the camera looks.
-const ON_TOP: Place = ([0.05, -0.05, 0.38], [0.75, 0.6, 0.5], [0.0, 0.0, 0.0]);
-const CORNER: Place = ([0.25, -0.28, 0.28], [0.5, 0.5, 0.5], [0.0, 0.0, 0.0]);
-
-fn place(kind: &str) -> Option<Place> {
-    Some(match kind {
-        "pull" | "spline-pull" => ([0.0, 0.0, 0.25], [0.7, 0.7, 0.7], [0.0; 3]),
-        "peel" => ON_TOP,
-        "knife" | "retractor" => ([0.12, -0.12, 0.18], [0.75, 0.6, 0.5], [10.0, 20.0, 30.0]),
-        "seam" => ([0.0, 0.0, 0.12], [1.2, 0.8, 0.8], [0.0, 0.0, 30.0]),
-        "bulge" => CORNER,
-        "box" | "sphere" | "view-sphere" => CORNER,
-        "cylinder" => ([0.2, -0.2, 0.1], [0.4, 0.4, 1.2], [0.0; 3]),
-        "wedge" => ([0.0, 0.0, 0.3], [1.3, 1.3, 0.8], [0.0, 0.0, -55.0]),
-        "elastic" => ([0.1, -0.1, 0.2], [0.8, 0.8, 0.8], [0.0; 3]),
-        "lattice" => ([0.0, 0.0, 0.25], [1.1, 1.1, 1.1], [0.0; 3]),
-        "strip" => ([0.2, -0.2, 0.25], [0.8, 0.8, 0.7], [0.0; 3]),
-        _ => return None,
-    })
-}
-
-/// The scene that shows a kind: its defaults, at full strength, where the camera sees it.
-fn scene_of(kind: &Kind, volume: &str, edge: u32, assets: &Assets) -> Scene {
-    let mut scene = Scene::of_volume(volume);
-    scene.render.size = [edge, edge];
-    scene.camera.view = crate::scene::View { azimuth_deg: 35.0, elevation_deg: 30.0 };
-    let mut deformation = Deformation::new(kind.name);
-    let bounds = assets.volume.bounds_in_world();
-    let (mut center, mut size) = (bounds.center(), kind.default_size(&bounds));
-    if let Some((at, extent, rotate)) = place(kind.name) {
-        center += bounds.size() * Vec3::from(at);
-        size = bounds.size() * Vec3::from(extent);
-        deformation.center = Some(center.into());
-        deformation.size = Some(Size::Box(size.into()));
-        deformation.rotate = Some(rotate);
-    }
-    deformation.parameters = kind.example(&Bounds::new(center - size / 2.0, center + size / 2.0));
-    scene.deformation.push(deformation);
-    if kind.name == "lift" {
-        // What is lifted off hides what it was lifted from.
-        let mut wedge = Deformation::new("wedge");
-        wedge.size = Some(Size::Box((bounds.size() * 2.0).into()));
-        wedge.rotate = Some([0.0, 0.0, -55.0]);
-        scene.deformation.push(wedge);
-    }
-    scene
 }
 
 /// Renders all.
@@ -105,7 +52,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         let mut cells = String::new();
         for (m, (label, path)) in volumes.iter().enumerate() {
             bar.set("rendering", (n * volumes.len() + m) as f32 / all as f32);
-            let scene = scene_of(kind, path, arguments.edge, &assets[m]);
+            let scene = example::of_kind(kind, path, arguments.edge, &assets[m].volume.bounds_in_world());
             let picture = Prepared::new(&scene, &assets[m]).map(|p| cpu::render(&p, &|_| ()).picture);
             match picture {
                 Ok(picture) => {

@@ -103,11 +103,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let is_kind = !input.exists() && (crate::deform::kinds::kind(name).is_ok() || FILE_KINDS.iter().any(|k| k.name == name));
     let placed = if is_kind {
         let mut scene = match &arguments.volume {
-            Some(v) => arguments::scene_of(v)?,
+            Some(v) => Scene::of_input(v)?,
             None => Scene::of_volume("phantom:ball:size=8"),
         };
         scene.deformation = vec![arguments::deformation(what)?];
-        arguments::protect("--output", path, arguments::read_by(&scene).iter().map(PathBuf::as_path))?;
+        arguments::protect("--output", path, scene.files().iter().map(PathBuf::as_path))?;
         if scene.deformation[0].resolution.is_none() && arguments.resolution.is_some() {
             scene.deformation[0].resolution = arguments.resolution;
         }

@@ -133,7 +133,7 @@ pub struct Arguments {
 impl Arguments {
     /// The scene that the input names, with the options laid over it.
     fn scene(&self) -> Result<Scene> {
-        let mut scene = arguments::scene_of(&self.input)?;
+        let mut scene = Scene::of_input(&self.input)?;
         self.volume.apply(&mut scene)?;
         let render = &mut scene.render;
         match self.mode {
@@ -253,7 +253,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 
 /// Nothing is ever written to a file that is read, nor two things to one file.
 fn protect_inputs(arguments: &Arguments, scene: &Scene) -> Result<()> {
-    let read = arguments::read_by(scene);
+    let read = scene.files();
     let written = [Some(("--output", &arguments.output)), arguments.stats.as_ref().map(|s| ("--stats", s))];
     for (option, path) in written.into_iter().flatten() {
         arguments::protect(option, path, read.iter().map(PathBuf::as_path).chain([arguments.input.as_path()]))?;

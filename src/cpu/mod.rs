@@ -11,6 +11,8 @@
 //!
 //! `shaders/raycast.wgsl` and `shaders/lib` say the same in the same words.
 
+pub mod pick;
+pub mod section;
 pub mod shading;
 pub mod surface;
 
@@ -20,6 +22,7 @@ use crate::transfer::Blend;
 use crate::volume::{GridVoxels, Sampler, Voxel};
 use glam::Vec3;
 use rayon::prelude::*;
+use crate::{Result, Watch};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// A ray whose remaining transmittance is below this is finished: less than half an 8-bit step can follow.
@@ -27,17 +30,32 @@ const OPAQUE: f32 = 1.0 / 512.0;
 
 /// Renders a prepared scene. `progress` is told the share that is done, from several threads.
 pub fn render(scene: &Prepared, progress: &(dyn Fn(f32) + Sync)) -> Rendered {
+    render_rows(scene, &Watch::telling(progress))
+}
+
+/// As [`render`], until it is told to stop, which it does within a row.
+///
+/// # Errors
+/// [`Error::Cancelled`](crate::Error::Cancelled).
+pub fn render_until(scene: &Prepared, watch: &Watch) -> Result<Rendered> {
+    let rendered = render_rows(scene, watch);
+    watch.check()?;
+    Ok(rendered)
+}
+
+/// Rows after a stop stay empty.
+fn render_rows(scene: &Prepared, watch: &Watch) -> Rendered {
     let mut stages = Stages::default();
     let (picture, stats) = stages.time("render", || match &scene.grid.voxels {
-        GridVoxels::U8(v) => rows(scene, &Sampler::new(scene.grid, v), progress),
-        GridVoxels::U16(v) => rows(scene, &Sampler::new(scene.grid, v), progress),
-        GridVoxels::I16(v) => rows(scene, &Sampler::new(scene.grid, v), progress),
-        GridVoxels::F32(v) => rows(scene, &Sampler::new(scene.grid, v), progress),
+        GridVoxels::U8(v) => rows(scene, &Sampler::new(scene.grid, v), watch),
+        GridVoxels::U16(v) => rows(scene, &Sampler::new(scene.grid, v), watch),
+        GridVoxels::I16(v) => rows(scene, &Sampler::new(scene.grid, v), watch),
+        GridVoxels::F32(v) => rows(scene, &Sampler::new(scene.grid, v), watch),
     });
     Rendered { picture: picture.reduced(scene.settings.antialias), stats: Some(stats), stages, notices: Vec::new() }
 }
 
-fn rows<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, progress: &(dyn Fn(f32) + Sync)) -> (Picture, RenderStats) {
+fn rows<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, watch: &Watch) -> (Picture, RenderStats) {
     let [width, height] = scene.frame.size;
     let mut pixels = vec![[0.0f32; 4]; width as usize * height as usize];
     let done = AtomicUsize::new(0);
@@ -46,6 +64,9 @@ fn rows<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, progress: &(dyn Fn(f32
         .enumerate()
         .map(|(y, row)| {
             let mut stats = RenderStats::default();
+            if watch.stopped() {
+                return stats;
+            }
             for (x, pixel) in row.iter_mut().enumerate() {
                 let u = (x as f32 + 0.5) / width as f32 * 2.0 - 1.0;
                 let v = 1.0 - (y as f32 + 0.5) / height as f32 * 2.0;
@@ -58,7 +79,7 @@ fn rows<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, progress: &(dyn Fn(f32
                     *pixel = (Vec3::new(r, g, b) + hit.color * (1.0 - a)).extend(1.0).to_array();
                 }
             }
-            progress((done.fetch_add(1, Ordering::Relaxed) + 1) as f32 / height as f32);
+            (watch.progress)((done.fetch_add(1, Ordering::Relaxed) + 1) as f32 / height as f32);
             stats
         })
         .reduce(RenderStats::default, |a, b| RenderStats {

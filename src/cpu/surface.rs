@@ -81,6 +81,35 @@ pub fn nearest(scene: &Prepared, origin: Vec3, direction: Vec3, samples: &mut u6
     best
 }
 
+/// Distance to the nearest surface along a ray and its normal, without light.
+pub fn nearest_side(scene: &Prepared, origin: Vec3, direction: Vec3) -> Option<(f32, Vec3)> {
+    let mut samples = 0;
+    let mut best: Option<(f32, Vec3)> = None;
+    for object in &scene.surfaces.objects {
+        let mut by_field = || {
+            let (t, side) = trace(scene, object, origin, direction, &mut samples)?;
+            Some((t, normal(scene, object, origin + direction * t, side)))
+        };
+        let hit = match (object.stage, &object.triangles) {
+            (Stage::Rays, _) | (_, None) => by_field(),
+            (Stage::Triangles, Some(triangles)) => {
+                triangles.tree.ray(origin, direction, 0.0, f32::INFINITY, |_| true).map(|h| (h.t, triangle_normal(triangles, &h)))
+            }
+            (Stage::Both(seam), Some(triangles)) => {
+                let drawn = triangles.tree.ray(origin, direction, 0.0, f32::INFINITY, |h| is_undeformed(scene, object, origin + direction * h.t, seam));
+                let drawn = drawn.map(|h| (h.t, triangle_normal(triangles, &h)));
+                [drawn, by_field()].into_iter().flatten().min_by(|a, b| a.0.total_cmp(&b.0))
+            }
+        };
+        if let Some(hit) = hit
+            && best.is_none_or(|b| hit.0 < b.0)
+        {
+            best = Some(hit);
+        }
+    }
+    best
+}
+
 fn object_hit(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: Vec3, samples: &mut u64) -> Option<SurfaceHit> {
     let mut by_field = || trace(scene, object, origin, direction, samples).map(|(t, side)| shade_field(scene, object, origin, direction, t, side));
     match (object.stage, &object.triangles) {
@@ -295,10 +324,15 @@ fn shade_field(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction
     SurfaceHit { t, color: light(scene, object, normal, direction, color) }
 }
 
-fn shade_triangle(scene: &Prepared, object: &SurfaceObject, triangles: &Triangles, hit: &MeshHit, direction: Vec3) -> SurfaceHit {
+/// The interpolated normal where a ray met a triangle.
+fn triangle_normal(triangles: &Triangles, hit: &MeshHit) -> Vec3 {
     let [a, b, c] = triangles.normals[hit.triangle as usize];
     let [u, v] = hit.barycentric;
-    let normal = normalize_or(a * (1.0 - u - v) + b * u + c * v, a);
+    normalize_or(a * (1.0 - u - v) + b * u + c * v, a)
+}
+
+fn shade_triangle(scene: &Prepared, object: &SurfaceObject, triangles: &Triangles, hit: &MeshHit, direction: Vec3) -> SurfaceHit {
+    let normal = triangle_normal(triangles, hit);
     let color = Vec3::from(if hit.front { object.look.color } else { object.look.inside });
     SurfaceHit { t: hit.t, color: light(scene, object, if hit.front { normal } else { -normal }, direction, color) }
 }

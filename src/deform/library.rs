@@ -1,7 +1,7 @@
 //! What deformations read besides their numbers: the scene's volume, label maps, distance fields, fields from files. Each is loaded once
 //! and kept as long as the scene's assets are.
 
-use super::Arguments;
+use super::{Arguments, PlacedMap};
 use super::distance::{Region, of_region};
 use super::transform::{Context, Transform};
 use crate::math::DistanceGrid;
@@ -20,8 +20,14 @@ pub struct Library {
     volumes: Mutex<HashMap<PathBuf, Arc<Volume>>>,
     distances: Mutex<HashMap<String, Arc<DistanceGrid>>>,
     transforms: Mutex<HashMap<String, Arc<Transform>>>,
+    /// Sampled maps by what they were made of, the most recently used last.
+    maps: Mutex<Vec<(String, Vec<PlacedMap>)>>,
     notices: Mutex<Vec<String>>,
 }
+
+/// Sampled maps that are kept at most, and their bytes.
+const KEPT_MAPS: usize = 32;
+const KEPT_MAP_BYTES: usize = 256 << 20;
 
 fn lock<T>(m: &Mutex<T>) -> MutexGuard<'_, T> {
     // Entries are only ever added whole; a panic elsewhere leaves them good.
@@ -172,6 +178,32 @@ impl Library {
             }
             _ => Err(Error::value("label, mask, iso", "name the surface in one way only")),
         }
+    }
+
+    /// The maps made of what `key` says; made anew unless they are among the last ones used. (A live view asks for the same maps at every
+    /// turn of its camera.)
+    ///
+    /// # Errors
+    /// Those of making them.
+    pub fn maps(&self, key: String, make: impl FnOnce() -> Result<Vec<PlacedMap>>) -> Result<Vec<PlacedMap>> {
+        {
+            let mut kept = lock(&self.maps);
+            if let Some(at) = kept.iter().position(|(k, _)| *k == key) {
+                let entry = kept.remove(at);
+                let maps = entry.1.clone();
+                kept.push(entry);
+                return Ok(maps);
+            }
+        }
+        let made = make()?;
+        let mut kept = lock(&self.maps);
+        kept.push((key, made.clone()));
+        let bytes = |maps: &[PlacedMap]| maps.iter().map(|m| m.map.size.iter().product::<usize>() * 16).sum::<usize>();
+        let mut all: usize = kept.iter().map(|(_, maps)| bytes(maps)).sum();
+        while kept.len() > 1 && (all > KEPT_MAP_BYTES || kept.len() > KEPT_MAPS) {
+            all -= bytes(&kept.remove(0).1);
+        }
+        Ok(made)
     }
 
     fn distance(&self, key: String, make: impl FnOnce() -> Result<DistanceGrid>) -> Result<Arc<DistanceGrid>> {

@@ -24,7 +24,7 @@ use crate::gpu::{Device, checked, read_buffer, read_rgba16f, wait};
 use crate::scene::{IsoLight, Mode, Normals, Picture, Prepared, RenderStats, Rendered, Stages};
 use crate::transfer::{Blend, GRADIENT_ENTRIES, TABLE_ENTRIES};
 use crate::volume::GradientFilter;
-use crate::{Error, Result};
+use crate::{Error, Result, Watch};
 use std::collections::HashMap;
 use surfaces::Layer;
 use uniforms::{CutShapeUniform, FrameUniform, PlacedMapUniform};
@@ -87,7 +87,7 @@ struct Draw<'a> {
     behind: Option<&'a Layer>,
     counter: Option<&'a Counter>,
     target: &'a wgpu::Texture,
-    progress: &'a dyn Fn(f32),
+    watch: &'a Watch<'a>,
 }
 
 impl Draw<'_> {
@@ -126,12 +126,20 @@ impl Renderer {
     ///
     /// # Errors
     /// A volume or picture that the device cannot hold; whatever the device reports.
-    pub fn render(&mut self, scene: &Prepared, counting: bool, progress: &dyn Fn(f32)) -> Result<Rendered> {
-        let device = self.device.device.clone();
-        checked(&device, || self.render_unchecked(scene, counting, progress))
+    pub fn render(&mut self, scene: &Prepared, counting: bool, progress: &(dyn Fn(f32) + Sync)) -> Result<Rendered> {
+        self.render_until(scene, counting, &Watch::telling(progress))
     }
 
-    fn render_unchecked(&mut self, scene: &Prepared, counting: bool, progress: &dyn Fn(f32)) -> Result<Rendered> {
+    /// As [`Self::render`], until it is told to stop, which it does between two submissions.
+    ///
+    /// # Errors
+    /// As [`Self::render`]; [`Error::Cancelled`].
+    pub fn render_until(&mut self, scene: &Prepared, counting: bool, watch: &Watch) -> Result<Rendered> {
+        let device = self.device.device.clone();
+        checked(&device, || self.render_unchecked(scene, counting, watch))
+    }
+
+    fn render_unchecked(&mut self, scene: &Prepared, counting: bool, watch: &Watch) -> Result<Rendered> {
         let mut stages = Stages::default();
         let [width, height] = scene.frame.size;
         let limits = self.device.device.limits();
@@ -169,7 +177,7 @@ impl Renderer {
         let behind = if scene.surfaces.objects.is_empty() {
             None
         } else {
-            Some(stages.time("surfaces drawn", || self.draw_surfaces(scene, &shared, counter.as_ref(), progress))?)
+            Some(stages.time("surfaces drawn", || self.draw_surfaces(scene, &shared, counter.as_ref(), watch))?)
         };
         if let (false, Some(layer)) = (shows_volume, &behind) {
             let pixels = stages.time("readback", || read_rgba16f(&self.device.device, &self.device.queue, &layer.color))?;
@@ -179,7 +187,7 @@ impl Renderer {
         let bindings = self.group(&shared, behind.as_ref());
         let target = self.target(width, height, TextureFormat::Rgba16Float);
         stages.time("pipelines", || self.compile(scene, counting));
-        let draw = Draw { scene, bindings: &bindings, behind: behind.as_ref(), counter: counter.as_ref(), target: &target, progress };
+        let draw = Draw { scene, bindings: &bindings, behind: behind.as_ref(), counter: counter.as_ref(), target: &target, watch };
         stages.time("draw", || match scene.settings.mode {
             Mode::Raycast => self.draw_rays(&draw),
             Mode::Slice => self.draw_slices(&draw),
@@ -307,7 +315,7 @@ impl Renderer {
     }
 
     fn draw_rays(&self, draw: &Draw) -> Result<()> {
-        let Draw { scene, target, progress, .. } = *draw;
+        let Draw { scene, target, watch, .. } = *draw;
         let [width, height] = scene.frame.size;
         let pipeline = &self.pipelines[&draw.variant(Program::Raycast)];
         let view = target.create_view(&wgpu::TextureViewDescriptor::default());
@@ -321,13 +329,14 @@ impl Renderer {
                 pass.draw(0..3, 0..1);
             });
             wait(&self.device.device)?;
-            progress((top + rows).min(height) as f32 / height as f32);
+            (watch.progress)((top + rows).min(height) as f32 / height as f32);
+            watch.check()?;
         }
         Ok(())
     }
 
     fn draw_slices(&self, draw: &Draw) -> Result<()> {
-        let Draw { scene, target, progress, .. } = *draw;
+        let Draw { scene, target, watch, .. } = *draw;
         let device = &self.device.device;
         let [width, height] = scene.frame.size;
         let composite = scene.blend == Blend::Composite;
@@ -363,7 +372,8 @@ impl Renderer {
                     pass.draw(range, 0..1);
                 });
                 wait(device)?;
-                progress(end as f32 / corners.len() as f32);
+                (watch.progress)(end as f32 / corners.len() as f32);
+                watch.check()?;
             }
         }
         if composite {

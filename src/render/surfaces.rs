@@ -7,7 +7,7 @@
 
 use super::uniforms::{DeformerUniform, PlacedSolidUniform, SurfaceObjectUniform};
 use super::{Counter, Renderer, Shared, Variant, extent, overrides};
-use crate::Result;
+use crate::{Result, Watch};
 use crate::gpu::shaders::Program;
 use crate::mesh::Implicit;
 use crate::mesh::deformer::MOST_DEFORMERS;
@@ -56,7 +56,7 @@ impl Renderer {
     }
 
     /// Draws all surfaces of a scene.
-    pub(super) fn draw_surfaces(&mut self, scene: &Prepared, shared: &Shared, counter: Option<&Counter>, progress: &dyn Fn(f32)) -> Result<Layer> {
+    pub(super) fn draw_surfaces(&mut self, scene: &Prepared, shared: &Shared, counter: Option<&Counter>, watch: &Watch) -> Result<Layer> {
         let [width, height] = scene.frame.size;
         let layer = self.layer(width, height);
         self.clear(&layer);
@@ -79,7 +79,8 @@ impl Renderer {
                 }
                 _ => self.cast(scene, &layer, &nothing_behind, &group, counter)?,
             }
-            progress((n + 1) as f32 / count as f32);
+            (watch.progress)((n + 1) as f32 / count as f32);
+            watch.check()?;
         }
         Ok(layer)
     }

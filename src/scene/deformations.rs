@@ -210,7 +210,12 @@ fn place(deformation: &Deformation, making: &Making) -> Result<Vec<PlacedMap>> {
     let mut placed = match deformation.kind.as_str() {
         "field" => place_field(deformation, making),
         "map" => place_map(deformation, making).map(|m| vec![m]),
-        _ => place_kind(deformation, making).map(|m| vec![m]),
+        _ => {
+            let locked = kinds::kind(&deformation.kind).is_ok_and(|k| k.locked_to_view) && deformation.matrix.is_none();
+            let view = locked.then_some(making.view);
+            let key = format!("{deformation:?} {:?} {} {:?} {view:?}", making.scene_box, making.least_ramp_mm, making.storage);
+            making.library.maps(key, || place_kind(deformation, making).map(|m| vec![m]))
+        }
     }
     .map_err(named)?;
     if deformation.add {

@@ -4,17 +4,21 @@
 //! camera and the empty-space grid, the same for every backend.
 
 mod camera;
+pub mod command;
 pub mod deformations;
+pub mod example;
 pub mod file;
 pub mod inside;
 mod macrocells;
+pub mod measure;
 pub mod objects;
+mod paths;
 mod prepared;
 pub mod surface;
 
 pub use camera::{Camera, Projection, View, ViewFrame};
 pub use macrocells::Macrocells;
-pub use prepared::{Assets, Frame, MAX_PICTURE_EDGE, Picture, Prepared, RenderStats, Rendered, Stages};
+pub use prepared::{Assets, Deformed, Frame, MAX_PICTURE_EDGE, Picture, Prepared, RenderStats, Rendered, Stages};
 
 use crate::deform::{Arguments, Storage};
 use crate::transfer::TransferSettings;
@@ -48,6 +52,9 @@ pub struct Scene {
     /// Deformations, first applied first.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub deformation: Vec<Deformation>,
+    /// What has been measured.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub measure: Vec<measure::Measure>,
     /// From where it is seen.
     #[serde(default)]
     pub camera: Camera,
@@ -74,6 +81,9 @@ pub struct VolumeSource {
     /// Which part of it, and what it does not say of itself.
     #[serde(flatten)]
     pub choice: Choice,
+    /// A label map of the same patient, relative to the scene file: it names what is pointed at, and colours slices.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub labels: Option<String>,
     /// A closed mesh that the volume is shown inside of.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub inside: Option<InsideMesh>,
@@ -317,11 +327,12 @@ impl Scene {
     pub fn of_volume(path: impl Into<String>) -> Self {
         Self {
             incise: FORMAT_VERSION,
-            volume: Some(VolumeSource { path: path.into(), choice: Choice::default(), inside: None }),
+            volume: Some(VolumeSource { path: path.into(), choice: Choice::default(), labels: None, inside: None }),
             mesh: Vec::new(),
             surface: surface::SurfaceSettings::default(),
             transfer: TransferSettings::default(),
             deformation: Vec::new(),
+            measure: Vec::new(),
             camera: Camera::default(),
             light: Light::default(),
             render: RenderSettings::default(),

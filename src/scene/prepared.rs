@@ -45,6 +45,8 @@ pub struct Assets {
     pub volume: Arc<Volume>,
     /// Its sampled form, and bounds of its normalised values.
     plain: (Grid, MinMaxPyramid<1>),
+    /// The label map that goes with the volume, if the scene names one.
+    pub label_map: Option<Arc<Volume>>,
     /// A label map as colours, made when it is first shown so.
     labels: OnceLock<Option<(Grid, MinMaxPyramid<1>)>>,
     /// What deformations read besides.
@@ -84,6 +86,13 @@ impl Assets {
             _ => Self::without_volume(scene.folder.clone()),
         };
         let mut stages = std::mem::take(&mut assets.stages);
+        if let Some(path) = scene.volume.as_ref().and_then(|v| v.labels.as_ref()) {
+            let map = stages.time("labels", || assets.library.load_volume(path))?;
+            if map.labels().is_none() {
+                return Err(Error::file(&assets.library.path(path), "is no label map: its values are not whole numbers that stand for regions"));
+            }
+            assets.label_map = Some(map);
+        }
         if !scene.mesh.is_empty() || scene.render.mode == Mode::Surface {
             assets.mesh_box = stages.time("meshes", || assets.load_objects(scene, &|share| progress("distances", share)))?;
         }
@@ -107,6 +116,20 @@ impl Assets {
         let size = self.mesh_box.size();
         let more = (Vec3::splat(0.01 * size.max_element()) - size).max(Vec3::ZERO) * 0.5;
         Bounds::new(self.mesh_box.min - more, self.mesh_box.max + more)
+    }
+
+    /// The label map: the one that the scene names, or the volume itself if it is one.
+    ///
+    /// # Errors
+    /// There is none.
+    pub fn label_map(&self) -> Result<&Arc<Volume>> {
+        if let Some(map) = &self.label_map {
+            return Ok(map);
+        }
+        if self.has_volume && self.as_labels().is_some() {
+            return Ok(&self.volume);
+        }
+        Err(Error::value("volume.labels", "there is no label map; open one over the volume"))
     }
 
     /// The volume's sampled form.
@@ -146,6 +169,7 @@ impl Assets {
             library,
             volume,
             plain: (grid, pyramid),
+            label_map: None,
             labels: OnceLock::new(),
             objects: Objects::default(),
             has_volume: true,
@@ -181,6 +205,67 @@ pub struct Frame {
     pub to_light: Vec3,
     /// Distances from a cut at which its normal stops to rule alone, and to matter at all, mm.
     pub blend_mm: [f32; 2],
+}
+
+/// A scene's deformation alone.
+pub struct Deformed {
+    /// Maps, in order of application.
+    pub stack: Stack,
+    /// Cuts that come after every map.
+    pub cuts: Cuts,
+    /// What composing maps into one has cost in exactness, if any were.
+    pub composition: Option<Composition>,
+    /// The mesh that slices are cut from instead of a box.
+    pub proxy_mesh: Option<Arc<Mesh>>,
+}
+
+impl Deformed {
+    /// The deformation of a scene, as its pictures have it.
+    ///
+    /// # Errors
+    /// Any setting that cannot be used, by name.
+    pub fn new(scene: &Scene, assets: &Assets) -> Result<Self> {
+        check_settings(&scene.render, &scene.light)?;
+        let view = scene.camera.frame(&assets.scene_box(), scene.render.size)?;
+        Self::with(scene, assets, &view, Vec::new(), &compose::evaluate)
+    }
+
+    fn with(scene: &Scene, assets: &Assets, view: &ViewFrame, more: Vec<PlacedMap>, evaluate: Evaluate) -> Result<Self> {
+        let settings = &scene.render;
+        let scene_box = assets.scene_box();
+        let reference_mm = assets.volume.spacing_mm().min_element() as f32;
+        let making = Making {
+            library: &assets.library,
+            scene_box,
+            least_ramp_mm: 1.2 * blend_mm(settings.step, reference_mm)[1],
+            view,
+            storage: None,
+            exact_cuts: settings.exact_cuts,
+        };
+        let undeformed = more.is_empty() && !scene.deformation.iter().any(|d| d.enabled);
+        let (inside, proxy_mesh) = match inside::of_scene(scene, assets, &scene_box, making.least_ramp_mm)? {
+            Some(inside) => (inside.maps, inside.proxy.filter(|_| undeformed)),
+            None => (Vec::new(), None),
+        };
+        let (stack, cuts) = deformations::stack(&scene.deformation, &making, inside, more)?;
+        let (stack, composition) = deformations::bounded(stack, &scene_box, settings.precompose, UNSEEN * reference_mm, evaluate)?;
+        Ok(Self { stack, cuts, composition, proxy_mesh })
+    }
+
+    /// Where a point of the source is seen in the deformed scene, mm; none if it is cut away or no such point is found.
+    pub fn forward(&self, source: Vec3) -> Option<Vec3> {
+        let y = source.as_dvec3();
+        let backward = |p: DVec3| self.stack.walk_through(p.as_vec3()).0.as_dvec3();
+        let solution = crate::deform::invert::point(&backward, y, y + (y - backward(y)), 0.05, 5e-3);
+        let deformed = solution.source.as_vec3();
+        (solution.found && self.stack.walk(deformed).1 >= 0.5 && self.cuts.kept(deformed) >= 0.0).then_some(deformed)
+    }
+}
+
+/// Distances from a cut at which its normal stops to rule alone, and to matter at all, mm.
+fn blend_mm(step: f32, reference_mm: f32) -> [f32; 2] {
+    let sample_mm = (step * reference_mm).max(reference_mm);
+    [sample_mm, BLEND_SAMPLES * sample_mm]
 }
 
 /// A scene resolved against its assets.
@@ -274,29 +359,8 @@ impl<'a> Prepared<'a> {
         let mut view = scene.camera.frame(&scene_box, settings.size)?;
         let reference_mm = volume.spacing_mm().min_element() as f32;
         let step_mm = settings.step * reference_mm;
-        let blend_mm = [step_mm.max(reference_mm), BLEND_SAMPLES * step_mm.max(reference_mm)];
-        let mut proxy_mesh = None;
-        let (stack, cuts, composition) = stages.time("maps", || -> Result<_> {
-            let making = Making {
-                library: &assets.library,
-                scene_box,
-                least_ramp_mm: 1.2 * blend_mm[1],
-                view: &view,
-                storage: None,
-                exact_cuts: settings.exact_cuts,
-            };
-            let undeformed = more.is_empty() && !scene.deformation.iter().any(|d| d.enabled);
-            let inside = match inside::of_scene(scene, assets, &scene_box, making.least_ramp_mm)? {
-                Some(inside) => {
-                    proxy_mesh = inside.proxy.filter(|_| undeformed);
-                    inside.maps
-                }
-                None => Vec::new(),
-            };
-            let (stack, cuts) = deformations::stack(&scene.deformation, &making, inside, more)?;
-            let (stack, composition) = deformations::bounded(stack, &scene_box, settings.precompose, UNSEEN * reference_mm, evaluate)?;
-            Ok((stack, cuts, composition))
-        })?;
+        let blend_mm = blend_mm(settings.step, reference_mm);
+        let Deformed { stack, cuts, composition, proxy_mesh } = stages.time("maps", || Deformed::with(scene, assets, &view, more, evaluate))?;
         let span = (volume.range[1] - volume.range[0]).max(f64::MIN_POSITIVE);
         let normalised = |v: f64| ((v - volume.range[0]) / span) as f32;
         let iso = settings.iso.map(normalised);

@@ -1,0 +1,103 @@
+//! What is seen in one pixel: the point of the deformed scene, where it came from, the value there, and how its surface is turned.
+//!
+//! A ray is followed as the renderer follows it, to where it has lost [`SEEN`] of its light: the first surface that a viewer would point at,
+//! rather than the first haze in front of it.
+
+use super::{Look, first_sample_after, look, shading, surface};
+use crate::deform::{Cut, Jet};
+use crate::math::normalize_or;
+use crate::scene::{Mode, Prepared};
+use crate::volume::{GridVoxels, Sampler, Voxel};
+use glam::{Mat3, Vec3};
+
+/// Share of a ray's light that is lost at the point that is picked.
+const SEEN: f32 = 0.3;
+
+/// A picked point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pick {
+    /// The point of the deformed scene, world mm.
+    pub deformed: Vec3,
+    /// Where its matter came from, world mm.
+    pub source: Vec3,
+    /// The volume's value there, data units; none on a mesh outside the volume.
+    pub value: Option<f64>,
+    /// Unit normal in the deformed scene, towards the viewer.
+    pub normal: Vec3,
+}
+
+/// What is at picture coordinates in -1..1 (v upwards); `range` is the volume's, data units. None where nothing is seen.
+pub fn at(scene: &Prepared, range: [f64; 2], u: f32, v: f32) -> Option<Pick> {
+    let (origin, direction) = scene.frame.view.ray(u, v);
+    match &scene.grid.voxels {
+        GridVoxels::U8(voxels) => along(scene, &Sampler::new(scene.grid, voxels), range, origin, direction),
+        GridVoxels::U16(voxels) => along(scene, &Sampler::new(scene.grid, voxels), range, origin, direction),
+        GridVoxels::I16(voxels) => along(scene, &Sampler::new(scene.grid, voxels), range, origin, direction),
+        GridVoxels::F32(voxels) => along(scene, &Sampler::new(scene.grid, voxels), range, origin, direction),
+    }
+}
+
+fn along<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, range: [f64; 2], origin: Vec3, direction: Vec3) -> Option<Pick> {
+    let mesh = surface::nearest_side(scene, origin, direction);
+    let until = mesh.map_or(f32::INFINITY, |(t, _)| t);
+    let in_data = |value: f32| range[0] + f64::from(value) * (range[1] - range[0]);
+    if scene.settings.mode != Mode::Surface
+        && let Some((deformed, at)) = first_seen(scene, sampler, origin, direction, until)
+    {
+        let jet = jet(scene, deformed);
+        let gradient = shading::voxel_covector(scene, sampler.gradient(at.in_voxel, scene.gradient_filter()));
+        let cut = shading::or_shape(scene, shading::nearest_cut(scene, &jet, at.in_voxel), deformed);
+        let own = shading::normal(scene, &jet.d_source_d_deformed, gradient, &cut, direction).normal;
+        let normal = normalize_or(own, -direction);
+        let normal = if normal.dot(direction) > 0.0 { -normal } else { normal };
+        return Some(Pick { deformed, source: jet.source, value: Some(in_data(at.value)), normal });
+    }
+    let (t, normal) = mesh?;
+    let deformed = origin + direction * t;
+    let at = look(scene, sampler, deformed);
+    let source = scene.stack.walk(deformed).0;
+    let normal = if normal.dot(direction) > 0.0 { -normal } else { normal };
+    Some(Pick { deformed, source, value: at.present.then(|| in_data(at.value)), normal: normalize_or(normal, -direction) })
+}
+
+fn jet(scene: &Prepared, deformed: Vec3) -> Jet {
+    if scene.stack.is_empty() {
+        return Jet { source: deformed, d_source_d_deformed: Mat3::IDENTITY, cut: Cut::NONE, alpha: 1.0 };
+    }
+    scene.stack.jet(deformed)
+}
+
+/// The first sample along a ray by which enough light is lost.
+fn first_seen<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, origin: Vec3, direction: Vec3, until: f32) -> Option<(Vec3, Look)> {
+    let frame = &scene.frame;
+    let (near, far) = frame.proxy.intersect_ray(origin, direction)?;
+    // Half the renderer's step: the point is to lie on the surface, not up to a step behind it.
+    let step = 0.5 * frame.step_mm;
+    let (mut i, end) = (first_sample_after(near, step), first_sample_after(far.min(until), step));
+    let inverse_direction = direction.recip();
+    let mut transmittance = 1.0f32;
+    while i < end {
+        let deformed = origin + direction * ((i as f32 + 0.5) * step);
+        if let Some(t) = scene.macrocells.empty_until(deformed, origin, inverse_direction) {
+            i = first_sample_after(t, step).max(i + 1).min(end);
+            continue;
+        }
+        i += 1;
+        let at = look(scene, sampler, deformed);
+        if !at.present {
+            continue;
+        }
+        if let Some(iso) = scene.iso {
+            if at.value >= iso {
+                return Some((deformed, at));
+            }
+            continue;
+        }
+        let depth = scene.table.lookup(at.value)[3];
+        transmittance *= (-depth * step / frame.reference_mm).exp2();
+        if 1.0 - transmittance >= SEEN {
+            return Some((deformed, at));
+        }
+    }
+    None
+}

@@ -1,0 +1,119 @@
+//! The files that a scene names: what to read, what must not be written, and how their paths change when a scene moves.
+
+use super::{Deformation, Scene};
+use crate::deform::Argument;
+use crate::{Error, Result, mesh};
+use std::path::{Component, Path, PathBuf};
+
+/// Settings of deformations that may name files.
+const FILE_SETTINGS: [&str; 10] = ["path", "moving", "reference", "labels", "mask", "pairs", "from", "to", "offsets", "points"];
+
+impl Scene {
+    /// The scene that an input names: a scene file, or all defaults about a volume, a mesh or a phantom.
+    ///
+    /// # Errors
+    /// A scene file that cannot be used, a name that is not valid Unicode.
+    pub fn of_input(input: &Path) -> Result<Self> {
+        let text = input.to_str().ok_or_else(|| Error::file(input, "has a name that is not valid Unicode; rename it"))?;
+        match input.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
+            Some("toml") => Self::load(input),
+            _ if mesh::load::is_mesh(input) => Ok(Self::of_mesh(text)),
+            _ => Ok(Self::of_volume(text)),
+        }
+    }
+
+    /// Files that the scene reads: its volume, its labels, its meshes and what its deformations name.
+    pub fn files(&self) -> Vec<PathBuf> {
+        let named = self.deformation.iter().flat_map(|d| FILE_SETTINGS.iter().flat_map(|n| d.parameters.texts(n).ok().flatten().unwrap_or_default()));
+        let holder = self.volume.iter().flat_map(|v| &v.inside).map(|i| &i.path);
+        let labels = self.volume.iter().flat_map(|v| &v.labels);
+        let meshes = self.mesh.iter().flat_map(|m| m.path.iter().chain(&m.volume)).chain(holder).chain(labels).map(|p| self.folder.join(p));
+        self.volume_path().into_iter().chain(meshes).chain(named.map(|p| self.folder.join(p))).collect()
+    }
+
+    /// The same scene as a file in `folder` states it: paths relative where they lie below it, else absolute.
+    ///
+    /// # Errors
+    /// A current folder that cannot be told.
+    pub fn moved_to(&self, folder: &Path) -> Result<Self> {
+        let mut scene = self.clone();
+        let from = std::path::absolute(if self.folder.as_os_str().is_empty() { Path::new(".") } else { &self.folder })
+            .map_err(|e| Error::io(&self.folder, "reading", e))?;
+        let to = std::path::absolute(if folder.as_os_str().is_empty() { Path::new(".") } else { folder }).map_err(|e| Error::io(folder, "reading", e))?;
+        let to = plain(&to);
+        let moved = |path: &mut String| {
+            if !path.starts_with("phantom:") {
+                let absolute = plain(&from.join(&*path));
+                // On every system's own way of writing it, for itself.
+                *path = absolute.strip_prefix(&to).unwrap_or(&absolute).to_string_lossy().into_owned();
+            }
+        };
+        if let Some(volume) = &mut scene.volume {
+            moved(&mut volume.path);
+            volume.labels.as_mut().map(&moved);
+            volume.inside.as_mut().map(|i| moved(&mut i.path));
+        }
+        for mesh in &mut scene.mesh {
+            mesh.path.as_mut().map(&moved);
+            mesh.volume.as_mut().map(&moved);
+        }
+        for deformation in &mut scene.deformation {
+            move_settings(deformation, &from, &moved);
+        }
+        scene.folder = folder.to_owned();
+        Ok(scene)
+    }
+}
+
+/// Moves the texts of a deformation that are paths of files: some settings take either words or files.
+fn move_settings(deformation: &mut Deformation, from: &Path, moved: &impl Fn(&mut String)) {
+    for name in FILE_SETTINGS {
+        let is_file = |text: &str| name == "path" || text.starts_with("phantom:") || from.join(text).exists();
+        match deformation.parameters.0.get_mut(name) {
+            Some(Argument::Text(text)) if is_file(text) => moved(text),
+            Some(Argument::Texts(all)) => all.iter_mut().filter(|t| is_file(t)).for_each(moved),
+            _ => {}
+        }
+    }
+}
+
+/// A path without `.` and, where nothing but plain names lie before it, without `..`.
+fn plain(path: &Path) -> PathBuf {
+    let mut out = PathBuf::new();
+    for part in path.components() {
+        match part {
+            Component::CurDir => {}
+            Component::ParentDir if matches!(out.components().next_back(), Some(Component::Normal(_))) => {
+                out.pop();
+            }
+            other => out.push(other),
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_scene_that_moves_names_the_same_files() {
+        let folder = tempfile::tempdir().unwrap();
+        let (a, b) = (folder.path().join("a"), folder.path().join("b"));
+        std::fs::create_dir_all(&a).unwrap();
+        std::fs::create_dir_all(&b).unwrap();
+        let mut scene = Scene::of_volume("scan.nii.gz");
+        scene.folder = a.clone();
+        scene.mesh.push(super::super::surface::MeshSource::of_file("../b/model.stl"));
+        let mut field = Deformation::new("field");
+        field.parameters.insert("path", "warp.nii.gz");
+        scene.deformation.push(field);
+        let files = |s: &Scene| s.files().iter().map(|p| plain(p)).collect::<Vec<_>>();
+        let moved = scene.moved_to(&b).unwrap();
+        assert_eq!(files(&moved), files(&scene));
+        assert_eq!(moved.mesh[0].path.as_deref(), Some("model.stl"));
+        assert_eq!(files(&moved.moved_to(&a).unwrap()), files(&scene));
+        assert_eq!(moved.moved_to(&a).unwrap().volume_name(), "scan.nii.gz");
+        assert_eq!(Scene::of_volume("phantom:ball").moved_to(&b).unwrap().volume_name(), "phantom:ball");
+    }
+}
