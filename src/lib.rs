@@ -25,6 +25,7 @@
 //! [`render::Renderer::render`] turn it into a [`scene::Picture`].
 
 pub mod cli;
+pub mod compare;
 pub mod cpu;
 pub mod deform;
 mod error;

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-const ORDER: [(&str, &[&str]); 11] = [
+const ORDER: [(&str, &[&str]); 13] = [
     ("math", &[]),
     ("volume", &["math"]),
     ("mesh", &["math", "volume"]),
@@ -13,7 +13,9 @@ const ORDER: [(&str, &[&str]); 11] = [
     ("gpu", &["math"]),
     ("render", &["math", "volume", "mesh", "transfer", "deform", "scene", "gpu"]),
     ("export", &["math", "volume", "deform", "scene"]),
-    ("cli", &["math", "volume", "mesh", "transfer", "deform", "scene", "cpu", "gpu", "render", "export"]),
+    ("compare", &["math", "volume", "scene", "cpu", "gpu", "render", "export"]),
+    ("cli", &["math", "volume", "mesh", "transfer", "deform", "scene", "cpu", "gpu", "render", "export", "compare"]),
+    ("gui", &["math", "volume", "mesh", "transfer", "deform", "scene", "cpu", "gpu", "render", "export", "compare"]),
 ];
 
 fn files(folder: &Path, extension: &str) -> Vec<PathBuf> {

@@ -77,6 +77,8 @@ impl Arguments {
     pub fn texts(&self, name: &str) -> Result<Option<Vec<String>>> {
         match self.0.get(name) {
             Some(Argument::Texts(all)) => Ok(Some(all.clone())),
+            // An empty list is read as one of numbers.
+            Some(Argument::Numbers(none)) if none.is_empty() => Ok(Some(Vec::new())),
             _ => Ok(self.text(name)?.map(|t| vec![t.to_owned()])),
         }
     }

@@ -45,6 +45,11 @@ impl Library {
         Self { folder, ..Self::default() }
     }
 
+    /// The folder that relative paths start from.
+    pub fn folder(&self) -> &std::path::Path {
+        &self.folder
+    }
+
     /// The scene's volume.
     ///
     /// # Errors

@@ -26,6 +26,7 @@ pub mod points;
 pub mod saved;
 pub mod slope;
 mod stack;
+pub mod stroke;
 pub mod transform;
 
 pub use argument::{Argument, Arguments};

@@ -1,6 +1,7 @@
 //! Pictures, baked volumes and fields to files. A file appears whole or not at all: written beside its destination, then renamed.
 
 pub mod bake;
+pub mod clip;
 
 use crate::scene::Picture;
 use crate::{Error, Result};

@@ -5,11 +5,13 @@ pub mod distance;
 mod distance_grid;
 pub mod interpolate;
 pub mod pyramid;
+mod redistance;
 
 pub use bounds::Bounds;
 pub use distance_grid::DistanceGrid;
 pub use interpolate::trilinear;
 pub use pyramid::MinMaxPyramid;
+pub use redistance::redistance;
 
 use glam::{Affine3A, DAffine3, Vec3};
 

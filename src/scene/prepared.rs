@@ -9,9 +9,11 @@ use crate::deform::{Library, PlacedMap, Stack};
 use crate::math::{Bounds, MinMaxPyramid, normalize_or, to_f32};
 use crate::mesh::Mesh;
 use crate::transfer::{Blend, OWN_COLORS, Table, default_preset};
+use crate::volume::load::Choice;
 use crate::volume::{Colors, GradientFilter, Grid, Volume, load, phantom};
 use crate::{Error, Result, Watch};
 use glam::{Affine3A, DVec3, Vec3};
+use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, OnceLock};
 use std::time::Instant;
@@ -44,13 +46,15 @@ pub struct Assets {
     /// The volume.
     pub volume: Arc<Volume>,
     /// Its sampled form, and bounds of its normalised values.
-    plain: (Grid, MinMaxPyramid<1>),
+    plain: Arc<(Grid, MinMaxPyramid<1>)>,
+    /// What the volume was loaded from.
+    source: Option<(PathBuf, Choice)>,
     /// The label map that goes with the volume, if the scene names one.
     pub label_map: Option<Arc<Volume>>,
     /// A label map as colours, made when it is first shown so.
     labels: OnceLock<Option<(Grid, MinMaxPyramid<1>)>>,
     /// What deformations read besides.
-    pub library: Library,
+    pub library: Arc<Library>,
     /// Meshes and distance fields.
     pub objects: Objects,
     /// Whether there is a volume, or an empty one stands in its place.
@@ -75,8 +79,19 @@ impl Assets {
     /// # Errors
     /// As [`Self::load`]; [`Error::Cancelled`].
     pub fn load_until(scene: &Scene, progress: &(dyn Fn(&'static str, f32) + Sync), cancel: &AtomicBool) -> Result<Self> {
+        Self::load_after(None, scene, progress, cancel)
+    }
+
+    /// As [`Self::load_until`], taking over the volume of a scene that was loaded before, if it is the same.
+    ///
+    /// # Errors
+    /// As [`Self::load_until`].
+    pub fn load_after(before: Option<&Self>, scene: &Scene, progress: &(dyn Fn(&'static str, f32) + Sync), cancel: &AtomicBool) -> Result<Self> {
         let mut stages = Stages::default();
+        let source = scene.volume_path().zip(scene.volume.as_ref().map(|v| v.choice.clone()));
+        let same = before.filter(|b| b.has_volume && source.is_some() && b.source == source && b.library.folder() == scene.folder);
         let mut assets = match (scene.volume_path(), &scene.volume) {
+            _ if same.is_some() => Self::again(same, scene),
             (Some(path), Some(source)) => {
                 let reading = |share: f32| progress("reading", share);
                 let watch = Watch { progress: &reading, cancel };
@@ -85,6 +100,7 @@ impl Assets {
             }
             _ => Self::without_volume(scene.folder.clone()),
         };
+        assets.source = source;
         let mut stages = std::mem::take(&mut assets.stages);
         if let Some(path) = scene.volume.as_ref().and_then(|v| v.labels.as_ref()) {
             let map = stages.time("labels", || assets.library.load_volume(path))?;
@@ -100,7 +116,7 @@ impl Assets {
             let empty = Volume::empty_over(&assets.mesh_box);
             let grid = Grid::new(&empty);
             let pyramid = bounds_of(&grid);
-            assets.plain = (grid, pyramid);
+            assets.plain = Arc::new((grid, pyramid));
             assets.volume = Arc::new(empty);
         }
         assets.stages = stages;
@@ -153,9 +169,26 @@ impl Assets {
     }
 
     /// An empty volume stands where there is none.
+    /// The volume of assets that are there already, and what was read for its deformations.
+    fn again(before: Option<&Self>, scene: &Scene) -> Self {
+        let Some(b) = before else { return Self::without_volume(scene.folder.clone()) };
+        Self {
+            volume: b.volume.clone(),
+            plain: b.plain.clone(),
+            source: b.source.clone(),
+            label_map: None,
+            labels: OnceLock::new(),
+            library: b.library.clone(),
+            objects: Objects::default(),
+            has_volume: true,
+            mesh_box: Bounds::EMPTY,
+            stages: Stages::default(),
+        }
+    }
+
     fn without_volume(folder: std::path::PathBuf) -> Self {
         let mut assets = Self::in_folder(Volume::empty_over(&Bounds::UNIT), folder.clone(), Stages::default());
-        assets.library = Library::without_volume(folder);
+        assets.library = Arc::new(Library::without_volume(folder));
         assets.has_volume = false;
         assets
     }
@@ -164,11 +197,12 @@ impl Assets {
         let grid = stages.time("grid", || Grid::new(&volume));
         let pyramid = stages.time("bricks", || bounds_of(&grid));
         let volume = Arc::new(volume);
-        let library = Library::new(volume.clone(), folder);
+        let library = Arc::new(Library::new(volume.clone(), folder));
         Self {
             library,
             volume,
-            plain: (grid, pyramid),
+            plain: Arc::new((grid, pyramid)),
+            source: None,
             label_map: None,
             labels: OnceLock::new(),
             objects: Objects::default(),
@@ -353,7 +387,7 @@ impl<'a> Prepared<'a> {
             }
             let table = Table::new(&function, volume.range);
             let own = transfer.own_colors.unwrap_or(transfer.preset.as_deref().is_none_or(|p| p == OWN_COLORS));
-            Ok((&assets.plain, assets.plain.0.colors.as_ref().filter(|_| own), function, table))
+            Ok((&*assets.plain, assets.plain.0.colors.as_ref().filter(|_| own), function, table))
         })?;
         let scene_box = assets.scene_box();
         let mut view = scene.camera.frame(&scene_box, settings.size)?;

@@ -59,6 +59,12 @@ impl Colors {
         Self::Labels { labels, table: Arc::new(table) }
     }
 
+    /// The colour of a label; none without a table, or of one that is not in it.
+    pub fn of_label(&self, label: u32) -> Option<[u8; 3]> {
+        let Self::Labels { table, .. } = self else { return None };
+        table.get(label as usize).filter(|c| c[3] > 0).map(|c| [c[0], c[1], c[2]])
+    }
+
     /// Premultiplied colour of a voxel by its flat index, 0..1.
     #[inline(always)]
     fn texel(&self, index: usize) -> Vec4 {

@@ -88,6 +88,28 @@ fn crossing(outline: &[Vec2]) -> Option<(usize, usize)> {
     None
 }
 
+/// Distance to a closed outline, positive outside by the even-odd rule.
+pub(super) fn outside(outline: &[Vec2], p: Vec2) -> f32 {
+    let mut nearest = f32::INFINITY;
+    let mut inside = false;
+    let n = outline.len();
+    for i in 0..n {
+        let (a, b) = (outline[i], outline[(i + 1) % n]);
+        let (ab, ap) = (b - a, p - a);
+        let t = (ap.dot(ab) / ab.length_squared()).clamp(0.0, 1.0);
+        nearest = nearest.min(ap.distance_squared(ab * t));
+        if (a.y > p.y) != (b.y > p.y) && p.x < a.x + (p.y - a.y) / (b.y - a.y) * (b.x - a.x) {
+            inside = !inside;
+        }
+    }
+    if inside { -nearest.sqrt() } else { nearest.sqrt() }
+}
+
+/// How much wider than in its own plane an outline is at a height `z` towards the viewer, by the distance of the eye (0: parallel).
+pub(super) fn widening(eye: f32, z: f32) -> f32 {
+    if eye > 0.0 { ((eye - z) / eye).max(1e-3) } else { 1.0 }
+}
+
 struct Lasso {
     outline: Vec<Vec2>,
     eye: f32,
@@ -98,30 +120,13 @@ struct Lasso {
 }
 
 impl Lasso {
-    /// Distance to the outline, positive outside.
-    fn outside(&self, p: Vec2) -> f32 {
-        let mut nearest = f32::INFINITY;
-        let mut inside = false;
-        let n = self.outline.len();
-        for i in 0..n {
-            let (a, b) = (self.outline[i], self.outline[(i + 1) % n]);
-            let (ab, ap) = (b - a, p - a);
-            let t = (ap.dot(ab) / ab.length_squared()).clamp(0.0, 1.0);
-            nearest = nearest.min(ap.distance_squared(ab * t));
-            if (a.y > p.y) != (b.y > p.y) && p.x < a.x + (p.y - a.y) / (b.y - a.y) * (b.x - a.x) {
-                inside = !inside;
-            }
-        }
-        if inside { -nearest.sqrt() } else { nearest.sqrt() }
-    }
-
     /// Distance from what is removed, positive where matter stays.
     fn distance(&self, q: Vec3) -> f32 {
         if self.progress <= 0.0 {
             return super::UNCUT;
         }
-        let widening = if self.eye > 0.0 { ((self.eye - q.z) / self.eye).max(1e-3) } else { 1.0 };
-        let side = self.keep * self.outside(q.xy() / widening) * widening;
+        let widening = widening(self.eye, q.z);
+        let side = self.keep * outside(&self.outline, q.xy() / widening) * widening;
         // Progress cuts in from the viewer's side.
         let front = self.reach * (0.5 - self.progress) - q.z;
         if self.progress < 1.0 { side.max(front) } else { side }

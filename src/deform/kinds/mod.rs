@@ -11,6 +11,7 @@
 
 mod bend;
 mod book;
+pub mod brush;
 mod bulge;
 mod elastic;
 mod explode;
@@ -98,7 +99,8 @@ impl std::fmt::Display for Amount {
 }
 
 impl Amount {
-    fn resolve(self, size_mm: Vec3) -> f32 {
+    /// The length for a box of the given extents, mm.
+    pub fn resolve(self, size_mm: Vec3) -> f32 {
         match self {
             Self::Fixed(v) => v,
             Self::OfX(s) => s * size_mm.x,
@@ -194,6 +196,8 @@ pub struct Context<'a> {
     pub progress: f32,
     /// Extent of the box, mm.
     pub size_mm: Vec3,
+    /// Texels of the map along the axes; one where it does not vary.
+    pub grid: [usize; 3],
     /// Largest texel edge along the axes that vary, mm.
     pub texel_mm: f32,
     /// Half width of the mask's ramp, mm.
@@ -277,6 +281,7 @@ const KINDS: &[&Kind] = &[
     &feature::OFFSET,
     &feature::PEEL,
     &explode_labels::KIND,
+    &brush::KIND,
 ];
 
 /// All kinds.
@@ -356,7 +361,7 @@ impl Kind {
         let cube_mm = size_mm * self.inflate;
         let texel_mm = (0..3).filter(|&a| grid[a] > 1).map(|a| cube_mm[a] / (grid[a] - 1) as f32).fold(0.0, f32::max);
         let ramp_mm = sampling.least_ramp_mm.max(2.0 * texel_mm);
-        (grid, Context { values, progress, size_mm, texel_mm, ramp_mm })
+        (grid, Context { values, progress, size_mm, grid, texel_mm, ramp_mm })
     }
 
     /// The field itself, for tests and for tools that need the formula rather than its samples.

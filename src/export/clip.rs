@@ -1,0 +1,454 @@
+//! Clips: frames as one animated file, as a video, or as a folder of pictures.
+//!
+//! An animated PNG keeps every pixel and its alpha. A GIF holds 256 colours per frame, pixels that are opaque or not there at all, and
+//! delays of hundredths of a second; it is for places that show nothing else. A video needs an encoder that is no library of ours: frames
+//! are piped into the program `ffmpeg`, if there is one. A folder of pictures is for other programs to go on from.
+//!
+//! As of any output, nothing partial is left: neither where the work is stopped nor where a frame fails.
+
+use super::Output;
+use crate::{Error, Result, Watch};
+use image::codecs::gif::{GifEncoder, Repeat};
+use image::codecs::png::PngEncoder;
+use image::{Delay, ExtendedColorType, ImageEncoder, ImageError, RgbaImage};
+use std::ffi::OsString;
+use std::io::{ErrorKind, Read, Seek, Write};
+use std::path::Path;
+use std::process::{ChildStdin, Command, Stdio};
+
+/// Fewest and most frames per second.
+const FRAMES_PER_SECOND: [f32; 2] = [0.1, 240.0];
+/// Viewers take a delay of less than two hundredths of a second for a mistake and show a tenth.
+const MOST_GIF_FRAMES_PER_SECOND: f64 = 50.0;
+/// Most frames of a clip.
+const MOST_FRAMES: usize = 100_000;
+/// Effort of the search for a GIF's colours, from 1 (best) to 30 (fastest).
+const GIF_SPEED: i32 = 10;
+/// Longest part of ffmpeg's words that is repeated, characters.
+const LONGEST_QUOTE: usize = 400;
+
+/// What a clip is written as.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ClipFormat {
+    /// Animated GIF: 256 colours per frame, no partial alpha.
+    Gif,
+    /// Animated PNG: exact.
+    Apng,
+    /// A folder of numbered PNG files: exact.
+    Frames,
+    /// H.264 in MP4, over black, by `ffmpeg`.
+    Mp4,
+}
+
+impl ClipFormat {
+    /// The format that a path's ending asks for: `.gif`, `.png` or `.apng`, `.mp4`; none, or a folder that exists, for numbered pictures.
+    ///
+    /// # Errors
+    /// Any other ending.
+    pub fn of(path: &Path) -> Result<Self> {
+        let Some(ending) = path.extension().filter(|_| !path.is_dir()) else { return Ok(Self::Frames) };
+        match ending.to_string_lossy().to_lowercase().as_str() {
+            "gif" => Ok(Self::Gif),
+            "png" | "apng" => Ok(Self::Apng),
+            "mp4" => Ok(Self::Mp4),
+            _ => Err(Error::file(path, "has an ending that is no clip's; use .gif, .png or .apng, .mp4, or none for a folder of pictures")),
+        }
+    }
+}
+
+/// A clip being written.
+struct Clip<'a> {
+    path: &'a Path,
+    size: [u32; 2],
+    frames_per_second: f64,
+    count: usize,
+    frame: &'a mut dyn FnMut(usize) -> Result<Vec<u8>>,
+    watch: &'a Watch<'a>,
+}
+
+/// Writes a clip of `count` frames of `size` (width and height, pixels) in the format of the path's ending. `frame(n)` returns frame n,
+/// counted from 0, as 8-bit RGBA, not premultiplied, rows from the top; frames are asked for once and in order. The watch is told the share
+/// of frames that are done and asked before every frame.
+///
+/// # Errors
+/// An unknown ending, a size, number or rate of frames that cannot be used; a folder of frames that exists and is not empty; a place that
+/// cannot be written; no `ffmpeg` for a video; what `frame` reports; [`Error::Cancelled`].
+pub fn write(
+    path: &Path,
+    size: [u32; 2],
+    frames_per_second: f32,
+    count: usize,
+    frame: &mut dyn FnMut(usize) -> Result<Vec<u8>>,
+    watch: &Watch,
+) -> Result<()> {
+    let format = ClipFormat::of(path)?;
+    let [least, most] = FRAMES_PER_SECOND;
+    if !(least..=most).contains(&frames_per_second) {
+        return Err(Error::value("frames per second", format!("{frames_per_second} is outside {least} to {most}")));
+    }
+    if !(1..=MOST_FRAMES).contains(&count) {
+        return Err(Error::value("frames", format!("a clip of {count} frames cannot be made; it has 1 to {MOST_FRAMES}")));
+    }
+    if size.contains(&0) {
+        return Err(Error::value("size", format!("a clip of {} x {} pixels shows nothing", size[0], size[1])));
+    }
+    let mut clip = Clip { path, size, frames_per_second: f64::from(frames_per_second), count, frame, watch };
+    match format {
+        ClipFormat::Gif => clip.gif(),
+        ClipFormat::Apng => clip.apng(),
+        ClipFormat::Frames => clip.folder(),
+        ClipFormat::Mp4 => clip.mp4(),
+    }
+}
+
+impl Clip<'_> {
+    /// A frame, unless the work was told to stop.
+    fn frame(&mut self, n: usize) -> Result<Vec<u8>> {
+        self.watch.check()?;
+        let rgba = (self.frame)(n)?;
+        let [width, height] = self.size;
+        if rgba.len() as u64 != 4 * u64::from(width) * u64::from(height) {
+            let problem = format!("has {} bytes, which is not {width} x {height} pixels of RGBA", rgba.len());
+            return Err(Error::value(format!("frame {}", n + 1), problem));
+        }
+        (self.watch.progress)((n + 1) as f32 / self.count as f32);
+        Ok(rgba)
+    }
+
+    fn gif(&mut self) -> Result<()> {
+        if self.frames_per_second > MOST_GIF_FRAMES_PER_SECOND {
+            let problem = format!("{} is too many for a GIF; use at most {MOST_GIF_FRAMES_PER_SECOND}, or .png", self.frames_per_second);
+            return Err(Error::value("frames per second", problem));
+        }
+        let path = self.path;
+        let failed = |e: ImageError| encoding(path, "GIF", e);
+        Output::create(path)?.finish_with(|file| {
+            let mut encoder = GifEncoder::new_with_speed(file, GIF_SPEED);
+            encoder.set_repeat(Repeat::Infinite).map_err(failed)?;
+            for n in 0..self.count {
+                let mut rgba = self.frame(n)?;
+                all_or_nothing(&mut rgba);
+                let delay = Delay::from_numer_denom_ms(10 * hundredths(n, self.frames_per_second), 1);
+                let picture = RgbaImage::from_raw(self.size[0], self.size[1], rgba).ok_or_else(|| Error::file(path, "has a frame without pixels"))?;
+                encoder.encode_frame(image::Frame::from_parts(picture, 0, 0, delay)).map_err(failed)?;
+            }
+            Ok(())
+        })
+    }
+
+    fn apng(&mut self) -> Result<()> {
+        let path = self.path;
+        let failed = |e: png::EncodingError| match e {
+            png::EncodingError::IoError(e) => Error::io(path, "writing", e),
+            e => Error::file(path, format!("could not be encoded as animated PNG: {e}")),
+        };
+        let (numerator, denominator) = seconds(self.frames_per_second);
+        Output::create(path)?.finish_with(|file| {
+            let mut encoder = png::Encoder::new(file, self.size[0], self.size[1]);
+            encoder.set_color(png::ColorType::Rgba);
+            encoder.set_depth(png::BitDepth::Eight);
+            // Zero plays are plays without end.
+            encoder.set_animated(self.count as u32, 0).map_err(failed)?;
+            encoder.set_frame_delay(numerator, denominator).map_err(failed)?;
+            encoder.validate_sequence(true);
+            let mut writer = encoder.write_header().map_err(failed)?;
+            for n in 0..self.count {
+                let rgba = self.frame(n)?;
+                writer.write_image_data(&rgba).map_err(failed)?;
+            }
+            writer.finish().map_err(failed)
+        })
+    }
+
+    /// The folder is filled under another name and gets its own at the end.
+    fn folder(&mut self) -> Result<()> {
+        let path = self.path;
+        if path.is_dir() {
+            let mut entries = std::fs::read_dir(path).map_err(|e| Error::io(path, "reading", e))?;
+            if entries.next().is_some() {
+                return Err(Error::file(path, "is a folder that is not empty; name a new one for the frames"));
+            }
+        } else if path.exists() {
+            return Err(Error::file(path, "is a file; name a new folder for the frames, or a clip with an ending (.gif, .png, .mp4)"));
+        }
+        let beside = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let folder = tempfile::Builder::new().prefix(".incise-").suffix(".part").tempdir_in(beside).map_err(|e| Error::io(path, "making", e))?;
+        let digits = self.count.to_string().len().max(4);
+        for n in 0..self.count {
+            let rgba = self.frame(n)?;
+            let mut bytes = Vec::new();
+            PngEncoder::new(&mut bytes)
+                .write_image(&rgba, self.size[0], self.size[1], ExtendedColorType::Rgba8)
+                .map_err(|e| encoding(path, "PNG", e))?;
+            let file = format!("frame-{:0digits$}.png", n + 1);
+            std::fs::write(folder.path().join(&file), &bytes).map_err(|e| Error::io(&path.join(&file), "writing", e))?;
+        }
+        if path.is_dir() {
+            // Not every system puts a folder in the place of an empty one.
+            std::fs::remove_dir(path).map_err(|e| Error::io(path, "replacing", e))?;
+        }
+        std::fs::rename(folder.path(), path).map_err(|e| Error::io(path, "writing", e))?;
+        // Its name is another one now; there is nothing left to remove.
+        let _ = folder.keep();
+        Ok(())
+    }
+
+    fn mp4(&mut self) -> Result<()> {
+        let path = self.path;
+        let writing = |e: std::io::Error| Error::io(path, "writing", e);
+        let file = super::beside(path)?.into_temp_path();
+        // A pipe that nobody reads would fill and stop ffmpeg; a file takes what it says.
+        let mut said = tempfile::tempfile().map_err(writing)?;
+        let [width, height] = self.size;
+        let size = format!("{width}x{height}");
+        let rate = self.frames_per_second.to_string();
+        // Whatever the path looks like, it is no option and no address.
+        let mut target = OsString::from("file:");
+        target.push(file.as_os_str());
+        let mut ffmpeg = Command::new("ffmpeg")
+            .args(["-hide_banner", "-loglevel", "error", "-y"])
+            .args(["-f", "rawvideo", "-pix_fmt", "rgba", "-s", &size, "-r", &rate, "-i", "-"])
+            // Colour has half the resolution, so both edges are even.
+            .args(["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4"])
+            .arg(target)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::null())
+            .stderr(Stdio::from(said.try_clone().map_err(writing)?))
+            .spawn()
+            .map_err(|e| match e.kind() {
+                ErrorKind::NotFound => Error::file(path, "needs the program ffmpeg, which is not there; install it, or choose .gif or .png"),
+                _ => Error::io(Path::new("ffmpeg"), "starting", e),
+            })?;
+        let fed = match ffmpeg.stdin.take() {
+            Some(pipe) => self.feed(pipe),
+            None => Ok(false),
+        };
+        if fed.is_err() {
+            // It may have ended by itself already.
+            let _ = ffmpeg.kill();
+        }
+        let status = ffmpeg.wait().map_err(|e| Error::io(Path::new("ffmpeg"), "waiting for it", e))?;
+        if !(fed? && status.success()) {
+            let mut words = Vec::new();
+            said.rewind().and_then(|()| said.read_to_end(&mut words)).map_err(writing)?;
+            let words: String = String::from_utf8_lossy(&words).trim().chars().take(LONGEST_QUOTE).collect();
+            return Err(Error::file(path, format!("ffmpeg could not make it ({status}): {words}; choose .gif or .png")).printable());
+        }
+        file.persist(path).map_err(|e| writing(e.error))
+    }
+
+    /// Sends all frames; false if ffmpeg stopped reading, in which case it says why.
+    fn feed(&mut self, mut pipe: ChildStdin) -> Result<bool> {
+        for n in 0..self.count {
+            let mut rgba = self.frame(n)?;
+            over_black(&mut rgba);
+            match pipe.write_all(&rgba) {
+                Ok(()) => (),
+                Err(e) if e.kind() == ErrorKind::BrokenPipe => return Ok(false),
+                Err(e) => return Err(Error::io(Path::new("ffmpeg"), "sending frames", e)),
+            }
+        }
+        Ok(true)
+    }
+}
+
+fn encoding(path: &Path, format: &str, error: ImageError) -> Error {
+    match error {
+        ImageError::IoError(e) => Error::io(path, "writing", e),
+        e => Error::file(path, format!("could not be encoded as {format}: {e}")),
+    }
+}
+
+/// How long frame n of a GIF is shown, 1/100 s: whole numbers that add up to the time of all frames.
+fn hundredths(n: usize, frames_per_second: f64) -> u32 {
+    let end = |frames: usize| (100.0 * frames as f64 / frames_per_second).round() as u64;
+    (end(n + 1) - end(n)) as u32
+}
+
+/// How long a frame of an animated PNG is shown, as a fraction of a second.
+fn seconds(frames_per_second: f64) -> (u16, u16) {
+    let numerator: u16 = if frames_per_second * 1000.0 <= f64::from(u16::MAX) { 1000 } else { 100 };
+    (numerator, (f64::from(numerator) * frames_per_second).round() as u16)
+}
+
+/// Pixels that are less than half there are left out, others become opaque.
+fn all_or_nothing(rgba: &mut [u8]) {
+    for pixel in rgba.chunks_exact_mut(4) {
+        if pixel[3] < 128 {
+            pixel.fill(0);
+        } else {
+            pixel[3] = 255;
+        }
+    }
+}
+
+/// What a video shows, which has no alpha.
+fn over_black(rgba: &mut [u8]) {
+    for pixel in rgba.chunks_exact_mut(4) {
+        let alpha = u16::from(pixel[3]);
+        for c in &mut pixel[..3] {
+            *c = ((u16::from(*c) * alpha + 127) / 255) as u8;
+        }
+        pixel[3] = 255;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::AnimationDecoder;
+    use image::codecs::gif::GifDecoder;
+    use image::codecs::png::PngDecoder;
+    use std::io::Cursor;
+    use std::sync::atomic::{AtomicBool, Ordering};
+
+    const SIZE: [u32; 2] = [8, 6];
+
+    fn pixels(n: usize) -> Vec<u8> {
+        let pixel = |p: usize| [(40 * n + p) as u8, (p * 5) as u8, 100, if p % 7 == n { 0 } else { 255 }];
+        (0..48).flat_map(pixel).collect()
+    }
+
+    fn write_three(path: &Path, frames_per_second: f32) -> Result<()> {
+        write(path, SIZE, frames_per_second, 3, &mut |n| Ok(pixels(n)), &Watch::NOBODY)
+    }
+
+    fn names(folder: &Path) -> Vec<String> {
+        let mut names: Vec<String> = std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn an_animated_png_is_exact() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("clip.png");
+        write_three(&path, 25.0).unwrap();
+        let decoder = PngDecoder::new(Cursor::new(std::fs::read(&path).unwrap())).unwrap().apng().unwrap();
+        let frames = decoder.into_frames().collect_frames().unwrap();
+        assert_eq!(frames.len(), 3);
+        for (n, frame) in frames.iter().enumerate() {
+            assert_eq!(frame.delay().numer_denom_ms(), (40, 1));
+            assert_eq!(frame.buffer().dimensions(), (8, 6));
+            assert_eq!(frame.buffer().as_raw(), &pixels(n), "frame {n}");
+        }
+    }
+
+    /// Frames of fewer than 256 colours keep them.
+    #[test]
+    fn a_gif_has_its_frames() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("clip.GIF");
+        write_three(&path, 25.0).unwrap();
+        let frames = GifDecoder::new(Cursor::new(std::fs::read(&path).unwrap())).unwrap().into_frames().collect_frames().unwrap();
+        assert_eq!(frames.len(), 3);
+        for (n, frame) in frames.iter().enumerate() {
+            assert_eq!(frame.delay().numer_denom_ms(), (40, 1));
+            for (p, (shown, meant)) in frame.buffer().pixels().zip(pixels(n).chunks_exact(4)).enumerate() {
+                assert_eq!(shown[3], meant[3], "frame {n}, pixel {p}");
+                assert!(meant[3] == 0 || shown.0 == *meant, "frame {n}, pixel {p}: {shown:?}, not {meant:?}");
+            }
+        }
+        assert!(write_three(&path, 60.0).is_err(), "a GIF faster than viewers show");
+    }
+
+    #[test]
+    fn a_folder_has_a_file_for_every_frame() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("frames");
+        write_three(&path, 25.0).unwrap();
+        assert_eq!(names(&path), ["frame-0001.png", "frame-0002.png", "frame-0003.png"]);
+        let second = image::load_from_memory(&std::fs::read(path.join("frame-0002.png")).unwrap()).unwrap();
+        assert_eq!(second.into_rgba8().into_raw(), pixels(1));
+        assert!(write_three(&path, 25.0).is_err(), "frames over others");
+        let empty = folder.path().join("empty.one");
+        std::fs::create_dir(&empty).unwrap();
+        write_three(&empty, 25.0).unwrap();
+        assert_eq!(names(&empty).len(), 3);
+        assert_eq!(names(folder.path()), ["empty.one", "frames"]);
+    }
+
+    #[test]
+    fn what_is_stopped_or_fails_leaves_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["clip.gif", "clip.apng", "frames"] {
+            let path = folder.path().join(name);
+            let stop = AtomicBool::new(false);
+            let watch = Watch { progress: &|_| (), cancel: &stop };
+            let mut asked = 0;
+            let stopped = write(
+                &path,
+                SIZE,
+                25.0,
+                3,
+                &mut |n| {
+                    asked += 1;
+                    stop.store(n == 1, Ordering::Relaxed);
+                    Ok(pixels(n))
+                },
+                &watch,
+            );
+            assert!(matches!(stopped, Err(Error::Cancelled)) && asked == 2, "{name}: {stopped:?}");
+            let frame = |n: usize| if n == 2 { Err(Error::value("frame", "none")) } else { Ok(pixels(n)) };
+            assert!(write(&path, SIZE, 25.0, 3, &mut |n| frame(n), &Watch::NOBODY).is_err(), "{name}");
+            assert!(write(&path, SIZE, 25.0, 3, &mut |_| Ok(vec![0; 7]), &Watch::NOBODY).is_err(), "{name}");
+            assert_eq!(names(folder.path()), [""; 0], "{name}");
+        }
+    }
+
+    /// With ffmpeg and without it.
+    #[test]
+    fn a_video_is_made_or_ffmpeg_is_asked_for() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("clip.mp4");
+        match write_three(&path, 25.0) {
+            Ok(()) => assert_eq!(&std::fs::read(&path).unwrap()[4..8], b"ftyp"),
+            Err(e) => {
+                assert!(e.to_string().contains("ffmpeg") && e.to_string().contains(".gif or .png"), "{e}");
+                assert_eq!(names(folder.path()), [""; 0]);
+            }
+        }
+    }
+
+    #[test]
+    fn endings_name_formats() {
+        for (path, format) in [("a/b.gif", ClipFormat::Gif), ("b.PNG", ClipFormat::Apng), ("b.apng", ClipFormat::Apng), ("b.mp4", ClipFormat::Mp4)] {
+            assert_eq!(ClipFormat::of(Path::new(path)).unwrap(), format, "{path}");
+        }
+        assert_eq!(ClipFormat::of(Path::new("no/such/frames")).unwrap(), ClipFormat::Frames);
+        for path in ["a.webm", "a.jpg", "a.b.c"] {
+            assert!(ClipFormat::of(Path::new(path)).is_err_and(|e| e.to_string().contains(".gif")), "{path}");
+        }
+    }
+
+    #[test]
+    fn what_is_no_clip_is_an_error() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("clip.png");
+        let write = |size, rate, count| write(&path, size, rate, count, &mut |n| Ok(pixels(n)), &Watch::NOBODY);
+        assert!(
+            write([0, 6], 25.0, 3).is_err() && write(SIZE, 0.0, 3).is_err() && write(SIZE, f32::NAN, 3).is_err() && write(SIZE, 25.0, 0).is_err()
+        );
+        assert_eq!(names(folder.path()), [""; 0]);
+    }
+
+    #[test]
+    fn delays_add_up() {
+        assert_eq!((0..30).map(|n| hundredths(n, 30.0)).sum::<u32>(), 100);
+        assert!((0..1000).all(|n| hundredths(n, 50.0) == 2 && hundredths(n, 48.0) >= 2));
+        for rate in [0.1, 1.0, 29.97, 30.0, 60.0, 120.0, 240.0] {
+            let (numerator, denominator) = seconds(rate);
+            assert!((f64::from(denominator) / f64::from(numerator) - rate).abs() < 1e-9, "{rate}: {numerator}/{denominator}");
+        }
+    }
+
+    #[test]
+    fn alpha_is_taken_away() {
+        let pixels = [200, 100, 0, 128, 200, 100, 0, 127, 7, 8, 9, 255];
+        let (mut gif, mut video) = (pixels, pixels);
+        all_or_nothing(&mut gif);
+        over_black(&mut video);
+        assert_eq!(gif, [200, 100, 0, 255, 0, 0, 0, 0, 7, 8, 9, 255]);
+        assert_eq!(video, [100, 50, 0, 255, 100, 50, 0, 255, 7, 8, 9, 255]);
+    }
+}
