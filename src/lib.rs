@@ -32,6 +32,8 @@ mod error;
 pub mod export;
 #[cfg(feature = "gpu")]
 pub mod gpu;
+#[cfg(feature = "gui")]
+pub mod gui;
 pub mod math;
 pub mod mesh;
 #[cfg(feature = "gpu")]

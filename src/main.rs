@@ -1,5 +1,23 @@
 //! The `incise` program.
 
-fn main() -> std::process::ExitCode {
-    incise::cli::main()
+use incise::cli::{self, Run};
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    match cli::main() {
+        Run::Done(code) => code,
+        Run::Workstation(file) => workstation(file),
+    }
+}
+
+#[cfg(feature = "gui")]
+fn workstation(file: Option<std::path::PathBuf>) -> ExitCode {
+    cli::finish(incise::gui::open(file))
+}
+
+#[cfg(not(feature = "gui"))]
+fn workstation(file: Option<std::path::PathBuf>) -> ExitCode {
+    let what = file.map_or_else(|| "FILE".to_owned(), |f| f.display().to_string());
+    eprintln!("incise: this build has no workstation; render a picture with: incise render {what} -o picture.png (see incise --help)");
+    ExitCode::from(2)
 }

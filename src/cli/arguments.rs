@@ -3,10 +3,9 @@
 use crate::deform::{Argument, Storage};
 use crate::scene::deformations::FILE_KINDS;
 use crate::scene::{Deformation, Scene, Size};
-use crate::volume::load::{self, Choice, RawLayout};
+use crate::volume::load::{Choice, RawLayout};
 use crate::{Error, Result};
 use clap::Args;
-use std::path::Path;
 
 /// Options that say which part of a volume's file is meant.
 #[derive(Args, Clone, Debug)]
@@ -73,34 +72,6 @@ fn spacing(text: &str) -> Result<[f64; 3], String> {
         [x, y, z] if text.split(',').count() == 3 => Ok([x, y, z]),
         _ => Err(format!("\"{text}\" is no spacing; write X,Y,Z in mm, e.g. 0.5,0.5,2")),
     }
-}
-
-/// Whether two paths name one file.
-pub fn same_file(a: &Path, b: &Path) -> bool {
-    a == b || matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
-}
-
-/// Nothing is ever written to a file that is read.
-///
-/// # Errors
-/// The output is one of the files that are read.
-pub fn protect<'a>(option: &str, output: &Path, read: impl IntoIterator<Item = &'a Path> + Clone) -> Result<()> {
-    if read.clone().into_iter().any(|r| same_file(output, r)) {
-        return Err(Error::value(format!("{option} {}", output.display()), "is a file that is read; choose another name"));
-    }
-    let inside =
-        |folder: &Path| match (output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).canonicalize(), folder.canonicalize())
-        {
-            (Ok(output), Ok(folder)) => output.starts_with(folder),
-            _ => false,
-        };
-    if read.clone().into_iter().any(|r| r.is_dir() && inside(r) && load::is_part_of(r, output)) {
-        return Err(Error::value(
-            format!("{option} {}", output.display()),
-            "would be one of the files of a folder that is read; choose another folder",
-        ));
-    }
-    Ok(())
 }
 
 /// `512x512`.

@@ -2,12 +2,8 @@
 
 use super::arguments;
 use super::progress::Progress;
-use crate::deform::cut::Cuts;
-use crate::deform::{Stack, Storage};
-use crate::export::{Output, bake};
-use crate::scene::deformations::{self, Making};
-use crate::scene::inside;
-use crate::scene::{Assets, Scene};
+use crate::export::{Output, bake, protect};
+use crate::scene::{Assets, Deformed, Scene};
 use crate::volume::save::Format;
 use crate::{Error, Result};
 use clap::{Args, ValueEnum};
@@ -50,16 +46,6 @@ pub struct Arguments {
     quiet: bool,
 }
 
-/// The exact stack of a scene: every map in single precision, none composed; and its cuts, as shapes if asked for.
-pub(super) fn exact_stack(scene: &Scene, assets: &Assets, exact_cuts: bool) -> Result<(Stack, Cuts)> {
-    let scene_box = assets.scene_box();
-    let view = scene.camera.frame(&scene_box, scene.render.size)?;
-    let least_ramp_mm = 1.5 * assets.volume.spacing_mm().min_element() as f32;
-    let making = Making { library: &assets.library, scene_box, least_ramp_mm, view: &view, storage: Some(Storage::F32), exact_cuts };
-    let inside = inside::of_scene(scene, assets, &scene_box, least_ramp_mm)?.map_or_else(Vec::new, |i| i.maps);
-    deformations::stack(&scene.deformation, &making, inside, Vec::new())
-}
-
 /// Bakes and writes.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let format = Format::of(&arguments.output)?;
@@ -69,7 +55,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         scene.deformation.push(arguments::deformation(text)?);
     }
     let read = scene.files();
-    arguments::protect("--output", &arguments.output, read.iter().map(PathBuf::as_path).chain([arguments.input.as_path()]))?;
+    protect("--output", &arguments.output, read.iter().map(PathBuf::as_path).chain([arguments.input.as_path()]))?;
     if arguments.fill.is_some_and(|f| !f.is_finite()) {
         return Err(Error::value("--fill", "must be a finite number"));
     }
@@ -80,7 +66,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let assets = Assets::load(&scene, &|what, share| bar.set(what, share))?;
     let volume = &assets.volume;
-    let (stack, cuts) = exact_stack(&scene, &assets, true)?;
+    let Deformed { stack, cuts, .. } = Deformed::exact(&scene, &assets, true)?;
     let deformation = bake::Deformation { stack: &stack, cuts: &cuts };
     if !arguments.quiet {
         for note in volume.warnings.iter().map(|w| format!("{}: {w}", scene.volume_name())).chain(assets.library.notices()) {

@@ -1,13 +1,13 @@
 //! `incise map`: makes, converts, inverts and checks displacement maps and fields.
 
+use super::arguments;
 use super::progress::Progress;
-use super::{arguments, bake};
 use crate::deform::health::Examined;
 use crate::deform::transform::{Context, Step, Transform, VectorField};
 use crate::deform::{PlacedMap, Storage, compose, invert, saved};
-use crate::export::{Output, png_rgb};
+use crate::export::{Output, png_rgb, protect};
 use crate::math::Bounds;
-use crate::scene::{Assets, Scene, deformations::FILE_KINDS};
+use crate::scene::{Assets, Deformed, Scene, deformations::FILE_KINDS};
 use crate::volume::load::{self, Choice};
 use crate::volume::save::{self, Content, Format};
 use crate::{Error, Result, Watch};
@@ -88,7 +88,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     };
     let format = Format::of(path)?;
     let input = Path::new(what);
-    arguments::protect("--output", path, arguments.volume.as_deref().into_iter().chain([input]))?;
+    protect("--output", path, arguments.volume.as_deref().into_iter().chain([input]))?;
     if let Some(n) = arguments.resolution.filter(|n| !(8..=512).contains(n)) {
         return Err(Error::value("--resolution", format!("{n} is outside 8 to 512 points")));
     }
@@ -107,12 +107,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             None => Scene::of_volume("phantom:ball:size=8"),
         };
         scene.deformation = vec![arguments::deformation(what)?];
-        arguments::protect("--output", path, scene.files().iter().map(PathBuf::as_path))?;
+        protect("--output", path, scene.files().iter().map(PathBuf::as_path))?;
         if scene.deformation[0].resolution.is_none() && arguments.resolution.is_some() {
             scene.deformation[0].resolution = arguments.resolution;
         }
         let assets = Assets::load(&scene, &|_, _| ())?;
-        let (stack, _) = bake::exact_stack(&scene, &assets, false)?;
+        let stack = Deformed::exact(&scene, &assets, false)?.stack;
         assets.library.notices().into_iter().for_each(note);
         // A chain of transforms is several maps; a file holds one.
         let made = match stack.maps() {
@@ -223,11 +223,11 @@ fn run_check(arguments: &CheckArguments) -> Result<()> {
     let read = || arguments.volume.as_deref().into_iter().chain([path.as_path()]);
     for (option, written) in [("--csv", &arguments.csv), ("--picture", &arguments.picture)] {
         if let Some(written) = written {
-            arguments::protect(option, written, read())?;
+            protect(option, written, read())?;
         }
     }
     if let (Some(csv), Some(picture)) = (&arguments.csv, &arguments.picture) {
-        arguments::protect("--picture", picture, [csv.as_path()])?;
+        protect("--picture", picture, [csv.as_path()])?;
     }
     let csv = arguments.csv.as_deref().map(Output::create).transpose()?;
     let picture = arguments.picture.as_deref().map(Output::create).transpose()?;

@@ -44,8 +44,16 @@ enum Command {
     List,
 }
 
+/// What the program is asked to do by its command line.
+pub enum Run {
+    /// It is done, with this exit code.
+    Done(ExitCode),
+    /// The workstation is to be opened, with a file or without one.
+    Workstation(Option<std::path::PathBuf>),
+}
+
 /// Runs the program. Exit code 0: done; 1: failed, with one message; 2: wrong usage.
-pub fn main() -> ExitCode {
+pub fn main() -> Run {
     let cli = Cli::parse();
     let result = match cli.command {
         Some(Command::Render(arguments)) => render::run(&arguments),
@@ -63,11 +71,14 @@ pub fn main() -> ExitCode {
             Ok(())
         }
         None => {
-            let what = cli.file.map_or_else(|| "FILE".to_owned(), |f| f.display().to_string());
-            eprintln!("incise: this version has no workstation yet; render a picture with: incise render {what} -o picture.png (see incise --help)");
-            return ExitCode::from(2);
+            return Run::Workstation(cli.file);
         }
     };
+    Run::Done(finish(result))
+}
+
+/// The exit code of what was done; what went wrong is told.
+pub fn finish(result: crate::Result<()>) -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {

@@ -3,7 +3,7 @@
 use super::arguments;
 use super::progress::Progress;
 use crate::deform::health::Examined;
-use crate::export::{Output, png};
+use crate::export::{Output, png, protect, same_file};
 use crate::scene::surface::CutModel;
 use crate::scene::{Assets, Camera, InsideMesh, Mode, Picture, Prepared, Projection, RenderStats, Rendered, Scene, Stages, View};
 use crate::{Error, Result, cpu};
@@ -256,9 +256,9 @@ fn protect_inputs(arguments: &Arguments, scene: &Scene) -> Result<()> {
     let read = scene.files();
     let written = [Some(("--output", &arguments.output)), arguments.stats.as_ref().map(|s| ("--stats", s))];
     for (option, path) in written.into_iter().flatten() {
-        arguments::protect(option, path, read.iter().map(PathBuf::as_path).chain([arguments.input.as_path()]))?;
+        protect(option, path, read.iter().map(PathBuf::as_path).chain([arguments.input.as_path()]))?;
     }
-    if arguments.stats.as_ref().is_some_and(|s| arguments::same_file(s, &arguments.output)) {
+    if arguments.stats.as_ref().is_some_and(|s| same_file(s, &arguments.output)) {
         return Err(Error::value("--stats", "names the same file as --output; choose another name"));
     }
     Ok(())

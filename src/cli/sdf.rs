@@ -1,9 +1,8 @@
 //! `incise sdf`: the signed distance field of a mesh, into a file.
 
-use super::arguments;
 use super::progress::Progress;
 use crate::Watch;
-use crate::export::Output;
+use crate::export::{Output, protect};
 use crate::math::Bounds;
 use crate::mesh::field::{FieldSettings, MeshField};
 use crate::mesh::load;
@@ -48,7 +47,7 @@ pub struct Arguments {
 /// Computes and writes the field.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let format = Format::of(&arguments.output)?;
-    arguments::protect("--output", &arguments.output, [arguments.mesh.as_path()])?;
+    protect("--output", &arguments.output, [arguments.mesh.as_path()])?;
     if !(8..=4096).contains(&arguments.resolution) {
         return Err(Error::value("--resolution", format!("{} is outside 8 to 4096 points", arguments.resolution)));
     }

@@ -20,9 +20,9 @@ use crate::deform::cut::Kept;
 use crate::scene::{Mode, Picture, Prepared, RenderStats, Rendered, Stages};
 use crate::transfer::Blend;
 use crate::volume::{GridVoxels, Sampler, Voxel};
+use crate::{Result, Watch};
 use glam::Vec3;
 use rayon::prelude::*;
-use crate::{Result, Watch};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// A ray whose remaining transmittance is below this is finished: less than half an 8-bit step can follow.

@@ -37,11 +37,7 @@ impl Plane {
     pub fn pixel(&self, world: Vec3) -> (f32, f32, f32) {
         let d = world - self.center;
         let [width, height] = self.size.map(|n| n as f32);
-        (
-            d.dot(self.right) / self.mm_per_pixel + width / 2.0,
-            d.dot(self.down) / self.mm_per_pixel + height / 2.0,
-            d.dot(self.right.cross(self.down)),
-        )
+        (d.dot(self.right) / self.mm_per_pixel + width / 2.0, d.dot(self.down) / self.mm_per_pixel + height / 2.0, d.dot(self.right.cross(self.down)))
     }
 }
 

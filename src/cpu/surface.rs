@@ -96,7 +96,8 @@ pub fn nearest_side(scene: &Prepared, origin: Vec3, direction: Vec3) -> Option<(
                 triangles.tree.ray(origin, direction, 0.0, f32::INFINITY, |_| true).map(|h| (h.t, triangle_normal(triangles, &h)))
             }
             (Stage::Both(seam), Some(triangles)) => {
-                let drawn = triangles.tree.ray(origin, direction, 0.0, f32::INFINITY, |h| is_undeformed(scene, object, origin + direction * h.t, seam));
+                let drawn =
+                    triangles.tree.ray(origin, direction, 0.0, f32::INFINITY, |h| is_undeformed(scene, object, origin + direction * h.t, seam));
                 let drawn = drawn.map(|h| (h.t, triangle_normal(triangles, &h)));
                 [drawn, by_field()].into_iter().flatten().min_by(|a, b| a.0.total_cmp(&b.0))
             }

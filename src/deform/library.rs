@@ -1,9 +1,9 @@
 //! What deformations read besides their numbers: the scene's volume, label maps, distance fields, fields from files. Each is loaded once
 //! and kept as long as the scene's assets are.
 
-use super::{Arguments, PlacedMap};
 use super::distance::{Region, of_region};
 use super::transform::{Context, Transform};
+use super::{Arguments, PlacedMap};
 use crate::math::DistanceGrid;
 use crate::volume::load::{self, Choice};
 use crate::volume::{GridGeometry, Volume};

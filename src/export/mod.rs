@@ -4,6 +4,7 @@ pub mod bake;
 pub mod clip;
 
 use crate::scene::Picture;
+use crate::volume::load;
 use crate::{Error, Result};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -49,6 +50,34 @@ impl Output {
         file.persist(&path).map_err(|e| Error::io(&path, "writing", e.error))?;
         Ok(())
     }
+}
+
+/// Whether two paths name one file.
+pub fn same_file(a: &Path, b: &Path) -> bool {
+    a == b || matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
+}
+
+/// Nothing is ever written to a file that is read.
+///
+/// # Errors
+/// The output is one of the files that are read.
+pub fn protect<'a>(option: &str, output: &Path, read: impl IntoIterator<Item = &'a Path> + Clone) -> Result<()> {
+    if read.clone().into_iter().any(|r| same_file(output, r)) {
+        return Err(Error::value(format!("{option} {}", output.display()), "is a file that is read; choose another name"));
+    }
+    let inside =
+        |folder: &Path| match (output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).canonicalize(), folder.canonicalize())
+        {
+            (Ok(output), Ok(folder)) => output.starts_with(folder),
+            _ => false,
+        };
+    if read.clone().into_iter().any(|r| r.is_dir() && inside(r) && load::is_part_of(r, output)) {
+        return Err(Error::value(
+            format!("{option} {}", output.display()),
+            "would be one of the files of a folder that is read; choose another folder",
+        ));
+    }
+    Ok(())
 }
 
 /// A temporary file in the folder of `path`.

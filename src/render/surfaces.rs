@@ -7,13 +7,13 @@
 
 use super::uniforms::{DeformerUniform, PlacedSolidUniform, SurfaceObjectUniform};
 use super::{Counter, Renderer, Shared, Variant, extent, overrides};
-use crate::{Result, Watch};
 use crate::gpu::shaders::Program;
 use crate::mesh::Implicit;
 use crate::mesh::deformer::MOST_DEFORMERS;
 use crate::mesh::formula::MOST_SOLIDS;
 use crate::scene::Prepared;
 use crate::scene::objects::{Stage, SurfaceObject};
+use crate::{Result, Watch};
 use half::f16;
 use rayon::prelude::*;
 use wgpu::TextureFormat;
@@ -316,7 +316,7 @@ impl Renderer {
         crate::gpu::checked(&device, || {
             self.upload_volume(scene.grid, scene.colors)?;
             let shared = self.shared(scene)?;
-            let layer = self.draw_surfaces(scene, &shared, None, &|_| ())?;
+            let layer = self.draw_surfaces(scene, &shared, None, &Watch::NOBODY)?;
             let distances = crate::gpu::read_r32f(&self.device.device, &self.device.queue, &layer.distance)?;
             Ok(distances.into_iter().map(|t| if f64::from(t) < 0.99 * FAR_AWAY { t } else { f32::INFINITY }).collect())
         })

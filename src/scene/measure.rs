@@ -260,7 +260,8 @@ mod tests {
             u8::from(p.length() <= radius) * 3
         };
         let voxels: Vec<u8> = (0..n * n * n).map(inside).collect();
-        let mut volume = Volume::new(Voxels::U8(Arc::new(voxels)), [n; 3], Rescale::NONE, DAffine3::from_mat3(DMat3::from_diagonal(DVec3::splat(spacing))));
+        let mut volume =
+            Volume::new(Voxels::U8(Arc::new(voxels)), [n; 3], Rescale::NONE, DAffine3::from_mat3(DMat3::from_diagonal(DVec3::splat(spacing))));
         volume.declared_labels = true;
         let scene = Scene::of_volume("phantom:ball");
         let assets = Assets::of_volume(volume, crate::scene::Stages::default());

@@ -39,7 +39,8 @@ impl Scene {
         let mut scene = self.clone();
         let from = std::path::absolute(if self.folder.as_os_str().is_empty() { Path::new(".") } else { &self.folder })
             .map_err(|e| Error::io(&self.folder, "reading", e))?;
-        let to = std::path::absolute(if folder.as_os_str().is_empty() { Path::new(".") } else { folder }).map_err(|e| Error::io(folder, "reading", e))?;
+        let to =
+            std::path::absolute(if folder.as_os_str().is_empty() { Path::new(".") } else { folder }).map_err(|e| Error::io(folder, "reading", e))?;
         let to = plain(&to);
         let moved = |path: &mut String| {
             if !path.starts_with("phantom:") {
@@ -48,20 +49,49 @@ impl Scene {
                 *path = absolute.strip_prefix(&to).unwrap_or(&absolute).to_string_lossy().into_owned();
             }
         };
-        if let Some(volume) = &mut scene.volume {
-            moved(&mut volume.path);
-            volume.labels.as_mut().map(&moved);
-            volume.inside.as_mut().map(|i| moved(&mut i.path));
-        }
-        for mesh in &mut scene.mesh {
-            mesh.path.as_mut().map(&moved);
-            mesh.volume.as_mut().map(&moved);
-        }
-        for deformation in &mut scene.deformation {
-            move_settings(deformation, &from, &moved);
-        }
+        scene.folder = from.clone();
+        scene.each_path(&moved);
         scene.folder = folder.to_owned();
         Ok(scene)
+    }
+}
+
+impl Scene {
+    /// Names another file where `missing` was named; other missing files of the same folder are looked for beside it.
+    pub fn relocate(&mut self, missing: &Path, found: &Path) {
+        let (old, new) = (missing.parent().map(Path::to_owned), found.parent().map(Path::to_owned));
+        let folder = self.folder.clone();
+        let moved = |path: &mut String| {
+            let full = folder.join(&*path);
+            if full == missing {
+                *path = found.to_string_lossy().into_owned();
+            } else if let (Some(old), Some(new)) = (&old, &new)
+                && !path.starts_with("phantom:")
+                && !full.exists()
+                && let Ok(rest) = full.strip_prefix(old)
+                && new.join(rest).exists()
+            {
+                *path = new.join(rest).to_string_lossy().into_owned();
+            }
+        };
+        self.each_path(&moved);
+    }
+
+    /// Does something to every path that is named.
+    fn each_path(&mut self, change: &impl Fn(&mut String)) {
+        let from = self.folder.clone();
+        if let Some(volume) = &mut self.volume {
+            change(&mut volume.path);
+            volume.labels.as_mut().map(change);
+            volume.inside.as_mut().map(|i| change(&mut i.path));
+        }
+        for mesh in &mut self.mesh {
+            mesh.path.as_mut().map(change);
+            mesh.volume.as_mut().map(change);
+        }
+        for deformation in &mut self.deformation {
+            move_settings(deformation, &from, change);
+        }
     }
 }
 

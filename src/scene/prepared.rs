@@ -5,7 +5,7 @@ use super::objects::{Objects, Surfaces};
 use super::{CutFaces, Light, Macrocells, Mode, Normals, RenderSettings, Scene, ViewFrame, inside, macrocells::Contents};
 use crate::deform::compose::{self, Evaluate};
 use crate::deform::cut::Cuts;
-use crate::deform::{Library, PlacedMap, Stack};
+use crate::deform::{Library, PlacedMap, Stack, Storage};
 use crate::math::{Bounds, MinMaxPyramid, normalize_or, to_f32};
 use crate::mesh::Mesh;
 use crate::transfer::{Blend, OWN_COLORS, Table, default_preset};
@@ -89,7 +89,9 @@ impl Assets {
     pub fn load_after(before: Option<&Self>, scene: &Scene, progress: &(dyn Fn(&'static str, f32) + Sync), cancel: &AtomicBool) -> Result<Self> {
         let mut stages = Stages::default();
         let source = scene.volume_path().zip(scene.volume.as_ref().map(|v| v.choice.clone()));
-        let same = before.filter(|b| b.has_volume && source.is_some() && b.source == source && b.library.folder() == scene.folder);
+        // The same file may be named from another folder.
+        let place = |s: &Option<(PathBuf, Choice)>| s.as_ref().map(|(path, choice)| (std::path::absolute(path).ok(), choice.clone()));
+        let same = before.filter(|b| b.has_volume && source.is_some() && place(&b.source) == place(&source));
         let mut assets = match (scene.volume_path(), &scene.volume) {
             _ if same.is_some() => Self::again(same, scene),
             (Some(path), Some(source)) => {
@@ -178,7 +180,11 @@ impl Assets {
             source: b.source.clone(),
             label_map: None,
             labels: OnceLock::new(),
-            library: b.library.clone(),
+            library: if b.library.folder() == scene.folder {
+                b.library.clone()
+            } else {
+                Arc::new(Library::new(b.volume.clone(), scene.folder.clone()))
+            },
             objects: Objects::default(),
             has_volume: true,
             mesh_box: Bounds::EMPTY,
@@ -284,6 +290,20 @@ impl Deformed {
         let (stack, cuts) = deformations::stack(&scene.deformation, &making, inside, more)?;
         let (stack, composition) = deformations::bounded(stack, &scene_box, settings.precompose, UNSEEN * reference_mm, evaluate)?;
         Ok(Self { stack, cuts, composition, proxy_mesh })
+    }
+
+    /// The exact deformation: every map in single precision, none composed; its last cuts as shapes if asked for. What is baked.
+    ///
+    /// # Errors
+    /// Any setting that cannot be used, by name.
+    pub fn exact(scene: &Scene, assets: &Assets, exact_cuts: bool) -> Result<Self> {
+        let scene_box = assets.scene_box();
+        let view = scene.camera.frame(&scene_box, scene.render.size)?;
+        let least_ramp_mm = 1.5 * assets.volume.spacing_mm().min_element() as f32;
+        let making = Making { library: &assets.library, scene_box, least_ramp_mm, view: &view, storage: Some(Storage::F32), exact_cuts };
+        let inside = inside::of_scene(scene, assets, &scene_box, least_ramp_mm)?.map_or_else(Vec::new, |i| i.maps);
+        let (stack, cuts) = deformations::stack(&scene.deformation, &making, inside, Vec::new())?;
+        Ok(Self { stack, cuts, composition: None, proxy_mesh: None })
     }
 
     /// Where a point of the source is seen in the deformed scene, mm; none if it is cut away or no such point is found.

@@ -246,6 +246,11 @@ pub struct MeshSource {
     pub tessellate: Option<f32>,
 }
 
+/// Names of the looks.
+pub fn looks() -> impl Iterator<Item = &'static str> {
+    LOOKS.iter().map(|l| l.0)
+}
+
 /// A look with everything decided.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Look {

@@ -1,0 +1,613 @@
+//! The workstation's state, and what happens in each of its frames.
+
+use super::action::{self, Action, Entry};
+use super::document::{AssetKey, Document, Selection};
+use super::files::{Dialog, Files, Loading};
+use super::gizmos::Drag;
+use super::history::{Cameras, History};
+use super::layout::{Panel, Preset};
+use super::log::{Level, Log};
+use super::panels::{self, Thumbnails, compare::ComparePanel, editor::Editor, inspector::Inspector, palette::Palette, transfer::TransferPanel};
+use super::session::Session;
+use super::tasks::Task;
+use super::tool::Tool;
+use super::views::{slices::Slices, volume3d::View3d};
+use super::worker::{Answer, Backend, Measured, Output, Prober, Purpose, Target, What, Worker};
+use super::{history, theme};
+use crate::Error;
+use crate::scene::Scene;
+use crate::scene::measure::Measure;
+use eframe::egui::{self, Context, Ui};
+use egui_dock::{DockArea, DockState, TabViewer};
+use glam::Vec3;
+use std::collections::VecDeque;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// A frame of the interface that takes longer is told in the messages.
+const SLOW_MS: f32 = 50.0;
+/// Frames whose times are kept.
+const FRAMES: usize = 2000;
+
+/// How a workstation is started.
+#[derive(Clone, Debug, Default)]
+pub struct Options {
+    /// What to open.
+    pub file: Option<PathBuf>,
+    /// Where settings, automatic saves and maps are kept; the user's own folder by default.
+    pub folder: Option<PathBuf>,
+    /// Where pictures are computed, whatever the settings say.
+    pub backend: Option<Backend>,
+}
+
+/// A drag in a view.
+#[derive(Clone, Debug)]
+#[allow(missing_docs, reason = "each is what the pointer does")]
+pub enum Gesture {
+    Orbit,
+    Pan,
+    Zoom,
+    Roll,
+    Gizmo(Box<Drag>),
+    Lasso,
+    Brush,
+    Window3d,
+    Crosshair,
+    SlicePan,
+    SliceZoom,
+    Window,
+    SliceBrush,
+}
+
+/// What lies under the pointer.
+#[derive(Clone, Copy, Debug)]
+pub struct Hover {
+    /// Where it is seen, mm; none in a view of the source.
+    pub deformed: Option<Vec3>,
+    /// Where it came from, mm.
+    pub source: Vec3,
+    /// Its value, if it was asked of the picture; else the nearest voxel's is told.
+    pub value: Option<f64>,
+}
+
+/// A point that was clicked.
+#[derive(Clone, Copy, Debug)]
+pub struct Point {
+    /// Where it is seen, mm.
+    pub deformed: Vec3,
+    /// Where it came from, mm.
+    pub source: Vec3,
+}
+
+/// The application.
+pub struct Workstation {
+    /// The open scene.
+    pub doc: Option<Document>,
+    pub(super) history: History,
+    pub(super) cameras: Cameras,
+    pub(super) worker: Worker,
+    pub(super) prober: Prober,
+    /// The user's settings and automatic saves.
+    pub session: Session,
+    /// What was said.
+    pub log: Log,
+    toasts: egui_notify::Toasts,
+    pub(super) dock: DockState<Panel>,
+    pub(super) layout: Preset,
+    /// Panels to bring to the front, and whether to open those that are not there.
+    pub(super) wanted_panels: Vec<(Panel, bool)>,
+    /// The armed tool.
+    pub tool: Tool,
+    pub(super) gesture: Option<Gesture>,
+    /// The 3D view.
+    pub view: View3d,
+    /// The slice views.
+    pub slices: Slices,
+    pub(super) slice_window: Option<[f64; 2]>,
+    pub(super) transfer: TransferPanel,
+    /// The comparison.
+    pub compare: ComparePanel,
+    pub(super) inspector: Inspector,
+    pub(super) editor: Editor,
+    pub(super) thumbnails: Thumbnails,
+    /// What is measured, with its numbers.
+    pub measured: Vec<Measured>,
+    measured_of: Option<(Vec<Measure>, Arc<Scene>, usize)>,
+    pub(super) pending_points: Vec<Point>,
+    pub(super) stroke_points: Vec<Vec3>,
+    pub(super) stroke_before: Option<Vec<String>>,
+    /// What lies under the pointer.
+    pub hover: Option<Hover>,
+    /// A file that is being loaded.
+    pub loading: Option<Loading>,
+    /// What runs in the background.
+    pub tasks: Vec<Task>,
+    /// The open dialog.
+    pub dialog: Option<Dialog>,
+    pub(super) files: Files,
+    pub(super) palette: Option<Palette>,
+    pub(super) keys_open: Option<String>,
+    /// All actions, with the user's keys.
+    pub entries: Vec<Entry>,
+    pub(super) before: bool,
+    space: bool,
+    pub(super) serial: u64,
+    /// Counts changes of the scene.
+    pub edits: u64,
+    last_scene: Option<Arc<Scene>>,
+    /// Assets that could not be loaded are not asked for again until the scene changes.
+    pub(super) failed_assets: Option<AssetKey>,
+    /// Times of the last frames, ms.
+    pub frame_ms: VecDeque<f32>,
+    quitting: bool,
+    /// The last failure of a picture, so that it is told once.
+    failure: Option<String>,
+    pub(super) forced_backend: Option<Backend>,
+}
+
+impl Workstation {
+    /// A workstation on a context of the interface.
+    pub fn new(ctx: &Context, options: Options) -> Self {
+        theme::install(ctx);
+        let mut problems = Vec::new();
+        let session = Session::open(options.folder, &mut problems);
+        let backend = options.backend.unwrap_or(session.settings.backend);
+        ctx.set_theme(if session.settings.light { egui::Theme::Light } else { egui::Theme::Dark });
+        ctx.set_zoom_factor(session.settings.scale.clamp(0.5, 3.0));
+        let layout = Preset::FourUp;
+        let mut app = Self {
+            doc: None,
+            history: History::default(),
+            cameras: Cameras::default(),
+            worker: Worker::new(ctx, backend),
+            prober: Prober::new(ctx),
+            session,
+            log: Log::default(),
+            toasts: egui_notify::Toasts::default().with_anchor(egui_notify::Anchor::BottomRight).with_margin(egui::vec2(12.0, 40.0)),
+            dock: layout.dock(),
+            layout,
+            wanted_panels: Vec::new(),
+            tool: Tool::Navigate,
+            gesture: None,
+            view: View3d::default(),
+            slices: Slices::default(),
+            slice_window: None,
+            transfer: TransferPanel::default(),
+            compare: ComparePanel::default(),
+            inspector: Inspector::default(),
+            editor: Editor::default(),
+            thumbnails: Thumbnails::default(),
+            measured: Vec::new(),
+            measured_of: None,
+            pending_points: Vec::new(),
+            stroke_points: Vec::new(),
+            stroke_before: None,
+            hover: None,
+            loading: None,
+            tasks: Vec::new(),
+            dialog: None,
+            files: Files::new(),
+            palette: None,
+            keys_open: None,
+            entries: action::list(),
+            before: false,
+            space: false,
+            serial: 0,
+            edits: 0,
+            last_scene: None,
+            failed_assets: None,
+            frame_ms: VecDeque::new(),
+            quitting: false,
+            failure: None,
+            forced_backend: options.backend,
+        };
+        app.apply_keys();
+        for problem in problems {
+            app.say(Level::Warning, problem.to_string());
+        }
+        let left = app.session.left_behind();
+        if !left.is_empty() {
+            app.dialog = Some(Dialog::Recover(left));
+        }
+        if let Some(file) = options.file {
+            app.open(ctx, &file);
+        }
+        app
+    }
+
+    /// Puts the user's keys in the place of the usual ones.
+    pub(super) fn apply_keys(&mut self) {
+        self.entries = action::list();
+        for entry in &mut self.entries {
+            if let Some(text) = self.session.settings.keys.get(&entry.label) {
+                entry.key = action::key_from_text(text);
+            }
+        }
+    }
+
+    /// Tells something: in the messages, and as a toast if it is new.
+    pub fn say(&mut self, level: Level, text: impl Into<String>) {
+        let text = text.into();
+        if self.log.add(level, text.clone()) {
+            let short: String = if text.chars().count() > 220 { text.chars().take(220).chain("… (see Messages)".chars()).collect() } else { text };
+            let wrapped = panels::wrapped(&short, 58);
+            let duration = Some(Duration::from_secs(if level == Level::Info { 4 } else { 9 }));
+            let toast = match level {
+                Level::Info => self.toasts.info(wrapped),
+                Level::Warning => self.toasts.warning(wrapped),
+                Level::Error => self.toasts.error(wrapped),
+            };
+            toast.duration(duration).closable(true);
+        }
+    }
+
+    /// Tells what went wrong; a cancelled task is told as such.
+    pub fn fail(&mut self, error: &Error) {
+        match error {
+            Error::Cancelled => self.say(Level::Info, "Cancelled"),
+            other => self.say(Level::Error, other.to_string()),
+        }
+    }
+
+    /// Whether the undeformed volume is shown.
+    pub fn is_before(&self) -> bool {
+        self.before != self.space
+    }
+
+    /// Whether something is still under way: loading, tasks, pictures.
+    pub fn is_busy(&self) -> bool {
+        let views = self.doc.is_some() && self.view.rect.width() > 8.0 && !self.view.is_fine && self.view_is_shown();
+        self.loading.is_some() || !self.tasks.is_empty() || !self.worker.is_idle() || self.prober.open > 0 || views
+    }
+
+    fn view_is_shown(&self) -> bool {
+        self.failure.is_none() && self.dock.find_tab(&Panel::View3d).is_some()
+    }
+
+    /// Takes over what threads have done.
+    fn poll(&mut self, ctx: &Context) {
+        self.poll_loading(ctx);
+        self.poll_tasks(ctx);
+        while let Some((level, text)) = self.worker.said() {
+            self.say(level, text);
+        }
+        while let Some(done) = self.worker.poll() {
+            match done.outcome {
+                Ok(output) => self.take(ctx, done.target, done.serial, done.ms, output),
+                Err(error) => {
+                    self.view.failed(done.target);
+                    let text = error.to_string();
+                    if matches!(done.target, Target::Coarse | Target::Fine | Target::Slice(_) | Target::Compare(_))
+                        && self.failure.as_ref() != Some(&text)
+                    {
+                        self.failure = Some(text.clone());
+                        self.say(Level::Error, text);
+                    }
+                    if let Target::Compare(side) = done.target {
+                        self.compare.failed(side);
+                    }
+                }
+            }
+        }
+        while let Some(answer) = self.prober.poll() {
+            self.answered(answer);
+        }
+    }
+
+    fn take(&mut self, ctx: &Context, target: Target, serial: u64, ms: f64, output: Output) {
+        if matches!(target, Target::Fine) {
+            self.failure = None;
+        }
+        match (target, output) {
+            (Target::Coarse | Target::Fine, Output::Picture(shown)) => {
+                let step = self.doc.as_ref().map_or(1.0, |d| d.scene.render.step) * if target == Target::Coarse { 2.0 } else { 1.0 };
+                self.view.arrived(ctx, target, serial, ms, *shown, step);
+            }
+            (Target::Slice(n), Output::Slice(picture)) => self.slices.arrived(ctx, n, *picture),
+            (Target::Compare(side), Output::Picture(shown)) => self.compare_arrived(ctx, side, serial, ms, *shown),
+            (Target::Preset(n), Output::Picture(shown)) => self.thumbnails.preset_arrived(ctx, n, shown.image),
+            (Target::Kind(n), Output::Picture(shown)) => self.thumbnails.kind_arrived(ctx, n, shown.image),
+            (Target::Measures, Output::Measures(measured)) => self.measured = measured,
+            _ => {}
+        }
+    }
+
+    fn answered(&mut self, answer: Answer) {
+        let pick = match answer.pick {
+            Ok(pick) => pick,
+            // The picture of the same scene has told it already.
+            Err(_) => None,
+        };
+        match answer.purpose {
+            Purpose::Hover => {
+                self.hover = pick.map(|p| Hover { deformed: Some(p.deformed), source: p.source, value: p.value });
+            }
+            Purpose::Center => {
+                if let (Some(p), Some(doc)) = (pick, &mut self.doc) {
+                    doc.scene.camera.target = Some(p.deformed.into());
+                    self.slices.cursor = Some(p.deformed);
+                }
+            }
+            Purpose::Tool => self.use_tool(pick),
+            Purpose::Brush { last } => {
+                if let Some(p) = pick {
+                    self.extend_stroke(p.deformed);
+                }
+                if last {
+                    self.end_stroke();
+                }
+            }
+        }
+    }
+
+    /// Keys that belong to actions.
+    fn handle_keys(&mut self, ctx: &Context) {
+        let typing = ctx.egui_wants_keyboard_input();
+        self.space = !typing && self.dialog.is_none() && ctx.input(|i| i.key_down(egui::Key::Space));
+        if self.palette.is_some() || self.keys_open.is_some() || self.files.is_open() {
+            return;
+        }
+        let mut wanted = Vec::new();
+        // Keys with more modifiers first: Ctrl+Shift+Z is not Ctrl+Z.
+        let mut order: Vec<usize> = (0..self.entries.len()).collect();
+        let weight = |m: egui::Modifiers| u8::from(m.command) + u8::from(m.shift) + u8::from(m.alt);
+        order.sort_by_key(|n| std::cmp::Reverse(self.entries[*n].key.as_ref().map_or(0, |k| weight(k.modifiers))));
+        for n in order {
+            let entry = &self.entries[n];
+            let Some(key) = &entry.key else { continue };
+            let plain = !(key.modifiers.command || key.modifiers.alt);
+            if typing && plain {
+                continue;
+            }
+            if ctx.input_mut(|i| i.consume_shortcut(key)) {
+                wanted.push(entry.action);
+            }
+        }
+        for action in wanted {
+            if self.dialog.is_some() && !matches!(action, Action::Deselect) {
+                continue;
+            }
+            self.perform(ctx, action);
+        }
+    }
+
+    /// Files that were dropped onto the window.
+    fn handle_drops(&mut self, ctx: &Context) {
+        let dropped: Vec<PathBuf> = ctx.input(|i| i.raw.dropped_files.iter().map(|f| f.path().to_owned()).collect());
+        for path in dropped {
+            self.dropped(ctx, &path);
+        }
+        let hovering = ctx.input(|i| !i.raw.hovered_files.is_empty());
+        if hovering {
+            let painter = ctx.layer_painter(egui::LayerId::new(egui::Order::Foreground, egui::Id::new("drop")));
+            let rect = ctx.content_rect();
+            painter.rect_filled(rect, 0.0, egui::Color32::from_black_alpha(150));
+            super::views::text(&painter, rect.center(), egui::Align2::CENTER_CENTER, "Drop to open", 20.0, theme::ON_CANVAS);
+        }
+    }
+
+    /// Notes what has changed: one step of undo for each gesture, cameras at rest, what has to be loaded or measured anew.
+    fn settle(&mut self, ctx: &Context) {
+        let Some(doc) = &mut self.doc else { return };
+        doc.check_selection();
+        let held = ctx.input(|i| i.pointer.any_down()) || self.gesture.is_some() || self.stroke_before.is_some();
+        if !held {
+            self.history.keep(&doc.scene);
+            self.cameras.settle(&doc.scene.camera);
+        }
+        let scene_changed = self.last_scene.as_deref().is_none_or(|s| *s != doc.scene);
+        if scene_changed {
+            self.edits += 1;
+            self.last_scene = Some(Arc::new(doc.scene.clone()));
+            self.failure = None;
+        }
+        let key = AssetKey::of(&doc.scene);
+        if key != doc.loaded && self.loading.is_none() && self.failed_assets.as_ref() != Some(&key) && !held {
+            self.reload(ctx);
+        }
+        self.measure_anew();
+        if self.session.is_due() {
+            self.autosave();
+        }
+        if let Err(error) = self.session.keep_settings() {
+            self.fail(&error);
+        }
+    }
+
+    /// Asks for the measurements' numbers if they or the deformation changed.
+    fn measure_anew(&mut self) {
+        let Some(doc) = &self.doc else { return };
+        if doc.scene.measure.is_empty() {
+            self.measured.clear();
+            self.measured_of = None;
+            return;
+        }
+        let mut plain = history::without_camera(&doc.scene);
+        plain.transfer = Default::default();
+        plain.light = Default::default();
+        let measures = std::mem::take(&mut plain.measure);
+        let assets = Arc::as_ptr(&doc.assets) as usize;
+        let same = self.measured_of.as_ref().is_some_and(|(m, s, a)| *m == measures && **s == plain && *a == assets);
+        if !same {
+            let (scene, loaded) = (Arc::new(plain), doc.assets.clone());
+            self.measured_of = Some((measures.clone(), scene.clone(), assets));
+            self.submit(Target::Measures, scene, loaded, What::Measures(measures));
+        }
+    }
+
+    /// Writes the scene where a crash does not reach it.
+    pub fn autosave(&mut self) {
+        let Some(doc) = &self.doc else { return };
+        let result = if doc.is_changed() {
+            self.session.autosave(&doc.scene, doc.path.as_deref())
+        } else {
+            self.session.forget();
+            Ok(())
+        };
+        if let Err(error) = result {
+            self.fail(&error);
+        }
+    }
+
+    /// The window is to be closed: at once, or after a question.
+    fn handle_close(&mut self, ctx: &Context) {
+        if !ctx.input(|i| i.viewport().close_requested()) || self.quitting {
+            return;
+        }
+        if self.doc.as_ref().is_some_and(Document::is_changed) {
+            ctx.send_viewport_cmd(egui::ViewportCommand::CancelClose);
+            self.dialog = Some(Dialog::Unsaved(super::files::After::Quit));
+        } else {
+            self.session.forget();
+        }
+    }
+
+    /// Closes the window without a further question.
+    pub(super) fn quit(&mut self, ctx: &Context) {
+        self.quitting = true;
+        self.session.forget();
+        ctx.send_viewport_cmd(egui::ViewportCommand::Close);
+    }
+
+    /// One frame.
+    pub fn frame(&mut self, ui: &mut Ui) {
+        let start = Instant::now();
+        let ctx = ui.ctx().clone();
+        self.poll(&ctx);
+        self.handle_close(&ctx);
+        self.handle_drops(&ctx);
+        self.handle_keys(&ctx);
+        self.show_toolbar(ui);
+        self.show_status(ui);
+        let frame = egui::Frame::NONE.fill(ui.visuals().panel_fill);
+        egui::CentralPanel::default().frame(frame).show(ui, |ui| {
+            if self.doc.is_some() {
+                self.show_dock(ui);
+            } else {
+                self.show_empty(ui);
+            }
+        });
+        self.arrange_panels();
+        self.show_dialogs(&ctx);
+        self.show_palette(&ctx);
+        self.show_keys(&ctx);
+        self.settle(&ctx);
+        self.refresh_view(&ctx);
+        self.refresh_compare();
+        self.refresh_thumbnails();
+        self.toasts.show(&ctx);
+        if self.loading.is_some() || !self.tasks.is_empty() {
+            ctx.request_repaint_after_secs(0.1);
+        } else if self.doc.is_some() {
+            ctx.request_repaint_after(super::session::AUTOSAVE);
+        }
+        let ms = start.elapsed().as_secs_f32() * 1e3;
+        if ms > SLOW_MS && self.frame_ms.len() > 30 {
+            self.log.add(Level::Info, format!("a frame of the interface took {ms:.0} ms"));
+        }
+        self.frame_ms.push_back(ms);
+        if self.frame_ms.len() > FRAMES {
+            self.frame_ms.pop_front();
+        }
+    }
+
+    fn show_dock(&mut self, ui: &mut Ui) {
+        let mut dock = std::mem::replace(&mut self.dock, DockState::new(Vec::new()));
+        let mut style = egui_dock::Style::from_egui(ui.style());
+        style.tab_bar.height = 26.0;
+        style.tab_bar.bg_fill = ui.visuals().panel_fill;
+        style.tab.tab_body.inner_margin = egui::Margin::same(0);
+        style.tab.tab_body.stroke = egui::Stroke::NONE;
+        style.separator.width = 3.0;
+        style.separator.color_idle = ui.visuals().widgets.noninteractive.bg_stroke.color;
+        DockArea::new(&mut dock)
+            .style(style)
+            .show_leaf_close_all_buttons(false)
+            .show_leaf_collapse_buttons(false)
+            .show_inside(ui, &mut Tabs { app: self });
+        // An arrangement that was chosen meanwhile stays.
+        if self.dock.iter_all_tabs().next().is_none() {
+            self.dock = dock;
+        }
+    }
+
+    /// Brings a panel to the front, opening it where needed.
+    pub fn show_panel(&mut self, panel: Panel) {
+        self.wanted_panels.push((panel, true));
+    }
+
+    /// Does what [`Self::show_panel`] was asked for: while panels are drawn, their arrangement is not at hand.
+    fn arrange_panels(&mut self) {
+        for (panel, open) in std::mem::take(&mut self.wanted_panels) {
+            match self.dock.find_tab(&panel) {
+                Some(at) => {
+                    let _there = self.dock.set_active_tab(at);
+                }
+                None if open => self.dock.push_to_first_leaf(panel),
+                None => {}
+            }
+        }
+    }
+
+    /// The selected deformation's number, or none.
+    pub fn selected_deformation(&self) -> Option<usize> {
+        self.doc.as_ref().and_then(Document::deformation_index)
+    }
+
+    /// Selects something.
+    pub fn select(&mut self, selection: Selection) {
+        if let Some(doc) = &mut self.doc {
+            doc.selected = selection;
+        }
+    }
+}
+
+impl eframe::App for Workstation {
+    fn ui(&mut self, ui: &mut Ui, _frame: &mut eframe::Frame) {
+        self.frame(ui);
+    }
+}
+
+struct Tabs<'a> {
+    app: &'a mut Workstation,
+}
+
+impl TabViewer for Tabs<'_> {
+    type Tab = Panel;
+
+    fn id(&mut self, tab: &mut Panel) -> egui::Id {
+        egui::Id::new(("panel", tab.title()))
+    }
+
+    fn title(&mut self, tab: &mut Panel) -> egui::WidgetText {
+        tab.title().into()
+    }
+
+    fn scroll_bars(&self, _tab: &Panel) -> [bool; 2] {
+        [false, false]
+    }
+
+    fn ui(&mut self, ui: &mut Ui, tab: &mut Panel) {
+        match tab {
+            Panel::View3d => self.app.show_view3d(ui),
+            Panel::Axial => self.app.show_slice(ui, 0),
+            Panel::Coronal => self.app.show_slice(ui, 1),
+            Panel::Sagittal => self.app.show_slice(ui, 2),
+            Panel::Compare => self.app.show_compare(ui),
+            side => {
+                let side = *side;
+                egui::Frame::NONE.inner_margin(egui::Margin::symmetric(8, 6)).show(ui, |ui| {
+                    egui::ScrollArea::vertical().auto_shrink([false, false]).show(ui, |ui| match side {
+                        Panel::Scene => self.app.show_scene(ui),
+                        Panel::Inspector => self.app.show_inspector(ui),
+                        Panel::Transfer => self.app.show_transfer(ui),
+                        Panel::Measure => self.app.show_measures(ui),
+                        Panel::MapEditor => self.app.show_editor(ui),
+                        _ => self.app.show_log(ui),
+                    });
+                });
+            }
+        }
+    }
+}

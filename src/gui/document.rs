@@ -1,0 +1,266 @@
+//! The open scene, what is loaded for it, and the edits that people make to it.
+
+use crate::deform::kinds::brush::Stroke;
+use crate::deform::{Argument, Arguments};
+use crate::math::Bounds;
+use crate::scene::surface::MeshSource;
+use crate::scene::{Assets, Deformation, Mode, Scene, VolumeSource};
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// What the inspector is about.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Selection {
+    /// The picture's own settings.
+    #[default]
+    Nothing,
+    /// The volume.
+    Volume,
+    /// A surface.
+    Mesh(usize),
+    /// A deformation.
+    Deformation(usize),
+    /// A measurement.
+    Measure(usize),
+}
+
+/// Everything of a scene that has to be loaded anew when it changes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AssetKey {
+    volume: Option<VolumeSource>,
+    meshes: Vec<MeshSource>,
+    iso: Option<Option<f64>>,
+    folder: PathBuf,
+}
+
+impl AssetKey {
+    /// Of a scene.
+    pub fn of(scene: &Scene) -> Self {
+        let mut meshes = scene.mesh.clone();
+        for mesh in &mut meshes {
+            // How it looks needs nothing loaded.
+            mesh.appearance = crate::scene::surface::Appearance::default();
+            mesh.name = None;
+            mesh.hidden = false;
+        }
+        Self {
+            volume: scene.volume.clone(),
+            meshes,
+            iso: (scene.render.mode == Mode::Surface).then_some(scene.surface.iso),
+            folder: scene.folder.clone(),
+        }
+    }
+}
+
+/// The open scene.
+pub struct Document {
+    /// The scene.
+    pub scene: Scene,
+    /// The scene file that it is saved in.
+    pub path: Option<PathBuf>,
+    /// What the user calls it: the file that was opened.
+    pub name: String,
+    /// As it was last saved or opened; none if it never was.
+    pub saved: Option<Scene>,
+    /// What is loaded.
+    pub assets: Arc<Assets>,
+    /// What it was loaded for.
+    pub loaded: AssetKey,
+    /// What is selected.
+    pub selected: Selection,
+    /// The only deformation that is applied, if one is.
+    pub solo: Option<usize>,
+}
+
+impl Document {
+    /// A scene that was just loaded.
+    pub fn new(scene: Scene, path: Option<PathBuf>, name: String, assets: Arc<Assets>) -> Self {
+        let loaded = AssetKey::of(&scene);
+        Self { saved: Some(scene.clone()), scene, path, name, assets, loaded, selected: Selection::Nothing, solo: None }
+    }
+
+    /// Whether there is something to lose: edits since the last save. Turning the camera is none.
+    pub fn is_changed(&self) -> bool {
+        self.saved.as_ref().is_none_or(|saved| super::history::without_camera(&self.scene) != super::history::without_camera(saved))
+    }
+
+    /// The scene's box, mm.
+    pub fn bounds(&self) -> Bounds {
+        self.assets.scene_box()
+    }
+
+    /// The selected deformation.
+    pub fn deformation(&mut self) -> Option<&mut Deformation> {
+        match self.selected {
+            Selection::Deformation(n) => self.scene.deformation.get_mut(n),
+            _ => None,
+        }
+    }
+
+    /// The selected deformation's place in the stack.
+    pub fn deformation_index(&self) -> Option<usize> {
+        match self.selected {
+            Selection::Deformation(n) if n < self.scene.deformation.len() => Some(n),
+            _ => None,
+        }
+    }
+
+    /// Selections that no longer exist are given up.
+    pub fn check_selection(&mut self) {
+        let gone = match self.selected {
+            Selection::Deformation(n) => n >= self.scene.deformation.len(),
+            Selection::Mesh(n) => n >= self.scene.mesh.len(),
+            Selection::Measure(n) => n >= self.scene.measure.len(),
+            Selection::Volume => self.scene.volume.is_none(),
+            Selection::Nothing => false,
+        };
+        if gone {
+            self.selected = Selection::Nothing;
+        }
+        if self.solo.is_some_and(|n| n >= self.scene.deformation.len()) {
+            self.solo = None;
+        }
+    }
+
+    /// Adds a deformation at the end, or before the cuts at the end if it moves matter, and selects it.
+    pub fn add(&mut self, deformation: Deformation) -> usize {
+        let at = self.scene.deformation.len();
+        self.scene.deformation.push(deformation);
+        self.selected = Selection::Deformation(at);
+        at
+    }
+
+    /// Removes what is selected.
+    pub fn delete(&mut self) -> bool {
+        match self.selected {
+            Selection::Deformation(n) if n < self.scene.deformation.len() => {
+                self.scene.deformation.remove(n);
+                self.solo = None;
+                self.selected = match self.scene.deformation.len() {
+                    0 => Selection::Nothing,
+                    len => Selection::Deformation(n.min(len - 1)),
+                };
+            }
+            // A scene shows something: the last of volume and meshes stays.
+            Selection::Mesh(n) if n < self.scene.mesh.len() && (self.scene.mesh.len() > 1 || self.scene.volume.is_some()) => {
+                self.scene.mesh.remove(n);
+                self.selected = Selection::Nothing;
+            }
+            Selection::Volume if !self.scene.mesh.is_empty() => {
+                self.scene.volume = None;
+                self.selected = Selection::Nothing;
+            }
+            Selection::Measure(n) if n < self.scene.measure.len() => {
+                self.scene.measure.remove(n);
+                self.selected = Selection::Nothing;
+            }
+            _ => return false,
+        }
+        true
+    }
+
+    /// Copies the selected deformation behind itself.
+    pub fn duplicate(&mut self) -> bool {
+        let Some(n) = self.deformation_index() else { return false };
+        let mut copy = self.scene.deformation[n].clone();
+        copy.name = copy.name.map(|name| format!("{name} copy"));
+        self.scene.deformation.insert(n + 1, copy);
+        self.selected = Selection::Deformation(n + 1);
+        self.solo = None;
+        true
+    }
+
+    /// Moves a deformation to another place in the stack.
+    pub fn reorder(&mut self, from: usize, to: usize) -> bool {
+        let len = self.scene.deformation.len();
+        if from >= len || to >= len || from == to {
+            return false;
+        }
+        let moved = self.scene.deformation.remove(from);
+        self.scene.deformation.insert(to, moved);
+        self.selected = Selection::Deformation(to);
+        self.solo = None;
+        true
+    }
+
+    /// The scene as it is shown: with one deformation alone, or without any.
+    pub fn shown(&self, undeformed: bool) -> Scene {
+        let mut scene = self.scene.clone();
+        if undeformed {
+            scene.deformation.clear();
+        } else if let Some(solo) = self.solo {
+            for (n, d) in scene.deformation.iter_mut().enumerate() {
+                d.enabled = n == solo;
+            }
+        }
+        scene
+    }
+
+    /// The painted map that strokes go into: the last deformation if it is one, else a new one at the end.
+    pub fn painted(&mut self) -> usize {
+        let last = self.scene.deformation.len();
+        if let Some(n) = last.checked_sub(1).filter(|n| self.scene.deformation[*n].kind == "brush" && self.scene.deformation[*n].enabled) {
+            self.selected = Selection::Deformation(n);
+            return n;
+        }
+        self.add(Deformation::new("brush"))
+    }
+
+    /// Sets the strokes of a painted map.
+    pub fn set_strokes(&mut self, n: usize, strokes: &[String]) {
+        if let Some(d) = self.scene.deformation.get_mut(n) {
+            match strokes {
+                [] => {
+                    d.parameters.0.remove("strokes");
+                }
+                _ => d.parameters.insert("strokes", Argument::Texts(strokes.to_vec())),
+            }
+        }
+    }
+
+    /// The strokes of a painted map.
+    pub fn strokes(&self, n: usize) -> Vec<String> {
+        let of = |p: &Arguments| p.texts("strokes").ok().flatten().unwrap_or_default();
+        self.scene.deformation.get(n).map(|d| of(&d.parameters)).unwrap_or_default()
+    }
+
+    /// Adds a stroke to the painted map at the end of the stack.
+    pub fn stroke(&mut self, stroke: &Stroke) {
+        let n = self.painted();
+        let mut strokes = self.strokes(n);
+        strokes.push(stroke.to_string());
+        self.set_strokes(n, &strokes);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn document() -> Document {
+        let scene = Scene::of_volume("phantom:ball:size=8");
+        let assets = Arc::new(Assets::load(&scene, &|_, _| ()).unwrap());
+        Document::new(scene, None, "ball".into(), assets)
+    }
+
+    #[test]
+    fn the_stack_is_edited() {
+        let mut d = document();
+        for kind in ["twist", "peel", "box"] {
+            d.add(Deformation::new(kind));
+        }
+        let kinds = |d: &Document| d.scene.deformation.iter().map(|x| x.kind.clone()).collect::<Vec<_>>();
+        assert!(d.reorder(2, 0) && !d.reorder(0, 3) && !d.reorder(1, 1));
+        assert_eq!((kinds(&d), d.selected), (vec!["box".into(), "twist".into(), "peel".into()], Selection::Deformation(0)));
+        assert!(d.duplicate());
+        assert_eq!(kinds(&d).len(), 4);
+        d.solo = Some(1);
+        assert_eq!(d.shown(false).deformation.iter().filter(|x| x.enabled).count(), 1);
+        assert!(d.shown(true).deformation.is_empty());
+        assert!(d.delete() && d.delete());
+        assert_eq!(kinds(&d), ["twist".to_owned(), "peel".into()]);
+        assert!(d.is_changed());
+        d.selected = Selection::Volume;
+        assert!(!d.delete(), "a scene shows something");
+    }
+}

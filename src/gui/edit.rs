@@ -1,0 +1,427 @@
+//! Doing what actions and tools ask for.
+
+use super::action::Action;
+use super::app::{Point, Workstation};
+use super::document::Selection;
+use super::files::{After, ClipForm, Dialog, Travel};
+use super::layout::Panel;
+use super::log::Level;
+use super::tool::{Tool, dropped, words};
+use crate::cpu::pick::Pick;
+use crate::deform::health::Examined;
+use crate::deform::kinds::Kind;
+use crate::deform::kinds::brush::{Lasso, Stroke, Tool as BrushTool};
+use crate::deform::{Argument, PlacedMap};
+use crate::scene::measure::{Measure, MeasureKind};
+use crate::scene::{Deformed, Mode, Projection};
+use eframe::egui::{self, Context};
+use glam::{Vec2, Vec3};
+
+/// How much `[` and `]` change progress.
+const PROGRESS_STEP: f32 = 0.05;
+/// Points of a stroke lie at least this far apart, share of its radius.
+const STROKE_STEP: f32 = 0.25;
+/// Points of one stroke.
+const STROKE_POINTS: usize = 400;
+
+impl Workstation {
+    /// Does an action. What makes no sense at the moment does nothing.
+    pub fn perform(&mut self, ctx: &Context, action: Action) {
+        match action {
+            Action::Open => self.ask_open(),
+            Action::OpenFolder => self.ask_open_folder(),
+            Action::OpenHead => self.open_bundled(ctx, "colin27-head-t1.nii.gz"),
+            Action::Quit => self.after(ctx, After::Quit),
+            Action::Palette => self.palette = if self.palette.is_some() { None } else { Some(Default::default()) },
+            Action::Keys => self.keys_open = if self.keys_open.is_some() { None } else { Some(String::new()) },
+            Action::Log => self.show_panel(Panel::Log),
+            Action::Layout(layout) => {
+                self.layout = layout;
+                self.dock = layout.dock();
+                self.view.forget();
+            }
+            Action::ToggleTheme => {
+                let light = !self.session.settings.light;
+                self.session.settings.light = light;
+                ctx.set_theme(if light { egui::Theme::Light } else { egui::Theme::Dark });
+            }
+            Action::ScaleUp | Action::ScaleDown => {
+                let by = if action == Action::ScaleUp { 1.1 } else { 1.0 / 1.1 };
+                self.session.settings.scale = (self.session.settings.scale * by).clamp(0.6, 2.5);
+                ctx.set_zoom_factor(self.session.settings.scale);
+            }
+            Action::Navigation => {
+                let blender = !self.session.settings.blender;
+                self.session.settings.blender = blender;
+                self.say(
+                    Level::Info,
+                    if blender { "Navigation as in Blender: the middle button orbits" } else { "Navigation as in 3D Slicer: the left button orbits" },
+                );
+            }
+            Action::CancelTasks => {
+                self.tasks.iter().for_each(super::tasks::Task::cancel);
+                if let Some(loading) = &self.loading {
+                    loading.cancel();
+                }
+            }
+            _ if self.doc.is_some() => self.perform_on_scene(ctx, action),
+            _ => {}
+        }
+    }
+
+    fn perform_on_scene(&mut self, ctx: &Context, action: Action) {
+        match action {
+            Action::Close => self.after(ctx, After::Close),
+            Action::Save => self.save(ctx, None),
+            Action::SaveAs => self.ask_save(None),
+            Action::ExportPicture => self.dialog = Some(Dialog::Picture(self.picture_form())),
+            Action::ExportClip => self.dialog = Some(Dialog::Clip(self.clip_form())),
+            Action::ExportVolume => self.ask_bake(false),
+            Action::ExportField => self.ask_bake(true),
+            Action::ExportReport => self.ask_report(),
+            Action::ExportMeasures => self.ask_measures(),
+            Action::ExportTransfer => self.ask_export_transfer(),
+            Action::ImportTransfer => self.ask_import_transfer(),
+            Action::CopyCommand => self.copy_command(ctx),
+            Action::Arm(tool) => self.arm(tool),
+            Action::Deselect => self.escape(),
+            Action::View(name) => self.look_from(name),
+            Action::ResetCamera => self.reset_camera(),
+            Action::FrameSelection => self.frame_selection(),
+            Action::Compare => {
+                self.layout = super::layout::Preset::Compare;
+                self.dock = self.layout.dock();
+                self.view.forget();
+            }
+            Action::BeforeAfter => self.before = !self.before,
+            Action::StackToMap => self.dialog = Some(Dialog::SaveMap { name: "stack".into(), stack: true }),
+            Action::SaveMap => {
+                if let Some(d) = self.doc.as_mut().and_then(super::document::Document::deformation) {
+                    let name = d.name.clone().unwrap_or_else(|| words(&d.kind));
+                    self.dialog = Some(Dialog::SaveMap { name, stack: false });
+                }
+            }
+            Action::CheckField => self.check_field(ctx),
+            _ => self.perform_edit(action),
+        }
+    }
+
+    fn perform_edit(&mut self, action: Action) {
+        let Some(doc) = &mut self.doc else { return };
+        match action {
+            Action::Undo => {
+                if self.history.undo(&mut doc.scene) {
+                    doc.check_selection();
+                }
+            }
+            Action::Redo => {
+                if self.history.redo(&mut doc.scene) {
+                    doc.check_selection();
+                }
+            }
+            Action::Delete => {
+                doc.delete();
+            }
+            Action::Duplicate => {
+                doc.duplicate();
+            }
+            Action::Mute => match doc.selected {
+                Selection::Mesh(n) => {
+                    if let Some(mesh) = doc.scene.mesh.get_mut(n) {
+                        mesh.hidden = !mesh.hidden;
+                    }
+                }
+                _ => {
+                    if let Some(d) = doc.deformation() {
+                        d.enabled = !d.enabled;
+                    }
+                }
+            },
+            Action::Solo => {
+                if let Some(n) = doc.deformation_index() {
+                    doc.solo = if doc.solo == Some(n) { None } else { Some(n) };
+                }
+            }
+            Action::MoveUp | Action::MoveDown => {
+                if let Some(n) = doc.deformation_index() {
+                    let to = if action == Action::MoveUp { n.checked_sub(1) } else { Some(n + 1) };
+                    to.map(|to| doc.reorder(n, to));
+                }
+            }
+            Action::Less | Action::More => {
+                if let Some(d) = doc.deformation() {
+                    let by = if action == Action::More { PROGRESS_STEP } else { -PROGRESS_STEP };
+                    let to = d.progress.unwrap_or(1.0) + by;
+                    d.progress = Some(((to * 100.0).round() / 100.0).clamp(0.0, 1.0));
+                }
+            }
+            Action::SelectNext => {
+                let count = doc.scene.deformation.len();
+                if count > 0 {
+                    doc.selected = Selection::Deformation(doc.deformation_index().map_or(0, |n| (n + 1) % count));
+                }
+            }
+            Action::Opposite => {
+                let view = &mut doc.scene.camera.view;
+                let azimuth = view.azimuth_deg + 180.0;
+                view.azimuth_deg = (azimuth + 180.0).rem_euclid(360.0) - 180.0;
+                view.elevation_deg = -view.elevation_deg;
+            }
+            Action::CameraBack => {
+                self.cameras.back(&mut doc.scene.camera);
+            }
+            Action::CameraForward => {
+                self.cameras.forward(&mut doc.scene.camera);
+            }
+            Action::ToggleProjection => {
+                let projection = &mut doc.scene.camera.projection;
+                *projection = if *projection == Projection::Perspective { Projection::Orthographic } else { Projection::Perspective };
+            }
+            Action::NextMode => {
+                doc.scene.render.mode = match doc.scene.render.mode {
+                    Mode::Raycast => Mode::Slice,
+                    Mode::Slice if !doc.scene.mesh.is_empty() || doc.scene.volume.is_some() => Mode::Surface,
+                    _ if doc.scene.volume.is_some() => Mode::Raycast,
+                    same => same,
+                };
+            }
+            Action::SetMode(mode) => doc.scene.render.mode = mode,
+            Action::Preset(name) => self.transfer.choose(&mut doc.scene.transfer, name),
+            Action::ResetWindow => {
+                doc.scene.transfer.window = None;
+                doc.scene.transfer.level = None;
+                self.slice_window = None;
+            }
+            Action::NewMap => {
+                doc.add(crate::scene::Deformation::new("brush"));
+                self.tool = Tool::BrushPush;
+                self.show_panel(Panel::MapEditor);
+            }
+            _ => {}
+        }
+    }
+
+    /// Opens one of the bundled files.
+    pub fn open_bundled(&mut self, ctx: &Context, name: &str) {
+        match self.session.bundled(name) {
+            Ok(path) => self.open(ctx, &path),
+            Err(error) => self.fail(&error),
+        }
+    }
+
+    /// Arms a tool; the one that is armed already is put down.
+    pub fn arm(&mut self, tool: Tool) {
+        self.pending_points.clear();
+        self.tool = if self.tool == tool { Tool::Navigate } else { tool };
+        if tool.brush().is_some() && self.tool == tool {
+            self.before = false;
+        }
+    }
+
+    /// Esc: calls off a drag, puts down a tool, deselects.
+    fn escape(&mut self) {
+        if self.gesture.take().is_some() || self.stroke_before.is_some() {
+            self.view.lasso.clear();
+            self.stroke_points.clear();
+            self.stroke_before = None;
+            if let Some(doc) = &mut self.doc {
+                self.history.revert(&mut doc.scene);
+            }
+        } else if !self.pending_points.is_empty() {
+            self.pending_points.clear();
+        } else if self.dialog.is_some() {
+            self.dialog = None;
+        } else if self.tool != Tool::Navigate {
+            self.tool = Tool::Navigate;
+        } else {
+            self.select(Selection::Nothing);
+        }
+    }
+
+    fn frame_selection(&mut self) {
+        let Some(doc) = &self.doc else { return };
+        let bounds = match doc.selected {
+            Selection::Deformation(n) => doc.scene.deformation.get(n).and_then(|d| {
+                let kind = super::gizmos::kind_of(d)?;
+                Some(super::gizmos::Place::of(d, kind, &doc.bounds()).bounds())
+            }),
+            Selection::Volume if doc.assets.has_volume => Some(doc.assets.volume.bounds_in_world()),
+            Selection::Mesh(_) if !doc.assets.mesh_box.is_empty() => Some(doc.assets.mesh_box),
+            _ => None,
+        };
+        let bounds = bounds.unwrap_or_else(|| doc.bounds());
+        self.frame_box(&bounds);
+    }
+
+    /// The form for a clip: the selected deformation opening, or an orbit.
+    fn clip_form(&self) -> ClipForm {
+        let [w, h] = self.view.size();
+        // Even edges, as video wants them.
+        let size = [w.min(1920) & !1, h.min(1080) & !1];
+        let travel = match self.selected_deformation() {
+            Some(n) => Travel::Progress(n),
+            None => Travel::Orbit,
+        };
+        let back = travel != Travel::Orbit;
+        ClipForm { travel, range: [0.0, 1.0], back, frames: 48, rate: 24.0, size }
+    }
+
+    /// A tool was used where something was picked.
+    pub(super) fn use_tool(&mut self, pick: Option<Pick>) {
+        match self.tool {
+            Tool::Place(kind) => self.place(kind.0, pick.map(|p| (p.deformed, p.normal))),
+            Tool::Probe | Tool::Measure(_) => match pick {
+                Some(p) => self.take_point(p.deformed, p.source),
+                None => self.say(Level::Info, "Nothing is seen there"),
+            },
+            Tool::Navigate => {
+                // A control point where the surface is.
+                if let (Some(p), Some(doc)) = (pick, &mut self.doc)
+                    && let Some(d) = doc.deformation().filter(|d| d.kind == "points")
+                {
+                    let mut pairs = d.parameters.numbers("pairs").ok().flatten().unwrap_or_default();
+                    pairs.extend(super::tool::tidy(p.source));
+                    pairs.extend(super::tool::tidy(p.deformed));
+                    d.parameters.insert("pairs", Argument::Numbers(pairs));
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// Drops a deformation, on a surface or about the middle of the scene, and selects it.
+    pub fn place(&mut self, kind: &'static Kind, at: Option<(Vec3, Vec3)>) {
+        let Some(doc) = &mut self.doc else { return };
+        let deformation = dropped(kind, &doc.bounds(), at);
+        doc.add(deformation);
+        self.tool = Tool::Navigate;
+        self.before = false;
+        self.show_panel_if_hidden(Panel::Inspector);
+    }
+
+    fn show_panel_if_hidden(&mut self, panel: Panel) {
+        self.wanted_panels.push((panel, false));
+    }
+
+    /// A point for a measurement.
+    pub fn take_point(&mut self, deformed: Vec3, source: Vec3) {
+        let kind = match self.tool {
+            Tool::Probe => MeasureKind::Probe,
+            Tool::Measure(kind) => kind,
+            _ => return,
+        };
+        self.pending_points.push(Point { deformed, source });
+        if self.pending_points.len() < kind.points() {
+            return;
+        }
+        let points = self.pending_points.drain(..).map(|p| super::tool::tidy(p.source)).collect();
+        let Some(doc) = &mut self.doc else { return };
+        let name = Some(format!("{} {}", kind.name(), 1 + doc.scene.measure.iter().filter(|m| m.kind == kind).count()));
+        doc.scene.measure.push(Measure { kind, name, points, label: None });
+        doc.selected = Selection::Measure(doc.scene.measure.len() - 1);
+        self.show_panel_if_hidden(Panel::Measure);
+    }
+
+    /// Cuts out an outline, or puts it back.
+    pub fn lasso(&mut self, restores: bool, eye_mm: f32, origin: Vec3, right: Vec3, up: Vec3, outline: Vec<Vec2>) {
+        let Some(doc) = &mut self.doc else { return };
+        let rounded = |v: Vec3| Vec3::from(super::tool::tidy(v));
+        let outline = outline.into_iter().map(|p| (p * 100.0).round() / 100.0).collect();
+        doc.stroke(&Stroke::Lasso(Lasso { restores, eye_mm, origin: rounded(origin), right, up, outline }));
+        let n = doc.scene.deformation.len() - 1;
+        if doc.strokes(n).len() == 1 && doc.scene.deformation[n].name.is_none() {
+            doc.scene.deformation[n].name = Some("Lasso".into());
+        }
+    }
+
+    /// A stroke of the brush begins.
+    pub(super) fn begin_stroke(&mut self) {
+        let Some(doc) = &mut self.doc else { return };
+        self.stroke_points.clear();
+        let n = doc.painted();
+        self.stroke_before = Some(doc.strokes(n));
+    }
+
+    /// A further point of it.
+    pub(super) fn extend_stroke(&mut self, at: Vec3) {
+        let Some(before) = self.stroke_before.clone() else { return };
+        let Some(tool) = self.tool.brush() else { return };
+        let radius = self.editor.radius;
+        let far = self.stroke_points.last().is_none_or(|l| l.distance(at) >= STROKE_STEP * radius);
+        if !far || self.stroke_points.len() >= STROKE_POINTS {
+            return;
+        }
+        self.stroke_points.push(Vec3::from(super::tool::tidy(at)));
+        let Some(tool) = BrushTool::ALL.into_iter().find(|t| t.name() == tool) else { return };
+        if tool == BrushTool::Push && self.stroke_points.len() < 2 {
+            return;
+        }
+        let stroke = Stroke::Line { tool, radius_mm: radius, strength: self.editor.strength, points: self.stroke_points.clone() };
+        let Some(doc) = &mut self.doc else { return };
+        let Some(n) = doc.scene.deformation.len().checked_sub(1) else { return };
+        let mut strokes = before;
+        strokes.push(stroke.to_string());
+        doc.set_strokes(n, &strokes);
+    }
+
+    /// It ends.
+    pub(super) fn end_stroke(&mut self) {
+        self.stroke_points.clear();
+        self.stroke_before = None;
+    }
+
+    /// Changes window and level of the slices by a drag: across the width, down the level.
+    pub(super) fn drag_window(&mut self, dx: f32, dy: f32) {
+        let Some(doc) = &self.doc else { return };
+        let range = doc.assets.volume.range;
+        let [low, high] = self.slice_window.unwrap_or_else(|| doc.assets.volume.window(doc.scene.transfer.window, doc.scene.transfer.level));
+        let per_point = (range[1] - range[0]).max(1e-9) / 600.0;
+        let width = (high - low + f64::from(dx) * per_point).max((range[1] - range[0]).max(1e-9) * 1e-3);
+        let level = 0.5 * (low + high) + f64::from(dy) * per_point;
+        self.slice_window = Some([level - 0.5 * width, level + 0.5 * width]);
+    }
+
+    /// Changes window and level of the transfer function by a drag in the 3D view.
+    pub(super) fn drag_transfer(&mut self, dx: f32, dy: f32) {
+        let Some(doc) = &mut self.doc else { return };
+        let volume = &doc.assets.volume;
+        let Ok(function) = doc.scene.transfer.resolve(volume, crate::transfer::default_preset(volume)) else { return };
+        let [low, high] = function.domain();
+        let per_point = (volume.range[1] - volume.range[0]).max(1e-9) / 600.0;
+        let width = (high - low + f64::from(dx) * per_point).max((volume.range[1] - volume.range[0]).max(1e-9) * 1e-3);
+        let level = 0.5 * (low + high) + f64::from(dy) * per_point;
+        doc.scene.transfer.window = Some(width);
+        doc.scene.transfer.level = Some(level);
+    }
+
+    /// Looks for folds in the selected deformation, or in all of them.
+    fn check_field(&mut self, ctx: &Context) {
+        let Some(doc) = &self.doc else { return };
+        let (assets, mut scene) = (doc.assets.clone(), doc.shown(false));
+        if let Some(n) = doc.deformation_index() {
+            scene.deformation = vec![doc.scene.deformation[n].clone()];
+        }
+        self.start(ctx, "Checking the field", move |watch| {
+            let exact = Deformed::exact(&scene, &assets, false)?;
+            let maps: &[PlacedMap] = exact.stack.maps();
+            let mut report = Vec::new();
+            for (n, map) in maps.iter().enumerate() {
+                watch.check()?;
+                let health = Examined::of_map(map).health(false);
+                report.push(super::panels::inspector::health_words(&health));
+                (watch.progress)((n + 1) as f32 / maps.len() as f32);
+            }
+            let (level, text) = match report.len() {
+                0 => (Level::Info, "There is no field to check".to_owned()),
+                _ => (
+                    if report.iter().any(|r| r.0) { Level::Warning } else { Level::Info },
+                    report.into_iter().map(|r| r.1).collect::<Vec<_>>().join("; "),
+                ),
+            };
+            Ok(Box::new(move |app: &mut Workstation, _: &Context| {
+                app.inspector.health = Some(text.clone());
+                app.say(level, text);
+            }))
+        });
+    }
+}

@@ -1,0 +1,572 @@
+//! Handles on a deformation in the 3D view: its box to move, turn and size, and one handle for every number it has.
+//!
+//! A handle is a point on a path in the box's own millimetres; dragging it finds the point of the path nearest to the ray through the pointer, and
+//! that point's value. So what is grabbed stays under the pointer, whatever the view.
+
+mod paths;
+
+pub use paths::{Along, path_of, progress_path};
+
+use super::theme::{AXES, ON_CANVAS, SELECTED};
+use super::tool::{angles_of, matrix_of, tidy};
+use super::views::{Projector, text};
+use crate::deform::Argument;
+use crate::deform::kinds::{self, DefaultSize, Kind, Unit};
+use crate::math::Bounds;
+use crate::scene::{Deformation, Size};
+use eframe::egui::{Align2, Color32, Painter, Pos2, Shape, Stroke, pos2, vec2};
+use glam::{Mat3, Vec3};
+
+/// Points of a ring on the screen.
+const RING: usize = 48;
+/// A handle is grabbed within this distance, points.
+const REACH: f32 = 11.0;
+/// Control points of a lattice that are shown at most.
+const MOST_POINTS: usize = 216;
+
+/// Which handles are shown.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Mode {
+    /// One for every number, and the middle.
+    #[default]
+    Shape,
+    /// The middle and three arrows.
+    Move,
+    /// Three rings.
+    Rotate,
+    /// Six faces.
+    Scale,
+}
+
+/// A handle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Handle {
+    /// The middle, across the view.
+    Center,
+    /// The middle, along an axis of the box.
+    Axis(usize),
+    /// Turns about an axis of the box.
+    Ring(usize),
+    /// A face: axis, and which end.
+    Face(usize, bool),
+    /// Progress.
+    Progress,
+    /// A number of the kind.
+    Parameter(usize),
+    /// A control point.
+    Point(usize),
+}
+
+/// Where a deformation's box lies.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Place {
+    /// Its middle, mm.
+    pub center: Vec3,
+    /// Its extents, mm.
+    pub size: Vec3,
+    /// Its axes, as columns.
+    pub turn: Mat3,
+}
+
+impl Place {
+    /// Of a deformation, in a scene of the given box.
+    pub fn of(d: &Deformation, kind: &Kind, scene_box: &Bounds) -> Self {
+        let size = d.size.map_or_else(|| kind.default_size(scene_box), Size::xyz);
+        Self { center: d.center.map_or_else(|| scene_box.center(), Vec3::from), size, turn: d.rotate.map_or(Mat3::IDENTITY, |r| matrix_of(r.into())) }
+    }
+
+    /// The world point of one in the box's own millimetres.
+    pub fn world(&self, local: Vec3) -> Vec3 {
+        self.center + self.turn * local
+    }
+
+    /// The other way.
+    pub fn local(&self, world: Vec3) -> Vec3 {
+        self.turn.transpose() * (world - self.center)
+    }
+
+    /// The box in the world.
+    pub fn bounds(&self) -> Bounds {
+        let half = (self.turn.x_axis.abs() * self.size.x + self.turn.y_axis.abs() * self.size.y + self.turn.z_axis.abs() * self.size.z) / 2.0;
+        Bounds::new(self.center - half, self.center + half)
+    }
+}
+
+/// A drag that has begun.
+#[derive(Clone, Debug)]
+pub struct Drag {
+    /// What is dragged.
+    pub handle: Handle,
+    /// The deformation as it was.
+    start: Deformation,
+    place: Place,
+    /// From the handle's point to where it was grabbed, on the screen.
+    offset: eframe::egui::Vec2,
+    /// Angle at which a ring was grabbed, radians.
+    angle: f32,
+}
+
+/// The handles of one deformation in one view.
+pub struct Gizmo<'a> {
+    /// The view.
+    pub projector: Projector,
+    /// The kind.
+    pub kind: &'static Kind,
+    /// The deformation.
+    pub deformation: &'a Deformation,
+    /// The scene's box.
+    pub scene_box: Bounds,
+    /// Which handles.
+    pub mode: Mode,
+}
+
+/// A kind's number as it stands in a deformation, and its range.
+pub fn parameter(d: &Deformation, kind: &Kind, n: usize, size: Vec3) -> (f32, [f32; 2], f32) {
+    let p = &kind.parameters[n];
+    let [default, min, max] = [p.default, p.min, p.max].map(|a| a.resolve(size));
+    let value = d.parameters.number(p.name).ok().flatten().unwrap_or(default);
+    (value, [min, max], default)
+}
+
+/// Control points that can be dragged: where they are, mm.
+pub fn control_points(d: &Deformation, place: &Place) -> Vec<Vec3> {
+    let numbers = |name: &str| d.parameters.numbers(name).ok().flatten().unwrap_or_default();
+    match d.kind.as_str() {
+        "points" => numbers("pairs").chunks_exact(6).map(|p| Vec3::new(p[3], p[4], p[5])).collect(),
+        "elastic" => numbers("grab").chunks_exact(7).map(|g| Vec3::new(g[0] + g[4], g[1] + g[5], g[2] + g[6])).collect(),
+        "lattice" => {
+            let counts = lattice_size(d);
+            let moved = numbers("offsets");
+            let count: usize = counts.iter().product();
+            if count > MOST_POINTS {
+                return Vec::new();
+            }
+            (0..count)
+                .map(|n| {
+                    let index = lattice_index(counts, n);
+                    let at = Vec3::from(std::array::from_fn(|a| index[a] as f32 / (counts[a] - 1).max(1) as f32 - 0.5));
+                    let row = moved.chunks_exact(6).find(|r| (0..3).all(|a| r[a] == index[a] as f32));
+                    let offset = row.map_or(Vec3::ZERO, |r| Vec3::new(r[3], r[4], r[5]));
+                    place.world(at * place.size + offset)
+                })
+                .collect()
+        }
+        _ => Vec::new(),
+    }
+}
+
+fn lattice_size(d: &Deformation) -> [usize; 3] {
+    let stated = d.parameters.whole("lattice").ok().flatten().unwrap_or_default();
+    <[usize; 3]>::try_from(stated).ok().filter(|c| c.iter().all(|n| (2..=8).contains(n))).unwrap_or([4; 3])
+}
+
+fn lattice_index(counts: [usize; 3], n: usize) -> [usize; 3] {
+    [n % counts[0], n / counts[0] % counts[1], n / counts[0] / counts[1]]
+}
+
+/// Where a control point was before it was dragged, mm.
+fn origin_of(d: &Deformation, n: usize) -> Option<Vec3> {
+    let numbers = |name: &str| d.parameters.numbers(name).ok().flatten().unwrap_or_default();
+    match d.kind.as_str() {
+        "points" => numbers("pairs").chunks_exact(6).nth(n).map(|p| Vec3::new(p[0], p[1], p[2])),
+        "elastic" => numbers("grab").chunks_exact(7).nth(n).map(|g| Vec3::new(g[0], g[1], g[2])),
+        _ => None,
+    }
+}
+
+/// Puts a control point somewhere.
+pub fn set_point(d: &mut Deformation, place: &Place, n: usize, to: Vec3) {
+    let numbers = |d: &Deformation, name: &str| d.parameters.numbers(name).ok().flatten().unwrap_or_default();
+    match d.kind.as_str() {
+        "points" => {
+            let mut pairs = numbers(d, "pairs");
+            if let Some(pair) = pairs.chunks_exact_mut(6).nth(n) {
+                pair[3..].copy_from_slice(&tidy(to));
+                d.parameters.insert("pairs", Argument::Numbers(pairs));
+            }
+        }
+        "elastic" => {
+            let mut grabs = numbers(d, "grab");
+            if let Some(grab) = grabs.chunks_exact_mut(7).nth(n) {
+                let moved = tidy(to - Vec3::new(grab[0], grab[1], grab[2]));
+                grab[4..].copy_from_slice(&moved);
+                d.parameters.insert("grab", Argument::Numbers(grabs));
+            }
+        }
+        "lattice" => {
+            let counts = lattice_size(d);
+            let index = lattice_index(counts, n);
+            let at = Vec3::from(std::array::from_fn(|a| index[a] as f32 / (counts[a] - 1).max(1) as f32 - 0.5));
+            let offset = tidy(place.local(to) - at * place.size);
+            let mut rows = numbers(d, "offsets");
+            match rows.chunks_exact_mut(6).find(|r| (0..3).all(|a| r[a] == index[a] as f32)) {
+                Some(row) => row[3..].copy_from_slice(&offset),
+                None => {
+                    rows.extend(index.map(|i| i as f32));
+                    rows.extend(offset);
+                }
+            }
+            d.parameters.insert("offsets", Argument::Numbers(rows));
+        }
+        _ => {}
+    }
+}
+
+impl Gizmo<'_> {
+    fn place(&self) -> Place {
+        Place::of(self.deformation, self.kind, &self.scene_box)
+    }
+
+    /// Whether the box can be sized.
+    fn has_size(&self) -> bool {
+        !matches!(self.kind.size, DefaultSize::Across(_))
+    }
+
+    /// Length of the arrows, mm: as long on the screen at any zoom.
+    fn arm(&self) -> f32 {
+        let place = self.place();
+        70.0 * self.projector.mm_per_point(place.center)
+    }
+
+    /// All handles of the mode and where they are, mm.
+    pub fn handles(&self) -> Vec<(Handle, Vec3)> {
+        let place = self.place();
+        if self.deformation.matrix.is_some() {
+            return Vec::new();
+        }
+        let mut all = vec![(Handle::Center, place.center)];
+        match self.mode {
+            Mode::Shape => {
+                if self.kind.progressive {
+                    let progress = self.deformation.progress.unwrap_or(1.0);
+                    all.push((Handle::Progress, place.world(progress_path(self.kind.name).at(progress, [0.0, 1.0], place.size))));
+                }
+                for n in 0..self.kind.parameters.len() {
+                    let (value, range, _) = parameter(self.deformation, self.kind, n, place.size);
+                    all.push((Handle::Parameter(n), place.world(path_of(self.kind, n).at(value, range, place.size))));
+                }
+                all.extend(control_points(self.deformation, &place).into_iter().enumerate().map(|(n, p)| (Handle::Point(n), p)));
+            }
+            Mode::Move => all.extend((0..3).map(|a| (Handle::Axis(a), place.center + place.turn.col(a) * self.arm()))),
+            Mode::Rotate => all.extend((0..3).map(|a| (Handle::Ring(a), place.center))),
+            Mode::Scale if self.has_size() => {
+                for axis in 0..3 {
+                    for (high, sign) in [(false, -0.5), (true, 0.5)] {
+                        let mut at = Vec3::ZERO;
+                        at[axis] = sign * place.size[axis];
+                        all.push((Handle::Face(axis, high), place.world(at)));
+                    }
+                }
+            }
+            Mode::Scale => {}
+        }
+        all
+    }
+
+    fn ring(&self, axis: usize) -> Vec<Pos2> {
+        let place = self.place();
+        let (u, v) = (place.turn.col((axis + 1) % 3), place.turn.col((axis + 2) % 3));
+        let radius = self.arm();
+        (0..=RING)
+            .filter_map(|n| {
+                let (s, c) = (n as f32 / RING as f32 * std::f32::consts::TAU).sin_cos();
+                self.projector.screen(place.center + (u * c + v * s) * radius)
+            })
+            .collect()
+    }
+
+    /// The handle under the pointer.
+    pub fn under(&self, pointer: Pos2) -> Option<Handle> {
+        let mut best: Option<(f32, Handle)> = None;
+        for (handle, at) in self.handles() {
+            let distance = match handle {
+                Handle::Ring(axis) => self.ring(axis).iter().map(|p| p.distance(pointer)).fold(f32::INFINITY, f32::min) + 2.0,
+                // The middle gives way to what lies on it.
+                Handle::Center => self.projector.screen(at).map_or(f32::INFINITY, |p| p.distance(pointer)) + 2.0,
+                _ => self.projector.screen(at).map_or(f32::INFINITY, |p| p.distance(pointer)),
+            };
+            if distance <= REACH && best.is_none_or(|(b, _)| distance < b) {
+                best = Some((distance, handle));
+            }
+        }
+        best.map(|b| b.1)
+    }
+
+    /// Begins a drag.
+    pub fn grab(&self, handle: Handle, pointer: Pos2) -> Drag {
+        let place = self.place();
+        let at = self.handles().into_iter().find(|(h, _)| *h == handle).map_or(place.center, |(_, p)| p);
+        let offset = self.projector.screen(at).map_or(vec2(0.0, 0.0), |p| pointer - p);
+        let angle = match handle {
+            Handle::Ring(axis) => self.angle(axis, pointer, &place).unwrap_or(0.0),
+            _ => 0.0,
+        };
+        Drag { handle, start: self.deformation.clone(), place, offset, angle }
+    }
+
+    /// The angle of the pointer about an axis of the box, radians.
+    fn angle(&self, axis: usize, pointer: Pos2, place: &Place) -> Option<f32> {
+        let normal = place.turn.col(axis);
+        let d = self.projector.on_plane(pointer, place.center, normal)? - place.center;
+        let (u, v) = (place.turn.col((axis + 1) % 3), place.turn.col((axis + 2) % 3));
+        Some(d.dot(v).atan2(d.dot(u)))
+    }
+
+    /// The deformation with the dragged handle under the pointer.
+    pub fn dragged(&self, drag: &Drag, pointer: Pos2) -> Option<Deformation> {
+        let mut d = drag.start.clone();
+        let place = drag.place;
+        let pos = pointer - drag.offset;
+        match drag.handle {
+            Handle::Center => d.center = Some(tidy(self.projector.on_plane(pos, place.center, self.projector.frame.forward)?)),
+            Handle::Axis(axis) => {
+                let direction = place.turn.col(axis);
+                let t = self.projector.along_line(pos, place.center, direction)? - self.arm();
+                d.center = Some(tidy(place.center + direction * t));
+            }
+            Handle::Ring(axis) => {
+                let turned = self.angle(axis, pointer, &place)? - drag.angle;
+                let about = Mat3::from_axis_angle(place.turn.col(axis).normalize_or(Vec3::Z), turned);
+                d.rotate = Some(tidy(angles_of(about * place.turn)));
+            }
+            Handle::Face(axis, high) => {
+                let sign = if high { 1.0 } else { -1.0 };
+                let outward = place.turn.col(axis) * sign;
+                let far = place.center - outward * (place.size[axis] / 2.0);
+                let length = self.projector.along_line(pos, far, outward)?.max(1.0);
+                let mut size = place.size;
+                size[axis] = length;
+                d.size = Some(Size::Box(tidy(size)));
+                // The opposite face stays where it is.
+                d.center = Some(tidy(far + outward * (length / 2.0)));
+            }
+            Handle::Progress => {
+                let value = self.on_path(&progress_path(self.kind.name), [0.0, 1.0], pos, &place)?;
+                d.progress = Some((value * 200.0).round() / 200.0);
+            }
+            Handle::Parameter(n) => {
+                let (_, range, _) = parameter(&d, self.kind, n, place.size);
+                let value = self.on_path(&path_of(self.kind, n), range, pos, &place)?;
+                let rounded = (value * 10.0).round() / 10.0;
+                let value = if self.kind.parameters[n].unit == Unit::None { value } else { rounded.clamp(range[0], range[1]) };
+                d.parameters.insert(self.kind.parameters[n].name, value);
+            }
+            Handle::Point(n) => {
+                let at = *control_points(&drag.start, &place).get(n)?;
+                let to = self.projector.on_plane(pos, at, self.projector.frame.forward)?;
+                set_point(&mut d, &place, n, to);
+            }
+        }
+        Some(d)
+    }
+
+    /// The value of the path's point nearest to the pointer on the screen.
+    fn on_path(&self, path: &Along, [min, max]: [f32; 2], pos: Pos2, place: &Place) -> Option<f32> {
+        let distance = |value: f32| {
+            let at = place.world(path.at(value, [min, max], place.size));
+            self.projector.screen(at).map_or(f32::INFINITY, |p| p.distance_sq(pos))
+        };
+        // Coarse, then around the best: a path may curve back on itself on the screen.
+        const STEPS: i32 = 64;
+        let (mut low, mut high) = (min, max);
+        let mut best = f32::NAN;
+        for _ in 0..4 {
+            let value = |n: i32| low + (high - low) * n as f32 / STEPS as f32;
+            let n = (0..=STEPS).min_by(|a, b| distance(value(*a)).total_cmp(&distance(value(*b))))?;
+            best = value(n);
+            (low, high) = (value((n - 1).max(0)), value((n + 1).min(STEPS)));
+        }
+        best.is_finite().then_some(best.clamp(min, max))
+    }
+
+    /// What a handle says while it is hovered or dragged.
+    pub fn words(&self, handle: Handle) -> String {
+        let place = self.place();
+        let three = |v: Vec3, unit: &str| format!("{:.1}, {:.1}, {:.1} {unit}", v.x, v.y, v.z);
+        match handle {
+            Handle::Center | Handle::Axis(_) => format!("centre {}", three(place.center, "mm")),
+            Handle::Ring(_) => format!("turned {}", three(angles_of(place.turn), "°")),
+            Handle::Face(axis, _) => format!("{} {:.1} mm", ["width", "length", "height"][axis], place.size[axis]),
+            Handle::Progress => format!("progress {:.0} %", 100.0 * self.deformation.progress.unwrap_or(1.0)),
+            Handle::Parameter(n) => {
+                let p = &self.kind.parameters[n];
+                let (value, ..) = parameter(self.deformation, self.kind, n, place.size);
+                match p.unit {
+                    Unit::Mm => format!("{} {value:.1} mm", p.name),
+                    Unit::Degrees => format!("{} {value:.0}°", p.name),
+                    Unit::None => format!("{} {value:.2}", p.name),
+                }
+            }
+            Handle::Point(n) => format!("point {}", n + 1),
+        }
+    }
+
+    /// Draws box and handles; `hot` is hovered or dragged.
+    pub fn draw(&self, painter: &Painter, hot: Option<Handle>) {
+        let place = self.place();
+        let p = &self.projector;
+        if self.deformation.matrix.is_some() {
+            return;
+        }
+        if self.has_size() {
+            self.draw_box(painter, &place);
+        }
+        let rim = Stroke::new(3.5, Color32::from_black_alpha(170));
+        let line = |from: Vec3, to: Vec3, color: Color32, width: f32| {
+            if let (Some(a), Some(b)) = (p.screen(from), p.screen(to)) {
+                painter.line_segment([a, b], rim);
+                painter.line_segment([a, b], Stroke::new(width, color));
+            }
+        };
+        for (handle, at) in self.handles() {
+            let is_hot = hot == Some(handle);
+            let color = |base: Color32| if is_hot { Color32::WHITE } else { base };
+            match handle {
+                Handle::Ring(axis) => {
+                    let points = self.ring(axis);
+                    painter.add(Shape::line(points.clone(), rim));
+                    painter.add(Shape::line(points, Stroke::new(if is_hot { 3.0 } else { 2.0 }, color(AXES[axis]))));
+                    continue;
+                }
+                Handle::Axis(axis) => line(place.center, at, color(AXES[axis]), 2.5),
+                Handle::Parameter(n) => {
+                    let path = path_of(self.kind, n);
+                    let (value, range, _) = parameter(self.deformation, self.kind, n, place.size);
+                    self.draw_path(painter, &path, [range[0], value], range, &place);
+                }
+                Handle::Progress => {
+                    let path = progress_path(self.kind.name);
+                    self.draw_path(painter, &path, [0.0, 1.0], [0.0, 1.0], &place);
+                }
+                Handle::Point(n) => {
+                    if let Some(origin) = origin_of(self.deformation, n) {
+                        line(origin, at, ON_CANVAS, 1.5);
+                        if let Some(o) = p.screen(origin) {
+                            painter.circle_stroke(o, 4.0, Stroke::new(1.5, ON_CANVAS));
+                        }
+                    }
+                }
+                Handle::Center | Handle::Face(..) => {}
+            }
+            let Some(s) = p.screen(at) else { continue };
+            let radius = if is_hot { 7.0 } else { 5.5 };
+            let dark = Stroke::new(2.0, Color32::from_black_alpha(220));
+            match handle {
+                Handle::Center => {
+                    painter.circle(s, radius, color(SELECTED), dark);
+                }
+                Handle::Face(axis, _) | Handle::Axis(axis) => {
+                    let square = eframe::egui::Rect::from_center_size(s, vec2(2.0, 2.0) * (radius - 0.5));
+                    painter.rect(square, 1.0, color(AXES[axis]), dark, eframe::egui::StrokeKind::Outside);
+                }
+                Handle::Progress => {
+                    let r = radius + 1.5;
+                    let diamond = vec![s + vec2(0.0, -r), s + vec2(r, 0.0), s + vec2(0.0, r), s + vec2(-r, 0.0)];
+                    painter.add(Shape::convex_polygon(diamond, color(Color32::from_rgb(255, 190, 90)), dark));
+                }
+                _ => {
+                    painter.circle(s, radius, color(ON_CANVAS), dark);
+                }
+            }
+            if is_hot {
+                text(painter, pos2(s.x + 12.0, s.y - 10.0), Align2::LEFT_BOTTOM, self.words(handle), 13.5, Color32::WHITE);
+            }
+        }
+    }
+
+    fn draw_box(&self, painter: &Painter, place: &Place) {
+        let corner = |n: usize| {
+            let s = Vec3::new((n & 1) as f32, (n >> 1 & 1) as f32, (n >> 2 & 1) as f32) - 0.5;
+            self.projector.screen(place.world(s * place.size))
+        };
+        for a in 0..8usize {
+            for bit in [1, 2, 4] {
+                if a & bit == 0
+                    && let (Some(p), Some(q)) = (corner(a), corner(a | bit))
+                {
+                    painter.line_segment([p, q], Stroke::new(2.5, Color32::from_black_alpha(90)));
+                    painter.line_segment([p, q], Stroke::new(1.0, SELECTED.gamma_multiply(0.75)));
+                }
+            }
+        }
+    }
+
+    fn draw_path(&self, painter: &Painter, path: &Along, [from, to]: [f32; 2], range: [f32; 2], place: &Place) {
+        let points: Vec<Pos2> =
+            (0..=24).filter_map(|n| self.projector.screen(place.world(path.at(from + (to - from) * n as f32 / 24.0, range, place.size)))).collect();
+        painter.add(Shape::line(points.clone(), Stroke::new(3.0, Color32::from_black_alpha(120))));
+        painter.add(Shape::line(points, Stroke::new(1.2, ON_CANVAS.gamma_multiply(0.8))));
+    }
+}
+
+/// The kind of a deformation, if it has handles.
+pub fn kind_of(d: &Deformation) -> Option<&'static Kind> {
+    kinds::kind(&d.kind).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Camera;
+    use eframe::egui::Rect;
+
+    fn projector(scene_box: &Bounds, view: &str) -> Projector {
+        let camera = Camera { view: view.parse().unwrap(), ..Camera::default() };
+        Projector { frame: camera.frame(scene_box, [600, 500]).unwrap(), rect: Rect::from_min_size(pos2(0.0, 0.0), vec2(600.0, 500.0)) }
+    }
+
+    /// Whatever handle of whatever kind is grabbed and not moved, nothing changes by more than rounding; moved, the handle lies under the pointer.
+    #[test]
+    fn every_handle_follows_the_pointer() {
+        let scene_box = Bounds::new(Vec3::splat(-80.0), Vec3::splat(80.0));
+        let mut tried = 0;
+        for kind in kinds::list() {
+            let mut d = super::super::tool::dropped(kind, &scene_box, Some((Vec3::new(20.0, -70.0, 30.0), Vec3::new(0.28, -0.96, 0.0))));
+            d.progress = kind.progressive.then_some(0.5);
+            for mode in [Mode::Shape, Mode::Move, Mode::Rotate, Mode::Scale] {
+                let gizmo = Gizmo { projector: projector(&scene_box, "25,15"), kind, deformation: &d, scene_box, mode };
+                for (handle, at) in gizmo.handles() {
+                    let Some(s) = gizmo.projector.screen(at) else { continue };
+                    let drag = gizmo.grab(handle, s);
+                    let to = s + vec2(9.0, -6.0);
+                    let Some(moved) = gizmo.dragged(&drag, to) else { continue };
+                    let after = Gizmo { deformation: &moved, ..gizmo };
+                    match handle {
+                        Handle::Center | Handle::Point(_) => {
+                            let now = after.handles().into_iter().find(|(h, _)| *h == handle).unwrap().1;
+                            let off = after.projector.screen(now).unwrap().distance(to);
+                            assert!(off < 1.0, "{} {handle:?} is {off} points away", kind.name);
+                        }
+                        Handle::Parameter(n) => {
+                            let (value, [min, max], _) = parameter(&moved, kind, n, Place::of(&moved, kind, &scene_box).size);
+                            assert!(value >= min - 1e-3 && value <= max + 1e-3, "{} {handle:?}: {value} outside {min} to {max}", kind.name);
+                        }
+                        Handle::Progress => assert!((0.0..=1.0).contains(&moved.progress.unwrap())),
+                        Handle::Face(axis, _) => {
+                            let (a, b) = (Place::of(&d, kind, &scene_box), Place::of(&moved, kind, &scene_box));
+                            assert!(b.size[(axis + 1) % 3] == a.size[(axis + 1) % 3]);
+                        }
+                        Handle::Axis(_) | Handle::Ring(_) => {}
+                    }
+                    tried += 1;
+                }
+            }
+        }
+        assert!(tried > 300, "{tried}");
+    }
+
+    /// Half a turn of a ring turns the box by half a turn about that axis.
+    #[test]
+    fn rings_turn_about_their_axis() {
+        let scene_box = Bounds::new(Vec3::splat(-80.0), Vec3::splat(80.0));
+        let kind = kinds::kind("box").unwrap();
+        let d = Deformation::new("box");
+        let gizmo = Gizmo { projector: projector(&scene_box, "superior"), kind, deformation: &d, scene_box, mode: Mode::Rotate };
+        let center = gizmo.projector.screen(Vec3::ZERO).unwrap();
+        let drag = gizmo.grab(Handle::Ring(2), center + vec2(70.0, 0.0));
+        let moved = gizmo.dragged(&drag, center + vec2(0.0, -70.0)).unwrap();
+        // From above, with the front of the patient on top: right on the screen is -x, up is -y. Counter-clockwise there is from -x to -y: +90 about z.
+        let z = moved.rotate.unwrap()[2];
+        assert!((z - 90.0).abs() < 1.0, "{:?}", moved.rotate);
+    }
+}

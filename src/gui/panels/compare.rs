@@ -1,0 +1,378 @@
+//! Two renderers of the same scene from the same camera: side by side, under a wiper, or as their difference; with numbers.
+
+use super::number;
+use crate::compare::{Difference, difference, difference_picture};
+use crate::gui::action::Action;
+use crate::gui::app::{Gesture, Workstation};
+use crate::gui::theme;
+use crate::gui::views::text;
+use crate::gui::worker::{Shown, Target, What};
+use crate::scene::{Assets, Mode, Picture, RenderStats, Scene};
+use eframe::egui::{
+    self, Align2, Color32, ColorImage, Context, PointerButton, Rect, Sense, Slider, Stroke, TextureHandle, TextureOptions, Ui, pos2, vec2,
+};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Pictures are asked for when nothing has changed for this long, seconds.
+const REST: f64 = 0.2;
+
+/// One side.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Side {
+    /// The renderer.
+    pub mode: Mode,
+    /// Its sampling distance, voxels.
+    pub step: f32,
+}
+
+impl Side {
+    /// The scene as this side renders it.
+    pub fn scene(&self, scene: &Scene) -> Scene {
+        let mut scene = scene.clone();
+        scene.render.mode = self.mode;
+        scene.render.step = self.step;
+        scene.render.antialias = 1;
+        scene
+    }
+
+    /// Its name.
+    pub fn words(&self) -> String {
+        format!("{} step {}", word(self.mode), (self.step * 100.0).round() / 100.0)
+    }
+}
+
+fn word(mode: Mode) -> &'static str {
+    match mode {
+        Mode::Slice => "slicing",
+        Mode::Raycast => "raycast",
+        Mode::Surface => "SDF",
+    }
+}
+
+/// How the two are shown.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Arrangement {
+    /// Beside each other.
+    #[default]
+    Split,
+    /// One over the other, up to a line.
+    Swipe,
+    /// How far they are apart.
+    Difference,
+}
+
+#[derive(Default)]
+struct Result {
+    texture: Option<TextureHandle>,
+    picture: Option<Arc<Picture>>,
+    stats: Option<RenderStats>,
+    ms: f64,
+    backend: String,
+    serial: u64,
+}
+
+/// What the panel keeps.
+pub struct ComparePanel {
+    /// The two sides.
+    pub sides: [Side; 2],
+    /// How they are shown.
+    pub arrangement: Arrangement,
+    swipe: f32,
+    results: [Result; 2],
+    asked: [Option<Arc<Scene>>; 2],
+    assets: usize,
+    changed_at: Instant,
+    serials: [u64; 2],
+    /// Numbers of the present pair.
+    pub difference: Option<Difference>,
+    difference_of: (u64, u64),
+    difference_open: bool,
+    difference_texture: Option<TextureHandle>,
+    rect: Rect,
+    pane: [u32; 2],
+    seen: bool,
+    wiping: bool,
+}
+
+impl Default for ComparePanel {
+    fn default() -> Self {
+        Self {
+            sides: [Side { mode: Mode::Slice, step: 1.0 }, Side { mode: Mode::Raycast, step: 1.0 }],
+            arrangement: Arrangement::Split,
+            swipe: 0.5,
+            results: Default::default(),
+            asked: [None, None],
+            assets: 0,
+            changed_at: Instant::now(),
+            serials: [0; 2],
+            difference: None,
+            difference_of: (0, 0),
+            difference_open: false,
+            difference_texture: None,
+            rect: Rect::ZERO,
+            pane: [0; 2],
+            seen: false,
+            wiping: false,
+        }
+    }
+}
+
+impl ComparePanel {
+    /// Everything is to be asked for again.
+    pub fn forget(&mut self) {
+        *self = Self { sides: self.sides, arrangement: self.arrangement, swipe: self.swipe, ..Self::default() };
+    }
+
+    /// A side could not be rendered.
+    pub fn failed(&mut self, side: usize) {
+        if let Some(result) = self.results.get_mut(side) {
+            *result = Result::default();
+        }
+        self.difference = None;
+    }
+
+    /// Whether both pictures and their numbers are there.
+    pub fn is_done(&self) -> bool {
+        self.difference.is_some() && !self.difference_open && (0..2).all(|n| self.results[n].serial == self.serials[n] && self.serials[n] > 0)
+    }
+}
+
+/// A difference is enlarged so much to be seen.
+const AMPLIFY: f32 = 8.0;
+
+impl Workstation {
+    pub(in crate::gui) fn compare_arrived(&mut self, ctx: &Context, side: usize, serial: u64, ms: f64, shown: Shown) {
+        let panel = &mut self.compare;
+        if panel.serials.get(side) != Some(&serial) {
+            return;
+        }
+        let result = &mut panel.results[side];
+        match &mut result.texture {
+            Some(texture) => texture.set(shown.image, TextureOptions::LINEAR),
+            None => result.texture = Some(ctx.load_texture(format!("compare {side}"), shown.image, TextureOptions::LINEAR)),
+        }
+        result.picture = shown.picture.map(Arc::new);
+        (result.stats, result.ms, result.backend, result.serial) = (shown.stats, ms, shown.backend, serial);
+        self.compare_numbers(ctx);
+    }
+
+    /// Works out how far the pair is apart, elsewhere: it takes as long as a frame.
+    fn compare_numbers(&mut self, ctx: &Context) {
+        let panel = &mut self.compare;
+        let pair = (panel.results[0].serial, panel.results[1].serial);
+        let current = (0..2).all(|n| panel.results[n].serial == panel.serials[n]);
+        let (Some(a), Some(b)) = (panel.results[0].picture.clone(), panel.results[1].picture.clone()) else { return };
+        if panel.difference_open || pair == panel.difference_of || !current || (a.width, a.height) != (b.width, b.height) {
+            return;
+        }
+        panel.difference_open = true;
+        self.start(ctx, "Comparing", move |_| {
+            let numbers = difference(&a, &b)?;
+            let picture = difference_picture(&a, &b, AMPLIFY)?;
+            let image = ColorImage::from_rgba_unmultiplied([picture.width as usize, picture.height as usize], &picture.over([0.0, 0.0, 0.0, 1.0]));
+            Ok(Box::new(move |app: &mut Workstation, ctx: &Context| {
+                let panel = &mut app.compare;
+                panel.difference_open = false;
+                panel.difference_of = pair;
+                panel.difference = Some(numbers);
+                panel.difference_texture = Some(ctx.load_texture("difference", image, TextureOptions::LINEAR));
+                app.compare_numbers(ctx);
+            }))
+        });
+    }
+
+    /// Asks for the pair once the scene rests.
+    pub(in crate::gui) fn refresh_compare(&mut self) {
+        if !std::mem::take(&mut self.compare.seen) || self.compare.pane[0] < 16 {
+            return;
+        }
+        let Some(doc) = &self.doc else { return };
+        let assets: Arc<Assets> = doc.assets.clone();
+        let mut scene = doc.shown(self.is_before());
+        scene.render.size = self.compare.pane;
+        scene.measure.clear();
+        let panel = &mut self.compare;
+        let same_assets = panel.assets == Arc::as_ptr(&assets) as usize;
+        let wanted: [Scene; 2] = std::array::from_fn(|n| panel.sides[n].scene(&scene));
+        let changed = (0..2).any(|n| !same_assets || panel.asked[n].as_deref().is_none_or(|a| *a != wanted[n]));
+        if changed && panel.changed_at.elapsed().as_secs_f64() > 3600.0 {
+            panel.changed_at = Instant::now();
+        }
+        if !changed {
+            return;
+        }
+        let pending: Vec<usize> = (0..2).filter(|n| !same_assets || panel.asked[*n].as_deref().is_none_or(|a| *a != wanted[*n])).collect();
+        // While something is dragged the last pair stays.
+        if self.gesture.is_some() {
+            self.compare.changed_at = Instant::now();
+            return;
+        }
+        if self.compare.changed_at.elapsed().as_secs_f64() < REST {
+            return;
+        }
+        self.compare.assets = Arc::as_ptr(&assets) as usize;
+        for n in pending {
+            let shared = Arc::new(wanted[n].clone());
+            self.compare.asked[n] = Some(shared.clone());
+            let serial = self.submit(Target::Compare(n), shared, assets.clone(), What::Picture { counting: true, keep: true });
+            self.compare.serials[n] = serial;
+        }
+    }
+
+    /// The panel.
+    pub(in crate::gui) fn show_compare(&mut self, ui: &mut Ui) {
+        self.compare.seen = true;
+        let ctx = ui.ctx().clone();
+        let mut export = false;
+        egui::Frame::NONE.inner_margin(egui::Margin::symmetric(8, 4)).show(ui, |ui| {
+            ui.horizontal_wrapped(|ui| {
+                for (n, label) in ["A", "B"].into_iter().enumerate() {
+                    let side = &mut self.compare.sides[n];
+                    let combo = egui::ComboBox::from_id_salt(("side", n))
+                        .selected_text(format!("{label}: {}", word(side.mode)))
+                        .width(104.0)
+                        .show_ui(ui, |ui| {
+                            for mode in [Mode::Slice, Mode::Raycast, Mode::Surface] {
+                                ui.selectable_value(&mut side.mode, mode, word(mode));
+                            }
+                        });
+                    combo.response.widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::ComboBox, true, format!("Renderer {label}")));
+                    ui.spacing_mut().slider_width = 84.0;
+                    let slider = ui.add(Slider::new(&mut side.step, 0.1..=4.0).logarithmic(true).max_decimals(2)).on_hover_text("Step, voxels");
+                    slider.widget_info(|| egui::WidgetInfo::slider(true, f64::from(side.step), format!("Step {label}")));
+                }
+                ui.separator();
+                for (a, w) in [(Arrangement::Split, "Split"), (Arrangement::Swipe, "Swipe"), (Arrangement::Difference, "Difference")] {
+                    ui.selectable_value(&mut self.compare.arrangement, a, w);
+                }
+                ui.separator();
+                export = ui.button("Export report…").clicked();
+            });
+            self.show_numbers(ui);
+        });
+        let (rect, response) = ui.allocate_exact_size(ui.available_size().max(vec2(32.0, 32.0)), Sense::click_and_drag());
+        response.widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::Other, true, "Comparison view"));
+        let painter = ui.painter_at(rect);
+        painter.rect_filled(rect, 0.0, theme::CANVAS);
+        let panel = &mut self.compare;
+        let pane = if panel.arrangement == Arrangement::Split {
+            Rect::from_min_size(rect.min, vec2((rect.width() / 2.0 - 1.0).max(16.0), rect.height()))
+        } else {
+            rect
+        };
+        let ppp = ctx.pixels_per_point();
+        let size = [(pane.width() * ppp) as u32, (pane.height() * ppp) as u32].map(|n| n.clamp(16, 4096));
+        if size != panel.pane {
+            panel.pane = size;
+            panel.changed_at = Instant::now();
+        }
+        panel.rect = rect;
+        let all = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));
+        let title = |n: usize, at: egui::Pos2, align: Align2| {
+            text(&painter, at, align, format!("{} · {}", ["A", "B"][n], panel.sides[n].words()), 13.0, theme::ON_CANVAS)
+        };
+        match panel.arrangement {
+            Arrangement::Split => {
+                for n in 0..2 {
+                    let place = pane.translate(vec2(n as f32 * (pane.width() + 2.0), 0.0));
+                    if let Some(texture) = &panel.results[n].texture {
+                        painter.image(texture.id(), place, all, Color32::WHITE);
+                    }
+                    title(n, place.min + vec2(8.0, 6.0), Align2::LEFT_TOP);
+                }
+            }
+            Arrangement::Swipe => {
+                let x = rect.left() + panel.swipe * rect.width();
+                for n in 0..2 {
+                    let clip =
+                        if n == 0 { Rect::from_min_max(rect.min, pos2(x, rect.bottom())) } else { Rect::from_min_max(pos2(x, rect.top()), rect.max) };
+                    if let Some(texture) = &panel.results[n].texture {
+                        painter.with_clip_rect(clip).image(texture.id(), rect, all, Color32::WHITE);
+                    }
+                }
+                painter.vline(x, rect.y_range(), Stroke::new(2.0, theme::SELECTED));
+                painter.circle(pos2(x, rect.center().y), 7.0, theme::SELECTED, Stroke::new(2.0, Color32::from_black_alpha(200)));
+                title(0, rect.min + vec2(8.0, 6.0), Align2::LEFT_TOP);
+                title(1, pos2(rect.right() - 8.0, rect.top() + 6.0), Align2::RIGHT_TOP);
+            }
+            Arrangement::Difference => {
+                if let Some(texture) = &panel.difference_texture {
+                    painter.image(texture.id(), rect, all, Color32::WHITE);
+                }
+                text(&painter, rect.min + vec2(8.0, 6.0), Align2::LEFT_TOP, format!("Difference × {AMPLIFY}"), 13.0, theme::ON_CANVAS);
+            }
+        }
+        if !panel.is_done() {
+            text(&painter, pos2(rect.center().x, rect.bottom() - 10.0), Align2::CENTER_BOTTOM, "Rendering…", 13.0, theme::ON_CANVAS);
+        }
+        self.handle_compare_input(ui, &response, rect);
+        if export {
+            self.perform(&ctx, Action::ExportReport);
+        }
+        if !self.compare.is_done() {
+            ctx.request_repaint_after_secs(REST as f32);
+        }
+    }
+
+    fn handle_compare_input(&mut self, ui: &Ui, response: &egui::Response, rect: Rect) {
+        let delta = response.drag_delta();
+        let modifiers = ui.input(|i| i.modifiers);
+        if response.drag_started() {
+            let line = rect.left() + self.compare.swipe * rect.width();
+            let origin = ui.input(|i| i.pointer.press_origin()).unwrap_or_default();
+            self.compare.wiping = self.compare.arrangement == Arrangement::Swipe && (origin.x - line).abs() < 14.0;
+            self.gesture = Some(Gesture::Orbit);
+        }
+        if response.dragged() {
+            if self.compare.wiping {
+                if let Some(pos) = response.interact_pointer_pos() {
+                    self.compare.swipe = ((pos.x - rect.left()) / rect.width()).clamp(0.02, 0.98);
+                }
+            } else if response.dragged_by(PointerButton::Secondary) {
+                self.zoom((-delta.y * 0.01).exp());
+            } else if response.dragged_by(PointerButton::Middle) || modifiers.shift {
+                if let Some(mut projector) = self.projector() {
+                    projector.rect = rect;
+                    self.pan(delta.x, delta.y, &projector);
+                }
+            } else {
+                self.orbit(delta.x, delta.y);
+            }
+        }
+        if response.drag_stopped() {
+            self.gesture = None;
+            self.compare.wiping = false;
+        }
+        if response.hovered() {
+            let scroll = ui.input(|i| i.smooth_scroll_delta.y);
+            if scroll != 0.0 {
+                self.zoom((scroll * 0.0025).exp());
+            }
+        }
+    }
+
+    fn show_numbers(&self, ui: &mut Ui) {
+        let panel = &self.compare;
+        ui.horizontal_wrapped(|ui| {
+            for (n, label) in ["A", "B"].into_iter().enumerate() {
+                let r = &panel.results[n];
+                let samples = r.stats.map_or_else(
+                    || "–".into(),
+                    |s| format!("{:.2} M samples, {:.2} M skipped", s.samples_taken as f64 / 1e6, s.samples_skipped as f64 / 1e6),
+                );
+                ui.label(format!("{label} {:.0} ms, {samples}", r.ms));
+                ui.separator();
+            }
+            match &panel.difference {
+                Some(d) => {
+                    let psnr = if d.psnr_db.is_finite() { format!("{:.1} dB", d.psnr_db) } else { "equal".into() };
+                    ui.label(format!("mean {} / 255, max {} / 255, PSNR {psnr}, SSIM {:.4}", number(d.mean, ""), number(d.max, ""), d.ssim));
+                }
+                None => {
+                    ui.label("…");
+                }
+            }
+        });
+    }
+}

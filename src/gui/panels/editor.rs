@@ -1,0 +1,161 @@
+//! The editor of displacement maps: paint, place primitives, set control points, save to the library and use again (what \[DDM06\] section 9 left
+//! to do).
+
+use super::{heading, tool_button};
+use crate::deform::{Argument, compose};
+use crate::gui::action::Action;
+use crate::gui::app::Workstation;
+use crate::gui::tool::{Placed, Tool, symbol, tidy, words};
+use crate::gui::worker::Overlay;
+use crate::scene::{Deformation, Size};
+use eframe::egui::{RichText, Slider, Ui};
+use egui_phosphor::regular as icon;
+use std::path::Path;
+
+/// What the editor keeps.
+pub struct Editor {
+    /// Reach of a brush, mm.
+    pub radius: f32,
+    /// Its strength.
+    pub strength: f32,
+    /// The label that is measured.
+    pub label: u32,
+}
+
+impl Default for Editor {
+    fn default() -> Self {
+        Self { radius: 15.0, strength: 0.8, label: 1 }
+    }
+}
+
+impl Workstation {
+    /// The panel.
+    pub(in crate::gui) fn show_editor(&mut self, ui: &mut Ui) {
+        let ctx = ui.ctx().clone();
+        let mut act = None;
+        heading(ui, "Paint");
+        ui.horizontal_wrapped(|ui| {
+            for (tool, word, symbol) in [
+                (Tool::BrushPush, "Push", icon::HAND_POINTING),
+                (Tool::BrushSmooth, "Smooth", icon::WAVES),
+                (Tool::BrushCut, "Cut", icon::SCISSORS),
+                (Tool::BrushRestore, "Restore", icon::ERASER),
+                (Tool::LassoCut, "Lasso cut", icon::LASSO),
+                (Tool::LassoRestore, "Lasso restore", icon::LASSO),
+            ] {
+                if tool_button(ui, symbol, word, self.tool == tool, &tool.hint()).clicked() {
+                    act = Some(Action::Arm(tool));
+                }
+            }
+        });
+        ui.spacing_mut().slider_width = (ui.available_width() - 128.0).max(60.0);
+        let largest = self.doc.as_ref().map_or(100.0, |d| 0.5 * d.bounds().size().max_element());
+        ui.add(Slider::new(&mut self.editor.radius, 1.0..=largest.max(2.0)).text("radius").suffix(" mm").max_decimals(1));
+        ui.add(Slider::new(&mut self.editor.strength, 0.05..=1.0).text("strength").max_decimals(2));
+        ui.label(
+            RichText::new("Brush on a slice, or on the surface in the 3D view. Strokes go into the painted map at the end of the stack.").weak(),
+        );
+        ui.horizontal(|ui| {
+            if ui.button("New painted map").clicked() {
+                act = Some(Action::NewMap);
+            }
+            let mut grid = self.slices.overlay == Overlay::Grid;
+            if ui.checkbox(&mut grid, "Grid on slices").changed() {
+                self.slices.overlay = if grid { Overlay::Grid } else { Overlay::None };
+            }
+        });
+        heading(ui, "Primitives");
+        ui.horizontal_wrapped(|ui| {
+            for name in ["pull", "bulge", "twist", "bend", "slab", "explode", "sphere", "box", "lattice", "points", "elastic"] {
+                if let Ok(kind) = crate::deform::kinds::kind(name) {
+                    let tool = Tool::Place(Placed(kind));
+                    let word = if name == "points" { "Control points" } else { &words(name) };
+                    if tool_button(ui, symbol(name), word, self.tool == tool, kind.about).clicked() {
+                        if name == "points" {
+                            self.add_control_points();
+                        } else {
+                            act = Some(Action::Arm(tool));
+                        }
+                    }
+                }
+            }
+        });
+        heading(ui, "Library");
+        ui.horizontal_wrapped(|ui| {
+            if ui.button("Save the selected one").on_hover_text("The selected deformation, as a map of its own").clicked() {
+                act = Some(Action::SaveMap);
+            }
+            if ui.button("Save the stack").on_hover_text("All deformations, composed into one map").clicked() {
+                act = Some(Action::StackToMap);
+            }
+        });
+        self.show_library(ui);
+        if let Some(action) = act {
+            self.perform(&ctx, action);
+        }
+    }
+
+    /// An empty set of control points over all of the scene.
+    fn add_control_points(&mut self) {
+        let Some(doc) = &mut self.doc else { return };
+        let mut d = Deformation::new("points");
+        // Something that stays in place, so that the first point to be dragged has a neighbour.
+        let c = tidy(doc.bounds().center());
+        d.parameters.insert("pairs", Argument::Numbers([c, c].concat()));
+        doc.add(d);
+        self.tool = Tool::Navigate;
+    }
+
+    fn show_library(&mut self, ui: &mut Ui) {
+        let maps = self.session.maps();
+        if maps.is_empty() {
+            ui.label(RichText::new("Empty. Maps that are saved can be used on any volume.").weak());
+        }
+        let mut remove = None;
+        for path in &maps {
+            let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+            ui.horizontal(|ui| {
+                if ui.button(format!("{} {name}", icon::PLUS)).on_hover_text("Use it on this scene, scaled to it").clicked() {
+                    self.use_map(path);
+                }
+                if super::icon_button(ui, icon::TRASH, &format!("Remove {name} from the library")).clicked() {
+                    remove = Some(path.clone());
+                }
+            });
+        }
+        if let Some(path) = remove {
+            // A scene may still name it: it is kept aside, not destroyed.
+            let aside = path.with_extension("nrrd.removed");
+            if let Err(e) = std::fs::rename(&path, &aside) {
+                self.fail(&crate::Error::io(&path, "removing", e));
+            }
+        }
+    }
+
+    /// Adds a map of the library, as large against this scene as it was against its own.
+    pub fn use_map(&mut self, path: &Path) {
+        let read = crate::volume::load::image(path, &Default::default(), &crate::Watch::NOBODY);
+        let Some(doc) = &mut self.doc else { return };
+        let placement =
+            read.and_then(|image| compose::placement_of(&crate::volume::GridGeometry { size: image.size, world_from_voxel: image.world_from_voxel }));
+        match placement {
+            Ok(placement) => {
+                let bounds = doc.bounds();
+                let mut d = Deformation::new("map");
+                d.name = path.file_stem().map(|s| s.to_string_lossy().into_owned());
+                d.parameters.insert("path", path.to_string_lossy().as_ref());
+                // Where it lies inside the scene it stays; else it is centred and made to fit.
+                let own = placement.world_from_map.transform_point3(glam::Vec3::splat(0.5));
+                let inside = own.cmpge(bounds.min).all() && own.cmple(bounds.max).all();
+                let size = placement.size_mm();
+                let ratio = size.max_element() / bounds.size().max_element().max(1e-3);
+                if !inside || !(0.2..=2.5).contains(&ratio) {
+                    d.center = Some(tidy(bounds.center()));
+                    d.size = Some(Size::Box(tidy(size / size.max_element() * bounds.size().max_element())));
+                }
+                doc.add(d);
+            }
+            Err(error) => self.fail(&error),
+        }
+    }
+}

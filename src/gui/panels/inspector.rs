@@ -1,0 +1,533 @@
+//! Everything about what is selected, as numbers with their units. A double-click on a name takes its value back to the default.
+
+use super::{heading, tool_button};
+use crate::deform::health::Health;
+use crate::deform::kinds::{DefaultSize, Kind, Unit};
+use crate::deform::{Argument, Storage};
+use crate::gui::action::Action;
+use crate::gui::app::Workstation;
+use crate::gui::document::{Document, Selection};
+use crate::gui::gizmos::{self, Place};
+use crate::gui::tool::{tidy, words};
+use crate::scene::surface::{CutModel, Look};
+use crate::scene::{CutFaces, Deformation, Mode, Normals, Projection, Size};
+use crate::volume::GradientFilter;
+use eframe::egui::{self, DragValue, RichText, Slider, Ui};
+use egui_phosphor::regular as icon;
+
+/// What the inspector keeps.
+#[derive(Default)]
+pub struct Inspector {
+    /// The last report on a field.
+    pub health: Option<String>,
+}
+
+/// Whether a field folds, and its figures in words.
+pub fn health_words(health: &Health) -> (bool, String) {
+    let folds = health.folds_percent > 0.0;
+    let verdict = if folds { format!("folds at {:.2} % of its points", health.folds_percent) } else { "no folds".into() };
+    let text = format!("{verdict}; det J {:.2} to {:.2}; moves up to {:.1} mm", health.det_min, health.det_max, health.largest_mm);
+    (folds, text)
+}
+
+/// A name that takes its value back to the default by a double-click; whether it was asked to.
+fn name(ui: &mut Ui, text: &str, about: &str) -> bool {
+    let label = ui.add(egui::Label::new(text).sense(egui::Sense::click()));
+    label.on_hover_text(format!("{about}\nDouble-click: back to the default")).double_clicked()
+}
+
+/// A row of three numbers.
+fn three(ui: &mut Ui, values: &mut [f32; 3], speed: f32, suffix: &str, label: &str) -> bool {
+    let mut changed = false;
+    ui.horizontal(|ui| {
+        ui.spacing_mut().item_spacing.x = 3.0;
+        for (axis, v) in ["x", "y", "z"].into_iter().zip(values) {
+            let response = ui.add(DragValue::new(v).speed(speed).max_decimals(2).suffix(suffix).range(-1e5..=1e5));
+            response.widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::DragValue, true, format!("{label} {axis}")));
+            changed |= response.changed();
+        }
+    });
+    changed
+}
+
+impl Workstation {
+    /// What is selected.
+    pub(in crate::gui) fn show_inspector(&mut self, ui: &mut Ui) {
+        let selection = match &self.doc {
+            Some(doc) => doc.selected,
+            None => return,
+        };
+        ui.label(RichText::new(self.selection_words()).heading());
+        match selection {
+            Selection::Deformation(n) => self.show_deformation(ui, n),
+            Selection::Volume => self.show_volume(ui),
+            Selection::Mesh(n) => self.show_mesh(ui, n),
+            Selection::Measure(_) => {
+                ui.label("Its numbers are in the panel Measure.");
+            }
+            Selection::Nothing => self.show_picture_settings(ui),
+        }
+    }
+
+    fn show_deformation(&mut self, ui: &mut Ui, n: usize) {
+        let mut act = None;
+        let health = self.inspector.health.clone();
+        let Some(doc) = &mut self.doc else { return };
+        let scene_box = doc.bounds();
+        let Some(d) = doc.scene.deformation.get_mut(n) else { return };
+        let kind = gizmos::kind_of(d);
+        ui.horizontal(|ui| {
+            ui.checkbox(&mut d.enabled, "Shown");
+            if tool_button(ui, icon::COPY, "Duplicate", false, "").clicked() {
+                act = Some(Action::Duplicate);
+            }
+            if tool_button(ui, icon::TRASH, "Delete", false, "").clicked() {
+                act = Some(Action::Delete);
+            }
+        });
+        ui.horizontal(|ui| {
+            ui.label("Name");
+            let mut text = d.name.clone().unwrap_or_default();
+            let field = ui.add(egui::TextEdit::singleline(&mut text).hint_text(words(&d.kind)).desired_width(f32::INFINITY));
+            field.widget_info(|| egui::WidgetInfo::text_edit(true, "", "", "Name"));
+            if field.changed() {
+                d.name = (!text.is_empty()).then_some(text);
+            }
+        });
+        ui.label(RichText::new(kind.map_or("a file's own deformation", |k| k.about)).weak());
+        if kind.is_none_or(|k| k.progressive) {
+            if name(ui, "Progress", "From nothing to full") {
+                d.progress = None;
+            }
+            let mut percent = 100.0 * d.progress.unwrap_or(1.0);
+            ui.spacing_mut().slider_width = (ui.available_width() - 72.0).max(60.0);
+            let slider = ui.add(Slider::new(&mut percent, 0.0..=100.0).suffix(" %").max_decimals(0).step_by(1.0));
+            slider.widget_info(|| egui::WidgetInfo::slider(true, f64::from(percent), "Progress"));
+            if slider.changed() {
+                d.progress = Some(percent / 100.0);
+            }
+        }
+        if let Some(kind) = kind {
+            show_numbers(ui, d, kind, &scene_box);
+            show_settings(ui, d, kind);
+            show_placement(ui, d, kind, &scene_box);
+        } else {
+            show_file_settings(ui, d);
+        }
+        egui::CollapsingHeader::new("Map").show(ui, |ui| show_map(ui, d));
+        egui::CollapsingHeader::new("Field health").show(ui, |ui| {
+            if ui.button("Check for folds").clicked() {
+                act = Some(Action::CheckField);
+            }
+            if let Some(text) = &health {
+                ui.label(text);
+            }
+        });
+        if let Some(action) = act {
+            let ctx = ui.ctx().clone();
+            self.perform(&ctx, action);
+        }
+    }
+
+    fn show_volume(&mut self, ui: &mut Ui) {
+        let mut labels = false;
+        let Some(doc) = &mut self.doc else { return };
+        let volume = &doc.assets.volume;
+        egui::Grid::new("volume").num_columns(2).spacing([10.0, 3.0]).show(ui, |ui| {
+            let mut line = |what: &str, value: String| {
+                ui.label(RichText::new(what).weak());
+                ui.add(egui::Label::new(value).wrap());
+                ui.end_row();
+            };
+            let [i, j, k] = volume.size;
+            let s = volume.spacing_mm();
+            line("Format", volume.format.to_owned());
+            line("Voxels", format!("{i} × {j} × {k}, {}", volume.source_type));
+            line("Spacing", format!("{:.3} × {:.3} × {:.3} mm", s.x, s.y, s.z));
+            line("Orientation", volume.orientation());
+            line("Range", format!("{:.1} to {:.1}", volume.range[0], volume.range[1]));
+            if let Some(count) = volume.labels() {
+                line("Labels", count.to_string());
+            }
+            for (what, value) in &volume.details {
+                line(what, value.as_str().map_or_else(|| value.to_string(), str::to_owned));
+            }
+        });
+        for warning in &volume.warnings {
+            ui.label(RichText::new(format!("{} {warning}", icon::WARNING)).color(ui.visuals().warn_fg_color));
+        }
+        ui.add_space(6.0);
+        if ui.button("Label map over it…").on_hover_text("Names what is pointed at and colours slices").clicked() {
+            labels = true;
+        }
+        if labels {
+            self.ask_labels();
+        }
+    }
+
+    fn show_mesh(&mut self, ui: &mut Ui, n: usize) {
+        let mut delete = false;
+        let Some(doc) = &mut self.doc else { return };
+        let general = doc.scene.surface.appearance.clone();
+        let mesh_box = doc.assets.mesh_box;
+        let Some(mesh) = doc.scene.mesh.get_mut(n) else { return };
+        ui.horizontal(|ui| {
+            let mut shown = !mesh.hidden;
+            if ui.checkbox(&mut shown, "Shown").changed() {
+                mesh.hidden = !shown;
+            }
+            delete = tool_button(ui, icon::TRASH, "Delete", false, "").clicked();
+        });
+        ui.checkbox(&mut mesh.rigid, "Deformations pass it by");
+        let look: Option<Look> = mesh.appearance.resolve(&general).ok();
+        ui.horizontal(|ui| {
+            ui.label("Look");
+            let now = mesh.appearance.look.clone().unwrap_or_else(|| "default".into());
+            egui::ComboBox::from_id_salt("look").selected_text(now).show_ui(ui, |ui| {
+                for look in crate::scene::surface::looks() {
+                    if ui.selectable_label(mesh.appearance.look.as_deref() == Some(look), look).clicked() {
+                        let a = &mut mesh.appearance;
+                        (a.look, a.color, a.inside_color, a.cut_color) = (Some(look.to_owned()), None, None, None);
+                    }
+                }
+            });
+        });
+        if let Some(look) = look {
+            ui.horizontal(|ui| {
+                let color = |ui: &mut Ui, word: &str, now: [f32; 3], set: &mut Option<[f32; 3]>| {
+                    let mut c = now;
+                    ui.label(word);
+                    if ui.color_edit_button_rgb(&mut c).changed() {
+                        *set = Some(c);
+                    }
+                };
+                color(ui, "Outside", look.color, &mut mesh.appearance.color);
+                color(ui, "Inside", look.inside, &mut mesh.appearance.inside_color);
+                color(ui, "Cut", look.cut, &mut mesh.appearance.cut_color);
+            });
+        }
+        ui.horizontal(|ui| {
+            ui.label("Under the surface");
+            for (model, word) in [(CutModel::Hollow, "nothing"), (CutModel::Thick, "a skin"), (CutModel::Solid, "matter")] {
+                if ui.selectable_label(mesh.appearance.model == Some(model), word).clicked() {
+                    mesh.appearance.model = Some(model);
+                }
+            }
+        });
+        heading(ui, "Placement");
+        if name(ui, "Centre (mm)", "Where its middle goes") {
+            mesh.place.center = None;
+        }
+        let mut center = mesh.place.center.unwrap_or_else(|| tidy(mesh_box.center()));
+        if three(ui, &mut center, 0.5, "", "Centre") {
+            mesh.place.center = Some(center);
+        }
+        if name(ui, "Turned (degrees)", "About x, then y, then z") {
+            mesh.place.rotate = None;
+        }
+        let mut rotate = mesh.place.rotate.unwrap_or_default();
+        if three(ui, &mut rotate, 0.5, "°", "Turned") {
+            mesh.place.rotate = Some(rotate);
+        }
+        if delete {
+            doc.selected = Selection::Mesh(n);
+            doc.delete();
+        }
+    }
+
+    fn show_picture_settings(&mut self, ui: &mut Ui) {
+        let Some(doc) = &mut self.doc else { return };
+        let Document { scene, assets, .. } = doc;
+        let has_volume = assets.has_volume;
+        let render = &mut scene.render;
+        ui.spacing_mut().slider_width = (ui.available_width() - 128.0).max(60.0);
+        let slider = |ui: &mut Ui, v: &mut f32, range: std::ops::RangeInclusive<f32>, word: &str, tip: &str| {
+            ui.add(Slider::new(v, range).text(word).max_decimals(2)).on_hover_text(tip);
+        };
+        ui.add(Slider::new(&mut render.step, 0.1..=4.0).logarithmic(true).text("step").max_decimals(2))
+            .on_hover_text("Distance between samples, voxels");
+        let mut antialias = render.antialias;
+        ui.add(Slider::new(&mut antialias, 1..=4).text("antialias")).on_hover_text("Samples averaged along each edge of a pixel");
+        render.antialias = antialias;
+        if has_volume {
+            choice(
+                ui,
+                "Light on",
+                &mut render.normals,
+                &[
+                    (Normals::Blended, "gradients and cuts"),
+                    (Normals::Transformed, "gradients, transformed"),
+                    (Normals::Source, "gradients as they were"),
+                    (Normals::None, "nothing"),
+                ],
+            );
+            choice(ui, "Gradients", &mut render.gradient, &[(GradientFilter::Central, "central differences"), (GradientFilter::Sobel, "Sobel")]);
+            choice(ui, "Faces of cuts", &mut render.cut_faces, &[(CutFaces::Lit, "lit as the matter"), (CutFaces::Grey, "grey, as on a slice")]);
+            let mut iso = render.iso.is_some();
+            ui.horizontal(|ui| {
+                if ui.checkbox(&mut iso, "Iso-surface at").changed() {
+                    render.iso = iso.then(|| assets.volume.body_threshold());
+                }
+                if let Some(v) = &mut render.iso {
+                    let speed = (assets.volume.range[1] - assets.volume.range[0]) / 400.0;
+                    ui.add(DragValue::new(v).speed(speed).max_decimals(2));
+                }
+            });
+            ui.checkbox(&mut render.exact_cuts, "Exact cuts").on_hover_text("Cuts at the end of the stack as formulas instead of masks");
+        }
+        if render.mode == Mode::Surface && has_volume {
+            ui.horizontal(|ui| {
+                ui.label("Surface at value");
+                let mut v = scene.surface.iso.unwrap_or_else(|| assets.volume.body_threshold());
+                if ui.add(DragValue::new(&mut v).max_decimals(2)).changed() {
+                    scene.surface.iso = Some(v);
+                }
+            });
+        }
+        heading(ui, "Light");
+        slider(ui, &mut scene.light.ambient, 0.0..=1.0, "ambient", "Light from everywhere");
+        slider(ui, &mut scene.light.diffuse, 0.0..=1.0, "diffuse", "Share of the lamp");
+        slider(ui, &mut scene.light.specular, 0.0..=1.0, "highlight", "Strength of the highlight");
+        slider(ui, &mut scene.light.shininess, 1.0..=200.0, "shininess", "Exponent of the highlight");
+        ui.checkbox(&mut scene.light.follows_camera, "The lamp moves with the camera");
+        heading(ui, "Camera");
+        choice(
+            ui,
+            "Projection",
+            &mut scene.camera.projection,
+            &[(Projection::Perspective, "perspective"), (Projection::Orthographic, "orthographic")],
+        );
+        slider(ui, &mut scene.camera.field_of_view, 5.0..=100.0, "field of view", "Degrees, from top to bottom");
+        ui.horizontal(|ui| {
+            ui.label("Background");
+            let [r, g, b, a] = scene.render.background;
+            let mut color = [r, g, b];
+            if ui.color_edit_button_rgb(&mut color).changed() {
+                scene.render.background = [color[0], color[1], color[2], a];
+            }
+            let mut clear = a < 1.0;
+            if ui.checkbox(&mut clear, "transparent").changed() {
+                scene.render.background[3] = if clear { 0.0 } else { 1.0 };
+            }
+        });
+    }
+}
+
+fn choice<T: PartialEq + Copy>(ui: &mut Ui, word: &str, value: &mut T, all: &[(T, &str)]) {
+    ui.horizontal(|ui| {
+        ui.label(word);
+        let now = all.iter().find(|(v, _)| v == value).map_or("", |(_, w)| w);
+        let combo = egui::ComboBox::from_id_salt(word).selected_text(now).show_ui(ui, |ui| {
+            for (v, w) in all {
+                ui.selectable_value(value, *v, *w);
+            }
+        });
+        combo.response.widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::ComboBox, true, word));
+    });
+}
+
+/// The kind's numbers with their ranges.
+fn show_numbers(ui: &mut Ui, d: &mut Deformation, kind: &Kind, scene_box: &crate::math::Bounds) {
+    let size = Place::of(d, kind, scene_box).size;
+    for (n, p) in kind.parameters.iter().enumerate() {
+        let (value, [min, max], _) = gizmos::parameter(d, kind, n, size);
+        let unit = match p.unit {
+            Unit::Mm => " mm",
+            Unit::Degrees => "°",
+            Unit::None => "",
+        };
+        if name(ui, &capital(p.name), p.about) {
+            d.parameters.0.remove(p.name);
+        }
+        let mut v = value;
+        ui.spacing_mut().slider_width = (ui.available_width() - 84.0).max(60.0);
+        let slider = ui.add(Slider::new(&mut v, min..=max).suffix(unit).max_decimals(if p.unit == Unit::None { 2 } else { 1 }));
+        slider.widget_info(|| egui::WidgetInfo::slider(true, f64::from(v), capital(p.name)));
+        if slider.changed() {
+            d.parameters.insert(p.name, v.clamp(min, max));
+        }
+    }
+}
+
+fn capital(text: &str) -> String {
+    let mut text = text.to_owned();
+    if let Some(first) = text.get_mut(0..1) {
+        first.make_ascii_uppercase();
+    }
+    text
+}
+
+/// A setting as text, and back: numbers, several of them, words.
+fn setting_text(argument: Option<&Argument>) -> String {
+    let joined = |v: &[f32]| v.iter().map(f32::to_string).collect::<Vec<_>>().join(", ");
+    match argument {
+        None => String::new(),
+        Some(Argument::Flag(v)) => v.to_string(),
+        Some(Argument::Number(v)) => v.to_string(),
+        Some(Argument::Text(t)) => t.clone(),
+        Some(Argument::Numbers(v)) => joined(v),
+        Some(Argument::Texts(t)) => t.join(", "),
+        Some(Argument::Rows(rows)) => rows.iter().map(|r| joined(r)).collect::<Vec<_>>().join("; "),
+    }
+}
+
+fn setting_of(text: &str) -> Option<Argument> {
+    let text = text.trim();
+    let words: Vec<&str> = text.split([',', ';']).map(str::trim).filter(|w| !w.is_empty()).collect();
+    let numbers: Option<Vec<f32>> = words.iter().map(|w| w.parse().ok()).collect();
+    match (&words[..], numbers) {
+        ([], _) => None,
+        (["true"], _) => Some(Argument::Flag(true)),
+        (["false"], _) => Some(Argument::Flag(false)),
+        ([_], Some(v)) => Some(Argument::Number(v[0])),
+        (_, Some(v)) => Some(Argument::Numbers(v)),
+        ([word], _) => Some(Argument::Text((*word).to_owned())),
+        (words, _) => Some(Argument::Texts(words.iter().map(|w| (*w).to_owned()).collect())),
+    }
+}
+
+/// A text field for a setting, taken over when it is left.
+fn setting(ui: &mut Ui, d: &mut Deformation, setting: &'static str, about: &str) {
+    let id = ui.id().with(("setting", setting));
+    let kept = setting_text(d.parameters.0.get(setting));
+    let mut text = ui.data_mut(|m| m.get_temp::<String>(id)).unwrap_or_else(|| kept.clone());
+    ui.horizontal(|ui| {
+        if name(ui, &capital(setting), about) {
+            d.parameters.0.remove(setting);
+            text.clear();
+        }
+        let field = ui.add(egui::TextEdit::singleline(&mut text).desired_width(f32::INFINITY));
+        field.widget_info(|| egui::WidgetInfo::text_edit(true, "", "", setting));
+        if field.has_focus() {
+            ui.data_mut(|m| m.insert_temp(id, text.clone()));
+        } else {
+            ui.data_mut(|m| m.remove::<String>(id));
+        }
+        if field.lost_focus() && text != kept {
+            match setting_of(&text) {
+                Some(argument) => {
+                    d.parameters.0.insert(setting.to_owned(), argument);
+                }
+                None => {
+                    d.parameters.0.remove(setting);
+                }
+            }
+        }
+    });
+}
+
+fn show_settings(ui: &mut Ui, d: &mut Deformation, kind: &Kind) {
+    if kind.name == "brush" {
+        let strokes = d.parameters.texts("strokes").ok().flatten().unwrap_or_default();
+        ui.label(format!("{} strokes; the panel Map editor has the brushes", strokes.len()));
+        if !strokes.is_empty() && ui.button("Take the last stroke away").clicked() {
+            let mut strokes = strokes;
+            strokes.pop();
+            if strokes.is_empty() {
+                d.parameters.0.remove("strokes");
+            } else {
+                d.parameters.insert("strokes", Argument::Texts(strokes));
+            }
+        }
+        return;
+    }
+    if kind.settings().next().is_some() {
+        egui::CollapsingHeader::new("Settings").default_open(!kind.own_settings().is_empty()).show(ui, |ui| {
+            for s in kind.settings() {
+                setting(ui, d, s.name, s.about);
+            }
+        });
+    }
+    if kind.name == "points" {
+        ui.label(RichText::new("Ctrl+click the surface to add a control point, then drag it").weak());
+    }
+}
+
+fn show_file_settings(ui: &mut Ui, d: &mut Deformation) {
+    let kind = crate::scene::deformations::FILE_KINDS.iter().find(|k| k.name == d.kind);
+    for s in kind.iter().flat_map(|k| k.settings) {
+        setting(ui, d, s.name, s.about);
+    }
+}
+
+fn show_placement(ui: &mut Ui, d: &mut Deformation, kind: &Kind, scene_box: &crate::math::Bounds) {
+    egui::CollapsingHeader::new("Placement").default_open(true).show(ui, |ui| {
+        if d.matrix.is_some() {
+            ui.label("Placed by a matrix");
+            if ui.button("Place by centre, size and turn instead").clicked() {
+                d.matrix = None;
+            }
+            return;
+        }
+        let place = Place::of(d, kind, scene_box);
+        if name(ui, "Centre (mm)", "Middle of the box, patient LPS") {
+            d.center = None;
+        }
+        let mut center = tidy(place.center);
+        if three(ui, &mut center, 0.5, "", "Centre") {
+            d.center = Some(center);
+        }
+        if !matches!(kind.size, DefaultSize::Across(_)) {
+            if name(ui, "Size (mm)", "Extents of the box") {
+                d.size = None;
+            }
+            let mut size = tidy(place.size);
+            if three(ui, &mut size, 0.5, "", "Size") {
+                d.size = Some(Size::Box(size.map(|s| s.max(1.0))));
+            }
+        }
+        if name(ui, "Turned (degrees)", "About x, then y, then z") {
+            d.rotate = None;
+        }
+        let mut rotate = d.rotate.unwrap_or_default();
+        if three(ui, &mut rotate, 0.5, "°", "Turned") {
+            d.rotate = Some(rotate);
+        }
+    });
+}
+
+fn show_map(ui: &mut Ui, d: &mut Deformation) {
+    ui.checkbox(&mut d.add, "Add to the one before").on_hover_text("Adds its displacement instead of being applied afterwards");
+    ui.horizontal(|ui| {
+        if name(ui, "Resolution", "Texels along the longest axis") {
+            d.resolution = None;
+        }
+        let mut n = d.resolution.unwrap_or(0);
+        if ui.add(DragValue::new(&mut n).range(0..=256).custom_formatter(|v, _| if v < 8.0 { "default".into() } else { v.to_string() })).changed() {
+            d.resolution = (n >= 8).then_some(n);
+        }
+    });
+    let mut storage = d.storage;
+    choice(
+        ui,
+        "Stored as",
+        &mut storage,
+        &[
+            (None, "default"),
+            (Some(Storage::F16), "half floats"),
+            (Some(Storage::Snorm16), "16-bit integers"),
+            (Some(Storage::Snorm8), "8-bit integers"),
+            (Some(Storage::F32), "floats"),
+        ],
+    );
+    d.storage = storage;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_survive_their_text() {
+        for argument in [
+            Argument::Flag(true),
+            Argument::Number(2.5),
+            Argument::Numbers(vec![1.0, 2.0, -3.5]),
+            Argument::Text("labels.nii.gz".into()),
+            Argument::Texts(vec!["a.mat".into(), "b.nii".into()]),
+        ] {
+            assert_eq!(setting_of(&setting_text(Some(&argument))), Some(argument));
+        }
+        assert_eq!(setting_of("  "), None);
+    }
+}

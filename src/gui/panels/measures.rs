@@ -1,0 +1,110 @@
+//! Measurements: tools, the list with its numbers, labels.
+
+use super::{heading, number, tool_button};
+use crate::gui::action::Action;
+use crate::gui::app::Workstation;
+use crate::gui::document::Selection;
+use crate::gui::tool::Tool;
+use crate::scene::measure::{Measure, MeasureKind};
+use eframe::egui::{self, DragValue, RichText, Ui};
+use egui_phosphor::regular as icon;
+
+impl Workstation {
+    /// The panel.
+    pub(in crate::gui) fn show_measures(&mut self, ui: &mut Ui) {
+        let ctx = ui.ctx().clone();
+        let mut act = None;
+        ui.horizontal_wrapped(|ui| {
+            for (tool, word, symbol) in [
+                (Tool::Measure(MeasureKind::Distance), "Distance", icon::RULER),
+                (Tool::Measure(MeasureKind::Angle), "Angle", icon::ANGLE),
+                (Tool::Probe, "Value", icon::EYEDROPPER),
+            ] {
+                if tool_button(ui, symbol, word, self.tool == tool, &tool.hint()).clicked() {
+                    act = Some(Action::Arm(tool));
+                }
+            }
+        });
+        self.show_label_tool(ui);
+        heading(ui, "Results");
+        let Some(doc) = &mut self.doc else { return };
+        let mut remove = None;
+        for (n, measure) in doc.scene.measure.iter_mut().enumerate() {
+            ui.horizontal(|ui| {
+                let mut name = measure.name.clone().unwrap_or_default();
+                let selected = doc.selected == Selection::Measure(n);
+                let field = ui
+                    .add(egui::TextEdit::singleline(&mut name).desired_width((ui.available_width() - 34.0).max(60.0)).hint_text(measure.kind.name()));
+                if field.changed() {
+                    measure.name = (!name.is_empty()).then_some(name);
+                }
+                if field.gained_focus() && !selected {
+                    doc.selected = Selection::Measure(n);
+                }
+                if super::icon_button(ui, icon::TRASH, &format!("Remove measurement {}", n + 1)).clicked() {
+                    remove = Some(n);
+                }
+            });
+            // Numbers belong to the measurement they were made of, which may have changed since.
+            match self
+                .measured
+                .get(n)
+                .filter(|m| m.measure.points == measure.points && m.measure.kind == measure.kind && m.measure.label == measure.label)
+            {
+                Some(measured) => match &measured.quantities {
+                    Ok(quantities) => {
+                        for q in quantities {
+                            let value = q.value.map_or_else(|| "not seen".to_owned(), |v| number(v, q.unit));
+                            ui.label(format!("    {}: {value}", q.what));
+                        }
+                    }
+                    Err(problem) => {
+                        ui.label(RichText::new(problem).color(ui.visuals().warn_fg_color));
+                    }
+                },
+                None => {
+                    ui.label("    …");
+                }
+            }
+        }
+        if doc.scene.measure.is_empty() {
+            ui.label(RichText::new("Nothing measured yet. Points stay with the anatomy: what they measure is told as it is in the patient, and as it is in the picture.").weak());
+        }
+        if let Some(n) = remove {
+            doc.selected = Selection::Measure(n);
+            doc.delete();
+        }
+        if !doc.scene.measure.is_empty() && ui.button("Export as CSV…").clicked() {
+            act = Some(Action::ExportMeasures);
+        }
+        if let Some(action) = act {
+            self.perform(&ctx, action);
+        }
+    }
+
+    fn show_label_tool(&mut self, ui: &mut Ui) {
+        let mut add = None;
+        let mut ask = false;
+        if let Some(doc) = &self.doc {
+            let highest = doc.assets.label_map().ok().map(|m| m.range[1] as u32);
+            ui.horizontal(|ui| match highest {
+                Some(highest) => {
+                    ui.label("Label");
+                    ui.add(DragValue::new(&mut self.editor.label).range(1..=highest.max(1)));
+                    if ui.button("Volume and surface").clicked() {
+                        add = Some(self.editor.label);
+                    }
+                }
+                None => ask = ui.button("Label map…").on_hover_text("Volume and surface of regions need one").clicked(),
+            });
+        }
+        if let (Some(label), Some(doc)) = (add, &mut self.doc) {
+            let name = Some(format!("Label {label}"));
+            doc.scene.measure.push(Measure { kind: MeasureKind::Label, name, points: Vec::new(), label: Some(label) });
+            doc.selected = Selection::Measure(doc.scene.measure.len() - 1);
+        }
+        if ask {
+            self.ask_labels();
+        }
+    }
+}

@@ -1,0 +1,194 @@
+//! The command palette, and the list of keys.
+
+use crate::gui::action::{self, Action};
+use crate::gui::app::Workstation;
+use eframe::egui::{self, Align2, Context, Key, RichText, vec2};
+
+/// What the palette keeps.
+#[derive(Default)]
+pub struct Palette {
+    query: String,
+    row: usize,
+    /// It has been shown once.
+    shown: bool,
+}
+
+/// How well a label answers a query: all its words must be found; lower is better.
+fn rank(label: &str, query: &str) -> Option<usize> {
+    let label = label.to_lowercase();
+    let mut sum = 0;
+    for word in query.to_lowercase().split_whitespace() {
+        let at = label.find(word)?;
+        // Beginnings of words count more.
+        let start = at == 0 || !label.as_bytes()[at - 1].is_ascii_alphanumeric();
+        sum += at + if start { 0 } else { 50 };
+    }
+    Some(sum)
+}
+
+impl Workstation {
+    /// The palette, if it is open.
+    pub(in crate::gui) fn show_palette(&mut self, ctx: &Context) {
+        let Some(mut palette) = self.palette.take() else { return };
+        let mut found: Vec<(usize, usize)> =
+            self.entries.iter().enumerate().filter_map(|(n, e)| rank(&format!("{} {}", e.label, e.group), &palette.query).map(|r| (r, n))).collect();
+        if !palette.query.is_empty() {
+            found.sort();
+        }
+        let (up, down, enter, escape) = ctx.input_mut(|i| {
+            (
+                i.consume_key(egui::Modifiers::NONE, Key::ArrowUp),
+                i.consume_key(egui::Modifiers::NONE, Key::ArrowDown),
+                i.consume_key(egui::Modifiers::NONE, Key::Enter),
+                i.consume_key(egui::Modifiers::NONE, Key::Escape),
+            )
+        });
+        if up {
+            palette.row = palette.row.saturating_sub(1);
+        }
+        if down {
+            palette.row += 1;
+        }
+        palette.row = palette.row.min(found.len().saturating_sub(1));
+        let mut chosen: Option<Action> = enter.then(|| found.get(palette.row).map(|f| self.entries[f.1].action)).flatten();
+        let mut close = escape || (enter && chosen.is_some());
+        let response = egui::Window::new("Command palette")
+            .title_bar(false)
+            .collapsible(false)
+            .resizable(false)
+            .anchor(Align2::CENTER_TOP, vec2(0.0, 90.0))
+            .fixed_size(vec2(460.0, 380.0))
+            .show(ctx, |ui| {
+                let field = ui.add(egui::TextEdit::singleline(&mut palette.query).hint_text("Type a command").desired_width(f32::INFINITY));
+                field.widget_info(|| egui::WidgetInfo::text_edit(true, "", "", "Command"));
+                if !palette.shown {
+                    field.request_focus();
+                    palette.shown = true;
+                }
+                if field.changed() {
+                    palette.row = 0;
+                }
+                egui::ScrollArea::vertical().max_height(336.0).auto_shrink([false, false]).show(ui, |ui| {
+                    for (n, (_, entry)) in found.iter().enumerate() {
+                        let entry = &self.entries[*entry];
+                        let key = entry.key.as_ref().map(action::key_text).unwrap_or_default();
+                        let button =
+                            egui::Button::selectable(n == palette.row, &entry.label).shortcut_text(key).min_size(vec2(ui.available_width(), 24.0));
+                        let row = ui.add(button);
+                        row.widget_info(|| {
+                            egui::WidgetInfo::selected(egui::WidgetType::Button, true, n == palette.row, format!("Command: {}", entry.label))
+                        });
+                        if row.clicked() {
+                            chosen = Some(entry.action);
+                            close = true;
+                        }
+                        if n == palette.row && (up || down) {
+                            row.scroll_to_me(None);
+                        }
+                    }
+                    if found.is_empty() {
+                        ui.label(RichText::new("No such command").weak());
+                    }
+                });
+            });
+        if ctx.input(|i| i.pointer.any_click())
+            && let (Some(window), Some(pos)) = (response, ctx.pointer_latest_pos())
+            && !window.response.rect.contains(pos)
+        {
+            close = true;
+        }
+        if !close {
+            self.palette = Some(palette);
+        }
+        if let Some(action) = chosen {
+            self.perform(ctx, action);
+        }
+    }
+
+    /// The list of keys, if it is open: the word of the action that waits for its new key, or none.
+    pub(in crate::gui) fn show_keys(&mut self, ctx: &Context) {
+        let Some(mut waiting) = self.keys_open.take() else { return };
+        let mut open = true;
+        if waiting.is_empty() && ctx.input_mut(|i| i.consume_key(egui::Modifiers::NONE, Key::Escape)) {
+            return;
+        }
+        if !waiting.is_empty() {
+            let pressed = ctx.input(|i| {
+                i.events.iter().find_map(|e| match e {
+                    egui::Event::Key { key, pressed: true, modifiers, .. } => Some((*key, *modifiers)),
+                    _ => None,
+                })
+            });
+            if let Some((key, modifiers)) = pressed {
+                if key != Key::Escape {
+                    let mut kept = egui::Modifiers::NONE;
+                    kept.command = modifiers.command;
+                    kept.alt = modifiers.alt;
+                    kept.shift = modifiers.shift;
+                    let shortcut = egui::KeyboardShortcut::new(kept, key);
+                    let text = action::key_text(&shortcut);
+                    // A key does one thing: whoever had it has none now.
+                    for entry in &self.entries {
+                        if entry.label != waiting && entry.key == Some(shortcut) {
+                            self.session.settings.keys.insert(entry.label.clone(), String::new());
+                        }
+                    }
+                    self.session.settings.keys.insert(waiting.clone(), text);
+                    self.apply_keys();
+                }
+                waiting.clear();
+            }
+        }
+        egui::Window::new("Keyboard")
+            .open(&mut open)
+            .collapsible(false)
+            .default_size(vec2(480.0, 460.0))
+            .anchor(Align2::CENTER_CENTER, vec2(0.0, 0.0))
+            .show(ctx, |ui| {
+                ui.label("Click a key to change it; Esc leaves it as it is.");
+                ui.horizontal(|ui| {
+                    ui.label("Mouse:");
+                    let blender = &mut self.session.settings.blender;
+                    ui.radio_value(blender, false, "as in 3D Slicer");
+                    ui.radio_value(blender, true, "as in Blender");
+                    if ui.button("Usual keys").clicked() {
+                        self.session.settings.keys.clear();
+                        self.entries = action::list();
+                    }
+                });
+                egui::ScrollArea::vertical().max_height(360.0).auto_shrink([false, false]).show(ui, |ui| {
+                    egui::Grid::new("keys").num_columns(2).striped(true).show(ui, |ui| {
+                        for entry in &self.entries {
+                            ui.label(&entry.label);
+                            let text = if waiting == entry.label {
+                                "press a key…".to_owned()
+                            } else {
+                                entry.key.as_ref().map_or_else(|| "–".into(), action::key_text)
+                            };
+                            let button = ui.add(egui::Button::new(text).min_size(vec2(110.0, 20.0)));
+                            button.widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::Button, true, format!("Key of {}", entry.label)));
+                            if button.clicked() {
+                                waiting = entry.label.clone();
+                            }
+                            ui.end_row();
+                        }
+                    });
+                });
+            });
+        if open {
+            self.keys_open = Some(waiting);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_are_found_in_any_order_and_beginnings_first() {
+        assert!(rank("Place Peel", "peel place").is_some());
+        assert!(rank("Place Peel", "pull").is_none());
+        assert!(rank("Peel", "pe") < rank("Open", "pe"));
+    }
+}

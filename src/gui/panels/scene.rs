@@ -1,0 +1,169 @@
+//! The scene as a tree: the volume, surfaces, the stack of deformations, measurements.
+
+use super::{heading, icon_button};
+use crate::gui::action::Action;
+use crate::gui::app::Workstation;
+use crate::gui::document::Selection;
+use crate::gui::tool::{symbol, words};
+use crate::scene::Deformation;
+use eframe::egui::{self, Align, Layout, RichText, Sense, Ui, WidgetInfo, WidgetType, vec2};
+use egui_phosphor::regular as icon;
+
+/// A deformation's name in the tree.
+pub fn title_of(d: &Deformation) -> String {
+    d.name.clone().filter(|n| !n.is_empty()).unwrap_or_else(|| words(&d.kind))
+}
+
+/// The place of a deformation that is dragged.
+#[derive(Clone, Copy)]
+struct Dragged(usize);
+
+/// A row of the tree: a name to select, and room for buttons at its right end.
+fn row(ui: &mut Ui, selected: bool, text: RichText, label: &str, buttons: impl FnOnce(&mut Ui)) -> egui::Response {
+    let height = 24.0;
+    let (rect, response) = ui.allocate_exact_size(vec2(ui.available_width(), height), Sense::click_and_drag());
+    response.widget_info(|| WidgetInfo::selected(WidgetType::SelectableLabel, true, selected, label));
+    let visuals = ui.style().interact_selectable(&response, selected);
+    if selected || response.hovered() {
+        ui.painter().rect_filled(rect, 3.0, visuals.weak_bg_fill);
+    }
+    let mut child = ui.new_child(egui::UiBuilder::new().max_rect(rect.shrink2(vec2(4.0, 0.0))).layout(Layout::right_to_left(Align::Center)));
+    buttons(&mut child);
+    let color = visuals.text_color();
+    child.with_layout(Layout::left_to_right(Align::Center), |ui| {
+        ui.add(egui::Label::new(text.color(color)).truncate().selectable(false));
+    });
+    response
+}
+
+impl Workstation {
+    /// The tree.
+    pub(in crate::gui) fn show_scene(&mut self, ui: &mut Ui) {
+        let Some(doc) = &mut self.doc else { return };
+        let mut select = None;
+        let mut act: Option<(Selection, Action)> = None;
+        let picture =
+            row(ui, doc.selected == Selection::Nothing, RichText::new(format!("{} Picture and light", icon::CAMERA)), "Picture and light", |_| ());
+        if picture.clicked() {
+            select = Some(Selection::Nothing);
+        }
+        if let Some(volume) = &doc.scene.volume {
+            let name = std::path::Path::new(&volume.path).file_name().map_or_else(|| volume.path.clone(), |n| n.to_string_lossy().into_owned());
+            let text = RichText::new(format!("{} {name}", icon::CUBE));
+            if row(ui, doc.selected == Selection::Volume, text, &name, |_| ()).clicked() {
+                select = Some(Selection::Volume);
+            }
+            if let Some(labels) = volume.labels.clone() {
+                let name = std::path::Path::new(&labels).file_name().map_or(labels.clone(), |n| n.to_string_lossy().into_owned());
+                let mut remove = false;
+                row(ui, false, RichText::new(format!("    {} {name}", icon::BRAIN)), &name, |ui| {
+                    remove = icon_button(ui, icon::X, "Take the label map away").clicked()
+                });
+                if remove && let Some(volume) = &mut doc.scene.volume {
+                    volume.labels = None;
+                }
+            }
+        }
+        heading(ui, "Deformations");
+        let count = doc.scene.deformation.len();
+        let mut moved = None;
+        for n in 0..count {
+            let d = &doc.scene.deformation[n];
+            let title = title_of(d);
+            let shown = d.enabled && doc.solo.is_none_or(|s| s == n);
+            let mut text = RichText::new(format!("{} {} {title}", n + 1, symbol(&d.kind)));
+            if !shown {
+                text = text.weak();
+            }
+            let enabled = d.enabled;
+            let solo = doc.solo == Some(n);
+            let response = row(ui, doc.selected == Selection::Deformation(n), text, &format!("{} {title}", n + 1), |ui| {
+                let eye = if enabled { icon::EYE } else { icon::EYE_SLASH };
+                if icon_button(ui, eye, &format!("Mute {title}")).clicked() {
+                    act = Some((Selection::Deformation(n), Action::Mute));
+                }
+                if solo || enabled {
+                    let star = RichText::new(icon::STAR).color(if solo { super::super::theme::accent(ui) } else { ui.visuals().weak_text_color() });
+                    let response = ui.add(egui::Button::new(star).frame(false).min_size(vec2(20.0, 22.0)));
+                    response.widget_info(|| WidgetInfo::selected(WidgetType::Button, true, solo, format!("Solo {title}")));
+                    if response.on_hover_text("Solo: this one alone").clicked() {
+                        act = Some((Selection::Deformation(n), Action::Solo));
+                    }
+                }
+            });
+            if response.clicked() {
+                select = Some(Selection::Deformation(n));
+            }
+            response.dnd_set_drag_payload(Dragged(n));
+            if let Some(dragged) = response.dnd_hover_payload::<Dragged>() {
+                let y = if dragged.0 > n { response.rect.top() } else { response.rect.bottom() };
+                ui.painter().hline(response.rect.x_range(), y, egui::Stroke::new(2.0, super::super::theme::accent(ui)));
+            }
+            if let Some(dragged) = response.dnd_release_payload::<Dragged>() {
+                moved = Some((dragged.0, n));
+            }
+            response.context_menu(|ui| {
+                for (action, word) in [
+                    (Action::Duplicate, "Duplicate"),
+                    (Action::MoveUp, "Move up"),
+                    (Action::MoveDown, "Move down"),
+                    (Action::SaveMap, "Save to the library"),
+                    (Action::Delete, "Delete"),
+                ] {
+                    if ui.button(word).clicked() {
+                        act = Some((Selection::Deformation(n), action));
+                        ui.close();
+                    }
+                }
+            });
+        }
+        if count == 0 {
+            ui.label(RichText::new("None yet: choose Peel above and click the picture").weak());
+        }
+        if let Some((from, to)) = moved {
+            doc.reorder(from, to);
+        }
+        heading(ui, "Surfaces");
+        for n in 0..doc.scene.mesh.len() {
+            let mesh = &doc.scene.mesh[n];
+            let named = mesh.name.clone().or_else(|| mesh.path.as_ref().map(|p| p.rsplit(['/', '\\']).next().unwrap_or(p).to_owned()));
+            let name = named.unwrap_or_else(|| format!("Surface {}", n + 1));
+            let hidden = mesh.hidden;
+            let text = RichText::new(format!("{} {name}", icon::POLYGON));
+            let response = row(ui, doc.selected == Selection::Mesh(n), if hidden { text.weak() } else { text }, &name, |ui| {
+                let eye = if hidden { icon::EYE_SLASH } else { icon::EYE };
+                if icon_button(ui, eye, &format!("Hide {name}")).clicked() {
+                    act = Some((Selection::Mesh(n), Action::Mute));
+                }
+            });
+            if response.clicked() {
+                select = Some(Selection::Mesh(n));
+            }
+        }
+        if doc.scene.mesh.is_empty() {
+            ui.label(RichText::new("Drop a mesh to add one").weak());
+        }
+        if !doc.scene.measure.is_empty() {
+            heading(ui, "Measures");
+            for n in 0..doc.scene.measure.len() {
+                let name = doc.scene.measure[n].name.clone().unwrap_or_else(|| doc.scene.measure[n].kind.name().to_owned());
+                if row(ui, doc.selected == Selection::Measure(n), RichText::new(format!("{} {name}", icon::RULER)), &name, |_| ()).clicked() {
+                    select = Some(Selection::Measure(n));
+                }
+            }
+        }
+        if let Some(selection) = select {
+            doc.selected = selection;
+            if matches!(selection, Selection::Measure(_)) {
+                self.show_panel(crate::gui::layout::Panel::Measure);
+            } else {
+                self.show_panel(crate::gui::layout::Panel::Inspector);
+            }
+        }
+        if let Some((selection, action)) = act {
+            self.select(selection);
+            let ctx = ui.ctx().clone();
+            self.perform(&ctx, action);
+        }
+    }
+}

@@ -1,0 +1,80 @@
+//! Work in the background that ends in something: exports, baking, reports. Each has a thread, a progress bar and a button that cancels it.
+
+use super::app::Workstation;
+use super::log::Level;
+use crate::{Error, Result, Watch};
+use eframe::egui::Context;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::mpsc::{Receiver, TryRecvError, channel};
+
+/// What to do with the workstation once the work is done.
+pub type Finish = Box<dyn FnOnce(&mut Workstation, &Context) + Send>;
+
+/// One piece of work.
+pub struct Task {
+    /// What it does, in words.
+    pub name: String,
+    progress: Arc<AtomicU32>,
+    cancel: Arc<AtomicBool>,
+    result: Receiver<Result<Finish>>,
+}
+
+impl Task {
+    /// Share that is done.
+    pub fn progress(&self) -> f32 {
+        self.progress.load(Ordering::Relaxed) as f32 / 1000.0
+    }
+
+    /// Tells it to stop.
+    pub fn cancel(&self) {
+        self.cancel.store(true, Ordering::Relaxed);
+    }
+}
+
+/// Ends by telling something.
+pub fn said(text: String) -> Finish {
+    Box::new(move |app, _| app.say(Level::Info, text))
+}
+
+impl Workstation {
+    /// Starts a piece of work.
+    pub fn start(&mut self, ctx: &Context, name: &str, work: impl FnOnce(&Watch) -> Result<Finish> + Send + 'static) {
+        // Whatever it does, the scene is safe.
+        self.autosave();
+        let (progress, cancel) = (Arc::new(AtomicU32::new(0)), Arc::new(AtomicBool::new(false)));
+        let (send, result) = channel();
+        let (told, stop, ctx) = (progress.clone(), cancel.clone(), ctx.clone());
+        let spawned = std::thread::Builder::new().name(name.to_owned()).spawn(move || {
+            let tell = |share: f32| told.store((share.clamp(0.0, 1.0) * 1000.0) as u32, Ordering::Relaxed);
+            let outcome = work(&Watch { progress: &tell, cancel: &stop });
+            let _window_closed = send.send(outcome);
+            ctx.request_repaint();
+        });
+        match spawned {
+            Ok(_) => self.tasks.push(Task { name: name.to_owned(), progress, cancel, result }),
+            Err(e) => self.say(Level::Error, format!("{name}: no thread could be started: {e}")),
+        }
+    }
+
+    /// Finishes what is done.
+    pub(super) fn poll_tasks(&mut self, ctx: &Context) {
+        let mut n = 0;
+        while n < self.tasks.len() {
+            match self.tasks[n].result.try_recv() {
+                Err(TryRecvError::Empty) => n += 1,
+                Ok(outcome) => {
+                    self.tasks.remove(n);
+                    match outcome {
+                        Ok(finish) => finish(self, ctx),
+                        Err(error) => self.fail(&error),
+                    }
+                }
+                Err(TryRecvError::Disconnected) => {
+                    let task = self.tasks.remove(n);
+                    self.fail(&Error::value(task.name, "ended by a fault of the program; the scene is unharmed"));
+                }
+            }
+        }
+    }
+}

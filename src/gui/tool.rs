@@ -1,0 +1,235 @@
+//! What a click or a drag in a view does, and how templates of deformations lie on a surface.
+
+use crate::deform::kinds::{DefaultSize, Kind};
+use crate::math::Bounds;
+use crate::scene::measure::MeasureKind;
+use crate::scene::{Deformation, Size};
+use egui_phosphor::regular as icon;
+use glam::{EulerRot, Mat3, Quat, Vec3};
+
+/// A kind to be placed.
+#[derive(Clone, Copy)]
+pub struct Placed(pub &'static Kind);
+
+impl PartialEq for Placed {
+    fn eq(&self, other: &Self) -> bool {
+        self.0.name == other.0.name
+    }
+}
+
+impl std::fmt::Debug for Placed {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        f.write_str(self.0.name)
+    }
+}
+
+/// The armed tool.
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
+pub enum Tool {
+    /// Turns the camera, moves the crosshair, grabs handles.
+    #[default]
+    Navigate,
+    /// Notes the value where it is clicked.
+    Probe,
+    /// Takes points.
+    Measure(MeasureKind),
+    /// Drops a deformation.
+    Place(Placed),
+    /// Cuts out an outline.
+    LassoCut,
+    /// Puts an outline back.
+    LassoRestore,
+    /// Drags matter along.
+    BrushPush,
+    /// Relaxes what was dragged.
+    BrushSmooth,
+    /// Removes matter.
+    BrushCut,
+    /// Puts matter back.
+    BrushRestore,
+}
+
+impl Tool {
+    /// What to do with it, one sentence.
+    pub fn hint(self) -> String {
+        match self {
+            Self::Navigate => String::new(),
+            Self::Probe => "Click a point to note its value. Esc ends.".into(),
+            Self::Measure(kind) => format!("Click {} points. Esc ends.", kind.points()),
+            Self::Place(kind) => format!("Click the surface, or drag onto it, to place: {}. Esc ends.", words(kind.0.name)),
+            Self::LassoCut => "Draw around what is to be cut away. Esc ends.".into(),
+            Self::LassoRestore => "Draw around what is to be put back. Esc ends.".into(),
+            Self::BrushPush => "Drag matter in a slice or on the surface. Esc ends.".into(),
+            Self::BrushSmooth => "Brush over what is to be smoothed. Esc ends.".into(),
+            Self::BrushCut => "Brush over what is to be cut away. Esc ends.".into(),
+            Self::BrushRestore => "Brush over what is to be put back. Esc ends.".into(),
+        }
+    }
+
+    /// Whether it paints.
+    pub fn brush(self) -> Option<&'static str> {
+        match self {
+            Self::BrushPush => Some("push"),
+            Self::BrushSmooth => Some("smooth"),
+            Self::BrushCut => Some("cut"),
+            Self::BrushRestore => Some("restore"),
+            _ => None,
+        }
+    }
+
+    /// Whether it draws outlines.
+    pub fn is_lasso(self) -> bool {
+        matches!(self, Self::LassoCut | Self::LassoRestore)
+    }
+}
+
+/// A kind's name as people say it.
+pub fn words(kind: &str) -> String {
+    let mut text = match kind {
+        "half-space" => "clip plane".to_owned(),
+        "retractor" => "incision with retractor".into(),
+        "lift" => "window (lifted piece)".into(),
+        "surface-peel" => "flap below the surface".into(),
+        "book" => "book-open".into(),
+        "seam" => "split along a seam".into(),
+        "slab" => "slabs".into(),
+        "explode-labels" => "explode by label".into(),
+        "points" => "control points".into(),
+        "brush" => "painted map".into(),
+        other => other.replace('-', " "),
+    };
+    if let Some(first) = text.get_mut(0..1) {
+        first.make_ascii_uppercase();
+    }
+    text
+}
+
+/// A kind's icon.
+pub fn symbol(kind: &str) -> &'static str {
+    match kind {
+        "peel" | "surface-peel" | "strip" => icon::ORANGE_SLICE,
+        "knife" | "retractor" => icon::KNIFE,
+        "wedge" => icon::CHART_PIE_SLICE,
+        "box" | "lift" => icon::CUBE,
+        "half-space" => icon::DIVIDE,
+        "sphere" | "view-sphere" => icon::SPHERE,
+        "cylinder" | "view-cone" => icon::CYLINDER,
+        "lasso" => icon::LASSO,
+        "pull" | "spline-pull" => icon::HAND_GRABBING,
+        "twist" => icon::TORNADO,
+        "wave" | "planar-wave" => icon::WAVE_SINE,
+        "slab" => icon::STACK,
+        "explode" | "explode-labels" => icon::ARROWS_OUT,
+        "seam" | "book" => icon::BOOK_OPEN,
+        "points" | "lattice" | "elastic" => icon::GRID_FOUR,
+        "brush" => icon::PAINT_BRUSH,
+        "field" | "map" => icon::WAVES,
+        _ => icon::SPIRAL,
+    }
+}
+
+/// How a kind lies on a surface: which of its axes points out, and how deep its middle lies, in shares of its extent along that axis.
+struct Template {
+    /// Shares of the scene's extents, if another size than the kind's own suits a place on a surface.
+    share: Option<[f32; 3]>,
+    /// Depth of the middle below the surface, share of the extent along z.
+    depth: f32,
+    /// z follows the normal.
+    turns: bool,
+}
+
+fn template(kind: &Kind) -> Template {
+    let on = |share: [f32; 3], depth: f32| Template { share: Some(share), depth, turns: true };
+    match kind.name {
+        "peel" => on([0.5, 0.42, 0.4], 0.1),
+        "surface-peel" | "strip" => on([0.5, 0.42, 0.6], 0.15),
+        "knife" | "retractor" => on([0.45, 0.45, 0.4], 0.32),
+        "pull" | "spline-pull" => on([0.5, 0.5, 0.5], 0.2),
+        "bulge" => on([0.4, 0.4, 0.4], 0.25),
+        "box" | "sphere" => on([0.35, 0.35, 0.35], 0.15),
+        "cylinder" => on([0.3, 0.3, 0.5], 0.25),
+        "lift" | "offset" => on([0.5, 0.5, 0.6], 0.1),
+        "half-space" => Template { share: None, depth: 0.0, turns: true },
+        "wave" | "planar-wave" => on([0.5, 0.5, 0.4], 0.2),
+        "elastic" => on([0.6, 0.6, 0.6], 0.25),
+        // What acts on all of the scene stays about its middle.
+        _ => Template { share: None, depth: 0.0, turns: false },
+    }
+}
+
+/// Turns about x, then y, then z, degrees, whose matrix is `m`.
+pub fn angles_of(m: Mat3) -> Vec3 {
+    let (z, y, x) = Quat::from_mat3(&m).to_euler(EulerRot::ZYX);
+    Vec3::new(x.to_degrees(), y.to_degrees(), z.to_degrees())
+}
+
+/// The matrix of turns about x, then y, then z, degrees.
+pub fn matrix_of(degrees: Vec3) -> Mat3 {
+    let r = degrees * (std::f32::consts::PI / 180.0);
+    Mat3::from_rotation_z(r.z) * Mat3::from_rotation_y(r.y) * Mat3::from_rotation_x(r.x)
+}
+
+/// A number with no more digits than a length in mm or an angle needs.
+pub fn tidy(v: Vec3) -> [f32; 3] {
+    v.to_array().map(|x| (x * 100.0).round() / 100.0)
+}
+
+/// A deformation of a kind where it was dropped: on a surface point with its normal, or (with none) about the middle of the scene.
+pub fn dropped(kind: &'static Kind, scene_box: &Bounds, at: Option<(Vec3, Vec3)>) -> Deformation {
+    let template = template(kind);
+    let mut deformation = Deformation::new(kind.name);
+    let size = template.share.map_or_else(|| kind.default_size(scene_box), |s| scene_box.size() * Vec3::from(s));
+    let across = matches!(kind.size, DefaultSize::Across(_));
+    let mut center = scene_box.center();
+    if let Some((point, normal)) = at {
+        if template.turns {
+            // Turned as little as possible about the normal: the box's y stays near the patient's long axis, or its front on top.
+            let reference = if normal.z.abs() < 0.9 { Vec3::Z } else { Vec3::NEG_Y };
+            let x = reference.cross(normal).normalize_or(Vec3::X);
+            let turn = Mat3::from_cols(x, normal.cross(x), normal);
+            deformation.rotate = Some(tidy(angles_of(turn)));
+            center = point - normal * (template.depth * size.z);
+        } else if kind.shape.is_some() {
+            center = point;
+        }
+    }
+    deformation.center = Some(tidy(center));
+    if !across {
+        deformation.size = Some(Size::Box(tidy(size)));
+    }
+    let bounds = Bounds::new(center - size / 2.0, center + size / 2.0);
+    deformation.parameters = kind.example(&bounds);
+    deformation
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::deform::kinds;
+
+    #[test]
+    fn angles_and_matrices_are_inverse() {
+        for degrees in [Vec3::new(10.0, 20.0, 30.0), Vec3::new(-80.0, 45.0, 170.0), Vec3::ZERO] {
+            let m = matrix_of(degrees);
+            assert!(matrix_of(angles_of(m)).abs_diff_eq(m, 1e-5), "{degrees}");
+        }
+    }
+
+    /// The box's z axis is the surface's normal, and the point lies inside the box.
+    #[test]
+    fn templates_lie_on_the_surface() {
+        let scene_box = Bounds::new(Vec3::splat(-100.0), Vec3::splat(100.0));
+        for normal in [Vec3::X, Vec3::Y, Vec3::Z, Vec3::NEG_Z, Vec3::new(0.6, -0.48, 0.64)] {
+            for name in ["peel", "knife", "pull", "box", "half-space", "elastic"] {
+                let point = normal * 80.0;
+                let d = dropped(kinds::kind(name).unwrap(), &scene_box, Some((point, normal)));
+                let turn = matrix_of(Vec3::from(d.rotate.unwrap()));
+                assert!((turn * Vec3::Z).abs_diff_eq(normal, 1e-3), "{name} {normal}");
+                if let Some(size) = d.size {
+                    let local = turn.transpose() * (point - Vec3::from(d.center.unwrap()));
+                    assert!(local.abs().cmple(size.xyz() / 2.0).all(), "{name} {normal} {local}");
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,395 @@
+//! Axial, coronal and sagittal slices through one crosshair, of the deformed scene, the source, or both side by side.
+
+use super::{draw_points_of, edge_letters, scale_bar, text};
+use crate::cpu::section::Plane;
+use crate::gui::app::{Gesture, Workstation};
+use crate::gui::theme::{AXES, CANVAS, ON_CANVAS, SELECTED};
+use crate::gui::tool::Tool;
+use crate::gui::worker::{Overlay, SlicePicture, SliceStyle, Target, What};
+use crate::scene::Scene;
+use eframe::egui::{self, Align2, Color32, CursorIcon, Painter, PointerButton, Pos2, Rect, Response, Sense, Stroke, Ui, pos2, vec2};
+use glam::Vec3;
+use std::sync::Arc;
+
+/// Names, rightward and downward directions: patient left on the right, as radiologists see them.
+const ORIENTATIONS: [(&str, Vec3, Vec3); 3] = [("Axial", Vec3::X, Vec3::Y), ("Coronal", Vec3::X, Vec3::NEG_Z), ("Sagittal", Vec3::Y, Vec3::NEG_Z)];
+/// Distance of arrows, points.
+const ARROWS: f32 = 24.0;
+
+/// Which anatomy slices show.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Space {
+    /// The deformed scene.
+    #[default]
+    Deformed,
+    /// The volume as it was.
+    Source,
+    /// Both, their crosshairs on the same matter.
+    Linked,
+}
+
+/// What a slice view was asked for.
+#[derive(Clone, PartialEq)]
+struct Asked {
+    scene: Arc<Scene>,
+    plane: Plane,
+    style: SliceStyle,
+    assets: usize,
+}
+
+/// One of the three, deformed or source.
+#[derive(Default)]
+struct Pane {
+    rect: Option<Rect>,
+    texture: Option<egui::TextureHandle>,
+    picture: Option<SlicePicture>,
+    asked: Option<Asked>,
+}
+
+/// The three slice views.
+pub struct Slices {
+    /// The crosshair in the deformed scene, mm.
+    pub cursor: Option<Vec3>,
+    /// Magnification beyond fitting.
+    pub zoom: f32,
+    /// Shift of each view, mm along its right and down.
+    pan: [egui::Vec2; 3],
+    /// What is shown over them.
+    pub overlay: Overlay,
+    /// Which anatomy.
+    pub space: Space,
+    panes: [Pane; 6],
+    /// The scene without what slices do not depend on.
+    scene: Option<Arc<Scene>>,
+}
+
+impl Default for Slices {
+    fn default() -> Self {
+        Self {
+            cursor: None,
+            zoom: 1.0,
+            pan: [egui::Vec2::ZERO; 3],
+            overlay: Overlay::None,
+            space: Space::Deformed,
+            panes: Default::default(),
+            scene: None,
+        }
+    }
+}
+
+impl Slices {
+    /// Forgets a scene.
+    pub fn forget(&mut self) {
+        *self = Self { overlay: self.overlay, space: self.space, ..Self::default() };
+    }
+
+    /// Takes a slice that has arrived.
+    pub fn arrived(&mut self, ctx: &egui::Context, n: usize, picture: SlicePicture) {
+        let Some(pane) = self.panes.get_mut(n) else { return };
+        let options = egui::TextureOptions::LINEAR;
+        let image = picture.image.clone();
+        match &mut pane.texture {
+            Some(texture) => texture.set(image, options),
+            None => pane.texture = Some(ctx.load_texture(format!("slice {n}"), image, options)),
+        }
+        pane.picture = Some(picture);
+    }
+
+    /// Whether every shown slice has its picture.
+    pub fn are_there(&self) -> bool {
+        self.panes.iter().filter(|p| p.rect.is_some()).all(|p| p.picture.is_some())
+    }
+
+    /// Where the matter at a point of a deformed slice came from.
+    fn source_of(&self, n: usize, world: Vec3) -> Option<Vec3> {
+        let picture = self.panes[n].picture.as_ref()?;
+        let (x, y, away) = picture.plane.pixel(world);
+        let [width, height] = picture.plane.size;
+        let inside = x >= 0.0 && y >= 0.0 && x < width as f32 && y < height as f32 && away.abs() < 2.0 * picture.plane.mm_per_pixel.max(0.5);
+        inside.then(|| picture.section.sources[y as usize * width as usize + x as usize])
+    }
+
+    /// The crosshair in the source, from whichever slice shows it.
+    pub fn source_cursor(&self) -> Option<Vec3> {
+        let cursor = self.cursor?;
+        (0..3).find_map(|n| self.source_of(n, cursor))
+    }
+
+    /// The picture of a view, for tests.
+    pub fn picture(&self, n: usize) -> Option<&SlicePicture> {
+        self.panes.get(n)?.picture.as_ref()
+    }
+}
+
+/// The scene as far as slices depend on it: they do not turn with the camera.
+fn sliced(scene: &Scene) -> Scene {
+    let mut plain = super::super::history::without_camera(scene);
+    // What is locked to the view still needs it.
+    if scene.deformation.iter().any(|d| crate::deform::kinds::kind(&d.kind).is_ok_and(|k| k.locked_to_view)) {
+        plain.camera = scene.camera.clone();
+    }
+    plain.render =
+        crate::scene::RenderSettings { step: 1.0, exact_cuts: scene.render.exact_cuts, precompose: scene.render.precompose, ..Default::default() };
+    plain.transfer = Default::default();
+    plain.light = Default::default();
+    plain.measure.clear();
+    plain
+}
+
+impl Workstation {
+    /// Shows one of the three.
+    pub fn show_slice(&mut self, ui: &mut Ui, n: usize) {
+        let size = ui.available_size().max(vec2(16.0, 16.0));
+        let (rect, _) = ui.allocate_exact_size(size, Sense::hover());
+        ui.painter().rect_filled(rect, 0.0, CANVAS);
+        if self.doc.as_ref().is_none_or(|d| !d.assets.has_volume) {
+            self.slices.panes[n].rect = None;
+            self.slices.panes[n + 3].rect = None;
+            text(ui.painter(), rect.center(), Align2::CENTER_CENTER, "No volume in this scene", 13.5, ON_CANVAS);
+            return;
+        }
+        if self.slices.space == Space::Linked {
+            let middle = rect.center().x;
+            let left = Rect::from_min_max(rect.min, pos2(middle - 1.0, rect.bottom()));
+            let right = Rect::from_min_max(pos2(middle + 1.0, rect.top()), rect.max);
+            self.show_pane(ui, n, left, false);
+            self.show_pane(ui, n, right, true);
+        } else {
+            let source = self.slices.space == Space::Source;
+            self.slices.panes[if source { n } else { n + 3 }].rect = None;
+            self.show_pane(ui, n, rect, source);
+        }
+    }
+
+    fn show_pane(&mut self, ui: &mut Ui, n: usize, rect: Rect, source: bool) {
+        let pane = n + if source { 3 } else { 0 };
+        let (name, right, down) = ORIENTATIONS[n];
+        let word = if source { format!("{name} source view") } else { format!("{name} view") };
+        let response = ui.interact(rect, ui.id().with(("slice", pane)), Sense::click_and_drag());
+        response.widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::Other, true, &word));
+        let Some(doc) = &self.doc else { return };
+        let bounds = doc.bounds();
+        let assets = doc.assets.clone();
+        let cursor = *self.slices.cursor.get_or_insert(bounds.center());
+        // Through the matter under the crosshair, not through the place where it lies now.
+        let through = if source && self.slices.space == Space::Linked { self.slices.source_cursor().unwrap_or(cursor) } else { cursor };
+        let ppp = ui.ctx().pixels_per_point();
+        let size = [(rect.width() * ppp) as u32, (rect.height() * ppp) as u32].map(|s| s.clamp(8, 4096));
+        let extent = bounds.size();
+        let (across, along) = (extent.dot(right.abs()), extent.dot(down.abs()));
+        let mm_per_pixel = (across / size[0] as f32).max(along / size[1] as f32) * 1.03 / self.slices.zoom;
+        let normal = right.cross(down);
+        let pan = self.slices.pan[n];
+        let center = bounds.center() + normal * (through - bounds.center()).dot(normal) + right * pan.x + down * pan.y;
+        let plane = Plane { center, right, down, mm_per_pixel, size };
+        let window = assets.volume.window(doc.scene.transfer.window, doc.scene.transfer.level);
+        let style = SliceStyle { window: self.slice_window.unwrap_or(window), overlay: self.slices.overlay, source };
+        self.ask_slice(pane, plane, style);
+        let state = &mut self.slices.panes[pane];
+        state.rect = Some(rect);
+        let painter = ui.painter_at(rect);
+        let shown = state.picture.as_ref().map(|p| p.plane);
+        if let (Some(texture), Some(shown)) = (&state.texture, shown) {
+            // The picture stays where its plane is until the next one arrives.
+            let at = |x: f32, y: f32| {
+                let (px, py, _) = plane.pixel(shown.point(x, y));
+                rect.min + vec2(px, py) / ppp
+            };
+            let place = Rect::from_min_max(at(0.0, 0.0), at(shown.size[0] as f32, shown.size[1] as f32));
+            painter.image(texture.id(), place, Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0)), Color32::WHITE);
+        }
+        if self.slices.overlay == Overlay::Glyphs && !source {
+            self.draw_glyphs(&painter, rect, &plane, pane, ppp);
+        }
+        let (x, y, _) = plane.pixel(through);
+        let cross = rect.min + vec2(x, y) / ppp;
+        draw_crosshair(&painter, rect, cross, n);
+        edge_letters(&painter, rect, right, -down);
+        scale_bar(&painter, rect, mm_per_pixel * ppp);
+        let title = match (self.slices.space, source) {
+            (Space::Deformed, _) => format!("{name} {:.1} mm", through.dot(normal.abs())),
+            (_, true) => format!("{name} source"),
+            (_, false) => format!("{name} deformed"),
+        };
+        text(&painter, rect.min + vec2(8.0, 6.0), Align2::LEFT_TOP, title, 13.0, ON_CANVAS);
+        if !source && !self.stroke_points.is_empty() {
+            let points: Vec<Pos2> = self.stroke_points.iter().map(|p| plane.pixel(*p)).map(|(x, y, _)| rect.min + vec2(x, y) / ppp).collect();
+            draw_points_of(&painter, &points, SELECTED);
+        }
+        if let (Some(radius), Some(pos)) = (self.tool.brush().map(|_| self.editor.radius), response.hover_pos().filter(|_| !source)) {
+            painter.circle_stroke(pos, radius / (mm_per_pixel * ppp), Stroke::new(1.5, SELECTED));
+        }
+        self.handle_slice_input(ui, &response, &plane, n, rect, ppp, source);
+    }
+
+    fn ask_slice(&mut self, pane: usize, plane: Plane, style: SliceStyle) {
+        let Some(doc) = &self.doc else { return };
+        let assets = doc.assets.clone();
+        let scene = sliced(&doc.shown(self.is_before()));
+        let shared = match &self.slices.scene {
+            Some(kept) if **kept == scene => kept.clone(),
+            _ => {
+                let shared = Arc::new(scene);
+                self.slices.scene = Some(shared.clone());
+                shared
+            }
+        };
+        let asked = Asked { scene: shared.clone(), plane, style, assets: Arc::as_ptr(&assets) as usize };
+        if self.slices.panes[pane].asked.as_ref() != Some(&asked) {
+            self.slices.panes[pane].asked = Some(asked);
+            self.submit(Target::Slice(pane), shared, assets, What::Slice(plane, style));
+        }
+    }
+
+    #[expect(clippy::too_many_arguments, reason = "one call, of what the pane has just worked out")]
+    fn handle_slice_input(&mut self, ui: &Ui, response: &Response, plane: &Plane, n: usize, rect: Rect, ppp: f32, source: bool) {
+        let world = |pos: Pos2| {
+            let d = (pos - rect.min) * ppp;
+            plane.point(d.x, d.y)
+        };
+        if response.hovered() {
+            let scroll = ui.input(|i| i.smooth_scroll_delta.y);
+            let ctrl = ui.input(|i| i.modifiers.command);
+            let pinch = ui.input(|i| i.zoom_delta());
+            if pinch != 1.0 || (ctrl && scroll != 0.0) {
+                self.slices.zoom = (self.slices.zoom * pinch * (scroll * 0.0025 * f32::from(u8::from(ctrl))).exp()).clamp(0.2, 40.0);
+            } else if scroll != 0.0 {
+                self.scroll_slice(n, scroll);
+            }
+            if self.tool != Tool::Navigate {
+                ui.ctx().set_cursor_icon(CursorIcon::Crosshair);
+            }
+            if let Some(pos) = response.hover_pos() {
+                self.hover_slice(world(pos), n, source);
+            }
+        }
+        let started = |button| response.drag_started_by(button);
+        let origin = ui.input(|i| i.pointer.press_origin()).unwrap_or_default();
+        if started(PointerButton::Primary) {
+            let windowing = ui.input(|i| i.key_down(egui::Key::W));
+            self.gesture = Some(if windowing {
+                self.tool = Tool::Navigate;
+                Gesture::Window
+            } else if self.tool.brush().is_some() && !source {
+                self.begin_stroke();
+                self.extend_stroke(world(origin));
+                Gesture::SliceBrush
+            } else if ui.input(|i| i.modifiers.shift) {
+                Gesture::SlicePan
+            } else {
+                Gesture::Crosshair
+            });
+        } else if started(PointerButton::Middle) {
+            self.gesture = Some(Gesture::SlicePan);
+        } else if started(PointerButton::Secondary) {
+            self.gesture = Some(Gesture::SliceZoom);
+        }
+        let delta = response.drag_delta();
+        if let Some(pos) = response.interact_pointer_pos() {
+            match self.gesture {
+                Some(Gesture::Crosshair) if !source => self.slices.cursor = Some(self.clamped(world(pos))),
+                Some(Gesture::SlicePan) => self.slices.pan[n] -= delta * ppp * plane.mm_per_pixel,
+                Some(Gesture::SliceZoom) => self.slices.zoom = (self.slices.zoom * (-delta.y * 0.01).exp()).clamp(0.2, 40.0),
+                Some(Gesture::Window) => self.drag_window(delta.x, delta.y),
+                Some(Gesture::SliceBrush) => self.extend_stroke(world(pos)),
+                _ => {}
+            }
+        }
+        if response.drag_stopped() {
+            if matches!(self.gesture, Some(Gesture::SliceBrush)) {
+                self.end_stroke();
+            }
+            self.gesture = None;
+        }
+        if response.clicked()
+            && let Some(pos) = response.interact_pointer_pos()
+        {
+            self.click_slice(world(pos), n, source);
+        }
+        if response.double_clicked() {
+            self.slices.zoom = 1.0;
+            self.slices.pan[n] = egui::Vec2::ZERO;
+        }
+    }
+
+    fn clamped(&self, p: Vec3) -> Vec3 {
+        self.doc.as_ref().map_or(p, |d| p.clamp(d.bounds().min, d.bounds().max))
+    }
+
+    /// Moves through the slices of a view.
+    pub fn scroll_slice(&mut self, n: usize, scroll: f32) {
+        let Some(doc) = &self.doc else { return };
+        let (_, right, down) = ORIENTATIONS[n];
+        let normal = right.cross(down).abs();
+        let step = doc.assets.volume.spacing_mm().min_element() as f32;
+        let steps = (scroll / 12.0).clamp(-10.0, 10.0);
+        let steps = if steps.abs() < 1.0 { steps.signum() } else { steps.round() };
+        let bounds = doc.bounds();
+        if let Some(cursor) = &mut self.slices.cursor {
+            *cursor = (*cursor + normal * steps * step).clamp(bounds.min, bounds.max);
+        }
+    }
+
+    fn hover_slice(&mut self, at: Vec3, n: usize, source: bool) {
+        let from = if source { Some(at) } else { self.slices.source_of(n, at) };
+        self.hover = from.map(|source_point| crate::gui::app::Hover { deformed: (!source).then_some(at), source: source_point, value: None });
+    }
+
+    fn click_slice(&mut self, at: Vec3, n: usize, source: bool) {
+        let from = if source { Some(at) } else { self.slices.source_of(n, at) };
+        match self.tool {
+            Tool::Measure(_) | Tool::Probe => {
+                if let Some(from) = from {
+                    self.take_point(at, from);
+                }
+            }
+            Tool::Place(kind) if !source => self.place(kind.0, Some((at, Vec3::Z))),
+            _ if self.tool.brush().is_some() && !source => {
+                self.begin_stroke();
+                self.extend_stroke(at);
+                self.end_stroke();
+            }
+            _ if !source => self.slices.cursor = Some(self.clamped(at)),
+            _ => {}
+        }
+    }
+
+    fn draw_glyphs(&self, painter: &Painter, rect: Rect, plane: &Plane, pane: usize, ppp: f32) {
+        let Some(picture) = &self.slices.panes[pane].picture else { return };
+        let [width, height] = picture.plane.size.map(|n| n as usize);
+        let step = (ARROWS * ppp) as usize;
+        for y in (step / 2..height).step_by(step.max(1)) {
+            for x in (step / 2..width).step_by(step.max(1)) {
+                let n = y * width + x;
+                if picture.section.mask[n] < 0.5 {
+                    continue;
+                }
+                let to = picture.plane.point(x as f32 + 0.5, y as f32 + 0.5);
+                let from = picture.section.sources[n];
+                if (to - from).length_squared() < 0.04 {
+                    continue;
+                }
+                let screen = |p: Vec3| {
+                    let (x, y, _) = plane.pixel(p);
+                    rect.min + vec2(x, y) / ppp
+                };
+                let (a, b) = (screen(from), screen(to));
+                painter.arrow(a, b - a, Stroke::new(2.6, Color32::from_black_alpha(150)));
+                painter.arrow(a, b - a, Stroke::new(1.2, Color32::from_rgb(250, 215, 110)));
+            }
+        }
+    }
+}
+
+fn draw_crosshair(painter: &Painter, rect: Rect, at: Pos2, n: usize) {
+    // The colour of a line is that of the axis it stands across: each view shows the other two planes.
+    let (vertical, horizontal) = [(0, 1), (0, 2), (1, 2)][n];
+    let gap = 7.0;
+    let line = |a: Pos2, b: Pos2, axis: usize| {
+        painter.line_segment([a, b], Stroke::new(1.0, AXES[axis].gamma_multiply(0.7)));
+    };
+    line(pos2(at.x, rect.top()), pos2(at.x, at.y - gap), vertical);
+    line(pos2(at.x, at.y + gap), pos2(at.x, rect.bottom()), vertical);
+    line(pos2(rect.left(), at.y), pos2(at.x - gap, at.y), horizontal);
+    line(pos2(at.x + gap, at.y), pos2(rect.right(), at.y), horizontal);
+}

@@ -1,0 +1,625 @@
+//! The 3D view: picture, camera, handles, tools.
+//!
+//! What is shown is always the newest picture there is, drawn over the view whatever its size: a coarse one while something moves, a fine one when it
+//! rests. How coarse is decided by how long the last coarse pictures took.
+
+use super::{Projector, cube, edge_letters, scale_bar, text};
+use crate::gui::app::{Gesture, Workstation};
+use crate::gui::document::Selection;
+use crate::gui::gizmos::{self, Gizmo, Handle, Mode as GizmoMode};
+use crate::gui::theme::{CANVAS, ON_CANVAS, SELECTED};
+use crate::gui::tool::{Placed, Tool};
+use crate::gui::worker::{Job, Purpose, Question, Shown, Target, What};
+use crate::math::Bounds;
+use crate::scene::{Camera, Projection, Scene};
+use eframe::egui::{self, Align2, Color32, CursorIcon, Painter, PointerButton, Pos2, Rect, Response, Sense, Shape, Stroke, Ui, pos2, vec2};
+use glam::{Vec2, Vec3};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// A coarse picture should not take longer than this, ms.
+const COARSE_MS: f64 = 70.0;
+/// A fine picture is asked for when nothing has changed for this long, seconds.
+const REST: f64 = 0.12;
+/// Degrees of the camera per point of a drag.
+const ORBIT: f32 = 0.4;
+
+/// What the 3D view keeps.
+pub struct View3d {
+    /// Where it was last shown, points.
+    pub rect: Rect,
+    texture: Option<egui::TextureHandle>,
+    /// The scene that was last asked for, at the view's size.
+    asked: Option<Arc<Scene>>,
+    asked_assets: usize,
+    changed_at: Instant,
+    coarse_open: bool,
+    fine_serial: Option<u64>,
+    /// A fine picture of the last scene is there.
+    pub is_fine: bool,
+    /// Pixels of the view per pixel of a coarse picture.
+    scale: f32,
+    fine_ms: f64,
+    /// The scene and size of the picture that is shown.
+    pub shown: Option<String>,
+    /// The last picture's facts, for the status bar.
+    pub facts: Facts,
+    /// Which handles.
+    pub gizmo: GizmoMode,
+    /// An outline that is being drawn, points.
+    pub lasso: Vec<Pos2>,
+    hover_asked: Option<([f32; 2], u64)>,
+    pixels_per_point: f32,
+    /// Pictures that have arrived.
+    pub pictures: u64,
+}
+
+/// Facts about the last picture.
+#[derive(Clone, Debug, Default)]
+pub struct Facts {
+    /// Time, ms.
+    pub ms: f64,
+    /// Where it was made.
+    pub backend: String,
+    /// Its pixels.
+    pub size: [usize; 2],
+    /// Sampling distance, voxels.
+    pub step: f32,
+    /// What is reduced, in words.
+    pub notices: Vec<String>,
+}
+
+impl Default for View3d {
+    fn default() -> Self {
+        Self {
+            rect: Rect::ZERO,
+            texture: None,
+            asked: None,
+            asked_assets: 0,
+            changed_at: Instant::now(),
+            coarse_open: false,
+            fine_serial: None,
+            is_fine: false,
+            scale: 3.0,
+            fine_ms: f64::INFINITY,
+            shown: None,
+            facts: Facts::default(),
+            gizmo: GizmoMode::Shape,
+            lasso: Vec::new(),
+            hover_asked: None,
+            pixels_per_point: 1.0,
+            pictures: 0,
+        }
+    }
+}
+
+impl View3d {
+    /// Everything is to be asked for again.
+    pub fn forget(&mut self) {
+        self.asked = None;
+        self.is_fine = false;
+        self.coarse_open = false;
+        self.fine_serial = None;
+        self.fine_ms = f64::INFINITY;
+    }
+
+    /// The view's size in pixels.
+    pub fn size(&self) -> [u32; 2] {
+        let size = self.rect.size() * self.pixels_per_point;
+        [(size.x as u32).clamp(16, 8192), (size.y as u32).clamp(16, 8192)]
+    }
+
+    /// Takes a picture that has arrived.
+    pub fn arrived(&mut self, ctx: &egui::Context, target: Target, serial: u64, ms: f64, shown: Shown, step: f32) {
+        if target == Target::Coarse {
+            self.coarse_open = false;
+            let wanted = self.scale * ((ms / COARSE_MS) as f32).sqrt().clamp(0.6, 1.7);
+            self.scale = wanted.clamp(1.0, 8.0);
+            if self.is_fine {
+                // Late: a fine one is there already.
+                return;
+            }
+        } else {
+            if self.fine_serial != Some(serial) {
+                return;
+            }
+            self.is_fine = true;
+            self.fine_ms = ms;
+        }
+        self.pictures += 1;
+        self.facts = Facts { ms, backend: shown.backend, size: shown.image.size, step, notices: shown.notices };
+        let options = egui::TextureOptions::LINEAR;
+        match &mut self.texture {
+            Some(texture) => texture.set(shown.image, options),
+            None => self.texture = Some(ctx.load_texture("3D", shown.image, options)),
+        }
+    }
+
+    /// A job of this view failed: it is not waited for any longer.
+    pub fn failed(&mut self, target: Target) {
+        match target {
+            Target::Coarse => self.coarse_open = false,
+            _ => self.is_fine = true,
+        }
+    }
+}
+
+impl Workstation {
+    /// The scene as the 3D view shows it, at the view's size.
+    pub fn scene_of_view(&self) -> Option<Scene> {
+        let doc = self.doc.as_ref()?;
+        let mut scene = doc.shown(self.is_before());
+        scene.render.size = self.view.size();
+        Some(scene)
+    }
+
+    /// The view's camera on the screen.
+    pub fn projector(&self) -> Option<Projector> {
+        let doc = self.doc.as_ref()?;
+        let frame = doc.scene.camera.frame(&doc.bounds(), self.view.size()).ok()?;
+        Some(Projector { frame, rect: self.view.rect })
+    }
+
+    /// Asks for pictures of what has changed.
+    pub fn refresh_view(&mut self, ctx: &egui::Context) {
+        let Some(doc) = &self.doc else { return };
+        if self.view.rect.width() < 8.0 || self.view.rect.height() < 8.0 {
+            return;
+        }
+        let assets = doc.assets.clone();
+        let Some(scene) = self.scene_of_view() else { return };
+        let same_assets = self.view.asked_assets == Arc::as_ptr(&assets) as usize;
+        let changed = !same_assets || self.view.asked.as_deref().is_none_or(|a| *a != scene);
+        let shared = match (&self.view.asked, changed) {
+            (Some(asked), false) => asked.clone(),
+            _ => Arc::new(scene),
+        };
+        if changed {
+            self.view.asked = Some(shared.clone());
+            self.view.asked_assets = Arc::as_ptr(&assets) as usize;
+            self.view.changed_at = Instant::now();
+            self.view.is_fine = false;
+            self.view.fine_serial = None;
+            self.worker.drop_jobs(|t| t == Target::Fine);
+            // Fine pictures that come at once need no coarse ones before them.
+            if self.view.fine_ms > COARSE_MS {
+                let mut coarse = (*shared).clone();
+                coarse.render.size = shared.render.size.map(|n| ((n as f32 / self.view.scale) as u32).max(16));
+                coarse.render.step = (shared.render.step * if self.view.scale > 1.5 { 2.0 } else { 1.0 }).min(100.0);
+                coarse.render.antialias = 1;
+                self.view.coarse_open = true;
+                self.submit(Target::Coarse, Arc::new(coarse), assets.clone(), What::Picture { counting: false, keep: false });
+            }
+        }
+        let rested = self.view.changed_at.elapsed().as_secs_f64() >= REST;
+        let at_once = self.view.fine_ms <= COARSE_MS;
+        let held = ctx.input(|i| i.pointer.any_down()) && !at_once;
+        if !self.view.is_fine && self.view.fine_serial.is_none() && !held && (at_once || (rested && !self.view.coarse_open)) {
+            let serial = self.submit(Target::Fine, shared, assets, What::Picture { counting: false, keep: false });
+            self.view.fine_serial = Some(serial);
+        } else if !self.view.is_fine && self.view.fine_serial.is_none() {
+            ctx.request_repaint_after_secs(REST as f32);
+        }
+    }
+
+    /// Hands a job to the worker; its number.
+    pub fn submit(&mut self, target: Target, scene: Arc<Scene>, assets: Arc<crate::scene::Assets>, what: What) -> u64 {
+        self.serial += 1;
+        self.worker.submit(Job { target, serial: self.serial, scene, assets, what });
+        self.serial
+    }
+
+    /// Asks what lies at a place of the view.
+    pub fn ask(&mut self, at: [f32; 2], purpose: Purpose) {
+        let (Some(scene), Some(doc)) = (self.view.asked.clone(), &self.doc) else { return };
+        let assets = doc.assets.clone();
+        self.prober.ask(Question { scene, assets, at, purpose });
+    }
+
+    /// Shows the view.
+    pub fn show_view3d(&mut self, ui: &mut Ui) {
+        let (rect, response) = ui.allocate_exact_size(ui.available_size().max(vec2(16.0, 16.0)), Sense::click_and_drag());
+        response.widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::Other, true, "3D view"));
+        self.view.rect = rect;
+        self.view.pixels_per_point = ui.ctx().pixels_per_point();
+        let painter = ui.painter_at(rect);
+        let background = self.doc.as_ref().map_or([0.0; 4], |d| d.scene.render.background);
+        painter.rect_filled(rect, 0.0, CANVAS);
+        if background[3] < 1.0 {
+            checkerboard(&painter, rect);
+        }
+        if let Some(texture) = &self.view.texture {
+            painter.image(texture.id(), rect, Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0)), Color32::WHITE);
+        }
+        let Some(projector) = self.projector() else { return };
+        let pointer = response.hover_pos().filter(|p| rect.contains(*p));
+        let free = self.gesture.is_none() && !ui.ctx().input(|i| i.pointer.any_down());
+        let on_cube = cube::draw(&painter, rect, &projector, pointer.filter(|_| free || self.gesture.is_none()));
+        edge_letters(&painter, rect, projector.frame.right.normalize_or_zero(), projector.frame.up.normalize_or_zero());
+        let target = self.doc.as_ref().map_or(Vec3::ZERO, |d| d.scene.camera.target.map_or_else(|| d.bounds().center(), Vec3::from));
+        scale_bar(&painter, rect, projector.mm_per_point(target));
+        self.draw_measures(&painter, &projector);
+        let hot = self.draw_gizmo(&painter, &projector, pointer);
+        self.draw_progress(&painter, rect);
+        self.draw_hint(&painter, rect);
+        if !self.view.lasso.is_empty() {
+            let mut points = self.view.lasso.clone();
+            points.extend(self.view.lasso.first().copied());
+            painter.add(Shape::line(points.clone(), Stroke::new(4.0, Color32::from_black_alpha(160))));
+            painter.add(Shape::line(points, Stroke::new(1.8, SELECTED)));
+        }
+        self.gizmo_bar(ui, rect);
+        if let Some(view) = on_cube.filter(|_| response.clicked()) {
+            self.look_from(view);
+            return;
+        }
+        self.drop_on_view(&response, &projector);
+        self.handle_view_input(ui, &response, &projector, hot);
+    }
+
+    /// A kind that was dragged out of the palette and let go over the view.
+    fn drop_on_view(&mut self, response: &Response, projector: &Projector) {
+        if let Some(kind) = response.dnd_release_payload::<Placed>()
+            && let Some(pos) = response.ctx.pointer_latest_pos()
+        {
+            self.tool = Tool::Place(*kind);
+            self.ask(projector.at(pos), Purpose::Tool);
+        }
+    }
+
+    fn handle_view_input(&mut self, ui: &Ui, response: &Response, projector: &Projector, hot: Option<Handle>) {
+        let pos = response.interact_pointer_pos().or_else(|| response.hover_pos());
+        let modifiers = ui.input(|i| i.modifiers);
+        if response.hovered() {
+            let scroll = ui.input(|i| i.smooth_scroll_delta.y + 300.0 * (i.zoom_delta() - 1.0));
+            if scroll != 0.0 {
+                self.zoom((scroll * 0.0025).exp());
+            }
+            let cursor = match self.tool {
+                _ if hot.is_some() => CursorIcon::Grab,
+                Tool::Navigate => CursorIcon::Default,
+                _ => CursorIcon::Crosshair,
+            };
+            ui.ctx().set_cursor_icon(cursor);
+            self.ask_hover(projector, response.hover_pos());
+        }
+        if response.double_clicked() && self.tool == Tool::Navigate && hot.is_none() {
+            if let Some(pos) = pos {
+                self.ask(projector.at(pos), Purpose::Center);
+            }
+            return;
+        }
+        for button in [PointerButton::Primary, PointerButton::Middle, PointerButton::Secondary] {
+            if response.drag_started_by(button)
+                && let Some(origin) = ui.input(|i| i.pointer.press_origin())
+            {
+                let windowing = ui.input(|i| i.key_down(egui::Key::W)) && button == PointerButton::Primary;
+                if windowing {
+                    // The key that armed the wedge turned out to be held.
+                    self.tool = Tool::Navigate;
+                    self.gesture = Some(Gesture::Window3d);
+                } else {
+                    self.begin_drag(button, modifiers, origin, projector, hot);
+                }
+            }
+        }
+        if response.clicked()
+            && let Some(pos) = pos
+        {
+            self.click(pos, modifiers, projector);
+        }
+        let Some(pos) = pos else { return };
+        let delta = response.drag_delta();
+        match self.gesture.clone() {
+            Some(Gesture::Orbit) => self.orbit(delta.x, delta.y),
+            Some(Gesture::Pan) => self.pan(delta.x, delta.y, projector),
+            Some(Gesture::Zoom) => self.zoom((-delta.y * 0.01).exp()),
+            Some(Gesture::Roll) => {
+                let center = projector.rect.center();
+                let (a, b) = ((pos - delta) - center, pos - center);
+                let turned = b.angle() - a.angle();
+                if let Some(doc) = &mut self.doc {
+                    let wrapped = (turned + std::f32::consts::PI).rem_euclid(std::f32::consts::TAU) - std::f32::consts::PI;
+                    doc.scene.camera.roll = wrap(doc.scene.camera.roll + wrapped.to_degrees());
+                }
+            }
+            Some(Gesture::Gizmo(drag)) => {
+                if let Some(moved) = self.with_gizmo(projector, |g| g.dragged(&drag, pos)).flatten()
+                    && let Some(d) = self.doc.as_mut().and_then(super::super::document::Document::deformation)
+                {
+                    *d = moved;
+                }
+            }
+            Some(Gesture::Window3d) => self.drag_transfer(delta.x, delta.y),
+            Some(Gesture::Lasso) => {
+                if self.view.lasso.last().is_none_or(|l| l.distance(pos) > 3.0) {
+                    self.view.lasso.push(pos);
+                }
+            }
+            Some(Gesture::Brush) => {
+                if delta.length() > 0.0 {
+                    self.ask(projector.at(pos), Purpose::Brush { last: false });
+                }
+            }
+            _ => {}
+        }
+        if response.drag_stopped() {
+            match self.gesture.take() {
+                Some(Gesture::Lasso) => self.finish_lasso(projector),
+                Some(Gesture::Brush) => self.ask(projector.at(pos), Purpose::Brush { last: true }),
+                _ => {}
+            }
+        }
+    }
+
+    fn begin_drag(&mut self, button: PointerButton, modifiers: egui::Modifiers, origin: Pos2, projector: &Projector, hot: Option<Handle>) {
+        let left = button == PointerButton::Primary;
+        let plain = !modifiers.any();
+        if left && plain {
+            if let Some(handle) = hot {
+                if let Some(drag) = self.with_gizmo(projector, |g| g.grab(handle, origin)) {
+                    self.gesture = Some(Gesture::Gizmo(Box::new(drag)));
+                    return;
+                }
+            }
+            if self.tool.is_lasso() {
+                self.view.lasso = vec![origin];
+                self.gesture = Some(Gesture::Lasso);
+                return;
+            }
+            if self.tool.brush().is_some() {
+                self.begin_stroke();
+                self.ask(projector.at(origin), Purpose::Brush { last: false });
+                self.gesture = Some(Gesture::Brush);
+                return;
+            }
+        }
+        let blender = self.session.settings.blender;
+        self.gesture = Some(match button {
+            PointerButton::Middle if blender && plain => Gesture::Orbit,
+            PointerButton::Middle if blender && modifiers.command => Gesture::Zoom,
+            PointerButton::Middle => Gesture::Pan,
+            PointerButton::Secondary => Gesture::Zoom,
+            _ if modifiers.command => Gesture::Roll,
+            _ if modifiers.shift => Gesture::Pan,
+            _ => Gesture::Orbit,
+        });
+    }
+
+    fn click(&mut self, pos: Pos2, modifiers: egui::Modifiers, projector: &Projector) {
+        match self.tool {
+            Tool::Navigate => {
+                // With control points selected, Ctrl+click adds one where the surface is.
+                let points = self.doc.as_mut().and_then(|d| d.deformation().map(|x| x.kind == "points")).unwrap_or(false);
+                if modifiers.command && points {
+                    self.ask(projector.at(pos), Purpose::Tool);
+                }
+            }
+            Tool::LassoCut | Tool::LassoRestore => {}
+            _ if self.tool.brush().is_some() => {
+                self.begin_stroke();
+                self.ask(projector.at(pos), Purpose::Brush { last: true });
+            }
+            _ => self.ask(projector.at(pos), Purpose::Tool),
+        }
+    }
+
+    fn ask_hover(&mut self, projector: &Projector, pos: Option<Pos2>) {
+        let Some(pos) = pos else { return };
+        // One question at a time, and none while something is dragged.
+        if self.gesture.is_some() || self.prober.open > 0 {
+            return;
+        }
+        let at = projector.at(pos);
+        let asked = (at, self.edits);
+        if self.view.hover_asked != Some(asked) {
+            self.view.hover_asked = Some(asked);
+            self.ask(at, Purpose::Hover);
+        }
+    }
+
+    /// Turns the camera by a drag.
+    pub fn orbit(&mut self, dx: f32, dy: f32) {
+        let Some(doc) = &mut self.doc else { return };
+        let camera = &mut doc.scene.camera;
+        let (sin, cos) = camera.roll.to_radians().sin_cos();
+        let (dx, dy) = (dx * cos + dy * sin, dy * cos - dx * sin);
+        camera.view.azimuth_deg = wrap(camera.view.azimuth_deg - dx * ORBIT);
+        camera.view.elevation_deg = (camera.view.elevation_deg + dy * ORBIT).clamp(-90.0, 90.0);
+    }
+
+    /// Shifts the camera by a drag.
+    pub fn pan(&mut self, dx: f32, dy: f32, projector: &Projector) {
+        let Some(doc) = &mut self.doc else { return };
+        let bounds = doc.bounds();
+        let target = doc.scene.camera.target.map_or_else(|| bounds.center(), Vec3::from);
+        let mm = projector.mm_per_point(target);
+        let f = &projector.frame;
+        let moved = target + (f.up.normalize_or_zero() * dy - f.right.normalize_or_zero() * dx) * mm;
+        let reach = 4.0 * bounds.size().length();
+        if (moved - bounds.center()).length() < reach {
+            doc.scene.camera.target = Some(moved.into());
+        }
+    }
+
+    /// Enlarges the picture.
+    pub fn zoom(&mut self, factor: f32) {
+        if let Some(doc) = &mut self.doc {
+            doc.scene.camera.zoom = (doc.scene.camera.zoom * factor).clamp(0.05, 100.0);
+        }
+    }
+
+    /// Looks from a named side.
+    pub fn look_from(&mut self, view: &str) {
+        if let (Some(doc), Ok(view)) = (&mut self.doc, view.parse()) {
+            doc.scene.camera.view = view;
+            doc.scene.camera.roll = 0.0;
+        }
+    }
+
+    /// Shows all of a box.
+    pub fn frame_box(&mut self, bounds: &Bounds) {
+        let Some(doc) = &mut self.doc else { return };
+        let all = doc.bounds().size().length().max(1e-3);
+        let camera = &mut doc.scene.camera;
+        camera.target = Some(bounds.center().into());
+        camera.zoom = (all / bounds.size().length().max(1e-3)).clamp(0.05, 20.0);
+    }
+
+    /// The camera as it is by default, of the same kind.
+    pub fn reset_camera(&mut self) {
+        if let Some(doc) = &mut self.doc {
+            let camera = &doc.scene.camera;
+            doc.scene.camera = Camera { projection: camera.projection, field_of_view: camera.field_of_view, ..Camera::default() };
+        }
+    }
+
+    fn with_gizmo<T>(&self, projector: &Projector, f: impl FnOnce(&Gizmo) -> T) -> Option<T> {
+        let doc = self.doc.as_ref()?;
+        let d = &doc.scene.deformation[doc.deformation_index()?];
+        let kind = gizmos::kind_of(d).filter(|k| k.name != "brush" && !k.locked_to_view)?;
+        Some(f(&Gizmo { projector: *projector, kind, deformation: d, scene_box: doc.bounds(), mode: self.view.gizmo }))
+    }
+
+    /// Draws the selected deformation's handles; the one under the pointer.
+    fn draw_gizmo(&self, painter: &Painter, projector: &Projector, pointer: Option<Pos2>) -> Option<Handle> {
+        if self.is_before() || !matches!(self.tool, Tool::Navigate) {
+            return None;
+        }
+        let dragged = match &self.gesture {
+            Some(Gesture::Gizmo(drag)) => Some(drag.handle),
+            _ => None,
+        };
+        self.with_gizmo(projector, |g| {
+            let hot = dragged.or_else(|| pointer.filter(|_| self.gesture.is_none()).and_then(|p| g.under(p)));
+            g.draw(painter, hot);
+            hot
+        })
+        .flatten()
+    }
+
+    /// The choice of handles, in the lower left corner.
+    fn gizmo_bar(&mut self, ui: &mut Ui, rect: Rect) {
+        let shown = self.doc.as_ref().is_some_and(|d| d.deformation_index().is_some()) && self.tool == Tool::Navigate;
+        if !shown {
+            return;
+        }
+        let bar = Rect::from_min_size(pos2(rect.left() + 10.0, rect.bottom() - 34.0), vec2(260.0, 24.0));
+        let mut child = ui.new_child(egui::UiBuilder::new().max_rect(bar).layout(egui::Layout::left_to_right(egui::Align::Center)));
+        child.visuals_mut().widgets.inactive.weak_bg_fill = Color32::from_black_alpha(150);
+        for (mode, word, tip) in [
+            (GizmoMode::Shape, "Shape", "Handles for every number"),
+            (GizmoMode::Move, "Move", "Arrows along the box's axes"),
+            (GizmoMode::Rotate, "Rotate", "Rings about the box's axes"),
+            (GizmoMode::Scale, "Scale", "The box's faces"),
+        ] {
+            let button = egui::Button::selectable(self.view.gizmo == mode, word).frame(true).frame_when_inactive(true);
+            if child.add(button).on_hover_text(tip).clicked() {
+                self.view.gizmo = mode;
+            }
+        }
+    }
+
+    fn draw_progress(&self, painter: &Painter, rect: Rect) {
+        if let Some((Target::Fine, share)) = self.worker.progress().filter(|_| !self.view.is_fine) {
+            let bar = Rect::from_min_size(rect.min, vec2(rect.width() * share.clamp(0.0, 1.0), 2.0));
+            painter.rect_filled(bar, 0.0, SELECTED);
+        }
+    }
+
+    fn draw_hint(&self, painter: &Painter, rect: Rect) {
+        let hint = if self.is_before() { "Undeformed".to_owned() } else { self.tool.hint() };
+        if !hint.is_empty() {
+            text(painter, pos2(rect.left() + 12.0, rect.top() + 10.0), Align2::LEFT_TOP, hint, 13.5, ON_CANVAS);
+        }
+    }
+
+    fn draw_measures(&self, painter: &Painter, projector: &Projector) {
+        let selected = self.doc.as_ref().map(|d| d.selected);
+        for (n, measured) in self.measured.iter().enumerate() {
+            let points: Vec<Pos2> = measured.seen.iter().flatten().filter_map(|p| projector.screen(*p)).collect();
+            let color = if selected == Some(Selection::Measure(n)) { SELECTED } else { Color32::from_rgb(250, 225, 120) };
+            draw_points(painter, &points, color);
+            let words =
+                measured.quantities.as_ref().ok().and_then(|q| q.first()).and_then(|q| q.value.map(|v| super::super::panels::number(v, q.unit)));
+            if let (Some(last), Some(words)) = (points.last().filter(|_| points.len() == measured.measure.points.len()), words) {
+                text(painter, *last + vec2(8.0, -8.0), Align2::LEFT_BOTTOM, words, 13.5, color);
+            }
+        }
+        // Points of a measurement that is not complete.
+        let points: Vec<Pos2> = self.pending_points.iter().filter_map(|p| projector.screen(p.deformed)).collect();
+        draw_points(painter, &points, SELECTED);
+        let stroke: Vec<Pos2> = self.stroke_points.iter().filter_map(|p| projector.screen(*p)).collect();
+        if stroke.len() > 1 {
+            painter.add(Shape::line(stroke, Stroke::new(2.0, SELECTED)));
+        }
+    }
+
+    /// The drawn outline becomes a cut, or puts matter back.
+    fn finish_lasso(&mut self, projector: &Projector) {
+        let outline = std::mem::take(&mut self.view.lasso);
+        let Some(doc) = &self.doc else { return };
+        if outline.len() < 3 || area(&outline) < 25.0 {
+            return;
+        }
+        let frame = projector.frame;
+        let middle = doc.bounds().center();
+        let (right, up) = (frame.right.normalize_or_zero(), frame.up.normalize_or_zero());
+        let points: Vec<Vec2> = outline
+            .iter()
+            .filter_map(|p| projector.on_plane(*p, middle, frame.forward))
+            .map(|p| Vec2::new((p - middle).dot(right), (p - middle).dot(up)))
+            .collect();
+        let apex = match frame.projection {
+            // The apex lies on the line through `middle` along the view only if the plane's origin does: it is moved below the eye.
+            Projection::Perspective => Some((middle - frame.eye).dot(frame.forward)),
+            Projection::Orthographic => None,
+        };
+        let (origin, shift) = match apex {
+            Some(depth) => {
+                let origin = frame.eye + frame.forward * depth;
+                (origin, Vec2::new((middle - origin).dot(right), (middle - origin).dot(up)))
+            }
+            None => (middle, Vec2::ZERO),
+        };
+        let restore = self.tool == Tool::LassoRestore;
+        let points = points.into_iter().map(|p| p + shift).collect();
+        self.lasso(restore, apex.unwrap_or(0.0), origin, right, up, points);
+    }
+}
+
+fn wrap(degrees: f32) -> f32 {
+    let wrapped = (degrees + 180.0).rem_euclid(360.0) - 180.0;
+    if wrapped.is_finite() { wrapped } else { 0.0 }
+}
+
+/// Area of an outline, square points.
+fn area(outline: &[Pos2]) -> f32 {
+    let n = outline.len();
+    (0..n).map(|i| (outline[i].x * outline[(i + 1) % n].y) - (outline[(i + 1) % n].x * outline[i].y)).sum::<f32>().abs() / 2.0
+}
+
+/// Points joined by lines.
+pub fn draw_points(painter: &Painter, points: &[Pos2], color: Color32) {
+    for pair in points.windows(2) {
+        painter.line_segment([pair[0], pair[1]], Stroke::new(3.5, Color32::from_black_alpha(170)));
+        painter.line_segment([pair[0], pair[1]], Stroke::new(1.6, color));
+    }
+    for p in points {
+        painter.circle(*p, 4.0, color, Stroke::new(1.5, Color32::from_black_alpha(220)));
+    }
+}
+
+/// What says that there is nothing behind a picture.
+fn checkerboard(painter: &Painter, rect: Rect) {
+    const EDGE: f32 = 14.0;
+    let (nx, ny) = ((rect.width() / EDGE).ceil() as i32, (rect.height() / EDGE).ceil() as i32);
+    let mut mesh = egui::Mesh::default();
+    for y in 0..ny {
+        for x in (y % 2..nx).step_by(2) {
+            let square = Rect::from_min_size(rect.min + vec2(x as f32 * EDGE, y as f32 * EDGE), vec2(EDGE, EDGE));
+            mesh.add_colored_rect(square.intersect(rect), Color32::from_gray(44));
+        }
+    }
+    painter.add(mesh);
+}

@@ -1,0 +1,618 @@
+//! Rendering in the background: the interface asks and goes on.
+//!
+//! One thread renders, the most urgent job first; a newer job of the same target takes the place of one that waits, and stops one that runs if it
+//! is of full quality (a coarse one is let finish: it is what keeps a drag moving). A second thread answers what lies under the pointer, so
+//! that it never waits for a picture. Coarse pictures and slices leave one core to the interface.
+
+use super::log::Level;
+use crate::compare;
+use crate::cpu::pick::{self, Pick};
+use crate::cpu::section::{self, Plane, Section};
+use crate::scene::measure::{Measure, Quantity};
+use crate::scene::{Assets, Deformed, Picture, Prepared, RenderStats, Scene};
+use crate::{Error, Result, Watch, cpu};
+use eframe::egui::{self, ColorImage};
+use glam::Vec3;
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
+
+/// What a picture is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Target {
+    /// The 3D view while it moves.
+    Coarse,
+    /// The 3D view at rest.
+    Fine,
+    /// A slice: axial, coronal, sagittal; from 3 on the same of the source.
+    Slice(usize),
+    /// A side of the comparison.
+    Compare(usize),
+    /// A preset's thumbnail.
+    Preset(usize),
+    /// A kind's thumbnail.
+    Kind(usize),
+    /// Numbers of the measurements.
+    Measures,
+}
+
+impl Target {
+    /// Lower goes first.
+    fn urgency(self) -> u8 {
+        match self {
+            Self::Coarse => 0,
+            Self::Slice(_) => 1,
+            Self::Fine => 2,
+            Self::Compare(_) => 3,
+            Self::Measures => 4,
+            Self::Preset(_) => 5,
+            Self::Kind(_) => 6,
+        }
+    }
+
+    /// Whether a newer job stops it while it runs.
+    fn stops(self) -> bool {
+        !matches!(self, Self::Coarse | Self::Slice(_))
+    }
+}
+
+/// What a slice shows over its grey values.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Overlay {
+    /// Nothing.
+    #[default]
+    None,
+    /// Regions of the label map, in their colours.
+    Labels,
+    /// A grid that is straight in the patient.
+    Grid,
+    /// Arrows from where matter was to where it is.
+    Glyphs,
+    /// What the masks cut away.
+    Mask,
+    /// det J of the map that is looked up: folds, compression, stretching.
+    Jacobian,
+}
+
+/// How a slice is shown.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SliceStyle {
+    /// Values that are black and white, data units.
+    pub window: [f64; 2],
+    /// Over it.
+    pub overlay: Overlay,
+    /// Of the source instead of the deformed scene.
+    pub source: bool,
+}
+
+/// What to do.
+pub enum What {
+    /// A picture of the scene.
+    Picture {
+        /// Count samples.
+        counting: bool,
+        /// Give back the picture's own numbers.
+        keep: bool,
+    },
+    /// A slice.
+    Slice(Plane, SliceStyle),
+    /// The measurements.
+    Measures(Vec<Measure>),
+}
+
+/// A job.
+pub struct Job {
+    /// What it is for.
+    pub target: Target,
+    /// Told back with the result.
+    pub serial: u64,
+    /// The scene.
+    pub scene: Arc<Scene>,
+    /// Its assets.
+    pub assets: Arc<Assets>,
+    /// What to do.
+    pub what: What,
+}
+
+/// A measurement with what it comes to, and where its points are seen.
+#[derive(Clone)]
+pub struct Measured {
+    /// The measurement.
+    pub measure: Measure,
+    /// Numbers, or why there are none.
+    pub quantities: Result<Vec<Quantity>, String>,
+    /// Its points in the deformed scene.
+    pub seen: Vec<Option<Vec3>>,
+}
+
+/// A slice with everything that is asked of it afterwards.
+pub struct SlicePicture {
+    /// Pixels.
+    pub image: ColorImage,
+    /// Its plane.
+    pub plane: Plane,
+    /// What was found.
+    pub section: Section,
+    /// Label under each pixel, if there is a label map and it was asked for.
+    pub style: SliceStyle,
+}
+
+/// A rendered picture.
+pub struct Shown {
+    /// Pixels over the scene's background.
+    pub image: ColorImage,
+    /// The picture's own numbers, if they were asked for.
+    pub picture: Option<Picture>,
+    /// Counts.
+    pub stats: Option<RenderStats>,
+    /// Time by stage, ms.
+    pub stages: Vec<(String, f64)>,
+    /// Notices.
+    pub notices: Vec<String>,
+    /// Where it was made.
+    pub backend: String,
+}
+
+/// What came out.
+pub enum Output {
+    /// A picture.
+    Picture(Box<Shown>),
+    /// A slice.
+    Slice(Box<SlicePicture>),
+    /// Measurements.
+    Measures(Vec<Measured>),
+}
+
+/// A job that is done.
+pub struct Done {
+    /// What it was for.
+    pub target: Target,
+    /// The job's own number.
+    pub serial: u64,
+    /// The result.
+    pub outcome: Result<Output>,
+    /// How long it took.
+    pub ms: f64,
+}
+
+/// Where pictures are computed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Backend {
+    /// A hardware GPU if there is one, else the CPU.
+    #[default]
+    Auto,
+    /// Any GPU, a software one included.
+    Gpu,
+    /// The CPU.
+    Cpu,
+}
+
+struct Running {
+    target: Target,
+    cancel: Arc<AtomicBool>,
+}
+
+#[derive(Default)]
+struct Queue {
+    jobs: Vec<Job>,
+    running: Option<Running>,
+    closed: bool,
+    backend: Backend,
+    /// Makes the next picture on the GPU fail, as a lost device does.
+    lose: bool,
+}
+
+#[derive(Default)]
+struct Shared {
+    queue: Mutex<Queue>,
+    wake: Condvar,
+    /// Share of the running job that is done, in thousandths.
+    progress: AtomicU32,
+}
+
+fn lock<T>(m: &Mutex<T>) -> MutexGuard<'_, T> {
+    // Jobs are only ever added or taken whole.
+    m.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The thread that renders.
+pub struct Worker {
+    shared: Arc<Shared>,
+    done: Receiver<Done>,
+    said: Receiver<(Level, String)>,
+    thread: Option<std::thread::JoinHandle<()>>,
+}
+
+impl Worker {
+    /// Starts it.
+    pub fn new(ctx: &egui::Context, backend: Backend) -> Self {
+        let shared = Arc::new(Shared::default());
+        lock(&shared.queue).backend = backend;
+        let (send, done) = channel();
+        let (say, said) = channel();
+        let (own, ctx) = (shared.clone(), ctx.clone());
+        let thread = std::thread::Builder::new().name("renderer".into()).spawn(move || run(&own, &send, &say, &ctx)).ok();
+        Self { shared, done, said, thread }
+    }
+
+    /// Asks for something; a job of the same target that still waits is dropped.
+    pub fn submit(&self, job: Job) {
+        let mut queue = lock(&self.shared.queue);
+        let target = job.target;
+        if let Some(running) = &queue.running {
+            let more_urgent = target.urgency() < running.target.urgency();
+            let newer = running.target == target || (target == Target::Coarse && running.target == Target::Fine);
+            if running.target.stops() && (more_urgent || newer) {
+                running.cancel.store(true, Ordering::Relaxed);
+            }
+        }
+        queue.jobs.retain(|j| j.target != target);
+        queue.jobs.push(job);
+        self.shared.wake.notify_one();
+    }
+
+    /// Drops what waits, and stops what runs, of the targets.
+    pub fn drop_jobs(&self, which: impl Fn(Target) -> bool) {
+        let mut queue = lock(&self.shared.queue);
+        queue.jobs.retain(|j| !which(j.target));
+        if let Some(running) = queue.running.as_ref().filter(|r| which(r.target)) {
+            running.cancel.store(true, Ordering::Relaxed);
+        }
+    }
+
+    /// What is done by now.
+    pub fn poll(&self) -> Option<Done> {
+        self.done.try_recv().ok()
+    }
+
+    /// What it has to say.
+    pub fn said(&self) -> Option<(Level, String)> {
+        self.said.try_recv().ok()
+    }
+
+    /// The running job's target, and the share that is done.
+    pub fn progress(&self) -> Option<(Target, f32)> {
+        let target = lock(&self.shared.queue).running.as_ref().map(|r| r.target)?;
+        Some((target, self.shared.progress.load(Ordering::Relaxed) as f32 / 1000.0))
+    }
+
+    /// Whether nothing runs or waits.
+    pub fn is_idle(&self) -> bool {
+        let queue = lock(&self.shared.queue);
+        queue.running.is_none() && queue.jobs.is_empty()
+    }
+
+    /// Chooses where pictures are computed from now on.
+    pub fn set_backend(&self, backend: Backend) {
+        lock(&self.shared.queue).backend = backend;
+    }
+
+    /// The next picture on a GPU finds its device lost: how recovery is tried out.
+    pub fn lose_device(&self) {
+        lock(&self.shared.queue).lose = true;
+    }
+}
+
+impl Drop for Worker {
+    fn drop(&mut self) {
+        {
+            let mut queue = lock(&self.shared.queue);
+            queue.closed = true;
+            queue.jobs.clear();
+            if let Some(running) = &queue.running {
+                running.cancel.store(true, Ordering::Relaxed);
+            }
+        }
+        self.shared.wake.notify_all();
+        if let Some(thread) = self.thread.take() {
+            // A panic in it was a bug of a picture, and is no reason for another one here.
+            let _ended = thread.join();
+        }
+    }
+}
+
+/// Threads for what must not disturb the interface: all cores but one.
+pub fn quiet_pool() -> Option<rayon::ThreadPool> {
+    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    rayon::ThreadPoolBuilder::new().num_threads(cores.saturating_sub(1).max(1)).build().ok()
+}
+
+fn run(shared: &Shared, send: &Sender<Done>, say: &Sender<(Level, String)>, ctx: &egui::Context) {
+    let pool = quiet_pool();
+    let mut engine = Engine::default();
+    loop {
+        let (job, cancel, backend, lose) = {
+            let mut queue = lock(&shared.queue);
+            loop {
+                if queue.closed {
+                    return;
+                }
+                if let Some(n) = (0..queue.jobs.len()).min_by_key(|n| queue.jobs[*n].target.urgency()) {
+                    let job = queue.jobs.remove(n);
+                    let cancel = Arc::new(AtomicBool::new(false));
+                    queue.running = Some(Running { target: job.target, cancel: cancel.clone() });
+                    let lose = std::mem::take(&mut queue.lose);
+                    break (job, cancel, queue.backend, lose);
+                }
+                queue = shared.wake.wait(queue).unwrap_or_else(PoisonError::into_inner);
+            }
+        };
+        shared.progress.store(0, Ordering::Relaxed);
+        engine.choose(backend, say);
+        if lose {
+            engine.lose();
+        }
+        let start = Instant::now();
+        let tell = |share: f32| {
+            let now = (share * 1000.0) as u32;
+            let before = shared.progress.swap(now, Ordering::Relaxed);
+            if now / 50 != before / 50 && job.target.stops() {
+                ctx.request_repaint();
+            }
+        };
+        let watch = Watch { progress: &tell, cancel: &cancel };
+        let quiet = matches!(job.target, Target::Coarse | Target::Slice(_));
+        let mut work = || engine.work(&job, &watch, say);
+        // A fault in one picture is told, and the next one is made.
+        let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| match &pool {
+            Some(pool) if quiet => pool.install(work),
+            _ => work(),
+        }))
+        .unwrap_or_else(|_| Err(Error::value("rendering", "ended by a fault of the program; the scene is unharmed")));
+        let mut queue = lock(&shared.queue);
+        queue.running = None;
+        let stopped = matches!(outcome, Err(Error::Cancelled));
+        if stopped && !queue.closed && !queue.jobs.iter().any(|j| j.target == job.target) && !matches!(job.target, Target::Fine) {
+            // It only made room for something more urgent.
+            queue.jobs.push(job);
+            continue;
+        }
+        drop(queue);
+        if !stopped {
+            let done = Done { target: job.target, serial: job.serial, outcome, ms: start.elapsed().as_secs_f64() * 1e3 };
+            if send.send(done).is_err() {
+                return;
+            }
+        }
+        ctx.request_repaint();
+    }
+}
+
+/// What computes pictures.
+#[derive(Default)]
+struct Engine {
+    chosen: Option<Backend>,
+    gpu: Option<crate::render::Renderer>,
+    lost: bool,
+}
+
+impl Engine {
+    fn choose(&mut self, backend: Backend, say: &Sender<(Level, String)>) {
+        if self.chosen == Some(backend) {
+            return;
+        }
+        self.chosen = Some(backend);
+        self.gpu = None;
+        self.open(backend, say);
+    }
+
+    fn open(&mut self, backend: Backend, say: &Sender<(Level, String)>) {
+        use crate::gpu::{Device, Want};
+        let want = match backend {
+            Backend::Cpu => return,
+            Backend::Auto => Want::Hardware,
+            Backend::Gpu => Want::Any,
+        };
+        match Device::open(want) {
+            Ok(device) => self.gpu = Some(crate::render::Renderer::new(device)),
+            Err(error) if backend == Backend::Gpu => {
+                let _gone = say.send((Level::Warning, format!("{error}; pictures are computed on the CPU")));
+            }
+            Err(_) => {}
+        }
+    }
+
+    /// The device no longer answers.
+    fn lose(&mut self) {
+        if let Some(renderer) = &self.gpu {
+            renderer.device().device.destroy();
+            self.lost = true;
+        }
+    }
+
+    fn work(&mut self, job: &Job, watch: &Watch, say: &Sender<(Level, String)>) -> Result<Output> {
+        match &job.what {
+            What::Picture { counting, keep } => self.picture(job, *counting, *keep, watch, say).map(|p| Output::Picture(Box::new(p))),
+            What::Slice(plane, style) => slice(job, *plane, *style, watch).map(|s| Output::Slice(Box::new(s))),
+            What::Measures(measures) => measured(job, measures, watch).map(Output::Measures),
+        }
+    }
+
+    fn picture(&mut self, job: &Job, counting: bool, keep: bool, watch: &Watch, say: &Sender<(Level, String)>) -> Result<Shown> {
+        let mut prepared = None;
+        // The device may be lost at any time: it is opened once more, and then the CPU takes over.
+        for again in [true, false] {
+            let Some(renderer) = &mut self.gpu else { break };
+            let attempt = Prepared::composed_by(&job.scene, &job.assets, &|stack, points| renderer.evaluate(stack, points));
+            let attempt = attempt.and_then(|p| renderer.render_until(&p, counting, watch).map(|r| (p, r)));
+            match attempt {
+                Ok((p, rendered)) => {
+                    let backend = renderer.device().info();
+                    return Ok(shown(&p, rendered, backend, keep));
+                }
+                Err(Error::Gpu(problem)) => {
+                    let what = if again { "the GPU stopped answering and was opened anew" } else { "pictures are computed on the CPU from now on" };
+                    let _gone = say.send((Level::Warning, format!("{what} ({problem})")));
+                    self.gpu = None;
+                    self.lost = false;
+                    if again {
+                        self.open(self.chosen.unwrap_or_default(), say);
+                    }
+                }
+                Err(other) => return Err(other),
+            }
+        }
+        watch.check()?;
+        let prepared = prepared.get_or_insert(Prepared::new(&job.scene, &job.assets)?);
+        watch.check()?;
+        let rendered = cpu::render_until(prepared, watch)?;
+        Ok(shown(prepared, rendered, format!("CPU {} threads", rayon::current_num_threads()), keep))
+    }
+}
+
+fn shown(prepared: &Prepared, rendered: crate::scene::Rendered, backend: String, keep: bool) -> Shown {
+    let picture = rendered.picture;
+    let bytes = picture.over(prepared.settings.background);
+    let image = ColorImage::from_rgba_unmultiplied([picture.width as usize, picture.height as usize], &bytes);
+    let stages = prepared.stages.0.iter().chain(&rendered.stages.0).map(|(name, ms)| ((*name).to_owned(), *ms)).collect();
+    Shown { image, picture: keep.then_some(picture), stats: rendered.stats, stages, notices: rendered.notices, backend }
+}
+
+fn slice(job: &Job, plane: Plane, style: SliceStyle, watch: &Watch) -> Result<SlicePicture> {
+    let assets = &job.assets;
+    let deformed = if style.source { None } else { Some(Deformed::new(&job.scene, assets)?) };
+    let maps = deformed.as_ref().map(|d| section::Deformed { stack: &d.stack, cuts: &d.cuts });
+    let determinants = style.overlay == Overlay::Jacobian;
+    let section = section::sample(&assets.volume, assets.grid(), maps, plane, determinants, watch)?;
+    let image = super::views::slice_paint::paint(&section, assets, style);
+    Ok(SlicePicture { image, plane, section, style })
+}
+
+fn measured(job: &Job, measures: &[Measure], watch: &Watch) -> Result<Vec<Measured>> {
+    let deformed = Deformed::new(&job.scene, &job.assets)?;
+    let of = |measure: &Measure| {
+        watch.check()?;
+        Ok(Measured {
+            quantities: measure.quantities(&job.assets, &deformed).map_err(|e| e.to_string()),
+            seen: measure.points.iter().map(|p| deformed.forward(Vec3::from(*p))).collect(),
+            measure: measure.clone(),
+        })
+    };
+    measures.iter().map(of).collect()
+}
+
+/// Numbers of the difference of two pictures.
+pub type Differences = Result<compare::Difference, String>;
+
+/// Why something under the pointer is asked for.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Purpose {
+    /// To tell it in the status bar.
+    Hover,
+    /// To put it in the middle of the view.
+    Center,
+    /// A tool was used there.
+    Tool,
+    /// A point of a brush's stroke; the last one ends it.
+    Brush {
+        /// The stroke ends here.
+        last: bool,
+    },
+}
+
+/// A question about a point of the 3D view.
+pub struct Question {
+    /// The scene at the view's size.
+    pub scene: Arc<Scene>,
+    /// Its assets.
+    pub assets: Arc<Assets>,
+    /// Picture coordinates in -1..1, v upwards.
+    pub at: [f32; 2],
+    /// What for.
+    pub purpose: Purpose,
+}
+
+/// The answer.
+pub struct Answer {
+    /// Where.
+    pub at: [f32; 2],
+    /// What for.
+    pub purpose: Purpose,
+    /// What was found.
+    pub pick: Result<Option<Pick>>,
+}
+
+/// The thread that answers what lies under the pointer.
+pub struct Prober {
+    ask: Option<Sender<Question>>,
+    answers: Receiver<Answer>,
+    thread: Option<std::thread::JoinHandle<()>>,
+    /// Questions without an answer yet.
+    pub open: usize,
+}
+
+impl Prober {
+    /// Starts it.
+    pub fn new(ctx: &egui::Context) -> Self {
+        let (ask, questions) = channel::<Question>();
+        let (answer, answers) = channel();
+        let ctx = ctx.clone();
+        let thread = std::thread::Builder::new().name("prober".into()).spawn(move || probe(&questions, &answer, &ctx)).ok();
+        Self { ask: Some(ask), answers, thread, open: 0 }
+    }
+
+    /// Asks.
+    pub fn ask(&mut self, question: Question) {
+        if self.ask.as_ref().is_some_and(|a| a.send(question).is_ok()) {
+            self.open += 1;
+        }
+    }
+
+    /// What has been answered by now.
+    pub fn poll(&mut self) -> Option<Answer> {
+        let answer = self.answers.try_recv().ok()?;
+        self.open = self.open.saturating_sub(1);
+        Some(answer)
+    }
+}
+
+impl Drop for Prober {
+    fn drop(&mut self) {
+        self.ask = None;
+        if let Some(thread) = self.thread.take() {
+            let _ended = thread.join();
+        }
+    }
+}
+
+fn probe(questions: &Receiver<Question>, answer: &Sender<Answer>, ctx: &egui::Context) {
+    let pool = quiet_pool();
+    let mut next: Option<Question> = None;
+    while let Some(question) = next.take().or_else(|| questions.recv().ok()) {
+        let (scene, assets) = (question.scene.clone(), question.assets.clone());
+        let prepare = || Prepared::new(&scene, &assets);
+        let prepared = match &pool {
+            Some(pool) => pool.install(prepare),
+            None => prepare(),
+        };
+        let reply = |question: Question, pick: Result<Option<Pick>>| {
+            let sent = answer.send(Answer { at: question.at, purpose: question.purpose, pick }).is_ok();
+            ctx.request_repaint();
+            sent
+        };
+        let prepared = match prepared {
+            Ok(prepared) => prepared,
+            Err(error) => {
+                if !reply(question, Err(error)) {
+                    return;
+                }
+                continue;
+            }
+        };
+        let range = assets.volume.range;
+        let mut current = Some(question);
+        while let Some(question) = current.take() {
+            let [u, v] = question.at;
+            if !reply(question, Ok(pick::at(&prepared, range, u, v))) {
+                return;
+            }
+            match questions.recv() {
+                Ok(q) if Arc::ptr_eq(&q.assets, &assets) && (Arc::ptr_eq(&q.scene, &scene) || q.scene == scene) => current = Some(q),
+                Ok(q) => next = Some(q),
+                Err(_) => return,
+            }
+        }
+    }
+}
