@@ -279,7 +279,7 @@ fn voxel_types_agree() {
 
 /// Voxels in their own colours, opaque and not, undeformed and twisted, by rays and by slices; and with the table's colours where that is wanted.
 fn own_colors_agree() {
-    use incise::volume::{Colors, Volume, phantom};
+    use incise::volume::{Colors, phantom};
     let phantom = phantom::generate("tomato", [48; 3], Vec3::splat(160.0 / 48.0)).unwrap();
     let count = phantom.voxels.len();
     let color = |n: usize| [(n % 48 * 5) as u8, (n / 48 % 48 * 5) as u8, 255 - (n / 2304 * 5) as u8];
@@ -288,7 +288,8 @@ fn own_colors_agree() {
     let premultiplied = |n: usize| color(n).map(|c| (u32::from(c) * u32::from(weight(n)) / 255) as u8);
     let rgba: Vec<u8> = (0..count).flat_map(|n| [premultiplied(n)[0], premultiplied(n)[1], premultiplied(n)[2], weight(n)]).collect();
     for (name, colors) in [("RGB", Colors::rgb(rgb)), ("RGBA", Colors::Rgba(rgba.into()))] {
-        let volume = Volume { colors: Some(colors), ..phantom.clone() };
+        let mut volume = phantom.clone();
+        volume.colors = Some(colors);
         let assets = incise::scene::Assets::of_volume(volume, incise::scene::Stages::default());
         let mut scene = Scene::of_volume("phantom:tomato");
         scene.render.size = [96, 96];

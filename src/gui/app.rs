@@ -523,6 +523,7 @@ impl Workstation {
         style.separator.color_idle = ui.visuals().widgets.noninteractive.bg_stroke.color;
         DockArea::new(&mut dock)
             .style(style)
+            .show_close_buttons(false)
             .show_leaf_close_all_buttons(false)
             .show_leaf_collapse_buttons(false)
             .show_inside(ui, &mut Tabs { app: self });

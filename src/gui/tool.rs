@@ -141,7 +141,8 @@ struct Template {
 fn template(kind: &Kind) -> Template {
     let on = |share: [f32; 3], depth: f32| Template { share: Some(share), depth, turns: true };
     match kind.name {
-        "peel" => on([0.5, 0.42, 0.4], 0.1),
+        // The layer that is peeled lies low in the box, and its skin is the surface.
+        "peel" => on([0.5, 0.42, 0.4], -0.2),
         "surface-peel" | "strip" => on([0.5, 0.42, 0.6], 0.15),
         "knife" | "retractor" => on([0.45, 0.45, 0.4], 0.32),
         "pull" | "spline-pull" => on([0.5, 0.5, 0.5], 0.2),
@@ -194,6 +195,10 @@ pub fn dropped(kind: &'static Kind, scene_box: &Bounds, at: Option<(Vec3, Vec3)>
         }
     }
     deformation.center = Some(tidy(center));
+    if matches!(kind.name, "peel" | "surface-peel" | "strip" | "knife" | "retractor" | "seam" | "book") {
+        // Begun, to be opened by its handle.
+        deformation.progress = Some(0.5);
+    }
     if !across {
         deformation.size = Some(Size::Box(tidy(size)));
     }

@@ -353,7 +353,7 @@ fn run(shared: &Shared, send: &Sender<Done>, say: &Sender<(Level, String)>, ctx:
             }
         };
         let watch = Watch { progress: &tell, cancel: &cancel };
-        let quiet = matches!(job.target, Target::Coarse | Target::Slice(_));
+        let quiet = !matches!(job.target, Target::Fine | Target::Compare(_));
         let mut work = || engine.work(&job, &watch, say);
         // A fault in one picture is told, and the next one is made.
         let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| match &pool {

@@ -20,6 +20,7 @@ pub use voxels::Voxels;
 use crate::{Error, Result};
 use glam::{DAffine3, DMat3, DVec3};
 use rayon::prelude::*;
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 /// A scalar volume.
 #[derive(Clone, Debug)]
@@ -58,6 +59,22 @@ pub struct Volume {
     pub details: Vec<(&'static str, serde_json::Value)>,
     /// What was odd about the source, one sentence each.
     pub warnings: Vec<String>,
+    /// What has been found out about the voxels.
+    known: Known,
+}
+
+/// What takes a walk through all voxels, kept once it is known: a live view asks for it at every frame. A copy finds it out anew, as it may be
+/// changed before it is asked.
+#[derive(Debug, Default)]
+struct Known {
+    histograms: Mutex<Vec<Arc<Histogram>>>,
+    labels: OnceLock<Option<usize>>,
+}
+
+impl Clone for Known {
+    fn clone(&self) -> Self {
+        Self::default()
+    }
 }
 
 /// The extent of an image: size and geometry.
@@ -132,6 +149,7 @@ impl Volume {
             label_table: Vec::new(),
             details: Vec::new(),
             warnings: Vec::new(),
+            known: Known::default(),
         }
     }
 
@@ -212,7 +230,18 @@ impl Volume {
     }
 
     /// A histogram of the finite values that are no padding.
-    pub fn histogram(&self, bins: usize) -> Histogram {
+    pub fn histogram(&self, bins: usize) -> Arc<Histogram> {
+        let lock = || self.known.histograms.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(known) = lock().iter().find(|h| h.counts.len() == bins) {
+            return known.clone();
+        }
+        // Counted outside the lock: a thread of the pool that waits for its share may be given work that asks again.
+        let made = Arc::new(self.count(bins));
+        lock().push(made.clone());
+        made
+    }
+
+    fn count(&self, bins: usize) -> Histogram {
         let [low, high] = self.range;
         let scale = bins as f64 / (high - low).max(f64::MIN_POSITIVE);
         let (slope, intercept) = (self.rescale.slope, self.rescale.intercept);
@@ -265,6 +294,10 @@ impl Volume {
     /// declares to be one, or that looks like one (at most 1000 labels; at least 90 % of all voxels, and 75 % of those with a label,
     /// equal their neighbour along i).
     pub fn labels(&self) -> Option<usize> {
+        *self.known.labels.get_or_init(|| self.count_labels())
+    }
+
+    fn count_labels(&self) -> Option<usize> {
         if self.colors.is_some()
             || self.padding.is_some()
             || self.rescale != Rescale::NONE

@@ -206,7 +206,8 @@ impl Workstation {
             ui,
             |ui| {
                 ui.horizontal(|ui| {
-                    ui.spacing_mut().item_spacing.x = 2.0;
+                    ui.spacing_mut().item_spacing.x = 1.0;
+                    ui.spacing_mut().button_padding.x = 6.0;
                     ui.menu_button(format!("{} Menu", icon::LIST), |ui| self.show_menu(ui))
                         .response
                         .widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, "Menu"));
@@ -250,8 +251,15 @@ impl Workstation {
                         ui.separator();
                         let (undo, redo) =
                             self.doc.as_ref().map_or((false, false), |d| (self.history.has_undo(&d.scene), self.history.has_redo(&d.scene)));
-                        ui.add_enabled_ui(undo, |ui| button(self, ui, icon::ARROW_U_UP_LEFT, "Undo", Action::Undo, "Undo", false, &mut wanted));
-                        ui.add_enabled_ui(redo, |ui| button(self, ui, icon::ARROW_U_UP_RIGHT, "Redo", Action::Redo, "Redo", false, &mut wanted));
+                        for (works, symbol, word, action) in
+                            [(undo, icon::ARROW_U_UP_LEFT, "Undo", Action::Undo), (redo, icon::ARROW_U_UP_RIGHT, "Redo", Action::Redo)]
+                        {
+                            let response = ui.add_enabled(works, egui::Button::new(symbol));
+                            labelled(&response, word, false);
+                            if response.on_hover_text(self.tip(action, word)).clicked() {
+                                wanted.push(action);
+                            }
+                        }
                         ui.separator();
                         let mode = self.doc.as_ref().map(|d| d.scene.render.mode);
                         for (m, word, about) in [

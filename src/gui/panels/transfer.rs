@@ -36,7 +36,8 @@ impl TransferPanel {
     /// Heights of the histogram, 0..1, logarithmic.
     fn heights(&mut self, volume: &Volume) -> &[f32] {
         self.histogram.get_or_insert_with(|| {
-            let counts = volume.histogram(BINS).counts;
+            let histogram = volume.histogram(BINS);
+            let counts = &histogram.counts;
             let top = counts.iter().copied().max().unwrap_or(1).max(2) as f32;
             counts.iter().map(|c| (1.0 + *c as f32).ln() / (1.0 + top).ln()).collect()
         })
