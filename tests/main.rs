@@ -19,6 +19,8 @@ mod scenes;
 #[cfg(feature = "gpu")]
 mod shaders;
 mod surfaces;
+#[cfg(feature = "gui")]
+mod workstation;
 
 use libtest_mimic::{Arguments, Trial};
 
@@ -30,6 +32,10 @@ macro_rules! trials {
 }
 
 fn main() {
+    #[cfg(feature = "gui")]
+    if std::env::var_os(workstation::CHILD).is_some() {
+        return workstation::edit_until_killed();
+    }
     let arguments = Arguments::from_args();
     let mut all: Vec<Trial> = Vec::new();
     all.extend(trials!(architecture: modules_name_only_those_before_them, files_are_of_readable_size));
@@ -64,5 +70,13 @@ fn main() {
         an_existing_file_is_replaced_whole, meshes_and_fields_by_the_command_line, info_tells_what_is_needed, usage_errors_exit_with_2));
     #[cfg(feature = "gpu")]
     all.extend(parity::trials());
+    #[cfg(feature = "gui")]
+    all.extend(trials!(workstation:
+        every_panel_is_there, a_peel_is_placed_undone_saved_and_opened_again, lasso_cuts_and_restores, renderers_are_compared_and_reported,
+        broken_files_are_told, loading_is_cancelled, dragging_never_waits, the_last_save_opens_after_a_crash, a_monkey_does_no_harm,
+        slices_show_deformed_and_source, a_brush_paints_and_a_map_is_used_again, the_transfer_function_is_edited, measures_ride_along,
+        exports_are_written, unsaved_work_is_asked_about, a_missing_file_is_located, the_palette_finds_commands, views_turn_pan_and_zoom));
+    #[cfg(feature = "gui")]
+    all.extend(workstation::on_a_gpu());
     libtest_mimic::run(&arguments, all).exit();
 }

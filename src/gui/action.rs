@@ -66,6 +66,7 @@ pub enum Action {
     StackToMap,
     CheckField,
     CancelTasks,
+    ResetGpu,
 }
 
 /// An action as people find it.
@@ -152,6 +153,7 @@ pub fn list() -> Vec<Entry> {
     add("Window", Action::Keys, "Keyboard…", Some((NONE, Key::F1)));
     add("Window", Action::Log, "Messages", None);
     add("Window", Action::Navigation, "Navigate as in 3D Slicer or as in Blender", None);
+    add("Window", Action::ResetGpu, "Open the GPU anew", None);
     add("Window", Action::CancelTasks, "Cancel everything that runs in the background", None);
     add("Tool", Action::Arm(Tool::Navigate), "Orbit", Some((NONE, Key::O)));
     add("Tool", Action::Arm(Tool::Probe), "Probe", Some((NONE, Key::I)));

@@ -230,7 +230,7 @@ impl Workstation {
     pub fn say(&mut self, level: Level, text: impl Into<String>) {
         let text = text.into();
         if self.log.add(level, text.clone()) {
-            let short: String = if text.chars().count() > 220 { text.chars().take(220).chain("… (see Messages)".chars()).collect() } else { text };
+            let short: String = if text.chars().count() > 220 { text.chars().take(220).chain("… (see Log)".chars()).collect() } else { text };
             let wrapped = panels::wrapped(&short, 58);
             let duration = Some(Duration::from_secs(if level == Level::Info { 4 } else { 9 }));
             let toast = match level {
@@ -259,6 +259,11 @@ impl Workstation {
     pub fn is_busy(&self) -> bool {
         let views = self.doc.is_some() && self.view.rect.width() > 8.0 && !self.view.is_fine && self.view_is_shown();
         self.loading.is_some() || !self.tasks.is_empty() || !self.worker.is_idle() || self.prober.open > 0 || views
+    }
+
+    /// Whether every question about what lies under the pointer has been answered.
+    pub fn prober_is_idle(&self) -> bool {
+        self.prober.open == 0
     }
 
     fn view_is_shown(&self) -> bool {

@@ -58,6 +58,10 @@ impl Workstation {
                     if blender { "Navigation as in Blender: the middle button orbits" } else { "Navigation as in 3D Slicer: the left button orbits" },
                 );
             }
+            Action::ResetGpu => {
+                self.worker.lose_device();
+                self.view.forget();
+            }
             Action::CancelTasks => {
                 self.tasks.iter().for_each(super::tasks::Task::cancel);
                 if let Some(loading) = &self.loading {

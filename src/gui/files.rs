@@ -481,6 +481,11 @@ impl Workstation {
         doc.add(field);
     }
 
+    /// Puts the file dialog away.
+    pub fn cancel_files(&mut self) {
+        self.files.purpose = None;
+    }
+
     /// Asks for a file to open.
     pub fn ask_open(&mut self) {
         const VOLUMES: &[&str] = &["gz", "nii", "nrrd", "nhdr", "mha", "mhd", "vti", "vtk", "tif", "tiff", "npy", "raw", "dcm", "zip", "hdr"];

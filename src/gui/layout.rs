@@ -48,8 +48,8 @@ impl Panel {
             Self::Transfer => "Transfer",
             Self::Compare => "Compare",
             Self::Measure => "Measure",
-            Self::MapEditor => "Map editor",
-            Self::Log => "Messages",
+            Self::MapEditor => "Maps",
+            Self::Log => "Log",
         }
     }
 }

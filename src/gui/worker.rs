@@ -200,7 +200,7 @@ struct Queue {
     running: Option<Running>,
     closed: bool,
     backend: Backend,
-    /// Makes the next picture on the GPU fail, as a lost device does.
+    /// The device is to be given up before the next picture.
     lose: bool,
 }
 
@@ -289,7 +289,7 @@ impl Worker {
         lock(&self.shared.queue).backend = backend;
     }
 
-    /// The next picture on a GPU finds its device lost: how recovery is tried out.
+    /// Gives up the GPU: the next picture finds its device lost, and opens it anew.
     pub fn lose_device(&self) {
         lock(&self.shared.queue).lose = true;
     }

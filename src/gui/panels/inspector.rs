@@ -419,7 +419,7 @@ fn setting(ui: &mut Ui, d: &mut Deformation, setting: &'static str, about: &str)
 fn show_settings(ui: &mut Ui, d: &mut Deformation, kind: &Kind) {
     if kind.name == "brush" {
         let strokes = d.parameters.texts("strokes").ok().flatten().unwrap_or_default();
-        ui.label(format!("{} strokes; the panel Map editor has the brushes", strokes.len()));
+        ui.label(format!("{} strokes; the panel Maps has the brushes", strokes.len()));
         if !strokes.is_empty() && ui.button("Take the last stroke away").clicked() {
             let mut strokes = strokes;
             strokes.pop();

@@ -1,0 +1,1033 @@
+//! The workstation, used as people use it: widgets are found by their words, views by their places, and what comes of it is looked at in the
+//! scene, in files and in pictures.
+
+use eframe::egui::{self, Key, Modifiers, PointerButton, Pos2, Rect, pos2, vec2};
+use egui_kittest::Harness;
+use egui_kittest::kittest::Queryable;
+use incise::cpu;
+use incise::gui::action::{Action, Entry};
+use incise::gui::document::Selection;
+use incise::gui::files::{After, ClipForm, Dialog, PictureForm, Purpose, Travel};
+use incise::gui::gizmos::{Gizmo, Handle, Mode as GizmoMode, kind_of};
+use incise::gui::log::Level;
+use incise::gui::session::Session;
+use incise::gui::tool::Tool;
+use incise::gui::views::slices::Space;
+use incise::gui::worker::{Backend, Overlay};
+use incise::gui::{Options, Workstation};
+use incise::scene::measure::MeasureKind;
+use incise::scene::{Deformation, Mode, Picture, Prepared, Scene};
+use incise::volume::Volume;
+use proptest::prelude::Rng as _;
+use proptest::test_runner::{RngAlgorithm, TestRng};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+
+/// Set in the process that edits until it is killed: the folder it keeps its scenes in.
+pub const CHILD: &str = "INCISE_TEST_EDITS_IN";
+/// A head that loads at once.
+const HEAD: &str = "phantom:head-ct:size=48";
+
+/// A workstation in a window of 1280 x 800 that is not there.
+struct Bench {
+    harness: Harness<'static, Workstation>,
+    folder: TempDir,
+}
+
+fn workstation(folder: &Path, file: Option<&Path>, backend: Backend) -> Harness<'static, Workstation> {
+    let options = Options { file: file.map(Path::to_owned), folder: Some(folder.to_owned()), backend: Some(backend) };
+    Harness::builder().with_size(vec2(1280.0, 800.0)).with_step_dt(1.0 / 30.0).build_eframe(|cc| Workstation::new(&cc.egui_ctx, options))
+}
+
+impl Bench {
+    fn empty() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let harness = workstation(&folder.path().join("home"), None, Backend::Cpu);
+        Self { harness, folder }
+    }
+
+    fn open(file: &str) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        Self::open_in(folder, Path::new(file))
+    }
+
+    fn open_in(folder: TempDir, file: &Path) -> Self {
+        let harness = workstation(&folder.path().join("home"), Some(file), Backend::Cpu);
+        let mut bench = Self { harness, folder };
+        bench.settle();
+        assert!(bench.app().doc.is_some(), "{} did not open: {}", file.display(), bench.app().log.text());
+        bench
+    }
+
+    fn app(&mut self) -> &mut Workstation {
+        self.harness.state_mut()
+    }
+
+    fn scene(&mut self) -> Scene {
+        self.app().doc.as_ref().unwrap().scene.clone()
+    }
+
+    fn ctx(&self) -> egui::Context {
+        self.harness.ctx.clone()
+    }
+
+    fn step(&mut self) {
+        self.harness.step();
+    }
+
+    /// Frames until nothing is under way any more.
+    fn settle(&mut self) {
+        let start = Instant::now();
+        for n in 0.. {
+            self.step();
+            if n > 3 && !self.app().is_busy() {
+                break;
+            }
+            assert!(start.elapsed() < Duration::from_secs(90), "still busy: {}", self.app().log.text());
+            std::thread::sleep(Duration::from_millis(3));
+        }
+        self.step();
+    }
+
+    fn until(&mut self, what: &str, done: impl Fn(&mut Workstation) -> bool) {
+        let start = Instant::now();
+        while !done(self.app()) {
+            self.step();
+            std::thread::sleep(Duration::from_millis(3));
+            assert!(start.elapsed() < Duration::from_secs(90), "{what}: {}", self.app().log.text());
+        }
+    }
+
+    fn click(&mut self, label: &str) {
+        self.harness.get_by_label(label).click();
+        self.step();
+        self.step();
+    }
+
+    fn key(&mut self, modifiers: Modifiers, key: Key) {
+        self.harness.key_press_modifiers(modifiers, key);
+        self.step();
+        self.step();
+    }
+
+    fn perform(&mut self, action: Action) {
+        let ctx = self.ctx();
+        self.app().perform(&ctx, action);
+        self.step();
+    }
+
+    fn chosen(&mut self, path: &Path, purpose: Purpose) {
+        let ctx = self.ctx();
+        self.app().chosen(&ctx, path, purpose);
+        self.settle();
+    }
+
+    fn rect(&self, label: &str) -> Rect {
+        self.harness.get_by_label(label).rect()
+    }
+
+    /// Presses at one place, moves through others and lets go.
+    fn drag(&mut self, button: PointerButton, modifiers: Modifiers, places: &[Pos2]) {
+        let press = |pos, pressed| egui::Event::PointerButton { pos, button, pressed, modifiers };
+        let mut events = vec![egui::Event::ModifiersChanged(modifiers), egui::Event::PointerMoved(places[0]), press(places[0], true)];
+        for pair in places.windows(2) {
+            events.extend((1..=4).map(|n| egui::Event::PointerMoved(pair[0] + (pair[1] - pair[0]) * (n as f32 / 4.0))));
+        }
+        events.extend([press(places[places.len() - 1], false), egui::Event::ModifiersChanged(Modifiers::NONE)]);
+        for event in events {
+            self.harness.event(event);
+            self.step();
+        }
+        self.step();
+    }
+
+    fn click_at(&mut self, pos: Pos2) {
+        self.drag(PointerButton::Primary, Modifiers::NONE, &[pos]);
+    }
+
+    /// The scene as the view shows it, rendered small by the library itself.
+    fn picture(&mut self) -> Picture {
+        let mut scene = self.app().scene_of_view().unwrap();
+        let [w, h] = scene.render.size;
+        scene.render.size = [w / 4, h / 4];
+        let assets = self.app().doc.as_ref().unwrap().assets.clone();
+        cpu::render(&Prepared::new(&scene, &assets).unwrap(), &|_| ()).picture
+    }
+
+    fn has_error(&mut self, text: &str) -> bool {
+        self.app().log.entries().iter().any(|e| e.level == Level::Error && e.text.contains(text))
+    }
+
+    fn no_errors(&mut self) {
+        let text = self.app().log.text();
+        assert!(!self.app().log.entries().iter().any(|e| e.level == Level::Error), "{text}");
+    }
+
+    /// Where a handle of the selected deformation is on the screen.
+    fn handle(&mut self, wanted: Handle) -> Pos2 {
+        let app = self.app();
+        let projector = app.projector().unwrap();
+        let doc = app.doc.as_ref().unwrap();
+        let d = &doc.scene.deformation[doc.deformation_index().unwrap()];
+        let gizmo = Gizmo { projector, kind: kind_of(d).unwrap(), deformation: d, scene_box: doc.bounds(), mode: app.view.gizmo };
+        let at = gizmo.handles().into_iter().find(|(h, _)| *h == wanted).unwrap().1;
+        projector.screen(at).unwrap()
+    }
+}
+
+fn mean_difference(a: &Picture, b: &Picture) -> f64 {
+    assert_eq!((a.width, a.height), (b.width, b.height));
+    let sum: f64 = a.pixels.iter().zip(&b.pixels).flat_map(|(p, q)| (0..4).map(|c| f64::from((p[c] - q[c]).abs()))).sum();
+    255.0 * sum / (4 * a.pixels.len()) as f64
+}
+
+fn opaque(picture: &Picture) -> usize {
+    picture.pixels.iter().filter(|p| p[3] > 0.5).count()
+}
+
+pub fn every_panel_is_there() {
+    let mut bench = Bench::empty();
+    bench.step();
+    for label in ["Open", "Open a file", "Open a folder", "Open the bundled head", "A quadrant removed", "Split into slabs"] {
+        bench.harness.get_by_label(label);
+    }
+    let mut bench = Bench::open(HEAD);
+    for label in [
+        "Menu", "Open", "Save", "Orbit", "Probe", "Measure", "Plane", "Box", "Knife", "Wedge", "Lasso", "Peel", "Pull", "Twist", "More deformations",
+        "Undo", "Redo", "Slice", "Ray", "Surface", "Compare", "3D view", "Axial view", "Coronal view", "Sagittal view", "Picture and light", "Backend",
+        "Slice display", "Transfer function curve",
+    ] {
+        assert!(bench.harness.query_all_by_label(label).next().is_some(), "no \"{label}\"");
+    }
+    // Nothing lies outside the window, and the views have room: at least two thirds of it are anatomy.
+    let anatomy: f32 = ["3D view", "Axial view", "Coronal view", "Sagittal view"].iter().map(|l| bench.rect(l)).map(|r| r.area()).sum();
+    assert!(anatomy / (1280.0 * 800.0) > 0.58, "{}", anatomy / (1280.0 * 800.0));
+    for (tab, inside) in [("Maps", "New painted map"), ("Measure", "Distance"), ("Log", "Copy all"), ("Inspector", "Perspective or orthographic")] {
+        let app = bench.app();
+        let panel = incise::gui::layout::Panel::ALL.into_iter().find(|p| p.title() == tab).unwrap();
+        app.show_panel(panel);
+        bench.step();
+        bench.step();
+        if tab != "Inspector" {
+            assert!(bench.harness.query_all_by_label(inside).next().is_some(), "no \"{inside}\" in {tab}");
+        }
+    }
+    for layout in ["Layout: 3D only", "Layout: compare", "Layout: four-up"] {
+        let action = bench.app().entries.iter().find(|e| e.label == layout).unwrap().action;
+        bench.perform(action);
+        bench.settle();
+    }
+    bench.perform(Action::ToggleTheme);
+    bench.settle();
+    bench.no_errors();
+}
+
+pub fn a_peel_is_placed_undone_saved_and_opened_again() {
+    let mut bench = Bench::open(HEAD);
+    let before = bench.picture();
+    // A preset by its picture.
+    bench.app().select(Selection::Volume);
+    let preset = bench.harness.get_by_label("ct-skin");
+    preset.scroll_to_me();
+    bench.settle();
+    bench.click("ct-skin");
+    bench.settle();
+    assert_eq!(bench.scene().transfer.preset.as_deref(), Some("ct-skin"));
+    // P, then a click on the head.
+    bench.key(Modifiers::NONE, Key::P);
+    assert!(matches!(bench.app().tool, Tool::Place(_)));
+    let view = bench.rect("3D view");
+    bench.click_at(view.center() - vec2(10.0, 60.0));
+    bench.settle();
+    let scene = bench.scene();
+    assert_eq!(scene.deformation.len(), 1, "{}", bench.app().log.text());
+    let peel = &scene.deformation[0];
+    assert_eq!((peel.kind.as_str(), bench.app().tool, peel.progress), ("peel", Tool::Navigate, Some(0.5)));
+    // Its axis points out of the surface, which faces the viewer.
+    let turn = incise::gui::tool::matrix_of(peel.rotate.unwrap().into());
+    let forward = bench.app().projector().unwrap().frame.forward;
+    assert!((turn * glam::Vec3::Z).dot(forward) < -0.3, "{turn}");
+    // The handle opens it, by a drag.
+    let at = bench.handle(Handle::Progress);
+    let fully = {
+        let mut scene = bench.scene();
+        scene.deformation[0].progress = Some(0.9);
+        let app = bench.app();
+        app.doc.as_mut().unwrap().scene = scene;
+        let to = bench.handle(Handle::Progress);
+        bench.app().doc.as_mut().unwrap().scene.deformation[0].progress = Some(0.5);
+        to
+    };
+    bench.step();
+    bench.drag(PointerButton::Primary, Modifiers::NONE, &[at, at.lerp(fully, 0.5), fully]);
+    bench.settle();
+    let opened = bench.scene().deformation[0].progress.unwrap();
+    assert!((opened - 0.9).abs() < 0.06, "{opened}");
+    let shown = bench.picture();
+    assert!(mean_difference(&before, &shown) > 1.0);
+    // Three steps back, and forth again.
+    for expected in [Some(0.5), None, None] {
+        bench.key(Modifiers::COMMAND, Key::Z);
+        assert_eq!(bench.scene().deformation.first().and_then(|d| d.progress), expected);
+    }
+    assert_eq!(bench.scene().transfer.preset, None);
+    for _ in 0..3 {
+        bench.key(Modifiers::COMMAND | Modifiers::SHIFT, Key::Z);
+    }
+    assert_eq!(bench.scene().deformation[0].progress, Some(opened));
+    assert_eq!(bench.picture(), shown);
+    // Saved through the file dialog's own answer, and opened in another window.
+    let file = bench.folder.path().join("work.toml");
+    bench.chosen(&file, Purpose::Save(None));
+    assert!(!bench.app().doc.as_ref().unwrap().is_changed());
+    bench.no_errors();
+    let mut again = Bench::open_in(tempfile::tempdir().unwrap(), &file);
+    assert_eq!(again.scene().deformation, bench.scene().deformation);
+    assert_eq!(again.picture(), shown, "the same picture");
+}
+
+pub fn lasso_cuts_and_restores() {
+    let mut bench = Bench::open(HEAD);
+    let before = bench.picture();
+    let view = bench.rect("3D view");
+    let c = view.center() - vec2(0.0, 40.0);
+    let outline: Vec<Pos2> = [(-60.0, -50.0), (60.0, -50.0), (60.0, 50.0), (-60.0, 50.0), (-60.0, -40.0)].iter().map(|d| c + vec2(d.0, d.1)).collect();
+    bench.key(Modifiers::NONE, Key::L);
+    bench.drag(PointerButton::Primary, Modifiers::NONE, &outline);
+    bench.settle();
+    assert_eq!(bench.scene().deformation.len(), 1, "{}", bench.app().log.text());
+    let cut = bench.picture();
+    // A hole as large as was drawn: pixels of a quarter of the view's.
+    let lost = opaque(&before) as f32 - opaque(&cut) as f32;
+    assert!((lost / (120.0 * 100.0 / 16.0) - 1.0).abs() < 0.15, "{lost} pixels of {}", 120.0 * 100.0 / 16.0);
+    // What is drawn around is what is gone: the middle of the outline shows nothing.
+    let (x, y) = ((c.x - view.left()) / view.width(), (c.y - view.top()) / view.height());
+    let pixel = cut.pixels[(y * cut.height as f32) as usize * cut.width as usize + (x * cut.width as f32) as usize];
+    assert_eq!(pixel[3], 0.0);
+    // The camera turns, the cut stays in the head.
+    let stroke = bench.scene().deformation[0].clone();
+    bench.app().orbit(80.0, 0.0);
+    bench.settle();
+    assert_eq!(bench.scene().deformation[0], stroke);
+    bench.app().orbit(-80.0, 0.0);
+    bench.settle();
+    bench.key(Modifiers::SHIFT, Key::L);
+    let wider: Vec<Pos2> = outline.iter().map(|p| c + (*p - c) * 1.2).collect();
+    bench.drag(PointerButton::Primary, Modifiers::NONE, &wider);
+    bench.settle();
+    assert_eq!(bench.scene().deformation.len(), 1, "both strokes are in one map");
+    let restored = bench.picture();
+    let (apart, gone) = (mean_difference(&before, &restored), mean_difference(&before, &cut));
+    println!("cut: {gone:.2}/255 from the whole; restored: {apart:.3}/255");
+    assert!(apart < 0.02 * gone, "{apart} of {gone}");
+    bench.key(Modifiers::NONE, Key::Escape);
+    assert_eq!(bench.app().tool, Tool::Navigate);
+    bench.no_errors();
+}
+
+pub fn renderers_are_compared_and_reported() {
+    let mut bench = Bench::open(HEAD);
+    bench.perform(Action::Arm(Tool::Navigate));
+    let mut wedge = Deformation::new("wedge");
+    wedge.rotate = Some([0.0, 0.0, -55.0]);
+    bench.app().doc.as_mut().unwrap().add(wedge);
+    bench.key(Modifiers::SHIFT, Key::V);
+    bench.until("no comparison", |app| app.compare.is_done());
+    let difference = bench.app().compare.difference.clone().unwrap();
+    println!("slicing against rays: mean {:.3}, max {:.1}, PSNR {:.1} dB, SSIM {:.4}", difference.mean, difference.max, difference.psnr_db, difference.ssim);
+    assert!(difference.mean > 0.0 && difference.psnr_db > 25.0 && difference.ssim > 0.9 && difference.ssim < 1.0);
+    // The same renderer on both sides is the same picture.
+    bench.app().compare.sides[1] = bench.app().compare.sides[0];
+    bench.step();
+    bench.until("no second comparison", |app| app.compare.is_done() && app.compare.difference.as_ref().is_some_and(|d| d.max == 0.0));
+    bench.app().compare.sides[1].mode = Mode::Raycast;
+    for label in ["Swipe", "Difference", "Split"] {
+        bench.click(label);
+    }
+    let folder = bench.folder.path().join("report");
+    bench.chosen(&folder, Purpose::Report);
+    let report: serde_json::Value = serde_json::from_slice(&std::fs::read(folder.join("report.json")).unwrap()).unwrap();
+    assert_eq!(report["runs"].as_array().unwrap().len(), 2, "{report:#}");
+    let page = std::fs::read_to_string(folder.join("index.html")).unwrap();
+    assert!(page.contains("slicing step 1") && page.contains("raycast step 1") && page.contains("data:image/png;base64,"));
+    bench.no_errors();
+}
+
+#[derive(Debug)]
+struct Dropped(PathBuf);
+
+impl egui::DroppedFile for Dropped {
+    fn path(&self) -> &Path {
+        &self.0
+    }
+
+    fn bytes(&self) -> Result<Vec<u8>, String> {
+        std::fs::read(&self.0).map_err(|e| e.to_string())
+    }
+}
+
+pub fn broken_files_are_told() {
+    let mut bench = Bench::empty();
+    let broken = bench.folder.path().join("broken.nii.gz");
+    std::fs::write(&broken, b"\x1f\x8b no gzip at all").unwrap();
+    let drop = |bench: &mut Bench, path: &Path| {
+        bench.harness.input_mut().dropped_files.push(std::sync::Arc::new(Dropped(path.to_owned())));
+        bench.step();
+        bench.settle();
+    };
+    drop(&mut bench, &broken);
+    assert!(bench.app().doc.is_none() && bench.has_error("broken.nii.gz"), "{}", bench.app().log.text());
+    let scene = bench.folder.path().join("broken.toml");
+    std::fs::write(&scene, "incise = 1\n[volume]\npath = \"phantom:ball\"\n[camra]\n").unwrap();
+    drop(&mut bench, &scene);
+    assert!(bench.has_error("did you mean \"camera\""), "{}", bench.app().log.text());
+    // Over an open scene the scene stays, and a good file still opens.
+    let ctx = bench.ctx();
+    bench.app().open(&ctx, Path::new(HEAD));
+    bench.settle();
+    let before = bench.scene();
+    drop(&mut bench, &scene);
+    assert_eq!(bench.scene(), before);
+    // What a message says can be read in the log.
+    bench.app().show_panel(incise::gui::layout::Panel::Log);
+    bench.step();
+    bench.step();
+    assert!(bench.harness.query_all_by_label_contains("did you mean").next().is_some());
+    // A deformation that cannot be made is told once, and the scene goes on.
+    let mut bad = Deformation::new("field");
+    bad.parameters.insert("path", "no-such-field.nii.gz");
+    bench.app().doc.as_mut().unwrap().add(bad);
+    bench.until("the fault is not told", |app| app.log.entries().iter().any(|e| e.text.contains("no-such-field")));
+    bench.key(Modifiers::COMMAND, Key::Z);
+    bench.settle();
+    assert!(bench.scene().deformation.is_empty());
+}
+
+/// A volume of n³ bytes whose reading takes a while.
+fn large_volume(folder: &Path, n: usize) -> PathBuf {
+    use std::io::Write;
+    let path = folder.join("large.nrrd");
+    let mut file = std::io::BufWriter::new(std::fs::File::create(&path).unwrap());
+    write!(file, "NRRD0004\ntype: uint8\ndimension: 3\nsizes: {n} {n} {n}\nspacings: 1 1 1\nencoding: gzip\n\n").unwrap();
+    let mut zip = flate2::write::GzEncoder::new(file, flate2::Compression::fast());
+    let row: Vec<u8> = (0..n).map(|i| (i * 7 % 251) as u8).collect();
+    for _ in 0..n * n {
+        zip.write_all(&row).unwrap();
+    }
+    zip.finish().unwrap().flush().unwrap();
+    path
+}
+
+pub fn loading_is_cancelled() {
+    let mut bench = Bench::empty();
+    let path = large_volume(bench.folder.path(), 640);
+    let ctx = bench.ctx();
+    let start = Instant::now();
+    bench.app().open(&ctx, &path);
+    bench.until("no progress", |app| app.loading.as_ref().is_none_or(|l| l.stage().1 > 0.02));
+    assert!(bench.app().loading.is_some(), "loaded before it could be cancelled");
+    bench.step();
+    bench.click("Cancel");
+    bench.until("not cancelled", |app| app.loading.is_none());
+    println!("cancelled after {:.2} s", start.elapsed().as_secs_f64());
+    assert!(bench.app().doc.is_none() && bench.app().log.text().contains("Cancelled"));
+    // And the window works on.
+    bench.app().open(&ctx, Path::new(HEAD));
+    bench.settle();
+    assert!(bench.app().doc.is_some());
+}
+
+pub fn dragging_never_waits() {
+    // 256 voxels along every axis, rendered by the CPU on all cores but one.
+    let mut bench = Bench::open("phantom:head-ct:size=256");
+    let mut peel = Deformation::new("peel");
+    peel.progress = Some(0.7);
+    bench.app().doc.as_mut().unwrap().add(peel);
+    bench.settle();
+    bench.app().frame_ms.clear();
+    let pictures = bench.app().view.pictures;
+    let center = bench.rect("3D view").center() + vec2(150.0, 120.0);
+    let press = |pressed, pos| egui::Event::PointerButton { pos, button: PointerButton::Primary, pressed, modifiers: Modifiers::NONE };
+    bench.harness.event(egui::Event::PointerMoved(center));
+    bench.step();
+    bench.harness.event(press(true, center));
+    bench.step();
+    let mut longest = 0.0f32;
+    for n in 0..150 {
+        let angle = n as f32 * 0.08;
+        bench.harness.event(egui::Event::PointerMoved(center + vec2(60.0 * angle.sin(), 40.0 * angle.cos())));
+        let start = Instant::now();
+        bench.step();
+        longest = longest.max(start.elapsed().as_secs_f32() * 1e3);
+        std::thread::sleep(Duration::from_millis(12));
+    }
+    bench.harness.event(press(false, center));
+    bench.step();
+    let app = bench.app();
+    let (mut frames, pictures): (Vec<f32>, u64) = (app.frame_ms.iter().copied().collect(), app.view.pictures - pictures);
+    frames.sort_by(f32::total_cmp);
+    let (median, worst) = (frames[frames.len() / 2], frames[frames.len() - 1]);
+    println!("{} frames while dragging: median {median:.1} ms, longest {worst:.1} ms ({longest:.1} ms with accessibility and input); {pictures} pictures arrived", frames.len());
+    assert!(worst < 50.0, "a frame took {worst} ms");
+    assert!(pictures >= 5, "only {pictures} pictures arrived during the drag");
+}
+
+/// What the killed process does: edits, saves and saves automatically, as fast as it can.
+pub fn edit_until_killed() {
+    let folder = PathBuf::from(std::env::var_os(CHILD).unwrap());
+    let mut harness = workstation(&folder.join("home"), Some(Path::new(HEAD)), Backend::Cpu);
+    while harness.state().doc.is_none() {
+        harness.step();
+    }
+    let ctx = harness.ctx.clone();
+    let file = folder.join("work.toml");
+    println!("ready");
+    for n in 0u32.. {
+        let app = harness.state_mut();
+        let doc = app.doc.as_mut().unwrap();
+        if doc.scene.deformation.len() > 6 {
+            doc.scene.deformation.clear();
+        }
+        let mut d = Deformation::new(["twist", "peel", "box", "pull"][n as usize % 4]);
+        d.name = Some(format!("edit {n}"));
+        doc.add(d);
+        app.autosave();
+        if n % 3 == 0 {
+            app.save_to(&ctx, &file, None);
+            // The next edit makes it worth an automatic save again.
+        }
+        harness.step();
+    }
+}
+
+pub fn the_last_save_opens_after_a_crash() {
+    let mut random = TestRng::from_seed(RngAlgorithm::ChaCha, &[7; 32]);
+    let folder = tempfile::tempdir().unwrap();
+    let (mut recovered, mut saved) = (0, 0);
+    for _ in 0..20 {
+        use std::io::BufRead;
+        let program = std::env::current_exe().unwrap();
+        let mut child = std::process::Command::new(program).env(CHILD, folder.path()).stdout(std::process::Stdio::piped()).spawn().unwrap();
+        let mut ready = String::new();
+        std::io::BufReader::new(child.stdout.take().unwrap()).read_line(&mut ready).unwrap();
+        assert_eq!(ready.trim(), "ready");
+        std::thread::sleep(Duration::from_micros(u64::from(random.next_u32() % 400_000)));
+        child.kill().unwrap();
+        child.wait().unwrap();
+        let mut problems = Vec::new();
+        let session = Session::open(Some(folder.path().join("home")), &mut problems);
+        assert!(problems.is_empty(), "{problems:?}");
+        for left in session.left_behind() {
+            let scene = Scene::load(&left.file).unwrap_or_else(|e| panic!("{e}"));
+            assert!(scene.deformation.iter().all(|d| d.name.as_ref().is_some_and(|n| n.starts_with("edit "))));
+            recovered += 1;
+            session.discard(&left);
+        }
+        let work = folder.path().join("work.toml");
+        if work.exists() {
+            Scene::load(&work).unwrap_or_else(|e| panic!("{e}"));
+            saved += 1;
+        }
+    }
+    println!("killed 20 times: {recovered} automatic saves and {saved} saved scenes, all of which open");
+    assert!(recovered >= 10, "{recovered}");
+    // And a window offers it.
+    let mut child = std::process::Command::new(std::env::current_exe().unwrap()).env(CHILD, folder.path()).stdout(std::process::Stdio::null()).spawn().unwrap();
+    std::thread::sleep(Duration::from_secs(3));
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let mut bench = Bench { harness: workstation(&folder.path().join("home"), None, Backend::Cpu), folder: tempfile::tempdir().unwrap() };
+    bench.step();
+    bench.step();
+    assert!(matches!(bench.app().dialog, Some(Dialog::Recover(_))), "nothing was offered");
+    bench.harness.get_all_by_label("Recover").next().unwrap().click();
+    bench.settle();
+    assert!(bench.app().doc.as_ref().is_some_and(|d| d.is_changed() && !d.scene.deformation.is_empty()), "{}", bench.app().log.text());
+}
+
+fn resident_mib() -> f64 {
+    let text = std::fs::read_to_string("/proc/self/statm").unwrap_or_default();
+    let pages: f64 = text.split_whitespace().nth(1).and_then(|p| p.parse().ok()).unwrap_or(0.0);
+    pages * 4096.0 / (1 << 20) as f64
+}
+
+pub fn a_monkey_does_no_harm() {
+    let count: usize = std::env::var("INCISE_MONKEY_ACTIONS").ok().and_then(|n| n.parse().ok()).unwrap_or(20_000);
+    let mut bench = Bench::open("phantom:head-ct:size=24");
+    let mut random = TestRng::from_seed(RngAlgorithm::ChaCha, &[42; 32]);
+    let below = |random: &mut TestRng, n: usize| random.next_u32() as usize % n;
+    let ctx = bench.ctx();
+    let view = bench.rect("3D view");
+    let start = Instant::now();
+    let mut warm = 0.0;
+    let mut recent: Vec<String> = Vec::new();
+    for n in 0..count {
+        if n == count / 4 {
+            warm = resident_mib();
+        }
+        let what = below(&mut random, 100);
+        if what < 62 {
+            let entries = &bench.app().entries;
+            let entry: &Entry = &entries[below(&mut random, entries.len())];
+            let (action, label) = (entry.action, entry.label.clone());
+            recent.push(label);
+            // What ends the window or leaves it for a dialog of files is tried rarely, and left again.
+            let leaves = matches!(action, Action::Quit | Action::OpenFolder | Action::OpenHead | Action::Close | Action::CopyCommand);
+            let asks = matches!(
+                action,
+                Action::Open | Action::Save | Action::SaveAs | Action::ExportVolume | Action::ExportField | Action::ExportReport | Action::ExportMeasures
+                    | Action::ExportTransfer | Action::ImportTransfer
+            );
+            if leaves || (asks && below(&mut random, 20) != 0) {
+                continue;
+            }
+            bench.app().perform(&ctx, action);
+            if asks {
+                bench.step();
+                bench.key(Modifiers::NONE, Key::Escape);
+                bench.app().cancel_files();
+            }
+        } else if what < 74 {
+            let modifiers = [Modifiers::NONE, Modifiers::SHIFT, Modifiers::COMMAND][below(&mut random, 3)];
+            let button = [PointerButton::Primary, PointerButton::Middle, PointerButton::Secondary][below(&mut random, 3)];
+            let mut place = || pos2(below(&mut random, 1280) as f32, 34.0 + below(&mut random, 740) as f32);
+            let places = [place(), place()];
+            recent.push(format!("drag {button:?} {modifiers:?} {places:?}"));
+            let press = |pos, pressed| egui::Event::PointerButton { pos, button, pressed, modifiers };
+            for event in [egui::Event::PointerMoved(places[0]), press(places[0], true), egui::Event::PointerMoved(places[1]), press(places[1], false)] {
+                bench.harness.event(event);
+            }
+        } else if what < 84 {
+            let pos = view.min + vec2(below(&mut random, view.width() as usize) as f32, below(&mut random, view.height() as usize) as f32);
+            recent.push(format!("click {pos:?}"));
+            for pressed in [true, false] {
+                bench.harness.event(egui::Event::PointerMoved(pos));
+                bench.harness.event(egui::Event::PointerButton { pos, button: PointerButton::Primary, pressed, modifiers: Modifiers::NONE });
+            }
+        } else if what < 96 {
+            let key = Key::ALL[below(&mut random, Key::ALL.len())];
+            let modifiers = [Modifiers::NONE, Modifiers::SHIFT][below(&mut random, 2)];
+            recent.push(format!("key {modifiers:?} {key:?}"));
+            bench.harness.key_press_modifiers(modifiers, key);
+        } else {
+            // Numbers, as the inspector sets them.
+            recent.push("numbers".into());
+            let value = [0.0, 0.3, 1.0, 5.0, -1.0][below(&mut random, 5)];
+            if let Some(d) = bench.app().doc.as_mut().and_then(|d| d.deformation()) {
+                d.progress = Some(value);
+                d.center = Some([value * 10.0, -value, value * 3.0]);
+            }
+        }
+        // What grows without end in any program: deformations are taken away again.
+        if let Some(doc) = bench.app().doc.as_mut() {
+            if doc.scene.deformation.len() > 4 {
+                doc.scene.deformation.truncate(1);
+            }
+            if doc.scene.mesh.len() > 1 || doc.scene.measure.len() > 6 {
+                doc.scene.mesh.clear();
+                doc.scene.measure.clear();
+            }
+            if doc.scene.deformation.iter().any(|d| d.parameters.0.get("strokes").is_some_and(|s| format!("{s:?}").len() > 4000)) {
+                doc.scene.deformation.clear();
+            }
+        }
+        if recent.len() > 12 {
+            recent.remove(0);
+        }
+        let caught = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| bench.step()));
+        assert!(caught.is_ok(), "action {n} after {recent:#?}");
+        assert!(!bench.app().log.text().contains("fault of the program"), "action {n} after {recent:#?}\n{}", bench.app().log.text());
+        if bench.app().doc.is_none() && bench.app().loading.is_none() {
+            bench.app().dialog = None;
+            bench.app().open(&ctx, Path::new("phantom:head-ct:size=24"));
+            bench.until("not opened again", |app| app.doc.is_some());
+        }
+        if let Some(Dialog::Unsaved(_) | Dialog::Recover(_)) = bench.app().dialog {
+            bench.app().dialog = None;
+        }
+    }
+    let end = resident_mib();
+    println!("{count} actions in {:.0} s; resident {warm:.0} MiB after a quarter, {end:.0} MiB at the end", start.elapsed().as_secs_f64());
+    assert!(end < 1.3 * warm + 48.0, "memory grew from {warm} to {end} MiB");
+}
+
+pub fn slices_show_deformed_and_source() {
+    let mut bench = Bench::open(HEAD);
+    bench.until("no slices", |app| app.slices.are_there());
+    let plain = bench.app().slices.picture(0).unwrap().section.values.clone();
+    let mut cut = Deformation::new("box");
+    cut.size = Some(incise::scene::Size::Cube(60.0));
+    bench.app().doc.as_mut().unwrap().add(cut);
+    bench.settle();
+    let holes = |values: &[f32]| values.iter().filter(|v| v.is_nan()).count();
+    let cut = bench.app().slices.picture(0).unwrap();
+    // The hole is as large as the box is, in pixels.
+    let mm = cut.plane.mm_per_pixel;
+    let expected = (60.0 / mm).powi(2);
+    let lost = (holes(&cut.section.values) - holes(&plain)) as f32;
+    assert!((lost / expected - 1.0).abs() < 0.05, "{lost} pixels, {expected} expected");
+    bench.app().slices.space = Space::Source;
+    bench.settle();
+    let source = bench.app().slices.picture(3).unwrap().section.values.clone();
+    assert_eq!(holes(&source), holes(&plain));
+    // Linked: the crosshair in the source is on the same matter.
+    let mut twist = Deformation::new("twist");
+    twist.parameters.insert("angle", 60.0);
+    let doc = bench.app().doc.as_mut().unwrap();
+    doc.scene.deformation.clear();
+    doc.add(twist);
+    bench.app().slices.space = Space::Linked;
+    let cursor = bench.app().doc.as_ref().unwrap().bounds().center() + glam::Vec3::new(20.0, 5.0, 30.0);
+    bench.app().slices.cursor = Some(cursor);
+    bench.settle();
+    bench.settle();
+    let found = bench.app().slices.source_cursor().unwrap();
+    let (scene, assets) = (bench.scene(), bench.app().doc.as_ref().unwrap().assets.clone());
+    let expected = incise::scene::Deformed::new(&scene, &assets).unwrap().stack.walk(cursor).0;
+    assert!(found.distance(expected) < 1.5 * mm && found.distance(cursor) > 5.0, "{found} {expected}");
+    for overlay in [Overlay::Grid, Overlay::Glyphs, Overlay::Mask, Overlay::Jacobian, Overlay::Labels] {
+        bench.app().slices.overlay = overlay;
+        bench.settle();
+    }
+    // A drag in a slice moves the crosshair, with W held window and level.
+    bench.app().slices.space = Space::Deformed;
+    bench.settle();
+    let axial = bench.rect("Axial view");
+    bench.drag(PointerButton::Primary, Modifiers::NONE, &[axial.center(), axial.center() + vec2(20.0, 10.0)]);
+    assert!(bench.app().slices.cursor.unwrap().distance(cursor) > 1.0);
+    bench.settle();
+    let before = bench.app().slices.picture(0).unwrap().style.window;
+    bench.harness.key_down(Key::W);
+    bench.step();
+    bench.drag(PointerButton::Primary, Modifiers::NONE, &[axial.center(), axial.center() + vec2(30.0, 0.0)]);
+    bench.harness.key_up(Key::W);
+    bench.settle();
+    let after = bench.app().slices.picture(0).unwrap().style.window;
+    assert!(after[1] - after[0] > before[1] - before[0], "{before:?} {after:?}");
+    assert_eq!(bench.app().tool, Tool::Navigate);
+    bench.no_errors();
+}
+
+pub fn a_brush_paints_and_a_map_is_used_again() {
+    let mut bench = Bench::open(HEAD);
+    bench.perform(Action::Arm(Tool::BrushPush));
+    let axial = bench.rect("Axial view");
+    bench.drag(PointerButton::Primary, Modifiers::NONE, &[axial.center(), axial.center() + vec2(24.0, 0.0), axial.center() + vec2(48.0, 6.0)]);
+    bench.settle();
+    let scene = bench.scene();
+    assert_eq!(scene.deformation.last().map(|d| d.kind.as_str()), Some("brush"), "{}", bench.app().log.text());
+    let strokes = |scene: &Scene| scene.deformation[0].parameters.texts("strokes").unwrap().unwrap_or_default();
+    assert!(strokes(&scene).len() == 1 && strokes(&scene)[0].starts_with("push "));
+    // Matter went along: to the patient's left on an axial slice.
+    let assets = bench.app().doc.as_ref().unwrap().assets.clone();
+    let deformed = incise::scene::Deformed::new(&scene, &assets).unwrap();
+    let moved = deformed.stack.maps()[0].bounds_in_world();
+    let most = (0..4000).map(|n| moved.min + moved.size() * glam::Vec3::new((n % 20) as f32 / 19.0, (n / 20 % 20) as f32 / 19.0, (n / 400) as f32 / 9.0));
+    let largest = most.map(|p| p - deformed.stack.walk(p).0).max_by(|a, b| a.length().total_cmp(&b.length())).unwrap();
+    assert!(largest.x > 3.0 && largest.x > 2.0 * largest.y.abs(), "{largest}");
+    // One stroke is one step of undo.
+    bench.perform(Action::Arm(Tool::BrushCut));
+    bench.drag(PointerButton::Primary, Modifiers::NONE, &[axial.center() - vec2(30.0, 0.0), axial.center() - vec2(30.0, 30.0)]);
+    bench.settle();
+    assert_eq!(strokes(&bench.scene()).len(), 2);
+    bench.key(Modifiers::COMMAND, Key::Z);
+    assert_eq!(strokes(&bench.scene()).len(), 1);
+    bench.key(Modifiers::COMMAND | Modifiers::SHIFT, Key::Z);
+    assert_eq!(strokes(&bench.scene()).len(), 2);
+    bench.key(Modifiers::NONE, Key::Escape);
+    // Into the library, and onto another volume.
+    bench.perform(Action::SaveMap);
+    bench.step();
+    bench.click("Save to library");
+    bench.settle();
+    let maps = bench.app().session.maps();
+    assert_eq!(maps.len(), 1, "{}", bench.app().log.text());
+    let ctx = bench.ctx();
+    bench.app().proceed(&ctx, After::Open("phantom:ball:size=32".into()));
+    bench.settle();
+    let before = bench.picture();
+    bench.app().use_map(&maps[0]);
+    bench.settle();
+    assert_eq!(bench.scene().deformation[0].kind, "map");
+    assert!(mean_difference(&before, &bench.picture()) > 0.05, "the map does nothing to the other volume");
+    // All of a stack becomes one map.
+    bench.app().doc.as_mut().unwrap().add(Deformation::new("twist"));
+    bench.app().save_map(&ctx, "both", true);
+    bench.settle();
+    assert_eq!(bench.app().session.maps().len(), 2, "{}", bench.app().log.text());
+    bench.no_errors();
+}
+
+pub fn the_transfer_function_is_edited() {
+    let mut bench = Bench::open(HEAD);
+    let curve = bench.rect("Transfer function curve");
+    // A double-click adds a point, a drag moves it, undo takes it back.
+    let at = curve.left_top() + vec2(curve.width() * 0.5, curve.height() * 0.5);
+    for _ in 0..2 {
+        bench.click_at(at);
+    }
+    bench.settle();
+    let added = bench.scene().transfer;
+    assert!(!added.points.is_empty(), "no point was added");
+    bench.drag(PointerButton::Primary, Modifiers::NONE, &[at, at + vec2(12.0, 20.0)]);
+    bench.settle();
+    let dragged = bench.scene().transfer;
+    assert_eq!(dragged.points.len(), added.points.len());
+    assert_ne!(dragged.points, added.points);
+    let file = bench.folder.path().join("mine.toml");
+    bench.chosen(&file, Purpose::ExportTransfer);
+    bench.key(Modifiers::COMMAND, Key::Z);
+    assert_eq!(bench.scene().transfer, added);
+    bench.click("Reset");
+    assert!(bench.scene().transfer.points.is_empty());
+    bench.chosen(&file, Purpose::ImportTransfer);
+    assert_eq!(bench.scene().transfer, dragged);
+    std::fs::write(&file, "[transfer]\npreset = \"nonsense\"\n").unwrap();
+    bench.chosen(&file, Purpose::ImportTransfer);
+    assert!(bench.has_error("nonsense") && bench.scene().transfer == dragged);
+}
+
+pub fn measures_ride_along() {
+    let mut bench = Bench::open(HEAD);
+    bench.key(Modifiers::NONE, Key::M);
+    assert_eq!(bench.app().tool, Tool::Measure(MeasureKind::Distance));
+    let view = bench.rect("3D view");
+    bench.click_at(view.center() - vec2(40.0, 60.0));
+    bench.settle();
+    bench.click_at(view.center() + vec2(40.0, -60.0));
+    bench.settle();
+    bench.key(Modifiers::NONE, Key::Escape);
+    let scene = bench.scene();
+    assert_eq!(scene.measure.len(), 1, "{}", bench.app().log.text());
+    bench.settle();
+    let [a, b] = [scene.measure[0].points[0], scene.measure[0].points[1]].map(glam::Vec3::from);
+    let told = |bench: &mut Bench, n: usize| bench.app().measured[0].quantities.as_ref().unwrap()[n].value.unwrap();
+    assert!((told(&mut bench, 0) - f64::from(a.distance(b))).abs() < 0.01);
+    // Twisted, the patient's distance stays and that of the picture does not.
+    let mut twist = Deformation::new("bend");
+    twist.parameters.insert("angle", 80.0);
+    bench.app().doc.as_mut().unwrap().add(twist);
+    bench.settle();
+    let (patient, picture) = (told(&mut bench, 0), told(&mut bench, 1));
+    println!("{patient:.2} mm in the patient, {picture:.2} mm in the picture");
+    assert!((patient - f64::from(a.distance(b))).abs() < 0.01 && (picture - patient).abs() > 0.05);
+    let file = bench.folder.path().join("m.csv");
+    bench.chosen(&file, Purpose::Measures);
+    let text = std::fs::read_to_string(&file).unwrap();
+    assert!(text.lines().count() == 3 && text.contains("Distance 1") && text.contains("mm"), "{text}");
+    bench.no_errors();
+}
+
+pub fn exports_are_written() {
+    let mut bench = Bench::open(HEAD);
+    let mut twist = Deformation::new("twist");
+    twist.progress = Some(0.5);
+    bench.app().doc.as_mut().unwrap().add(twist);
+    bench.settle();
+    let folder = bench.folder.path().to_owned();
+    let form = PictureForm { size: [96, 64], antialias: 2, step: 1.0, transparent: true };
+    bench.chosen(&folder.join("figure.png"), Purpose::Picture(form));
+    let picture = image::open(folder.join("figure.png")).unwrap().to_rgba8();
+    assert_eq!(picture.dimensions(), (96, 64));
+    assert!(picture.pixels().any(|p| p[3] == 0) && picture.pixels().any(|p| p[3] == 255), "the background is not transparent");
+    let form = ClipForm { travel: Travel::Progress(0), range: [0.0, 1.0], back: false, frames: 4, rate: 10.0, size: [48, 32] };
+    for name in ["clip.gif", "clip.png"] {
+        bench.chosen(&folder.join(name), Purpose::Clip(form.clone()));
+        assert!(folder.join(name).metadata().is_ok_and(|m| m.len() > 500), "{}", bench.app().log.text());
+    }
+    bench.chosen(&folder.join("frames"), Purpose::Clip(form));
+    assert_eq!(std::fs::read_dir(folder.join("frames")).unwrap().count(), 4);
+    bench.chosen(&folder.join("baked.nii.gz"), Purpose::Bake { field: false });
+    let baked: Volume = incise::volume::load::volume(&folder.join("baked.nii.gz"), &Default::default(), &incise::Watch::NOBODY).unwrap();
+    assert_eq!(baked.size, bench.app().doc.as_ref().unwrap().assets.volume.size);
+    bench.chosen(&folder.join("field.nrrd"), Purpose::Bake { field: true });
+    assert!(folder.join("field.nrrd").exists());
+    // The command line of a saved scene names it.
+    let file = folder.join("scene.toml");
+    bench.chosen(&file, Purpose::Save(None));
+    bench.perform(Action::CopyCommand);
+    let commands = bench.harness.output().platform_output.commands.clone();
+    let copied = commands.iter().find_map(|c| if let egui::OutputCommand::CopyText(t) = c { Some(t.clone()) } else { None });
+    assert!(copied.is_some_and(|t| t.starts_with("incise render ") && t.contains("scene.toml")), "{commands:?}");
+    // Nothing that is read is written over.
+    bench.chosen(&file, Purpose::Bake { field: false });
+    assert!(bench.has_error("scene.toml") || bench.has_error("output"), "{}", bench.app().log.text());
+    assert!(Scene::load(&file).is_ok());
+}
+
+pub fn unsaved_work_is_asked_about() {
+    let mut bench = Bench::open(HEAD);
+    bench.app().doc.as_mut().unwrap().add(Deformation::new("twist"));
+    bench.settle();
+    let ctx = bench.ctx();
+    bench.app().open(&ctx, Path::new("phantom:ball:size=16"));
+    bench.step();
+    bench.step();
+    bench.harness.get_by_label("Unsaved changes");
+    bench.click("Cancel");
+    assert_eq!(bench.scene().deformation.len(), 1);
+    bench.app().open(&ctx, Path::new("phantom:ball:size=16"));
+    bench.step();
+    bench.step();
+    bench.click("Discard");
+    bench.settle();
+    assert_eq!(bench.scene().volume_name(), "phantom:ball:size=16");
+    // Turning the camera is no change.
+    bench.app().orbit(30.0, 0.0);
+    bench.step();
+    assert!(!bench.app().doc.as_ref().unwrap().is_changed());
+}
+
+pub fn a_missing_file_is_located() {
+    let folder = tempfile::tempdir().unwrap();
+    let there = folder.path().join("elsewhere");
+    std::fs::create_dir_all(&there).unwrap();
+    let volume = large_volume(&there, 16);
+    let scene = folder.path().join("scene.toml");
+    std::fs::write(&scene, "incise = 1\n[volume]\npath = \"large.nrrd\"\n").unwrap();
+    let mut bench = Bench { harness: workstation(&folder.path().join("home"), Some(&scene), Backend::Cpu), folder };
+    bench.step();
+    bench.step();
+    bench.harness.get_by_label("A file is missing");
+    let Some(dialog @ Dialog::Locate { .. }) = bench.app().dialog.clone() else { panic!("no question") };
+    bench.app().dialog = None;
+    bench.chosen(&volume, Purpose::Locate(Box::new(dialog)));
+    let doc = bench.app().doc.as_ref().unwrap();
+    assert_eq!(doc.assets.volume.size, [16; 3]);
+    assert!(doc.is_changed(), "the new place is to be saved");
+}
+
+pub fn the_palette_finds_commands() {
+    let mut bench = Bench::open(HEAD);
+    bench.key(Modifiers::COMMAND, Key::K);
+    bench.step();
+    for c in "posterior".chars() {
+        bench.harness.event(egui::Event::Text(c.to_string()));
+    }
+    bench.step();
+    bench.step();
+    bench.harness.get_by_label("Command: View from posterior");
+    bench.key(Modifiers::NONE, Key::Enter);
+    bench.settle();
+    assert_eq!(bench.scene().camera.view.azimuth_deg, 180.0);
+    // Every command is listed with its key.
+    bench.key(Modifiers::COMMAND, Key::K);
+    bench.step();
+    let shown = bench.harness.query_all_by_label_contains("Command: ").count();
+    let all = bench.app().entries.len();
+    assert!(shown >= all / 2, "{shown} of {all}");
+    bench.key(Modifiers::NONE, Key::Escape);
+    // A key can be changed, and is told from then on.
+    bench.perform(Action::Keys);
+    bench.step();
+    bench.step();
+    bench.harness.get_by_label("Key of Reset camera").scroll_to_me();
+    bench.step();
+    bench.step();
+    bench.click("Key of Reset camera");
+    bench.key(Modifiers::SHIFT, Key::J);
+    let key = bench.app().entries.iter().find(|e| e.label == "Reset camera").unwrap().key;
+    assert_eq!(key, Some(egui::KeyboardShortcut::new(Modifiers::SHIFT, Key::J)));
+}
+
+pub fn views_turn_pan_and_zoom() {
+    let mut bench = Bench::open(HEAD);
+    let view = bench.rect("3D view");
+    let from = view.center() + vec2(200.0, 100.0);
+    let camera = |bench: &mut Bench| bench.scene().camera;
+    bench.drag(PointerButton::Primary, Modifiers::NONE, &[from, from + vec2(50.0, 0.0)]);
+    let turned = camera(&mut bench).view.azimuth_deg;
+    assert!((turned + 20.0).abs() < 4.0, "what is dragged to the right is seen from the patient's right: {turned}");
+    bench.drag(PointerButton::Middle, Modifiers::NONE, &[from, from + vec2(0.0, 40.0)]);
+    assert!(camera(&mut bench).target.is_some());
+    let zoom = camera(&mut bench).zoom;
+    bench.drag(PointerButton::Secondary, Modifiers::NONE, &[from, from - vec2(0.0, 50.0)]);
+    assert!(camera(&mut bench).zoom > 1.2 * zoom);
+    bench.drag(PointerButton::Primary, Modifiers::COMMAND, &[view.center() + vec2(100.0, 0.0), view.center() + vec2(0.0, 100.0)]);
+    assert!(camera(&mut bench).roll.abs() > 40.0, "{}", camera(&mut bench).roll);
+    bench.key(Modifiers::NONE, Key::R);
+    assert_eq!(camera(&mut bench), Default::default());
+    bench.key(Modifiers::ALT, Key::ArrowLeft);
+    assert!(camera(&mut bench).roll.abs() > 40.0, "the camera's own way back");
+    bench.key(Modifiers::ALT, Key::ArrowRight);
+    assert_eq!(camera(&mut bench), Default::default());
+    // A double-click centres what is there; a click on the cube looks from there.
+    bench.settle();
+    for _ in 0..2 {
+        bench.click_at(view.center() - vec2(30.0, 40.0));
+    }
+    bench.settle();
+    let target = glam::Vec3::from(camera(&mut bench).target.unwrap());
+    let at = bench.app().projector().unwrap().screen(target).unwrap();
+    assert!(at.distance(view.center()) < 1.0, "{at:?}");
+    // What lies under the pointer is told, deformed and in the source.
+    bench.app().doc.as_mut().unwrap().add(Deformation::new("twist"));
+    bench.app().select(Selection::Nothing);
+    bench.settle();
+    bench.harness.event(egui::Event::PointerMoved(view.center() + vec2(14.0, 3.0)));
+    bench.step();
+    bench.until("nothing under the pointer", |app| app.prober_is_idle() && app.hover.is_some());
+    let hover = bench.app().hover.unwrap();
+    let (scene, assets) = (bench.scene(), bench.app().doc.as_ref().unwrap().assets.clone());
+    let expected = incise::scene::Deformed::new(&scene, &assets).unwrap().stack.walk(hover.deformed.unwrap()).0;
+    assert!(hover.source.distance(expected) < 0.1 && hover.value.is_some());
+    // Held, Space shows what was before.
+    bench.harness.key_down(Key::Space);
+    bench.step();
+    assert!(bench.app().is_before() && bench.app().scene_of_view().unwrap().deformation.is_empty());
+    bench.harness.key_up(Key::Space);
+    bench.step();
+    assert!(!bench.app().is_before());
+    // Modes and handles.
+    bench.key(Modifiers::NONE, Key::V);
+    assert_eq!(bench.scene().render.mode, Mode::Slice);
+    bench.app().select(Selection::Deformation(0));
+    for mode in ["Move", "Rotate", "Scale", "Shape"] {
+        bench.click(mode);
+    }
+    assert_eq!(bench.app().view.gizmo, GizmoMode::Shape);
+    let center = bench.handle(Handle::Center);
+    bench.drag(PointerButton::Primary, Modifiers::NONE, &[center, center + vec2(30.0, 10.0)]);
+    let moved = bench.handle(Handle::Center);
+    assert!(moved.distance(center + vec2(30.0, 10.0)) < 2.0, "the handle is not under the pointer: {moved:?}");
+    // Esc calls off a drag.
+    let place = bench.scene().deformation[0].center;
+    let press = |pos, pressed| egui::Event::PointerButton { pos, button: PointerButton::Primary, pressed, modifiers: Modifiers::NONE };
+    for event in [egui::Event::PointerMoved(moved), press(moved, true), egui::Event::PointerMoved(moved + vec2(40.0, 0.0))] {
+        bench.harness.event(event);
+        bench.step();
+    }
+    assert_ne!(bench.scene().deformation[0].center, place);
+    bench.key(Modifiers::NONE, Key::Escape);
+    bench.harness.event(press(moved + vec2(40.0, 0.0), false));
+    bench.step();
+    assert_eq!(bench.scene().deformation[0].center, place);
+    bench.no_errors();
+}
+
+/// With an adapter: a device that is lost is opened anew, and the scene goes on.
+fn a_lost_device_is_recovered() {
+    let folder = tempfile::tempdir().unwrap();
+    let harness = workstation(&folder.path().join("home"), Some(Path::new(HEAD)), Backend::Gpu);
+    let mut bench = Bench { harness, folder };
+    bench.settle();
+    assert!(!bench.app().view.facts.backend.starts_with("CPU"), "{}", bench.app().view.facts.backend);
+    let pictures = bench.app().view.pictures;
+    bench.perform(Action::ResetGpu);
+    bench.settle();
+    bench.until("no picture after the loss", |app| app.view.pictures > pictures && app.view.is_fine);
+    assert!(bench.app().log.text().contains("opened anew"), "{}", bench.app().log.text());
+    assert!(!bench.app().view.facts.backend.starts_with("CPU"), "{}", bench.app().view.facts.backend);
+    bench.no_errors();
+}
+
+/// Tests that need an adapter, ignored without one.
+pub fn on_a_gpu() -> Vec<libtest_mimic::Trial> {
+    let missing = incise::gpu::Device::open(incise::gpu::Want::Any).is_err();
+    let test = || {
+        a_lost_device_is_recovered();
+        Ok(())
+    };
+    vec![libtest_mimic::Trial::test("workstation::a_lost_device_is_recovered", test).with_ignored_flag(missing)]
+}
