@@ -2,6 +2,8 @@
 
 use crate::{Error, Result};
 use serde_json::{Value, json};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use wgpu::{DeviceType, Features};
 
 /// Which adapters will do.
@@ -21,6 +23,8 @@ pub struct Device {
     pub queue: wgpu::Queue,
     /// What it is.
     pub adapter: wgpu::AdapterInfo,
+    /// Set once it no longer answers.
+    lost: Arc<AtomicBool>,
 }
 
 /// Used where the adapter has them; each has a fallback.
@@ -64,7 +68,16 @@ impl Device {
         };
         let (device, queue) =
             pollster::block_on(adapter.request_device(&descriptor)).map_err(|e| Error::Gpu(format!("{}: {e}", adapter.get_info().name)))?;
-        Ok(Self { device, queue, adapter: adapter.get_info() })
+        let lost = Arc::new(AtomicBool::new(false));
+        let told = lost.clone();
+        device.set_device_lost_callback(move |_, _| told.store(true, Ordering::Relaxed));
+        Ok(Self { device, queue, adapter: adapter.get_info(), lost })
+    }
+
+    /// Whether it no longer answers: the driver was reset, the device taken away, or given up.
+    pub fn is_lost(&self) -> bool {
+        // What has happened is told by polling; a device that cannot be polled is lost as well.
+        self.device.poll(wgpu::PollType::Poll).is_err() || self.lost.load(Ordering::Relaxed)
     }
 
     /// Whether a software implementation stands behind it.

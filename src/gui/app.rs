@@ -144,6 +144,8 @@ pub struct Workstation {
     /// The last failure of a picture, so that it is told once.
     failure: Option<String>,
     pub(super) forced_backend: Option<Backend>,
+    /// The window's title.
+    title: String,
 }
 
 impl Workstation {
@@ -201,6 +203,7 @@ impl Workstation {
             quitting: false,
             failure: None,
             forced_backend: options.backend,
+            title: String::new(),
         };
         app.apply_keys();
         for problem in problems {
@@ -455,6 +458,15 @@ impl Workstation {
         }
     }
 
+    /// The window is called as the scene is, with a mark if it has edits.
+    fn tell_title(&mut self, ctx: &Context) {
+        let title = if self.doc.is_some() { format!("incise · {}", self.title()) } else { "incise".to_owned() };
+        if title != self.title {
+            ctx.send_viewport_cmd(egui::ViewportCommand::Title(title.clone()));
+            self.title = title;
+        }
+    }
+
     /// The window is to be closed: at once, or after a question.
     fn handle_close(&mut self, ctx: &Context) {
         if !ctx.input(|i| i.viewport().close_requested()) || self.quitting {
@@ -498,6 +510,7 @@ impl Workstation {
         self.show_palette(&ctx);
         self.show_keys(&ctx);
         self.settle(&ctx);
+        self.tell_title(&ctx);
         self.refresh_view(&ctx);
         self.refresh_compare();
         self.refresh_thumbnails();

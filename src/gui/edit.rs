@@ -297,6 +297,10 @@ impl Workstation {
     pub fn place(&mut self, kind: &'static Kind, at: Option<(Vec3, Vec3)>) {
         let Some(doc) = &mut self.doc else { return };
         let deformation = dropped(kind, &doc.bounds(), at);
+        if let Some((point, _)) = at {
+            // The slices show what was dropped.
+            self.slices.cursor = Some(point.clamp(doc.bounds().min, doc.bounds().max));
+        }
         doc.add(deformation);
         self.tool = Tool::Navigate;
         self.before = false;

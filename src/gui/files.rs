@@ -386,7 +386,7 @@ impl Workstation {
                     self.thumbnails.forget();
                 }
             }
-            Ok(loaded) => self.opened(ctx, loaded, loading),
+            Ok(loaded) => self.opened(loaded, loading),
             Err(error) => {
                 self.fail(&error);
                 if loading.same {
@@ -397,7 +397,7 @@ impl Workstation {
         }
     }
 
-    fn opened(&mut self, ctx: &Context, loaded: Loaded, loading: Loading) {
+    fn opened(&mut self, loaded: Loaded, loading: Loading) {
         let Loaded { scene, assets } = loaded;
         if let Err(error) = Prepared::new(&small(&scene), &assets) {
             self.say(Level::Warning, format!("{}: {error}", loading.name));
@@ -420,7 +420,6 @@ impl Workstation {
         }
         self.doc = Some(doc);
         self.failed_assets = None;
-        ctx.send_viewport_cmd(egui::ViewportCommand::Title(format!("{} – incise", self.title())));
     }
 
     /// The open scene's name, marked if it has edits.
@@ -535,7 +534,6 @@ impl Workstation {
                 self.history.keep(&doc.scene);
                 self.session.forget();
                 self.session.opened(&path);
-                ctx.send_viewport_cmd(egui::ViewportCommand::Title(format!("{} – incise", self.title())));
                 self.say(Level::Info, format!("Saved {}", path.display()));
                 if let Some(after) = after {
                     self.proceed(ctx, after);

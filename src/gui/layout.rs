@@ -81,9 +81,9 @@ impl Preset {
             Self::FourUp => {
                 let mut dock = DockState::new(vec![P::View3d]);
                 let tree = dock.main_surface_mut();
-                let [main, side] = tree.split_right(NodeIndex::root(), 0.8, vec![P::Inspector, P::Measure, P::MapEditor, P::Log]);
+                let [main, side] = tree.split_right(NodeIndex::root(), 0.815, vec![P::Inspector, P::Measure, P::MapEditor, P::Log]);
                 tree.split_below(side, 0.55, vec![P::Transfer]);
-                let [main, _scene] = tree.split_left(main, 0.185, vec![P::Scene]);
+                let [main, _scene] = tree.split_left(main, 0.16, vec![P::Scene]);
                 let [_, axial] = tree.split_below(main, 0.64, vec![P::Axial]);
                 let [_, coronal] = tree.split_right(axial, 1.0 / 3.0, vec![P::Coronal]);
                 tree.split_right(coronal, 0.5, vec![P::Sagittal]);

@@ -385,7 +385,6 @@ fn run(shared: &Shared, send: &Sender<Done>, say: &Sender<(Level, String)>, ctx:
 struct Engine {
     chosen: Option<Backend>,
     gpu: Option<crate::render::Renderer>,
-    lost: bool,
 }
 
 impl Engine {
@@ -418,7 +417,6 @@ impl Engine {
     fn lose(&mut self) {
         if let Some(renderer) = &self.gpu {
             renderer.device().device.destroy();
-            self.lost = true;
         }
     }
 
@@ -435,8 +433,17 @@ impl Engine {
         // The device may be lost at any time: it is opened once more, and then the CPU takes over.
         for again in [true, false] {
             let Some(renderer) = &mut self.gpu else { break };
-            let attempt = Prepared::composed_by(&job.scene, &job.assets, &|stack, points| renderer.evaluate(stack, points));
-            let attempt = attempt.and_then(|p| renderer.render_until(&p, counting, watch).map(|r| (p, r)));
+            let attempt = if renderer.device().is_lost() {
+                Err(Error::Gpu("the device was lost".into()))
+            } else {
+                // Lost in the middle of a picture, it may be found out by a call that cannot report it.
+                let attempt = || {
+                    let prepared = Prepared::composed_by(&job.scene, &job.assets, &|stack, points| renderer.evaluate(stack, points))?;
+                    let rendered = renderer.render_until(&prepared, counting, watch)?;
+                    Ok((prepared, rendered))
+                };
+                std::panic::catch_unwind(std::panic::AssertUnwindSafe(attempt)).unwrap_or_else(|_| Err(Error::Gpu("the driver failed".into())))
+            };
             match attempt {
                 Ok((p, rendered)) => {
                     let backend = renderer.device().info();
@@ -446,7 +453,6 @@ impl Engine {
                     let what = if again { "the GPU stopped answering and was opened anew" } else { "pictures are computed on the CPU from now on" };
                     let _gone = say.send((Level::Warning, format!("{what} ({problem})")));
                     self.gpu = None;
-                    self.lost = false;
                     if again {
                         self.open(self.chosen.unwrap_or_default(), say);
                     }

@@ -30,8 +30,12 @@ impl Workstation {
     /// The palette, if it is open.
     pub(in crate::gui) fn show_palette(&mut self, ctx: &Context) {
         let Some(mut palette) = self.palette.take() else { return };
-        let mut found: Vec<(usize, usize)> =
-            self.entries.iter().enumerate().filter_map(|(n, e)| rank(&format!("{} {}", e.label, e.group), &palette.query).map(|r| (r, n))).collect();
+        let mut found: Vec<(usize, usize)> = self
+            .entries
+            .iter()
+            .enumerate()
+            .filter_map(|(n, e)| rank(&format!("{} {} {:?}", e.label, e.group, e.action), &palette.query).map(|r| (r, n)))
+            .collect();
         if !palette.query.is_empty() {
             found.sort();
         }

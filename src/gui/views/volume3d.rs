@@ -299,7 +299,7 @@ impl Workstation {
                     self.tool = Tool::Navigate;
                     self.gesture = Some(Gesture::Window3d);
                 } else {
-                    self.begin_drag(button, modifiers, origin, projector, hot);
+                    self.begin_drag(button, modifiers, origin, projector);
                 }
             }
         }
@@ -352,15 +352,15 @@ impl Workstation {
         }
     }
 
-    fn begin_drag(&mut self, button: PointerButton, modifiers: egui::Modifiers, origin: Pos2, projector: &Projector, hot: Option<Handle>) {
+    fn begin_drag(&mut self, button: PointerButton, modifiers: egui::Modifiers, origin: Pos2, projector: &Projector) {
         let left = button == PointerButton::Primary;
         let plain = !modifiers.any();
         if left && plain {
-            if let Some(handle) = hot {
-                if let Some(drag) = self.with_gizmo(projector, |g| g.grab(handle, origin)) {
-                    self.gesture = Some(Gesture::Gizmo(Box::new(drag)));
-                    return;
-                }
+            // What was under the pointer when it was pressed: a fast drag is elsewhere by the time it is one.
+            let grabbed = self.tool == Tool::Navigate && !self.is_before();
+            if let Some(drag) = self.with_gizmo(projector, |g| g.under(origin).filter(|_| grabbed).map(|h| g.grab(h, origin))).flatten() {
+                self.gesture = Some(Gesture::Gizmo(Box::new(drag)));
+                return;
             }
             if self.tool.is_lasso() {
                 self.view.lasso = vec![origin];
