@@ -11,7 +11,7 @@
 //! ```
 //!
 //! Modules, each knowing only those before it: [`math`] ← [`volume`], [`mesh`] ← [`transfer`], [`deform`] ← [`scene`] ← [`cpu`],
-//! ([`gpu`] ← [`render`]) ← [`export`] ← [`cli`].
+//! ([`gpu`] ← [`render`]) ← [`export`] ← [`compare`] ← [`cli`], [`gui`] (the workstation), which do not know each other.
 //!
 //! *Theory*: backward displacement maps with a discontinuity mask, \[DDM06\] = Correa, Silver, Chen, "Discontinuous Displacement
 //! Mapping for Volume Graphics", Volume Graphics 2006; \[DS07\] = Correa, Silver, "Programmable Shaders for Deformation Rendering",

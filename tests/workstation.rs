@@ -578,15 +578,21 @@ pub fn the_last_save_opens_after_a_crash() {
     println!("killed 20 times: {recovered} automatic saves and {saved} saved scenes, all of which open");
     assert!(recovered >= 10, "{recovered}");
     // And a window offers it.
-    let mut child =
-        std::process::Command::new(std::env::current_exe().unwrap()).env(CHILD, folder.path()).stdout(std::process::Stdio::null()).spawn().unwrap();
-    std::thread::sleep(Duration::from_secs(3));
-    child.kill().unwrap();
-    child.wait().unwrap();
-    let mut bench = Bench { harness: workstation(&folder.path().join("home"), None, Backend::Cpu), folder: tempfile::tempdir().unwrap() };
-    bench.step();
-    bench.step();
-    assert!(matches!(bench.app().dialog, Some(Dialog::Recover(_))), "nothing was offered");
+    let mut bench = loop {
+        let program = std::env::current_exe().unwrap();
+        let mut child = std::process::Command::new(program).env(CHILD, folder.path()).stdout(std::process::Stdio::null()).spawn().unwrap();
+        std::thread::sleep(Duration::from_secs(2));
+        child.kill().unwrap();
+        child.wait().unwrap();
+        let mut bench = Bench { harness: workstation(&folder.path().join("home"), None, Backend::Cpu), folder: tempfile::tempdir().unwrap() };
+        bench.step();
+        bench.step();
+        // It may have been killed just after it saved, with nothing to recover.
+        match bench.app().dialog {
+            Some(Dialog::Recover(_)) => break bench,
+            _ => assert!(bench.app().session.left_behind().is_empty(), "nothing was offered"),
+        }
+    };
     bench.harness.get_all_by_label("Recover").next().unwrap().click();
     bench.settle();
     assert!(bench.app().doc.as_ref().is_some_and(|d| d.is_changed() && !d.scene.deformation.is_empty()), "{}", bench.app().log.text());
@@ -606,11 +612,11 @@ pub fn a_monkey_does_no_harm() {
     let ctx = bench.ctx();
     let view = bench.rect("3D view");
     let start = Instant::now();
-    let mut warm = 0.0;
+    let mut resident = Vec::new();
     let mut recent: Vec<String> = Vec::new();
     for n in 0..count {
-        if n == count / 4 {
-            warm = resident_mib();
+        if n % (count / 8).max(1) == 0 {
+            resident.push(resident_mib());
         }
         let what = below(&mut random, 100);
         if what < 62 {
@@ -701,9 +707,12 @@ pub fn a_monkey_does_no_harm() {
             bench.app().dialog = None;
         }
     }
-    let end = resident_mib();
-    println!("{count} actions in {:.0} s; resident {warm:.0} MiB after a quarter, {end:.0} MiB at the end", start.elapsed().as_secs_f64());
-    assert!(end < 1.3 * warm + 48.0, "memory grew from {warm} to {end} MiB");
+    resident.push(resident_mib());
+    let most = |part: &[f64]| part.iter().copied().fold(0.0, f64::max);
+    // Caches fill in the first half.
+    let (warm, end) = (most(&resident[..resident.len() / 2 + 1]), most(&resident));
+    println!("{count} actions in {:.0} s; resident MiB at each eighth: {resident:.0?}", start.elapsed().as_secs_f64());
+    assert!(end < 1.1 * warm + 32.0, "memory grew from {warm} to {end} MiB");
 }
 
 pub fn slices_show_deformed_and_source() {

@@ -27,7 +27,7 @@ pub struct Library {
 
 /// Sampled maps that are kept at most, and their bytes.
 const KEPT_MAPS: usize = 32;
-const KEPT_MAP_BYTES: usize = 256 << 20;
+const KEPT_MAP_BYTES: usize = 160 << 20;
 
 fn lock<T>(m: &Mutex<T>) -> MutexGuard<'_, T> {
     // Entries are only ever added whole; a panic elsewhere leaves them good.

@@ -210,10 +210,10 @@ pub fn key_text(key: &KeyboardShortcut) -> String {
         Key::CloseBracket => "]",
         Key::Delete => "Del",
         Key::Escape => "Esc",
-        Key::ArrowLeft => "←",
-        Key::ArrowRight => "→",
-        Key::ArrowUp => "↑",
-        Key::ArrowDown => "↓",
+        Key::ArrowLeft => "Left",
+        Key::ArrowRight => "Right",
+        Key::ArrowUp => "Up",
+        Key::ArrowDown => "Down",
         other => other.name(),
     };
     text + name
@@ -238,10 +238,10 @@ pub fn key_from_text(text: &str) -> Option<KeyboardShortcut> {
         "]" => Key::CloseBracket,
         "Del" => Key::Delete,
         "Esc" => Key::Escape,
-        "←" => Key::ArrowLeft,
-        "→" => Key::ArrowRight,
-        "↑" => Key::ArrowUp,
-        "↓" => Key::ArrowDown,
+        "Left" => Key::ArrowLeft,
+        "Right" => Key::ArrowRight,
+        "Up" => Key::ArrowUp,
+        "Down" => Key::ArrowDown,
         name => Key::from_name(name)?,
     };
     Some(KeyboardShortcut::new(modifiers, key))

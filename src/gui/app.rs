@@ -275,7 +275,7 @@ impl Workstation {
 
     /// Takes over what threads have done.
     fn poll(&mut self, ctx: &Context) {
-        self.poll_loading(ctx);
+        self.poll_loading();
         self.poll_tasks(ctx);
         while let Some((level, text)) = self.worker.said() {
             self.say(level, text);
@@ -356,6 +356,7 @@ impl Workstation {
         if self.palette.is_some() || self.keys_open.is_some() || self.files.is_open() {
             return;
         }
+        let menu = egui::Popup::is_any_open(ctx);
         let mut wanted = Vec::new();
         // Keys with more modifiers first: Ctrl+Shift+Z is not Ctrl+Z.
         let mut order: Vec<usize> = (0..self.entries.len()).collect();
@@ -365,7 +366,8 @@ impl Workstation {
             let entry = &self.entries[n];
             let Some(key) = &entry.key else { continue };
             let plain = !(key.modifiers.command || key.modifiers.alt);
-            if typing && plain {
+            // Esc closes a menu before it does anything else.
+            if (typing && plain) || (menu && entry.action == Action::Deselect) {
                 continue;
             }
             if ctx.input_mut(|i| i.consume_shortcut(key)) {

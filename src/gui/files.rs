@@ -362,7 +362,7 @@ impl Workstation {
     }
 
     /// Takes over what was loaded.
-    pub(super) fn poll_loading(&mut self, ctx: &Context) {
+    pub(super) fn poll_loading(&mut self) {
         let Some(loading) = &self.loading else { return };
         let outcome = match loading.result.try_recv() {
             Err(TryRecvError::Empty) => return,

@@ -87,13 +87,13 @@ impl Tool {
 pub fn words(kind: &str) -> String {
     let mut text = match kind {
         "half-space" => "clip plane".to_owned(),
-        "retractor" => "incision with retractor".into(),
-        "lift" => "window (lifted piece)".into(),
-        "surface-peel" => "flap below the surface".into(),
+        "retractor" => "retractor".into(),
+        "lift" => "window".into(),
+        "surface-peel" => "skin flap".into(),
         "book" => "book-open".into(),
-        "seam" => "split along a seam".into(),
+        "seam" => "split".into(),
         "slab" => "slabs".into(),
-        "explode-labels" => "explode by label".into(),
+        "explode-labels" => "explode labels".into(),
         "points" => "control points".into(),
         "brush" => "painted map".into(),
         other => other.replace('-', " "),
@@ -142,7 +142,7 @@ fn template(kind: &Kind) -> Template {
     let on = |share: [f32; 3], depth: f32| Template { share: Some(share), depth, turns: true };
     match kind.name {
         // The layer that is peeled lies low in the box, and its skin is the surface.
-        "peel" => on([0.5, 0.42, 0.4], -0.2),
+        "peel" => on([0.62, 0.55, 0.45], -0.07),
         "surface-peel" | "strip" => on([0.5, 0.42, 0.6], 0.15),
         "knife" | "retractor" => on([0.45, 0.45, 0.4], 0.32),
         "pull" | "spline-pull" => on([0.5, 0.5, 0.5], 0.2),
@@ -204,6 +204,11 @@ pub fn dropped(kind: &'static Kind, scene_box: &Bounds, at: Option<(Vec3, Vec3)>
     }
     let bounds = Bounds::new(center - size / 2.0, center + size / 2.0);
     deformation.parameters = kind.example(&bounds);
+    if kind.name == "peel" {
+        // As thick as the box allows: the surface is curved, and what is peeled is a cap of it.
+        deformation.parameters.insert("depth", tidy(Vec3::splat(0.35 * size.z))[0]);
+        deformation.parameters.insert("radius", tidy(Vec3::splat(0.43 * size.z))[0]);
+    }
     deformation
 }
 

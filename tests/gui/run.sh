@@ -130,6 +130,7 @@ still
 photo workstation-kinds
 key Escape; key Escape
 key shift+v
+sleep 6
 still
 photo workstation-compare
 kill -0 "$app" || fail 'the program ended'

@@ -1,6 +1,6 @@
 //! Everything about what is selected, as numbers with their units. A double-click on a name takes its value back to the default.
 
-use super::{heading, tool_button};
+use super::{heading, icon_button};
 use crate::deform::health::Health;
 use crate::deform::kinds::{DefaultSize, Kind, Unit};
 use crate::deform::{Argument, Storage};
@@ -78,17 +78,17 @@ impl Workstation {
         let kind = gizmos::kind_of(d);
         ui.horizontal(|ui| {
             ui.checkbox(&mut d.enabled, "Shown");
-            if tool_button(ui, icon::COPY, "Duplicate", false, "").clicked() {
+            if icon_button(ui, icon::COPY, "Duplicate").clicked() {
                 act = Some(Action::Duplicate);
             }
-            if tool_button(ui, icon::TRASH, "Delete", false, "").clicked() {
+            if icon_button(ui, icon::TRASH, "Delete").clicked() {
                 act = Some(Action::Delete);
             }
         });
         ui.horizontal(|ui| {
             ui.label("Name");
             let mut text = d.name.clone().unwrap_or_default();
-            let field = ui.add(egui::TextEdit::singleline(&mut text).hint_text(words(&d.kind)).desired_width(f32::INFINITY));
+            let field = ui.add(egui::TextEdit::singleline(&mut text).hint_text(words(&d.kind)).desired_width(ui.available_width() - 10.0));
             field.widget_info(|| egui::WidgetInfo::text_edit(true, "", "", "Name"));
             if field.changed() {
                 d.name = (!text.is_empty()).then_some(text);
@@ -176,7 +176,7 @@ impl Workstation {
             if ui.checkbox(&mut shown, "Shown").changed() {
                 mesh.hidden = !shown;
             }
-            delete = tool_button(ui, icon::TRASH, "Delete", false, "").clicked();
+            delete = icon_button(ui, icon::TRASH, "Delete").clicked();
         });
         ui.checkbox(&mut mesh.rigid, "Deformations pass it by");
         let look: Option<Look> = mesh.appearance.resolve(&general).ok();
@@ -396,7 +396,7 @@ fn setting(ui: &mut Ui, d: &mut Deformation, setting: &'static str, about: &str)
             d.parameters.0.remove(setting);
             text.clear();
         }
-        let field = ui.add(egui::TextEdit::singleline(&mut text).desired_width(f32::INFINITY));
+        let field = ui.add(egui::TextEdit::singleline(&mut text).desired_width((ui.available_width() - 10.0).max(30.0)));
         field.widget_info(|| egui::WidgetInfo::text_edit(true, "", "", setting));
         if field.has_focus() {
             ui.data_mut(|m| m.insert_temp(id, text.clone()));

@@ -386,7 +386,9 @@ impl Workstation {
         };
         let value = hover.value.or_else(|| doc.assets.has_volume.then(|| nearest_value(&doc.assets.volume, hover.source.as_dvec3())).flatten());
         let mut words = match hover.deformed {
-            Some(deformed) if deformed.distance(hover.source) > 0.05 => format!("{} mm → source {}", place(deformed), place(hover.source)),
+            Some(deformed) if deformed.distance(hover.source) > 0.05 => {
+                format!("{} mm {} source {}", place(deformed), icon::ARROW_RIGHT, place(hover.source))
+            }
             _ => format!("{} mm", place(hover.source)),
         };
         if let Some(value) = value {
