@@ -373,7 +373,7 @@ pub fn renderers_are_compared_and_reported() {
     bench.app().doc.as_mut().unwrap().add(wedge);
     bench.key(Modifiers::SHIFT, Key::V);
     bench.until("no comparison", |app| app.compare.is_done());
-    let difference = bench.app().compare.difference.clone().unwrap();
+    let difference = bench.app().compare.difference.unwrap();
     println!(
         "slicing against rays: mean {:.3}, max {:.1}, PSNR {:.1} dB, SSIM {:.4}",
         difference.mean, difference.max, difference.psnr_db, difference.ssim

@@ -3,7 +3,7 @@
 use super::action::{self, Action, Entry};
 use super::document::{AssetKey, Document, Selection};
 use super::files::{Dialog, Files, Loading};
-use super::gizmos::Drag;
+use super::gizmos::{Drag, Mode as GizmoMode};
 use super::history::{Cameras, History};
 use super::layout::{Panel, Preset};
 use super::log::{Level, Log};
@@ -322,11 +322,8 @@ impl Workstation {
     }
 
     fn answered(&mut self, answer: Answer) {
-        let pick = match answer.pick {
-            Ok(pick) => pick,
-            // The picture of the same scene has told it already.
-            Err(_) => None,
-        };
+        // What went wrong, the picture of the same scene has told already.
+        let pick = answer.pick.unwrap_or_default();
         match answer.purpose {
             Purpose::Hover => {
                 self.hover = pick.map(|p| Hover { deformed: Some(p.deformed), source: p.source, value: p.value });
@@ -357,6 +354,15 @@ impl Workstation {
             return;
         }
         let menu = egui::Popup::is_any_open(ctx);
+        if self.session.settings.blender && !typing && self.selected_deformation().is_some() {
+            // As in Blender: what is selected is moved, turned and sized.
+            for (key, mode) in [(egui::Key::G, GizmoMode::Move), (egui::Key::R, GizmoMode::Rotate), (egui::Key::S, GizmoMode::Scale)] {
+                if ctx.input_mut(|i| i.consume_key(egui::Modifiers::NONE, key)) {
+                    self.tool = Tool::Navigate;
+                    self.view.gizmo = mode;
+                }
+            }
+        }
         let mut wanted = Vec::new();
         // Keys with more modifiers first: Ctrl+Shift+Z is not Ctrl+Z.
         let mut order: Vec<usize> = (0..self.entries.len()).collect();

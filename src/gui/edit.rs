@@ -114,14 +114,12 @@ impl Workstation {
         let Some(doc) = &mut self.doc else { return };
         match action {
             Action::Undo => {
-                if self.history.undo(&mut doc.scene) {
-                    doc.check_selection();
-                }
+                self.history.undo(&mut doc.scene);
+                doc.check_selection();
             }
             Action::Redo => {
-                if self.history.redo(&mut doc.scene) {
-                    doc.check_selection();
-                }
+                self.history.redo(&mut doc.scene);
+                doc.check_selection();
             }
             Action::Delete => {
                 doc.delete();
@@ -296,7 +294,10 @@ impl Workstation {
     /// Drops a deformation, on a surface or about the middle of the scene, and selects it.
     pub fn place(&mut self, kind: &'static Kind, at: Option<(Vec3, Vec3)>) {
         let Some(doc) = &mut self.doc else { return };
-        let deformation = dropped(kind, &doc.bounds(), at);
+        // Towards the viewer, and to the right where the surface faces the viewer.
+        let frame = doc.scene.camera.frame(&doc.bounds(), self.view.size()).ok();
+        let viewer = frame.map_or(Vec3::X, |f| f.right.normalize_or_zero() * 0.35 - f.forward);
+        let deformation = dropped(kind, &doc.bounds(), at, viewer);
         if let Some((point, _)) = at {
             // The slices show what was dropped.
             self.slices.cursor = Some(point.clamp(doc.bounds().min, doc.bounds().max));

@@ -175,8 +175,9 @@ pub fn tidy(v: Vec3) -> [f32; 3] {
     v.to_array().map(|x| (x * 100.0).round() / 100.0)
 }
 
-/// A deformation of a kind where it was dropped: on a surface point with its normal, or (with none) about the middle of the scene.
-pub fn dropped(kind: &'static Kind, scene_box: &Bounds, at: Option<(Vec3, Vec3)>) -> Deformation {
+/// A deformation of a kind where it was dropped: on a surface point with its normal, or (with none) about the middle of the scene. What opens,
+/// opens towards `viewer`, a direction in the world.
+pub fn dropped(kind: &'static Kind, scene_box: &Bounds, at: Option<(Vec3, Vec3)>, viewer: Vec3) -> Deformation {
     let template = template(kind);
     let mut deformation = Deformation::new(kind.name);
     let size = template.share.map_or_else(|| kind.default_size(scene_box), |s| scene_box.size() * Vec3::from(s));
@@ -184,9 +185,9 @@ pub fn dropped(kind: &'static Kind, scene_box: &Bounds, at: Option<(Vec3, Vec3)>
     let mut center = scene_box.center();
     if let Some((point, normal)) = at {
         if template.turns {
-            // Turned as little as possible about the normal: the box's y stays near the patient's long axis, or its front on top.
-            let reference = if normal.z.abs() < 0.9 { Vec3::Z } else { Vec3::NEG_Y };
-            let x = reference.cross(normal).normalize_or(Vec3::X);
+            // A flap's hinge lies at -x: away from the viewer.
+            let across = viewer - normal * viewer.dot(normal);
+            let x = if across.length() > 1e-3 { across.normalize() } else { normal.any_orthonormal_vector() };
             let turn = Mat3::from_cols(x, normal.cross(x), normal);
             deformation.rotate = Some(tidy(angles_of(turn)));
             center = point - normal * (template.depth * size.z);
@@ -232,9 +233,11 @@ mod tests {
         for normal in [Vec3::X, Vec3::Y, Vec3::Z, Vec3::NEG_Z, Vec3::new(0.6, -0.48, 0.64)] {
             for name in ["peel", "knife", "pull", "box", "half-space", "elastic"] {
                 let point = normal * 80.0;
-                let d = dropped(kinds::kind(name).unwrap(), &scene_box, Some((point, normal)));
+                let viewer = Vec3::new(0.3, -0.9, 0.2);
+                let d = dropped(kinds::kind(name).unwrap(), &scene_box, Some((point, normal)), viewer);
                 let turn = matrix_of(Vec3::from(d.rotate.unwrap()));
                 assert!((turn * Vec3::Z).abs_diff_eq(normal, 1e-3), "{name} {normal}");
+                assert!((turn * Vec3::X).dot(viewer) > -1e-3, "{name} {normal}: the hinge is nearer than the free end");
                 if let Some(size) = d.size {
                     let local = turn.transpose() * (point - Vec3::from(d.center.unwrap()));
                     assert!(local.abs().cmple(size.xyz() / 2.0).all(), "{name} {normal} {local}");

@@ -82,12 +82,11 @@ impl Scene {
         let from = self.folder.clone();
         if let Some(volume) = &mut self.volume {
             change(&mut volume.path);
-            volume.labels.as_mut().map(change);
-            volume.inside.as_mut().map(|i| change(&mut i.path));
+            volume.labels.iter_mut().for_each(change);
+            volume.inside.iter_mut().for_each(|i| change(&mut i.path));
         }
         for mesh in &mut self.mesh {
-            mesh.path.as_mut().map(change);
-            mesh.volume.as_mut().map(change);
+            mesh.path.iter_mut().chain(&mut mesh.volume).for_each(change);
         }
         for deformation in &mut self.deformation {
             move_settings(deformation, &from, change);

@@ -521,7 +521,7 @@ mod tests {
         let scene_box = Bounds::new(Vec3::splat(-80.0), Vec3::splat(80.0));
         let mut tried = 0;
         for kind in kinds::list() {
-            let mut d = super::super::tool::dropped(kind, &scene_box, Some((Vec3::new(20.0, -70.0, 30.0), Vec3::new(0.28, -0.96, 0.0))));
+            let mut d = super::super::tool::dropped(kind, &scene_box, Some((Vec3::new(20.0, -70.0, 30.0), Vec3::new(0.28, -0.96, 0.0))), Vec3::X);
             d.progress = kind.progressive.then_some(0.5);
             for mode in [Mode::Shape, Mode::Move, Mode::Rotate, Mode::Scale] {
                 let gizmo = Gizmo { projector: projector(&scene_box, "25,15"), kind, deformation: &d, scene_box, mode };

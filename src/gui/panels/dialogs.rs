@@ -11,8 +11,11 @@ enum Decision {
     /// It is closed.
     Close,
     /// It is closed, and this is done.
-    Do(Box<dyn FnOnce(&mut Workstation, &Context)>),
+    Do(Deed),
 }
+
+/// What is done after a dialog.
+type Deed = Box<dyn FnOnce(&mut Workstation, &Context)>;
 
 fn then(f: impl FnOnce(&mut Workstation, &Context) + 'static) -> Decision {
     Decision::Do(Box::new(f))

@@ -331,16 +331,8 @@ impl Workstation {
                 }
             }
             Some(Gesture::Window3d) => self.drag_transfer(delta.x, delta.y),
-            Some(Gesture::Lasso) => {
-                if self.view.lasso.last().is_none_or(|l| l.distance(pos) > 3.0) {
-                    self.view.lasso.push(pos);
-                }
-            }
-            Some(Gesture::Brush) => {
-                if delta.length() > 0.0 {
-                    self.ask(projector.at(pos), Purpose::Brush { last: false });
-                }
-            }
+            Some(Gesture::Lasso) if self.view.lasso.last().is_none_or(|l| l.distance(pos) > 3.0) => self.view.lasso.push(pos),
+            Some(Gesture::Brush) if delta.length() > 0.0 => self.ask(projector.at(pos), Purpose::Brush { last: false }),
             _ => {}
         }
         if response.drag_stopped() {
