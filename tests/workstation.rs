@@ -809,7 +809,7 @@ pub fn a_brush_paints_and_a_map_is_used_again() {
     let ctx = bench.ctx();
     bench.app().proceed(&ctx, After::Open("phantom:ball:size=32".into()));
     bench.settle();
-    bench.app().use_map(&maps[0]);
+    bench.app().use_map(&ctx, &maps[0]);
     bench.settle();
     let scene = bench.scene();
     assert_eq!(scene.deformation[0].kind, "map");

@@ -106,7 +106,7 @@ pub fn list() -> Vec<Entry> {
     add("Export", Action::ExportField, "Bake the displacement field…", None);
     add("Export", Action::ExportReport, "Export comparison report…", None);
     add("Export", Action::ExportMeasures, "Export measurements…", None);
-    add("Export", Action::CopyCommand, "Copy as incise render …", Some((CTRL_SHIFT, Key::C)));
+    add("Export", Action::CopyCommand, "Copy as incise render …", Some((Modifiers::ALT, Key::C)));
     add("Export", Action::ImportTransfer, "Import transfer function…", None);
     add("Export", Action::ExportTransfer, "Export transfer function…", None);
     add("Edit", Action::Undo, "Undo", Some((CTRL, Key::Z)));

@@ -117,6 +117,10 @@ pub struct Workstation {
     pub(super) pending_points: Vec<Point>,
     pub(super) stroke_points: Vec<Vec3>,
     pub(super) stroke_before: Option<Vec<String>>,
+    /// The scene that a stroke is drawn on.
+    pub(super) stroke_scene: Option<Arc<Scene>>,
+    /// Files that were dropped together, to be opened one after the other.
+    dropped: Vec<PathBuf>,
     /// What lies under the pointer.
     pub hover: Option<Hover>,
     /// A file that is being loaded.
@@ -152,6 +156,8 @@ impl Workstation {
     /// A workstation on a context of the interface.
     pub fn new(ctx: &Context, options: Options) -> Self {
         theme::install(ctx);
+        // The interface's size is ours to keep.
+        ctx.options_mut(|o| o.zoom_with_keyboard = false);
         let mut problems = Vec::new();
         let session = Session::open(options.folder, &mut problems);
         let backend = options.backend.unwrap_or(session.settings.backend);
@@ -185,6 +191,8 @@ impl Workstation {
             pending_points: Vec::new(),
             stroke_points: Vec::new(),
             stroke_before: None,
+            stroke_scene: None,
+            dropped: Vec::new(),
             hover: None,
             loading: None,
             tasks: Vec::new(),
@@ -210,11 +218,11 @@ impl Workstation {
             app.say(Level::Warning, problem.to_string());
         }
         let left = app.session.left_behind();
-        if !left.is_empty() {
-            app.dialog = Some(Dialog::Recover(left));
-        }
         if let Some(file) = options.file {
             app.open(ctx, &file);
+        }
+        if !left.is_empty() && app.dialog.is_none() {
+            app.dialog = Some(Dialog::Recover(left));
         }
         app
     }
@@ -299,7 +307,7 @@ impl Workstation {
             }
         }
         while let Some(answer) = self.prober.poll() {
-            self.answered(answer);
+            self.answered(ctx, answer);
         }
     }
 
@@ -321,7 +329,11 @@ impl Workstation {
         }
     }
 
-    fn answered(&mut self, answer: Answer) {
+    fn answered(&mut self, ctx: &Context, answer: Answer) {
+        if self.doc.as_ref().is_none_or(|d| !Arc::ptr_eq(&d.assets, &answer.assets)) {
+            // Asked of a scene that is gone.
+            return;
+        }
         // What went wrong, the picture of the same scene has told already.
         let pick = answer.pick.unwrap_or_default();
         match answer.purpose {
@@ -334,7 +346,7 @@ impl Workstation {
                     self.slices.cursor = Some(p.deformed);
                 }
             }
-            Purpose::Tool => self.use_tool(pick),
+            Purpose::Tool => self.use_tool(ctx, pick),
             Purpose::Brush { last } => {
                 if let Some(p) = pick {
                     self.extend_stroke(p.deformed);
@@ -348,7 +360,8 @@ impl Workstation {
 
     /// Keys that belong to actions.
     fn handle_keys(&mut self, ctx: &Context) {
-        let typing = ctx.egui_wants_keyboard_input();
+        let typing = ctx.text_edit_focused();
+        self.tame_keys(ctx, typing);
         self.space = !typing && self.dialog.is_none() && ctx.input(|i| i.key_down(egui::Key::Space));
         if self.palette.is_some() || self.keys_open.is_some() || self.files.is_open() {
             return;
@@ -381,17 +394,50 @@ impl Workstation {
             }
         }
         for action in wanted {
-            if self.dialog.is_some() && !matches!(action, Action::Deselect) {
+            // A drag ends before anything else begins.
+            let busy = self.dialog.is_some() || self.gesture.is_some() || self.stroke_before.is_some();
+            if busy && !matches!(action, Action::Deselect) {
                 continue;
             }
             self.perform(ctx, action);
         }
     }
 
+    /// Makes of keys what people mean by them: digits with Shift are digits, + needs no Shift, a key that is held does not toggle.
+    fn tame_keys(&self, ctx: &Context, typing: bool) {
+        use egui::{Event, Key};
+        let digit = |key: Key| matches!(key, Key::Num1 | Key::Num3 | Key::Num5 | Key::Num7 | Key::Num9);
+        ctx.input_mut(|i| {
+            for event in &mut i.events {
+                if let Event::Key { key, physical_key, modifiers, .. } = event {
+                    if let Some(physical) = physical_key.filter(|p| modifiers.shift && !typing && digit(*p)) {
+                        *key = physical;
+                    }
+                    if *key == Key::Equals && modifiers.command {
+                        *key = Key::Plus;
+                    }
+                }
+            }
+            let repeats = |key: &Key| matches!(key, Key::OpenBracket | Key::CloseBracket | Key::Z | Key::Plus | Key::Minus);
+            i.events.retain(|e| typing || !matches!(e, Event::Key { key, repeat: true, pressed: true, .. } if !repeats(key)));
+        });
+        // Tab is for before and after here, not for the next widget.
+        if !typing && ctx.input(|i| i.key_pressed(Key::Tab)) {
+            ctx.memory_mut(|m| {
+                if let Some(focus) = m.focused() {
+                    m.surrender_focus(focus);
+                }
+            });
+        }
+    }
+
     /// Files that were dropped onto the window.
     fn handle_drops(&mut self, ctx: &Context) {
         let dropped: Vec<PathBuf> = ctx.input(|i| i.raw.dropped_files.iter().map(|f| f.path().to_owned()).collect());
-        for path in dropped {
+        self.dropped.extend(dropped);
+        // The next one finds the scene that the one before it opened.
+        if !self.dropped.is_empty() && self.loading.is_none() && self.dialog.is_none() {
+            let path = self.dropped.remove(0);
             self.dropped(ctx, &path);
         }
         let hovering = ctx.input(|i| !i.raw.hovered_files.is_empty());
@@ -405,9 +451,13 @@ impl Workstation {
 
     /// Notes what has changed: one step of undo for each gesture, cameras at rest, what has to be loaded or measured anew.
     fn settle(&mut self, ctx: &Context) {
+        if let Err(error) = self.session.keep_settings() {
+            self.fail(&error);
+        }
         let Some(doc) = &mut self.doc else { return };
         doc.check_selection();
-        let held = ctx.input(|i| i.pointer.any_down()) || self.gesture.is_some() || self.stroke_before.is_some();
+        // A name that is typed is one step, as a drag is.
+        let held = ctx.input(|i| i.pointer.any_down()) || self.gesture.is_some() || self.stroke_before.is_some() || ctx.text_edit_focused();
         if !held {
             self.history.keep(&doc.scene);
             self.cameras.settle(&doc.scene.camera);
@@ -425,9 +475,6 @@ impl Workstation {
         self.measure_anew();
         if self.session.is_due() {
             self.autosave();
-        }
-        if let Err(error) = self.session.keep_settings() {
-            self.fail(&error);
         }
     }
 
@@ -480,7 +527,10 @@ impl Workstation {
         if !ctx.input(|i| i.viewport().close_requested()) || self.quitting {
             return;
         }
-        if self.doc.as_ref().is_some_and(Document::is_changed) {
+        if !self.tasks.is_empty() {
+            ctx.send_viewport_cmd(egui::ViewportCommand::CancelClose);
+            self.dialog = Some(Dialog::Running);
+        } else if self.doc.as_ref().is_some_and(Document::is_changed) {
             ctx.send_viewport_cmd(egui::ViewportCommand::CancelClose);
             self.dialog = Some(Dialog::Unsaved(super::files::After::Quit));
         } else {
@@ -507,7 +557,7 @@ impl Workstation {
         self.show_status(ui);
         let frame = egui::Frame::NONE.fill(ui.visuals().panel_fill);
         egui::CentralPanel::default().frame(frame).show(ui, |ui| {
-            if self.doc.is_some() {
+            if self.doc.is_some() && self.loading.as_ref().is_none_or(|l| l.same) {
                 self.show_dock(ui);
             } else {
                 self.show_empty(ui);

@@ -81,7 +81,7 @@ impl Document {
 
     /// Whether there is something to lose: edits since the last save. Turning the camera is none.
     pub fn is_changed(&self) -> bool {
-        self.saved.as_ref().is_none_or(|saved| super::history::without_camera(&self.scene) != super::history::without_camera(saved))
+        self.saved.as_ref().is_none_or(|saved| !super::history::same(saved, &self.scene))
     }
 
     /// The scene's box, mm.

@@ -1,7 +1,7 @@
 //! Doing what actions and tools ask for.
 
 use super::action::Action;
-use super::app::{Point, Workstation};
+use super::app::{Gesture, Point, Workstation};
 use super::document::Selection;
 use super::files::{After, ClipForm, Dialog, Travel};
 use super::layout::Panel;
@@ -16,6 +16,7 @@ use crate::scene::measure::{Measure, MeasureKind};
 use crate::scene::{Deformed, Mode, Projection};
 use eframe::egui::{self, Context};
 use glam::{Vec2, Vec3};
+use std::sync::Arc;
 
 /// How much `[` and `]` change progress.
 const PROGRESS_STEP: f32 = 0.05;
@@ -68,6 +69,8 @@ impl Workstation {
                     loading.cancel();
                 }
             }
+            // What is about to be replaced is not edited any more.
+            _ if self.loading.as_ref().is_some_and(|l| !l.same) => {}
             _ if self.doc.is_some() => self.perform_on_scene(ctx, action),
             _ => {}
         }
@@ -221,13 +224,18 @@ impl Workstation {
     }
 
     /// Esc: calls off a drag, puts down a tool, deselects.
-    fn escape(&mut self) {
-        if self.gesture.take().is_some() || self.stroke_before.is_some() {
+    pub(super) fn escape(&mut self) {
+        if self.gesture.is_some() || self.stroke_before.is_some() {
+            let gesture = self.gesture.take();
             self.view.lasso.clear();
-            self.stroke_points.clear();
-            self.stroke_before = None;
+            self.end_stroke();
             if let Some(doc) = &mut self.doc {
                 self.history.revert(&mut doc.scene);
+                if matches!(gesture, Some(Gesture::Orbit | Gesture::Pan | Gesture::Zoom | Gesture::Roll))
+                    && let Some(rest) = self.cameras.rest()
+                {
+                    doc.scene.camera = rest.clone();
+                }
             }
         } else if !self.pending_points.is_empty() {
             self.pending_points.clear();
@@ -269,7 +277,7 @@ impl Workstation {
     }
 
     /// A tool was used where something was picked.
-    pub(super) fn use_tool(&mut self, pick: Option<Pick>) {
+    pub(super) fn use_tool(&mut self, ctx: &Context, pick: Option<Pick>) {
         match self.tool {
             Tool::Place(kind) => self.place(kind.0, pick.map(|p| (p.deformed, p.normal))),
             Tool::Probe | Tool::Measure(_) => match pick {
@@ -278,17 +286,38 @@ impl Workstation {
             },
             Tool::Navigate => {
                 // A control point where the surface is.
-                if let (Some(p), Some(doc)) = (pick, &mut self.doc)
-                    && let Some(d) = doc.deformation().filter(|d| d.kind == "points")
-                {
-                    let mut pairs = d.parameters.numbers("pairs").ok().flatten().unwrap_or_default();
-                    pairs.extend(super::tool::tidy(p.source));
-                    pairs.extend(super::tool::tidy(p.deformed));
-                    d.parameters.insert("pairs", Argument::Numbers(pairs));
+                if let Some(p) = pick {
+                    self.add_control_point(ctx, p.deformed);
                 }
             }
             _ => {}
         }
+    }
+
+    /// Adds a control point to the selected ones where something is seen, so that nothing moves until it is dragged.
+    fn add_control_point(&mut self, ctx: &Context, seen: Vec3) {
+        let Some(doc) = &self.doc else { return };
+        let Some(n) = doc.deformation_index().filter(|n| doc.scene.deformation[*n].kind == "points") else { return };
+        let (assets, scene) = (doc.assets.clone(), doc.scene.clone());
+        self.start(ctx, "Adding a control point", move |_| {
+            let part = |range: std::ops::Range<usize>| {
+                let mut scene = scene.clone();
+                scene.deformation = scene.deformation[range].to_vec();
+                Deformed::new(&scene, &assets)
+            };
+            // Before what comes after it; and where its own map takes that from.
+            let to = part(n + 1..scene.deformation.len())?.stack.walk_through(seen).0;
+            let from = part(n..n + 1)?.stack.walk_through(to).0;
+            let pair = [super::tool::tidy(from), super::tool::tidy(to)].concat();
+            let deformation = scene.deformation[n].clone();
+            Ok(Box::new(move |app: &mut Workstation, _: &Context| {
+                if let Some(d) = app.doc.as_mut().and_then(|doc| doc.scene.deformation.get_mut(n)).filter(|d| **d == deformation) {
+                    let mut pairs = d.parameters.numbers("pairs").ok().flatten().unwrap_or_default();
+                    pairs.extend(pair);
+                    d.parameters.insert("pairs", Argument::Numbers(pairs));
+                }
+            }))
+        });
     }
 
     /// Drops a deformation, on a surface or about the middle of the scene, and selects it.
@@ -349,6 +378,7 @@ impl Workstation {
         self.stroke_points.clear();
         let n = doc.painted();
         self.stroke_before = Some(doc.strokes(n));
+        self.stroke_scene = self.scene_of_view().map(Arc::new);
     }
 
     /// A further point of it.
@@ -377,6 +407,7 @@ impl Workstation {
     pub(super) fn end_stroke(&mut self) {
         self.stroke_points.clear();
         self.stroke_before = None;
+        self.stroke_scene = None;
     }
 
     /// Changes window and level of the slices by a drag: across the width, down the level.

@@ -39,6 +39,8 @@ impl History {
             return;
         }
         let state = without_camera(scene);
+        // Asked for a redo of something new, the undoer forgets what was undone before it: that branch is given up.
+        let _none = self.undoer.redo(&state);
         self.undoer.add_undo(&state);
         self.kept = Some(state);
     }
@@ -86,8 +88,8 @@ impl History {
     }
 }
 
-/// Equal but for the camera, without a copy where the rest already differs.
-fn same(kept: &Scene, scene: &Scene) -> bool {
+/// Equal but for the camera.
+pub fn same(kept: &Scene, scene: &Scene) -> bool {
     kept.deformation == scene.deformation
         && kept.transfer == scene.transfer
         && kept.render == scene.render
@@ -123,6 +125,11 @@ impl Cameras {
             }
             None => self.rest = Some(camera.clone()),
         }
+    }
+
+    /// The camera at rest, before the drag that is under way.
+    pub fn rest(&self) -> Option<&Camera> {
+        self.rest.as_ref()
     }
 
     /// The camera before.

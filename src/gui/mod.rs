@@ -6,12 +6,13 @@
 //! every minute and before risky steps ([`session`]).
 //!
 //! *Where things are*: [`action`] lists everything that can be done, `edit` does it; `views` are the pictures, `gizmos` the handles on them,
-//! `panels` everything beside them; `files` opens, saves and exports.
+//! `panels` everything beside them; `files` opens and saves, `exports` exports.
 
 pub mod action;
 pub mod app;
 pub mod document;
 mod edit;
+mod exports;
 pub mod files;
 pub mod gizmos;
 pub mod history;

@@ -57,6 +57,16 @@ impl Workstation {
         }
     }
 
+    /// Waits a little for tasks that were told to stop, so that no half of a file stays behind.
+    pub(super) fn end_tasks(&mut self) {
+        let start = std::time::Instant::now();
+        while !self.tasks.is_empty() && start.elapsed() < std::time::Duration::from_millis(800) {
+            self.tasks.retain(|t| matches!(t.result.try_recv(), Err(TryRecvError::Empty)));
+            std::thread::sleep(std::time::Duration::from_millis(10));
+        }
+        self.tasks.clear();
+    }
+
     /// Finishes what is done.
     pub(super) fn poll_tasks(&mut self, ctx: &Context) {
         let mut n = 0;

@@ -192,6 +192,8 @@ pub enum Backend {
 struct Running {
     target: Target,
     cancel: Arc<AtomicBool>,
+    /// Not to be taken up again.
+    dropped: bool,
 }
 
 #[derive(Default)]
@@ -257,8 +259,9 @@ impl Worker {
     pub fn drop_jobs(&self, which: impl Fn(Target) -> bool) {
         let mut queue = lock(&self.shared.queue);
         queue.jobs.retain(|j| !which(j.target));
-        if let Some(running) = queue.running.as_ref().filter(|r| which(r.target)) {
+        if let Some(running) = queue.running.as_mut().filter(|r| which(r.target)) {
             running.cancel.store(true, Ordering::Relaxed);
+            running.dropped = true;
         }
     }
 
@@ -332,7 +335,7 @@ fn run(shared: &Shared, send: &Sender<Done>, say: &Sender<(Level, String)>, ctx:
                 if let Some(n) = (0..queue.jobs.len()).min_by_key(|n| queue.jobs[*n].target.urgency()) {
                     let job = queue.jobs.remove(n);
                     let cancel = Arc::new(AtomicBool::new(false));
-                    queue.running = Some(Running { target: job.target, cancel: cancel.clone() });
+                    queue.running = Some(Running { target: job.target, cancel: cancel.clone(), dropped: false });
                     let lose = std::mem::take(&mut queue.lose);
                     break (job, cancel, queue.backend, lose);
                 }
@@ -341,8 +344,10 @@ fn run(shared: &Shared, send: &Sender<Done>, say: &Sender<(Level, String)>, ctx:
         };
         shared.progress.store(0, Ordering::Relaxed);
         engine.choose(backend, say);
-        if lose {
+        if lose && engine.gpu.is_some() {
             engine.lose();
+        } else if lose {
+            engine.open(backend, say);
         }
         let start = Instant::now();
         let tell = |share: f32| {
@@ -362,9 +367,9 @@ fn run(shared: &Shared, send: &Sender<Done>, say: &Sender<(Level, String)>, ctx:
         }))
         .unwrap_or_else(|_| Err(Error::value("rendering", "ended by a fault of the program; the scene is unharmed")));
         let mut queue = lock(&shared.queue);
-        queue.running = None;
-        let stopped = matches!(outcome, Err(Error::Cancelled));
-        if stopped && !queue.closed && !queue.jobs.iter().any(|j| j.target == job.target) && !matches!(job.target, Target::Fine) {
+        let dropped = queue.running.take().is_some_and(|r| r.dropped);
+        let stopped = dropped || matches!(outcome, Err(Error::Cancelled));
+        if stopped && !dropped && !queue.closed && !queue.jobs.iter().any(|j| j.target == job.target) && !matches!(job.target, Target::Fine) {
             // It only made room for something more urgent.
             queue.jobs.push(job);
             continue;
@@ -538,6 +543,8 @@ pub struct Answer {
     pub purpose: Purpose,
     /// What was found.
     pub pick: Result<Option<Pick>>,
+    /// The assets that it was found in.
+    pub assets: Arc<Assets>,
 }
 
 /// The thread that answers what lies under the pointer.
@@ -589,12 +596,14 @@ fn probe(questions: &Receiver<Question>, answer: &Sender<Answer>, ctx: &egui::Co
     while let Some(question) = next.take().or_else(|| questions.recv().ok()) {
         let (scene, assets) = (question.scene.clone(), question.assets.clone());
         let prepare = || Prepared::new(&scene, &assets);
-        let prepared = match &pool {
+        let fault = || Error::value("picking", "ended by a fault of the program; the scene is unharmed");
+        let prepared = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| match &pool {
             Some(pool) => pool.install(prepare),
             None => prepare(),
-        };
+        }))
+        .unwrap_or_else(|_| Err(fault()));
         let reply = |question: Question, pick: Result<Option<Pick>>| {
-            let sent = answer.send(Answer { at: question.at, purpose: question.purpose, pick }).is_ok();
+            let sent = answer.send(Answer { at: question.at, purpose: question.purpose, pick, assets: question.assets }).is_ok();
             ctx.request_repaint();
             sent
         };
@@ -611,7 +620,8 @@ fn probe(questions: &Receiver<Question>, answer: &Sender<Answer>, ctx: &egui::Co
         let mut current = Some(question);
         while let Some(question) = current.take() {
             let [u, v] = question.at;
-            if !reply(question, Ok(pick::at(&prepared, range, u, v))) {
+            let found = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| pick::at(&prepared, range, u, v)));
+            if !reply(question, found.map_err(|_| fault())) {
                 return;
             }
             match questions.recv() {

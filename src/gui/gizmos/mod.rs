@@ -71,7 +71,9 @@ pub struct Place {
 impl Place {
     /// Of a deformation, in a scene of the given box.
     pub fn of(d: &Deformation, kind: &Kind, scene_box: &Bounds) -> Self {
+        // What is written in a file may be no size at all; its own message tells.
         let size = d.size.map_or_else(|| kind.default_size(scene_box), Size::xyz);
+        let size = if size.is_finite() { size.abs().max(Vec3::splat(1e-3)) } else { Vec3::ONE };
         Self { center: d.center.map_or_else(|| scene_box.center(), Vec3::from), size, turn: d.rotate.map_or(Mat3::IDENTITY, |r| matrix_of(r.into())) }
     }
 
@@ -348,7 +350,7 @@ impl Gizmo<'_> {
                 let (_, range, _) = parameter(&d, self.kind, n, place.size);
                 let value = self.on_path(&path_of(self.kind, n), range, pos, &place)?;
                 let rounded = (value * 10.0).round() / 10.0;
-                let value = if self.kind.parameters[n].unit == Unit::None { value } else { rounded.clamp(range[0], range[1]) };
+                let value = if self.kind.parameters[n].unit == Unit::None { value } else { rounded.max(range[0]).min(range[1]) };
                 d.parameters.insert(self.kind.parameters[n].name, value);
             }
             Handle::Point(n) => {
@@ -376,7 +378,7 @@ impl Gizmo<'_> {
             best = value(n);
             (low, high) = (value((n - 1).max(0)), value((n + 1).min(STEPS)));
         }
-        best.is_finite().then_some(best.clamp(min, max))
+        best.is_finite().then_some(best.max(min).min(max))
     }
 
     /// What a handle says while it is hovered or dragged.

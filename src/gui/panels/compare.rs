@@ -168,15 +168,23 @@ impl Workstation {
         }
         panel.difference_open = true;
         self.start(ctx, "Comparing", move |_| {
-            let numbers = difference(&a, &b)?;
-            let picture = difference_picture(&a, &b, AMPLIFY)?;
-            let image = ColorImage::from_rgba_unmultiplied([picture.width as usize, picture.height as usize], &picture.over([0.0, 0.0, 0.0, 1.0]));
+            let found = difference(&a, &b).and_then(|numbers| Ok((numbers, difference_picture(&a, &b, AMPLIFY)?)));
             Ok(Box::new(move |app: &mut Workstation, ctx: &Context| {
                 let panel = &mut app.compare;
                 panel.difference_open = false;
                 panel.difference_of = pair;
-                panel.difference = Some(numbers);
-                panel.difference_texture = Some(ctx.load_texture("difference", image, TextureOptions::LINEAR));
+                match found {
+                    Ok((numbers, picture)) => {
+                        let size = [picture.width as usize, picture.height as usize];
+                        let image = ColorImage::from_rgba_unmultiplied(size, &picture.over([0.0, 0.0, 0.0, 1.0]));
+                        panel.difference = Some(numbers);
+                        panel.difference_texture = Some(ctx.load_texture("difference", image, TextureOptions::LINEAR));
+                    }
+                    Err(error) => {
+                        panel.difference = None;
+                        app.fail(&error);
+                    }
+                }
                 app.compare_numbers(ctx);
             }))
         });
@@ -239,7 +247,9 @@ impl Workstation {
                         });
                     combo.response.widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::ComboBox, true, format!("Renderer {label}")));
                     ui.spacing_mut().slider_width = 84.0;
-                    let slider = ui.add(Slider::new(&mut side.step, 0.1..=4.0).logarithmic(true).max_decimals(2)).on_hover_text("Step, voxels");
+                    let slider = ui
+                        .add(Slider::new(&mut side.step, 0.1..=4.0).clamping(egui::SliderClamping::Edits).logarithmic(true).max_decimals(2))
+                        .on_hover_text("Step, voxels");
                     slider.widget_info(|| egui::WidgetInfo::slider(true, f64::from(side.step), format!("Step {label}")));
                 }
                 ui.separator();

@@ -35,6 +35,7 @@ impl Workstation {
                 Dialog::Clip(form) => self.clip(ui, form),
                 Dialog::Locate { .. } => locate(ui, &dialog),
                 Dialog::Second(path) => second(ui, path),
+                Dialog::Running => running(ui),
                 Dialog::SaveMap { name, stack } => save_map(ui, name, *stack),
             }
         });
@@ -211,16 +212,35 @@ fn picture(ui: &mut Ui, form: &mut PictureForm) -> Decision {
     egui::Grid::new("picture").num_columns(2).spacing([12.0, 6.0]).show(ui, |ui| {
         size_row(ui, &mut form.size, LARGEST_PICTURE);
         ui.label("Supersampling");
-        ui.add(Slider::new(&mut form.antialias, 1..=4));
+        ui.add(Slider::new(&mut form.antialias, 1..=4).clamping(egui::SliderClamping::Edits));
         ui.end_row();
         ui.label("Step (voxels)");
-        ui.add(Slider::new(&mut form.step, 0.1..=2.0).logarithmic(true).max_decimals(2));
+        ui.add(Slider::new(&mut form.step, 0.1..=2.0).clamping(egui::SliderClamping::Edits).logarithmic(true).max_decimals(2));
         ui.end_row();
         ui.label("Background");
         ui.checkbox(&mut form.transparent, "Transparent");
         ui.end_row();
     });
     buttons(ui, "Choose file…", form.clone(), |app, form| app.ask_picture(form))
+}
+
+fn running(ui: &mut Ui) -> Decision {
+    ui.heading("Exports are running");
+    ui.label("Closing the window ends them without a file.");
+    let mut decision = Decision::Open;
+    ui.add_space(8.0);
+    ui.horizontal(|ui| {
+        if ui.button("End them and close").clicked() {
+            decision = then(|app, ctx| {
+                app.tasks.iter().for_each(crate::gui::tasks::Task::cancel);
+                app.end_tasks();
+                app.after(ctx, After::Quit);
+            });
+        } else if ui.button("Wait").clicked() {
+            decision = Decision::Close;
+        }
+    });
+    decision
 }
 
 fn locate(ui: &mut Ui, dialog: &Dialog) -> Decision {
@@ -257,7 +277,7 @@ fn second(ui: &mut Ui, path: &std::path::Path) -> Decision {
             decision = then(move |app, _| app.set_labels(&path));
         } else if ui.button("Show its surface too").clicked() {
             let path = path.clone();
-            decision = then(move |app, _| app.add_surface_of(&path));
+            decision = then(move |app, ctx| app.add_surface_of(ctx, &path));
         } else if ui.button("Displacement field").clicked() {
             let path = path.clone();
             decision = then(move |app, _| app.add_field(&path));

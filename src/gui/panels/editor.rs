@@ -8,7 +8,7 @@ use crate::gui::app::Workstation;
 use crate::gui::tool::{Placed, Tool, symbol, tidy, words};
 use crate::gui::worker::Overlay;
 use crate::scene::{Deformation, Size};
-use eframe::egui::{RichText, Slider, Ui};
+use eframe::egui::{self, Context, RichText, Slider, Ui};
 use egui_phosphor::regular as icon;
 use std::path::Path;
 
@@ -50,8 +50,14 @@ impl Workstation {
         });
         ui.spacing_mut().slider_width = (ui.available_width() - 128.0).max(60.0);
         let largest = self.doc.as_ref().map_or(100.0, |d| 0.5 * d.bounds().size().max_element());
-        ui.add(Slider::new(&mut self.editor.radius, 1.0..=largest.max(2.0)).text("radius").suffix(" mm").max_decimals(1));
-        ui.add(Slider::new(&mut self.editor.strength, 0.05..=1.0).text("strength").max_decimals(2));
+        ui.add(
+            Slider::new(&mut self.editor.radius, 1.0..=largest.max(2.0))
+                .clamping(egui::SliderClamping::Edits)
+                .text("radius")
+                .suffix(" mm")
+                .max_decimals(1),
+        );
+        ui.add(Slider::new(&mut self.editor.strength, 0.05..=1.0).clamping(egui::SliderClamping::Edits).text("strength").max_decimals(2));
         ui.label(
             RichText::new("Brush on a slice, or on the surface in the 3D view. Strokes go into the painted map at the end of the stack.").weak(),
         );
@@ -70,7 +76,9 @@ impl Workstation {
                 if let Ok(kind) = crate::deform::kinds::kind(name) {
                     let tool = Tool::Place(Placed(kind));
                     let word = if name == "points" { "Control points" } else { &words(name) };
-                    if tool_button(ui, symbol(name), word, self.tool == tool, kind.about).clicked() {
+                    let button = tool_button(ui, symbol(name), word, self.tool == tool, kind.about);
+                    button.interact(egui::Sense::drag()).dnd_set_drag_payload(Placed(kind));
+                    if button.clicked() {
                         if name == "points" {
                             self.add_control_points();
                         } else {
@@ -116,7 +124,8 @@ impl Workstation {
             let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
             ui.horizontal(|ui| {
                 if ui.button(format!("{} {name}", icon::PLUS)).on_hover_text("Use it on this scene, scaled to it").clicked() {
-                    self.use_map(path);
+                    let ctx = ui.ctx().clone();
+                    self.use_map(&ctx, path);
                 }
                 if super::icon_button(ui, icon::TRASH, &format!("Remove {name} from the library")).clicked() {
                     remove = Some(path.clone());
@@ -133,13 +142,13 @@ impl Workstation {
     }
 
     /// Adds a map of the library, as large against this scene as it was against its own.
-    pub fn use_map(&mut self, path: &Path) {
-        let read = crate::volume::load::image(path, &Default::default(), &crate::Watch::NOBODY);
-        let Some(doc) = &mut self.doc else { return };
-        let placement =
-            read.and_then(|image| compose::placement_of(&crate::volume::GridGeometry { size: image.size, world_from_voxel: image.world_from_voxel }));
-        match placement {
-            Ok(placement) => {
+    pub fn use_map(&mut self, ctx: &Context, path: &Path) {
+        let path = path.to_owned();
+        self.start(ctx, "Reading a map", move |watch| {
+            let image = crate::volume::load::image(&path, &Default::default(), watch)?;
+            let placement = compose::placement_of(&crate::volume::GridGeometry { size: image.size, world_from_voxel: image.world_from_voxel })?;
+            Ok(Box::new(move |app: &mut Workstation, _: &Context| {
+                let Some(doc) = &mut app.doc else { return };
                 let bounds = doc.bounds();
                 let mut d = Deformation::new("map");
                 d.name = path.file_stem().map(|s| s.to_string_lossy().into_owned());
@@ -154,8 +163,7 @@ impl Workstation {
                     d.size = Some(Size::Box(tidy(size / size.max_element() * bounds.size().max_element())));
                 }
                 doc.add(d);
-            }
-            Err(error) => self.fail(&error),
-        }
+            }))
+        });
     }
 }

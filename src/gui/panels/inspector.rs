@@ -42,7 +42,7 @@ fn three(ui: &mut Ui, values: &mut [f32; 3], speed: f32, suffix: &str, label: &s
     ui.horizontal(|ui| {
         ui.spacing_mut().item_spacing.x = 3.0;
         for (axis, v) in ["x", "y", "z"].into_iter().zip(values) {
-            let response = ui.add(DragValue::new(v).speed(speed).max_decimals(2).suffix(suffix).range(-1e5..=1e5));
+            let response = ui.add(DragValue::new(v).speed(speed).max_decimals(2).suffix(suffix).range(-1e5..=1e5).clamp_existing_to_range(false));
             response.widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::DragValue, true, format!("{label} {axis}")));
             changed |= response.changed();
         }
@@ -101,7 +101,8 @@ impl Workstation {
             }
             let mut percent = 100.0 * d.progress.unwrap_or(1.0);
             ui.spacing_mut().slider_width = (ui.available_width() - 72.0).max(60.0);
-            let slider = ui.add(Slider::new(&mut percent, 0.0..=100.0).suffix(" %").max_decimals(0).step_by(1.0));
+            let slider =
+                ui.add(Slider::new(&mut percent, 0.0..=100.0).clamping(egui::SliderClamping::Edits).suffix(" %").max_decimals(0).step_by(1.0));
             slider.widget_info(|| egui::WidgetInfo::slider(true, f64::from(percent), "Progress"));
             if slider.changed() {
                 d.progress = Some(percent / 100.0);
@@ -218,9 +219,12 @@ impl Workstation {
         if name(ui, "Centre (mm)", "Where its middle goes") {
             mesh.place.center = None;
         }
-        let mut center = mesh.place.center.unwrap_or_else(|| tidy(mesh_box.center()));
-        if three(ui, &mut center, 0.5, "", "Centre") {
-            mesh.place.center = Some(center);
+        match &mut mesh.place.center {
+            Some(center) => {
+                three(ui, center, 0.5, "", "Centre");
+            }
+            None if ui.button("Move it").on_hover_text("It lies where its file says").clicked() => mesh.place.center = Some(tidy(mesh_box.center())),
+            None => {}
         }
         if name(ui, "Turned (degrees)", "About x, then y, then z") {
             mesh.place.rotate = None;
@@ -242,12 +246,13 @@ impl Workstation {
         let render = &mut scene.render;
         ui.spacing_mut().slider_width = (ui.available_width() - 128.0).max(60.0);
         let slider = |ui: &mut Ui, v: &mut f32, range: std::ops::RangeInclusive<f32>, word: &str, tip: &str| {
-            ui.add(Slider::new(v, range).text(word).max_decimals(2)).on_hover_text(tip);
+            ui.add(Slider::new(v, range).clamping(egui::SliderClamping::Edits).text(word).max_decimals(2)).on_hover_text(tip);
         };
-        ui.add(Slider::new(&mut render.step, 0.1..=4.0).logarithmic(true).text("step").max_decimals(2))
+        ui.add(Slider::new(&mut render.step, 0.1..=4.0).clamping(egui::SliderClamping::Edits).logarithmic(true).text("step").max_decimals(2))
             .on_hover_text("Distance between samples, voxels");
         let mut antialias = render.antialias;
-        ui.add(Slider::new(&mut antialias, 1..=4).text("antialias")).on_hover_text("Samples averaged along each edge of a pixel");
+        ui.add(Slider::new(&mut antialias, 1..=4).clamping(egui::SliderClamping::Edits).text("antialias"))
+            .on_hover_text("Samples averaged along each edge of a pixel");
         render.antialias = antialias;
         if has_volume {
             choice(
@@ -341,10 +346,15 @@ fn show_numbers(ui: &mut Ui, d: &mut Deformation, kind: &Kind, scene_box: &crate
         }
         let mut v = value;
         ui.spacing_mut().slider_width = (ui.available_width() - 84.0).max(60.0);
-        let slider = ui.add(Slider::new(&mut v, min..=max).suffix(unit).max_decimals(if p.unit == Unit::None { 2 } else { 1 }));
+        let slider =
+            ui.add(Slider::new(&mut v, min..=max).clamping(egui::SliderClamping::Edits).suffix(unit).max_decimals(if p.unit == Unit::None {
+                2
+            } else {
+                1
+            }));
         slider.widget_info(|| egui::WidgetInfo::slider(true, f64::from(v), capital(p.name)));
         if slider.changed() {
-            d.parameters.insert(p.name, v.clamp(min, max));
+            d.parameters.insert(p.name, v.max(min).min(max));
         }
     }
 }

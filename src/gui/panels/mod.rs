@@ -301,6 +301,7 @@ impl Workstation {
                 for (n, kind) in kinds::list().enumerate() {
                     let word = words(kind.name);
                     let response = gallery_item(ui, self.thumbnails.kind(n), symbol(kind.name), &word, false);
+                    response.dnd_set_drag_payload(Placed(kind));
                     if response.on_hover_text(kind.about).clicked() {
                         armed = Some(kind);
                     }
@@ -573,9 +574,7 @@ impl Workstation {
                     ui.label(RichText::new("Recent").strong());
                     for path in &self.session.settings.recent {
                         let name = path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
-                        let there = path.exists();
-                        let text = if there { name } else { format!("{name} (not there)") };
-                        if ui.add_enabled(there, egui::Button::new(text).frame(false)).on_hover_text(path.display().to_string()).clicked() {
+                        if ui.add(egui::Button::new(name).frame(false)).on_hover_text(path.display().to_string()).clicked() {
                             open = Some(path.clone());
                         }
                     }

@@ -9,7 +9,8 @@ use crate::volume::Volume;
 use eframe::egui::{self, Color32, DragValue, Pos2, Rect, Sense, Shape, Slider, Stroke, Ui, pos2, vec2};
 use egui_phosphor::regular as icon;
 
-const BINS: usize = 256;
+/// Bars of the histogram.
+pub const BINS: usize = 256;
 const HEIGHT: f32 = 118.0;
 
 /// What the panel keeps.
@@ -90,7 +91,7 @@ impl Workstation {
         };
         let heights = self.transfer.heights(volume).to_vec();
         let mut settings = doc.scene.transfer.clone();
-        let (rect, response) = ui.allocate_exact_size(vec2(ui.available_width(), HEIGHT), Sense::click_and_drag());
+        let (rect, response) = ui.allocate_exact_size(vec2(ui.available_width().max(48.0), HEIGHT), Sense::click_and_drag());
         response.widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::Other, true, "Transfer function curve"));
         let plot = rect.shrink2(vec2(6.0, 6.0));
         let [low, high] = volume.range;
@@ -203,7 +204,10 @@ impl Workstation {
         ui.horizontal(|ui| {
             ui.spacing_mut().slider_width = (ui.available_width() - 130.0).max(50.0);
             let mut density = settings.density.unwrap_or(1.0);
-            if ui.add(Slider::new(&mut density, 0.02..=20.0).logarithmic(true).text("density").max_decimals(2)).changed() {
+            if ui
+                .add(Slider::new(&mut density, 0.02..=20.0).clamping(egui::SliderClamping::Edits).logarithmic(true).text("density").max_decimals(2))
+                .changed()
+            {
                 settings.density = Some(density);
             }
         });

@@ -13,6 +13,8 @@ use std::sync::Arc;
 
 /// Names, rightward and downward directions: patient left on the right, as radiologists see them.
 const ORIENTATIONS: [(&str, Vec3, Vec3); 3] = [("Axial", Vec3::X, Vec3::Y), ("Coronal", Vec3::X, Vec3::NEG_Z), ("Sagittal", Vec3::Y, Vec3::NEG_Z)];
+/// Turn of the wheel for one slice, points.
+const NOTCH: f32 = 40.0;
 /// Distance of arrows, points.
 const ARROWS: f32 = 24.0;
 
@@ -61,6 +63,8 @@ pub struct Slices {
     panes: [Pane; 6],
     /// The scene without what slices do not depend on.
     scene: Option<Arc<Scene>>,
+    /// Turns of the wheel that are no whole slice yet, points.
+    wheel: f32,
 }
 
 impl Default for Slices {
@@ -73,6 +77,7 @@ impl Default for Slices {
             space: Space::Deformed,
             panes: Default::default(),
             scene: None,
+            wheel: 0.0,
         }
     }
 }
@@ -321,9 +326,15 @@ impl Workstation {
         let Some(doc) = &self.doc else { return };
         let (_, right, down) = ORIENTATIONS[n];
         let normal = right.cross(down).abs();
-        let step = doc.assets.volume.spacing_mm().min_element() as f32;
-        let steps = (scroll / 12.0).clamp(-10.0, 10.0);
-        let steps = if steps.abs() < 1.0 { steps.signum() } else { steps.round() };
+        // The distance of slices that the volume has nearest to this direction.
+        let (directions, spacing) = (doc.assets.volume.direction(), doc.assets.volume.spacing_mm());
+        let along = |a: usize| directions.col(a).as_vec3().dot(normal).abs();
+        let axis = (0..3).max_by(|a, b| along(*a).total_cmp(&along(*b))).unwrap_or(2);
+        let step = spacing[axis] as f32;
+        // A notch of the wheel comes in many small parts.
+        self.slices.wheel += scroll;
+        let steps = (self.slices.wheel / NOTCH).trunc();
+        self.slices.wheel -= steps * NOTCH;
         let bounds = doc.bounds();
         if let Some(cursor) = &mut self.slices.cursor {
             *cursor = (*cursor + normal * steps * step).clamp(bounds.min, bounds.max);

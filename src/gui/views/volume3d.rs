@@ -139,7 +139,8 @@ impl View3d {
     pub fn failed(&mut self, target: Target) {
         match target {
             Target::Coarse => self.coarse_open = false,
-            _ => self.is_fine = true,
+            Target::Fine => self.is_fine = true,
+            _ => {}
         }
     }
 }
@@ -212,6 +213,11 @@ impl Workstation {
     /// Asks what lies at a place of the view.
     pub fn ask(&mut self, at: [f32; 2], purpose: Purpose) {
         let (Some(scene), Some(doc)) = (self.view.asked.clone(), &self.doc) else { return };
+        // A stroke is drawn on what was there when it began.
+        let scene = match (&purpose, &self.stroke_scene) {
+            (Purpose::Brush { .. }, Some(frozen)) => frozen.clone(),
+            _ => scene,
+        };
         let assets = doc.assets.clone();
         self.prober.ask(Question { scene, assets, at, purpose });
     }
@@ -289,6 +295,11 @@ impl Workstation {
             }
             return;
         }
+        if self.gesture.is_some() && !matches!(self.gesture, Some(Gesture::Zoom)) && ui.input(|i| i.pointer.button_pressed(PointerButton::Secondary))
+        {
+            self.escape();
+            return;
+        }
         for button in [PointerButton::Primary, PointerButton::Middle, PointerButton::Secondary] {
             if response.drag_started_by(button)
                 && let Some(origin) = ui.input(|i| i.pointer.press_origin())
@@ -332,7 +343,7 @@ impl Workstation {
             }
             Some(Gesture::Window3d) => self.drag_transfer(delta.x, delta.y),
             Some(Gesture::Lasso) if self.view.lasso.last().is_none_or(|l| l.distance(pos) > 3.0) => self.view.lasso.push(pos),
-            Some(Gesture::Brush) if delta.length() > 0.0 => self.ask(projector.at(pos), Purpose::Brush { last: false }),
+            Some(Gesture::Brush) if delta.length() > 0.0 && self.prober.open < 2 => self.ask(projector.at(pos), Purpose::Brush { last: false }),
             _ => {}
         }
         if response.drag_stopped() {
@@ -574,8 +585,12 @@ impl Workstation {
             }
             None => (middle, Vec2::ZERO),
         };
+        if points.len() < 3 || apex.is_some_and(|depth| depth <= 1.0) {
+            self.say(crate::gui::log::Level::Info, "The outline lies behind the eye; reset the camera (R) and draw it again");
+            return;
+        }
         let restore = self.tool == Tool::LassoRestore;
-        let points = points.into_iter().map(|p| p + shift).collect();
+        let points: Vec<Vec2> = points.into_iter().map(|p| p + shift).collect();
         self.lasso(restore, apex.unwrap_or(0.0), origin, right, up, points);
     }
 }
