@@ -425,11 +425,25 @@ pub fn info_tells_what_is_needed() {
 
 pub fn usage_errors_exit_with_2() {
     let folder = tempfile::tempdir().unwrap();
-    for arguments in [&["rendr"][..], &["render"], &["render", "x.nii"], &["render", "x.nii", "-o", "a.png", "--nonsense"], &[]] {
+    for arguments in [&["rendr"][..], &["render"], &["render", "x.nii"], &["render", "x.nii", "-o", "a.png", "--nonsense"]] {
         let o = incise(folder.path(), arguments);
         assert_eq!(o.status.code(), Some(2), "{arguments:?}");
     }
     assert!(incise(folder.path(), &["--help"]).status.success());
+}
+
+/// Without a display there is no window, and one message says so.
+#[cfg(all(feature = "gui", target_os = "linux"))]
+pub fn no_display_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_incise"));
+    for name in ["DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"] {
+        command.env_remove(name);
+    }
+    let o = command.env("INCISE_HOME", folder.path()).output().unwrap();
+    let told = String::from_utf8_lossy(&o.stderr).into_owned();
+    assert_eq!(o.status.code(), Some(1), "{told}");
+    assert!(told.lines().count() == 1 && told.contains("no window") && told.contains("incise render"), "{told}");
 }
 
 /// Meshes, their fields and surfaces from outside: what is written reads back, what is wrong is named.

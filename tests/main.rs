@@ -70,6 +70,8 @@ fn main() {
         an_existing_file_is_replaced_whole, meshes_and_fields_by_the_command_line, info_tells_what_is_needed, usage_errors_exit_with_2));
     #[cfg(feature = "gpu")]
     all.extend(parity::trials());
+    #[cfg(all(feature = "gui", target_os = "linux"))]
+    all.extend(trials!(command_line: no_display_is_told));
     #[cfg(feature = "gui")]
     all.extend(trials!(workstation:
         every_panel_is_there, a_peel_is_placed_undone_saved_and_opened_again, lasso_cuts_and_restores, renderers_are_compared_and_reported,

@@ -71,6 +71,13 @@ pub fn main() -> Run {
             Ok(())
         }
         None => {
+            if let Some(word) =
+                cli.file.as_ref().and_then(|f| f.to_str()).filter(|w| !w.contains(['.', '/', '\\', ':']) && !std::path::Path::new(w).exists())
+            {
+                let commands = ["render", "bake", "map", "gallery", "sdf", "info", "schema", "list"];
+                eprintln!("incise: there is no command and no file \"{word}\"; {}", crate::error::suggestion(word, commands));
+                return Run::Done(ExitCode::from(2));
+            }
             return Run::Workstation(cli.file);
         }
     };

@@ -258,7 +258,7 @@ mod tests {
         assert_eq!(d.shown(false).deformation.iter().filter(|x| x.enabled).count(), 1);
         assert!(d.shown(true).deformation.is_empty());
         assert!(d.delete() && d.delete());
-        assert_eq!(kinds(&d), ["twist".to_owned(), "peel".into()]);
+        assert_eq!(kinds(&d), ["box".to_owned(), "peel".into()]);
         assert!(d.is_changed());
         d.selected = Selection::Volume;
         assert!(!d.delete(), "a scene shows something");

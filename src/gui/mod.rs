@@ -52,5 +52,11 @@ pub fn open(file: Option<PathBuf>) -> Result<()> {
             Ok(Box::new(Workstation::new(&creation.egui_ctx, options)))
         }),
     );
-    run.map_err(|e| Error::value("workstation", format!("no window could be opened ({e}); pictures are rendered without one by: incise render")))
+    run.map_err(|e| {
+        let why = match e {
+            eframe::Error::Winit(_) | eframe::Error::WinitEventLoop(_) => "there is no display that answers".to_owned(),
+            other => other.to_string(),
+        };
+        Error::value("workstation", format!("no window could be opened ({why}); pictures are rendered without one by: incise render"))
+    })
 }

@@ -53,7 +53,7 @@ fn visuals(theme: Theme) -> Visuals {
     v.window_fill = grey(38, 250);
     v.extreme_bg_color = grey(22, 255);
     v.faint_bg_color = grey(38, 236);
-    v.override_text_color = None;
+    v.weak_text_color = Some(grey(168, 92));
     v.widgets.noninteractive.fg_stroke = Stroke::new(1.0, grey(222, 28));
     v.widgets.noninteractive.bg_stroke = Stroke::new(1.0, grey(52, 214));
     v.widgets.inactive.fg_stroke = Stroke::new(1.0, grey(226, 28));

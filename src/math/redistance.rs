@@ -126,7 +126,8 @@ mod tests {
         for (p, v) in renewed(|p| distance(p) * (2.0 + (0.3 * p.x).sin())) {
             let want = distance(p).clamp(-FAR, FAR);
             assert!(v == 0.0 || (v < 0.0) == (want < 0.0), "{v} for {want} at {p}");
-            assert!((v - want).abs() < 0.45, "{v} for {want} at {p}");
+            // A scheme of first order errs by h ln(ρ/R) at ρ from the centre of a sphere of radius R: 0.7 within reach, and a little where it begins.
+            assert!((v - want).abs() < 0.8, "{v} for {want} at {p}");
         }
     }
 

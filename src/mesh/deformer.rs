@@ -228,6 +228,13 @@ mod tests {
         fn jacobians_are_central_differences(p in prop::array::uniform3(-6.0f32..6.0)) {
             let p = Vec3::from(p) + Vec3::new(-1.0, -2.0, 3.0);
             for d in all() {
+                // A wave has a cone on its axis, and a lattice ends at its faces: there they have no derivative.
+                let local = d.local_from_world.transform_point3(p);
+                let on_axis = matches!(d.deform, Deform::Wave(..)) && local.truncate().length() < 0.3;
+                let on_face = matches!(d.deform, Deform::Lattice(_)) && (local.abs() - d.half).abs().min_element() < 0.05;
+                if on_axis || on_face {
+                    continue;
+                }
                 let (_, j) = d.apply(p);
                 for axis in Vec3::AXES {
                     let h = 0.01;

@@ -27,8 +27,9 @@ impl Scene {
         let named = self.deformation.iter().flat_map(|d| FILE_SETTINGS.iter().flat_map(|n| d.parameters.texts(n).ok().flatten().unwrap_or_default()));
         let holder = self.volume.iter().flat_map(|v| &v.inside).map(|i| &i.path);
         let labels = self.volume.iter().flat_map(|v| &v.labels);
-        let meshes = self.mesh.iter().flat_map(|m| m.path.iter().chain(&m.volume)).chain(holder).chain(labels).map(|p| self.folder.join(p));
-        self.volume_path().into_iter().chain(meshes).chain(named.map(|p| self.folder.join(p))).collect()
+        let at = |p: &str| if p.starts_with("phantom:") { PathBuf::from(p) } else { self.folder.join(p) };
+        let meshes = self.mesh.iter().flat_map(|m| m.path.iter().chain(&m.volume)).chain(holder).chain(labels).map(|p| at(p));
+        self.volume_path().into_iter().chain(meshes).chain(named.map(|p| at(&p))).collect()
     }
 
     /// The same scene as a file in `folder` states it: paths relative where they lie below it, else absolute.

@@ -35,7 +35,12 @@ for n in $(seq 80 120); do
 done
 for _ in $(seq 50); do xdotool getmouselocation >/dev/null 2>&1 && break; sleep 0.1; done
 
-photo() { import -window root "$work/$1.png"; [ -z "$photos" ] || { mkdir -p "$photos"; cp "$work/$1.png" "$photos/$1.png"; }; }
+photo() { # those called workstation... are for showing
+  import -window root "$work/$1.png"
+  case $photos/$1 in
+    ?*/workstation*) mkdir -p "$photos" && convert "$work/$1.png" -strip -define png:compression-level=9 "$photos/$1.png" ;;
+  esac
+}
 # Pixels of a part of the window that differ between two photographs.
 differ() {
   local part=$3

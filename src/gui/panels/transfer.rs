@@ -318,7 +318,7 @@ mod tests {
     /// Written out as points, a preset is the same function.
     #[test]
     fn editing_begins_where_the_preset_was() {
-        let volume = phantom::from_spec("phantom:head-ct:size=24").unwrap();
+        let volume = phantom::from_spec("head-ct:size=24").unwrap();
         for preset in transfer::list() {
             let settings = TransferSettings { preset: Some(preset.name.into()), window: Some(300.0), level: Some(100.0), ..Default::default() };
             let function = settings.resolve(&volume, "grey").unwrap();
