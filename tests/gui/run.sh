@@ -109,6 +109,7 @@ peeled=$(differ turned dropped "$view")
 echo "peel: $peeled pixels changed"
 [ "$peeled" -gt 3000 ] || fail 'no peel was dropped'
 for _ in 1 2 3 4 5 6 7; do key bracketright; done
+xdotool mousemove 60 400
 still
 photo workstation
 opened=$(differ dropped workstation "$view")
