@@ -1,6 +1,6 @@
 //! What is seen in one pixel: the point of the deformed scene, where it came from, the value there, and how its surface is turned.
 //!
-//! A ray is followed as the renderer follows it, to where it has lost [`SEEN`] of its light: the first surface that a viewer would point at,
+//! A ray is followed as the renderer follows it, to where it has lost three tenths of its light: the first surface that a viewer would point at,
 //! rather than the first haze in front of it.
 
 use super::{Look, first_sample_after, look, shading, surface};
