@@ -122,7 +122,7 @@ impl Document {
         }
     }
 
-    /// Adds a deformation at the end, or before the cuts at the end if it moves matter, and selects it.
+    /// Adds a deformation at the end and selects it.
     pub fn add(&mut self, deformation: Deformation) -> usize {
         let at = self.scene.deformation.len();
         self.scene.deformation.push(deformation);

@@ -471,7 +471,7 @@ impl Workstation {
         match ending.as_str() {
             "toml" => self.open(ctx, path),
             _ if mesh::load::is_mesh(path) => {
-                doc.scene.mesh.push(mesh_source(&text));
+                doc.scene.mesh.push(crate::scene::surface::MeshSource::of_file(text));
                 doc.selected = super::document::Selection::Mesh(doc.scene.mesh.len() - 1);
                 self.session.opened(path);
             }
@@ -626,11 +626,6 @@ impl Workstation {
         };
         self.files.ask(Purpose::Locate(Box::new(dialog)), &title, None, &[]);
     }
-}
-
-/// A mesh with the looks of one that was dropped.
-fn mesh_source(path: &str) -> crate::scene::surface::MeshSource {
-    crate::scene::surface::MeshSource::of_file(path)
 }
 
 /// The scene as small as it can be: enough to find what cannot be used.

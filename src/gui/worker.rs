@@ -5,7 +5,6 @@
 //! that it never waits for a picture. Coarse pictures and slices leave one core to the interface.
 
 use super::log::Level;
-use crate::compare;
 use crate::cpu::pick::{self, Pick};
 use crate::cpu::section::{self, Plane, Section};
 use crate::scene::measure::{Measure, Quantity};
@@ -134,7 +133,7 @@ pub struct SlicePicture {
     pub plane: Plane,
     /// What was found.
     pub section: Section,
-    /// Label under each pixel, if there is a label map and it was asked for.
+    /// How it is shown.
     pub style: SliceStyle,
 }
 
@@ -503,9 +502,6 @@ fn measured(job: &Job, measures: &[Measure], watch: &Watch) -> Result<Vec<Measur
     };
     measures.iter().map(of).collect()
 }
-
-/// Numbers of the difference of two pictures.
-pub type Differences = Result<compare::Difference, String>;
 
 /// Why something under the pointer is asked for.
 #[derive(Clone, Debug, PartialEq)]

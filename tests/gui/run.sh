@@ -127,6 +127,7 @@ same=$(differ redone workstation "$view")
 key ctrl+s
 sleep 1
 grep -q 'kind = "peel"' "$work/head.toml" || fail 'the session was not saved'
+sleep 5 # the message of it goes away
 
 key ctrl+k; sleep 0.5; xdotool type lay; sleep 1
 photo workstation-commands

@@ -204,9 +204,6 @@ impl Workstation {
         let same_assets = panel.assets == Arc::as_ptr(&assets) as usize;
         let wanted: [Scene; 2] = std::array::from_fn(|n| panel.sides[n].scene(&scene));
         let changed = (0..2).any(|n| !same_assets || panel.asked[n].as_deref().is_none_or(|a| *a != wanted[n]));
-        if changed && panel.changed_at.elapsed().as_secs_f64() > 3600.0 {
-            panel.changed_at = Instant::now();
-        }
         if !changed {
             return;
         }

@@ -40,8 +40,6 @@ pub struct View3d {
     /// Pixels of the view per pixel of a coarse picture.
     scale: f32,
     fine_ms: f64,
-    /// The scene and size of the picture that is shown.
-    pub shown: Option<String>,
     /// The last picture's facts, for the status bar.
     pub facts: Facts,
     /// Which handles.
@@ -82,7 +80,6 @@ impl Default for View3d {
             is_fine: false,
             scale: 3.0,
             fine_ms: f64::INFINITY,
-            shown: None,
             facts: Facts::default(),
             gizmo: GizmoMode::Shape,
             lasso: Vec::new(),
@@ -239,8 +236,7 @@ impl Workstation {
         }
         let Some(projector) = self.projector() else { return };
         let pointer = response.hover_pos().filter(|p| rect.contains(*p));
-        let free = self.gesture.is_none() && !ui.ctx().input(|i| i.pointer.any_down());
-        let on_cube = cube::draw(&painter, rect, &projector, pointer.filter(|_| free || self.gesture.is_none()));
+        let on_cube = cube::draw(&painter, rect, &projector, pointer.filter(|_| self.gesture.is_none()));
         edge_letters(&painter, rect, projector.frame.right.normalize_or_zero(), projector.frame.up.normalize_or_zero());
         let target = self.doc.as_ref().map_or(Vec3::ZERO, |d| d.scene.camera.target.map_or_else(|| d.bounds().center(), Vec3::from));
         scale_bar(&painter, rect, projector.mm_per_point(target));
