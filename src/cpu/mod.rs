@@ -11,22 +11,29 @@
 //!
 //! `shaders/raycast.wgsl` and `shaders/lib` say the same in the same words.
 
+pub mod packet;
 pub mod pick;
 pub mod section;
 pub mod shading;
 pub mod surface;
 
-use crate::deform::cut::Kept;
-use crate::scene::{Mode, Picture, Prepared, RenderStats, Rendered, Stages};
+use crate::math::lanes::*;
+use crate::scene::{Picture, Prepared, RenderStats, Rendered, Stages};
 use crate::transfer::Blend;
 use crate::volume::{GridVoxels, Sampler, Voxel};
 use crate::{Result, Watch};
 use glam::Vec3;
+use packet::{Marcher, Ray};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// A ray whose remaining transmittance is below this is finished: less than half an 8-bit step can follow.
 const OPAQUE: f32 = 1.0 / 512.0;
+
+/// Rows that one task renders; whole packets.
+const STRIP_ROWS: usize = 8;
+/// Bisections of the step in which a ray enters matter.
+const ENTRY_STEPS: u32 = 4;
 
 /// Renders a prepared scene. `progress` is told the share that is done, from several threads.
 pub fn render(scene: &Prepared, progress: &(dyn Fn(f32) + Sync)) -> Rendered {
@@ -59,27 +66,18 @@ fn rows<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, watch: &Watch) -> (Pic
     let [width, height] = scene.frame.size;
     let mut pixels = vec![[0.0f32; 4]; width as usize * height as usize];
     let done = AtomicUsize::new(0);
+    let marcher = Marcher::new(scene, sampler);
     let stats = pixels
-        .par_chunks_mut(width as usize)
+        .par_chunks_mut(width as usize * STRIP_ROWS)
         .enumerate()
-        .map(|(y, row)| {
-            let mut stats = RenderStats::default();
+        .map(|(n, pixels)| {
             if watch.stopped() {
-                return stats;
+                return RenderStats::default();
             }
-            for (x, pixel) in row.iter_mut().enumerate() {
-                let u = (x as f32 + 0.5) / width as f32 * 2.0 - 1.0;
-                let v = 1.0 - (y as f32 + 0.5) / height as f32 * 2.0;
-                let (origin, direction) = scene.frame.view.ray(u, v);
-                let behind = surface::nearest(scene, origin, direction, &mut stats.samples_taken);
-                let until = behind.map_or(f32::INFINITY, |hit| hit.t);
-                *pixel = march(scene, sampler, origin, direction, until, &mut stats);
-                if let Some(hit) = behind {
-                    let [r, g, b, a] = *pixel;
-                    *pixel = (Vec3::new(r, g, b) + hit.color * (1.0 - a)).extend(1.0).to_array();
-                }
-            }
-            (watch.progress)((done.fetch_add(1, Ordering::Relaxed) + 1) as f32 / height as f32);
+            let strip = Strip { marcher: &marcher, scene, top: n * STRIP_ROWS, pixels };
+            let stats = with_simd(strip);
+            let rows = done.fetch_add(STRIP_ROWS, Ordering::Relaxed) + STRIP_ROWS;
+            (watch.progress)((rows as f32 / height as f32).min(1.0));
             stats
         })
         .reduce(RenderStats::default, |a, b| RenderStats {
@@ -88,6 +86,52 @@ fn rows<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, watch: &Watch) -> (Pic
             samples_terminated: a.samples_terminated + b.samples_terminated,
         });
     (Picture { width, height, pixels }, stats)
+}
+
+/// Some whole rows of a picture.
+struct Strip<'a, T> {
+    marcher: &'a Marcher<'a, T>,
+    scene: &'a Prepared<'a>,
+    /// The first row.
+    top: usize,
+    pixels: &'a mut [[f32; 4]],
+}
+
+impl<T: Voxel> OverSimd for Strip<'_, T> {
+    type Output = RenderStats;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) -> RenderStats {
+        let [width, height] = self.scene.frame.size.map(|n| n as usize);
+        let mut stats = RenderStats::default();
+        let rows = self.pixels.len() / width;
+        for (y, x) in (0..rows).step_by(2).flat_map(|y| (0..width).step_by(4).map(move |x| (y, x))) {
+            let mut behind = [None; LANES];
+            let rays = std::array::from_fn(|n| {
+                let (x, y) = (x + n % 4, y + n / 4);
+                let u = (x as f32 + 0.5) / width as f32 * 2.0 - 1.0;
+                let v = 1.0 - ((self.top + y) as f32 + 0.5) / height as f32 * 2.0;
+                let (origin, direction) = self.scene.frame.view.ray(u, v);
+                if x >= width || y >= rows {
+                    return Ray { origin, direction, until: -1.0 };
+                }
+                behind[n] = surface::nearest(self.scene, origin, direction, &mut stats.samples_taken);
+                Ray { origin, direction, until: behind[n].as_ref().map_or(f32::INFINITY, |hit| hit.t) }
+            });
+            let colors = self.marcher.march(simd, &rays, &mut stats);
+            for (n, (color, behind)) in colors.into_iter().zip(behind).enumerate() {
+                let (x, y) = (x + n % 4, y + n / 4);
+                if x < width && y < rows {
+                    let [r, g, b, a] = color;
+                    self.pixels[y * width + x] = match behind {
+                        Some(hit) => (Vec3::new(r, g, b) + hit.color * (1.0 - a)).extend(1.0).to_array(),
+                        None => color,
+                    };
+                }
+            }
+        }
+        stats
+    }
 }
 
 /// What is at a point of the deformed scene.
@@ -123,118 +167,43 @@ fn first_sample_after(t: f32, step: f32) -> i32 {
     (t / step - 0.5).ceil().max(0.0) as i32
 }
 
-/// The volume along one ray as far as `until`: premultiplied colour.
-fn march<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, origin: Vec3, direction: Vec3, until: f32, stats: &mut RenderStats) -> [f32; 4] {
-    let frame = &scene.frame;
-    let Some((near, far)) = frame.proxy.intersect_ray(origin, direction) else { return [0.0; 4] };
-    let step = match scene.settings.mode {
-        Mode::Raycast | Mode::Surface => frame.step_mm,
-        Mode::Slice => frame.step_mm / direction.dot(frame.view.forward),
-    };
-    let (mut i, end) = (first_sample_after(near, step), first_sample_after(far.min(until), step));
-    let length = step / frame.reference_mm;
-    let inverse_direction = direction.recip();
-    let mut projection = Projection::new(scene.blend);
-    let mut color = Vec3::ZERO;
-    let mut transmittance = 1.0f32;
-    while i < end {
-        let deformed = origin + direction * ((i as f32 + 0.5) * step);
-        if let Some(t) = scene.macrocells.empty_until(deformed, origin, inverse_direction) {
-            let next = first_sample_after(t, step).max(i + 1).min(end);
-            stats.samples_skipped += (next - i) as u64;
-            i = next;
-            continue;
-        }
-        let kept = if scene.cuts.is_empty() {
-            Kept { at: (i as f32 + 0.5) * step, share: 1.0 }
-        } else {
-            scene.cuts.kept_part(origin, direction, (i as f32 + 0.5) * step, step)
-        };
-        i += 1;
-        stats.samples_taken += 1;
-        if kept.share <= 0.0 {
-            continue;
-        }
-        let deformed = origin + direction * kept.at;
-        let at = look(scene, sampler, deformed);
-        if scene.blend != Blend::Composite {
-            if at.present {
-                projection.insert(at.value);
-            }
-            continue;
-        }
-        if at.present
-            && scene.grey_faces()
-            && let Some(grey) = shading::grey_face(scene, sampler, &at, deformed, direction, step)
-        {
-            color += Vec3::splat(grey * transmittance);
-            transmittance = 0.0;
-            stats.samples_terminated += (end - i).max(0) as u64;
-            break;
-        }
-        if let Some(iso) = scene.iso {
-            if at.present && at.value >= iso {
-                color = shading::iso_surface(scene, sampler, iso, deformed, direction, step) * transmittance + color;
-                transmittance = 0.0;
-                stats.samples_terminated += (end - i).max(0) as u64;
-                break;
-            }
-            continue;
-        }
-        let (depth, shaded) = match shading::visible(scene, &at, deformed) {
-            Some(sample) => (sample.depth, shading::shade(scene, sampler, &sample, direction, step)),
-            None if at.alpha > 0.0 && at.alpha < 1.0 => match shading::sliver(scene, sampler, deformed, at.present, direction, step) {
-                Some((depth, shaded)) => (depth, shaded),
-                None => continue,
-            },
-            None => continue,
-        };
-        let pass = (-depth * shaded.depth_factor * kept.share * length).exp2();
-        color += shaded.color * (transmittance * (1.0 - pass));
-        transmittance *= pass;
-        if transmittance < OPAQUE && scene.settings.early_termination {
-            stats.samples_terminated += (end - i).max(0) as u64;
-            break;
-        }
-    }
-    if scene.blend == Blend::Composite {
-        return color.extend(1.0 - transmittance).to_array();
-    }
-    projection.color(scene)
-}
-
-/// The samples of a projection along one ray.
-struct Projection {
+/// The samples of a projection along eight rays.
+struct Projection<S: Simd> {
     blend: Blend,
-    value: f32,
-    count: u32,
+    value: f32x8<S>,
+    count: f32x8<S>,
 }
 
-impl Projection {
-    fn new(blend: Blend) -> Self {
+impl<S: Simd> Projection<S> {
+    #[inline(always)]
+    fn new(simd: S, blend: Blend) -> Self {
         let value = match blend {
             Blend::Minip => f32::INFINITY,
             Blend::Mip => f32::NEG_INFINITY,
             _ => 0.0,
         };
-        Self { blend, value, count: 0 }
+        Self { blend, value: f32x8::splat(simd, value), count: f32x8::splat(simd, 0.0) }
     }
 
-    fn insert(&mut self, value: f32) {
-        self.count += 1;
-        self.value = match self.blend {
+    /// The values of rays that met matter.
+    #[inline(always)]
+    fn insert(&mut self, value: f32x8<S>, present: mask32x8<S>) {
+        self.count = present.select(self.count + 1.0, self.count);
+        let with = match self.blend {
             Blend::Mip => self.value.max(value),
             Blend::Minip => self.value.min(value),
             _ => self.value + value,
         };
+        self.value = present.select(with, self.value);
     }
 
-    /// The projected value through the transfer function, premultiplied; nothing where the ray met nothing.
-    fn color(&self, scene: &Prepared) -> [f32; 4] {
-        if self.count == 0 {
+    /// The projected value of a ray through the transfer function, premultiplied; nothing where the ray met nothing.
+    fn color(&self, scene: &Prepared, lane: usize) -> [f32; 4] {
+        let (value, count) = (self.value[lane], self.count[lane]);
+        if count == 0.0 {
             return [0.0; 4];
         }
-        let value = if self.blend == Blend::Average { self.value / self.count as f32 } else { self.value };
+        let value = if self.blend == Blend::Average { value / count } else { value };
         let [r, g, b, depth] = scene.table.lookup(value);
         let alpha = 1.0 - (-depth).exp2();
         [r * alpha, g * alpha, b * alpha, alpha]

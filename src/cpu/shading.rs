@@ -22,7 +22,7 @@
 //! `shaders/lib/shading.wgsl` says the same; it takes the Jacobian at a sample once more instead of keeping it, so that samples, entries
 //! and slivers share one call.
 
-use super::Look;
+use super::{ENTRY_STEPS, Look};
 use crate::deform::{Cut, Jet};
 use crate::math::{normalize_or, smoothstep};
 use crate::scene::{IsoLight, Normals, Prepared};
@@ -47,9 +47,9 @@ pub struct Normal {
 }
 
 /// Change of the table coordinate per Δ₀ below which a gradient is noise, and above which it is a surface.
-const SURFACE: [f32; 2] = [0.004, 0.04];
+pub(super) const SURFACE: [f32; 2] = [0.004, 0.04];
 /// Share of the diffuse light that a sample without a normal gets.
-const EVEN_LIGHT: f32 = 0.6;
+pub(super) const EVEN_LIGHT: f32 = 0.6;
 
 /// A visible sample before light.
 #[derive(Clone, Copy, Debug)]
@@ -65,9 +65,6 @@ pub struct Sample {
     /// Its normalised value.
     pub value: f32,
 }
-
-/// Bisections of the step in which a ray enters matter.
-const ENTRY_STEPS: u32 = 4;
 
 /// The sample at a point that was looked at, if it shows anything.
 #[inline(always)]

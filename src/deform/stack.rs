@@ -9,6 +9,7 @@
 
 use super::{DisplacementMap, Placement};
 use crate::math::Bounds;
+use crate::math::lanes::*;
 use glam::{Affine3A, Mat3, Vec3, Vec4Swizzles};
 use std::sync::Arc;
 
@@ -44,6 +45,17 @@ pub struct Cut {
     pub distance_mm: f32,
     /// Unit normal of the cut in the deformed scene, pointing out of the matter; zero where there is no cut.
     pub normal: Vec3,
+}
+
+/// Eight points carried back through a stack.
+#[derive(Clone, Copy)]
+pub struct Walks<S: Simd> {
+    /// Source points, mm.
+    pub source: Vec3x8<S>,
+    /// Smallest masks on the way.
+    pub alpha: f32x8<S>,
+    /// Whether any map's cube was met.
+    pub inside: mask32x8<S>,
 }
 
 /// Everything that shading needs to know of the deformation at a point.
@@ -196,6 +208,40 @@ impl Stack {
             }
         }
         (p, smallest)
+    }
+
+    /// [`Self::walk`] for eight points, of which those in `lanes` are wanted. Only points inside a map's cube cost a fetch.
+    #[inline(always)]
+    pub fn walk_lanes<S: Simd>(&self, simd: S, deformed: Vec3x8<S>, lanes: mask32x8<S>) -> Walks<S> {
+        let nothing = mask32x8::splat(simd, false);
+        let mut walk = Walks { source: deformed, alpha: f32x8::splat(simd, 1.0), inside: nothing };
+        let mut at = deformed;
+        let mut live = lanes;
+        for map in self.maps.iter().rev() {
+            let x = at.transformed(&map.placement.map_from_world);
+            let inside = live
+                & within(x.x, -map.reach.x, 1.0 + map.reach.x)
+                & within(x.y, -map.reach.y, 1.0 + map.reach.y)
+                & within(x.z, -map.reach.z, 1.0 + map.reach.z);
+            if inside.any_true() {
+                let mut stored = Vec3x8::splat(simd, Vec3::ZERO);
+                let mut alpha = f32x8::splat(simd, 1.0);
+                for n in lanes_of(inside.to_bitmask()) {
+                    let t = map.map.fetch(x.lane(n));
+                    stored.set(n, t.xyz());
+                    alpha[n] = t.w;
+                }
+                walk.alpha = walk.alpha.min(alpha);
+                walk.inside |= inside;
+                live &= !alpha.simd_lt(0.5);
+                let moved = walk.source + stored.mapped(&map.world_from_stored);
+                walk.source = Vec3x8::select(live & inside, moved, walk.source);
+            }
+            if !map.added {
+                at = walk.source;
+            }
+        }
+        walk
     }
 
     /// As [`Self::walk`], but through every map whatever the masks say: the pseudo-inverse, continuous across cuts.

@@ -4,6 +4,7 @@ pub mod bounds;
 pub mod distance;
 mod distance_grid;
 pub mod interpolate;
+pub mod lanes;
 pub mod pyramid;
 mod redistance;
 

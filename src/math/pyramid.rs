@@ -47,28 +47,39 @@ impl<const C: usize> Range<C> {
 }
 
 impl<const C: usize> MinMaxPyramid<C> {
-    /// Builds the pyramid of a grid of `size` points whose rows come from `value(i, j, k)`; `2^shift` cells per finest node.
+    /// Builds the pyramid of a grid of `size` points by their values `value(i, j, k)`; `2^shift` cells per finest node.
     pub fn new(size: [usize; 3], shift: u32, value: impl Fn(usize, usize, usize) -> [f32; C] + Sync) -> Self {
+        Self::from_runs(size, shift, |first, last, j, k| {
+            let mut range = Range::EMPTY;
+            (first..=last).for_each(|i| range.insert(value(i, j, k)));
+            range
+        })
+    }
+
+    /// As [`Self::new`], by the ranges of runs along the first axis: `run(first, last, j, k)`, both ends in it.
+    pub fn from_runs(size: [usize; 3], shift: u32, run: impl Fn(usize, usize, usize, usize) -> Range<C> + Sync) -> Self {
         use rayon::prelude::*;
         let edge = 1usize << shift;
         let nodes_along = |n: usize| (n.saturating_sub(1)).div_ceil(edge).max(1);
         let level_size = size.map(nodes_along);
-        let nodes = (0..level_size[0] * level_size[1] * level_size[2])
-            .into_par_iter()
-            .map(|index| {
-                let node = [index % level_size[0], index / level_size[0] % level_size[1], index / level_size[0] / level_size[1]];
-                let end = |axis: usize| ((node[axis] + 1) * edge).min(size[axis] - 1);
-                let mut range = Range::EMPTY;
-                for k in node[2] * edge..=end(2) {
-                    for j in node[1] * edge..=end(1) {
-                        for i in node[0] * edge..=end(0) {
-                            range.insert(value(i, j, k));
+        let [nx, ny, _] = level_size;
+        let mut nodes = vec![Range::EMPTY; level_size.iter().product()];
+        nodes.par_chunks_mut(nx * ny).enumerate().for_each(|(layer, nodes)| {
+            for k in layer * edge..=((layer + 1) * edge).min(size[2] - 1) {
+                for j in 0..size[1] {
+                    // A row on the face between two nodes belongs to both.
+                    let upper = (j / edge).min(ny - 1);
+                    let shared = j % edge == 0 && j > 0 && upper * edge == j;
+                    for (i, at) in (0..nx).map(|i| (i * edge, upper * nx + i)) {
+                        let range = run(i, (i + edge).min(size[0] - 1), j, k);
+                        nodes[at].merge(&range);
+                        if shared {
+                            nodes[at - nx].merge(&range);
                         }
                     }
                 }
-                range
-            })
-            .collect();
+            }
+        });
         let mut levels = vec![Level { size: level_size, nodes }];
         while let Some(last) = levels.last().filter(|l| l.size != [1; 3]) {
             let above = last.size.map(|n| n.div_ceil(2));

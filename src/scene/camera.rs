@@ -205,6 +205,14 @@ impl ViewFrame {
         }
     }
 
+    /// The highest of 1 / cos of the angle between a pixel's ray and the view direction.
+    pub fn longest_slant(&self) -> f32 {
+        match self.projection {
+            Projection::Perspective => (self.forward + self.right + self.up).length(),
+            Projection::Orthographic => 1.0,
+        }
+    }
+
     /// The transform to clip space; every point gets depth 1/2, as slices are drawn in order and never tested.
     pub fn clip_from_world(&self) -> Mat4 {
         let basis = |v: Vec3| v / v.length_squared();

@@ -1,7 +1,7 @@
 //! Surfaces resolved for rendering: every `[[mesh]]`, and the volume's own surface where the mode asks for it, as an implicit solid, as
 //! triangles, or both.
 
-use super::macrocells::Macrocells;
+use super::macrocells::{Macrocells, Seen};
 use super::surface::{Appearance, CutModel, DeformerSource, Look, MeshPlace, MeshSource, Representation, ShapeSource, Steps, SurfaceSettings};
 use super::{Assets, Mode, Scene, Size};
 use crate::Watch;
@@ -642,7 +642,16 @@ impl Casting<'_> {
         }
         let edge = (deformed.size().max_element() / CELLS).max(self.cell_mm);
         // Without skipping every cell counts as occupied; their slopes are needed all the same.
-        let grid = Macrocells::classified(deformed, edge, 0.0, |b| !skipping || self.visible(b));
+        let grid = Macrocells::classified(deformed, edge, 0.0, |b| {
+            // Fields have no bound that says that a surface is everywhere.
+            if !skipping {
+                Seen::Throughout
+            } else if self.visible(b) {
+                Seen::Perhaps
+            } else {
+                Seen::Nothing
+            }
+        });
         use rayon::prelude::*;
         let slope = (0..grid.distance.len())
             .into_par_iter()

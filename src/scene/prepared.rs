@@ -6,11 +6,12 @@ use super::{CutFaces, Light, Macrocells, Mode, Normals, RenderSettings, Scene, V
 use crate::deform::compose::{self, Evaluate};
 use crate::deform::cut::Cuts;
 use crate::deform::{Library, PlacedMap, Stack, Storage};
+use crate::math::pyramid::Range;
 use crate::math::{Bounds, MinMaxPyramid, normalize_or, to_f32};
 use crate::mesh::Mesh;
 use crate::transfer::{Blend, OWN_COLORS, Table, default_preset};
 use crate::volume::load::Choice;
-use crate::volume::{Colors, GradientFilter, Grid, Volume, load, phantom};
+use crate::volume::{Colors, GradientFilter, Grid, GridVoxels, Volume, Voxel, load, phantom};
 use crate::{Error, Result, Watch};
 use glam::{Affine3A, DVec3, Vec3};
 use std::path::PathBuf;
@@ -221,7 +222,27 @@ impl Assets {
 
 /// Bounds of the values of a grid.
 fn bounds_of(grid: &Grid) -> MinMaxPyramid<1> {
-    MinMaxPyramid::new(grid.size, 2, |i, j, k| [grid.value(i, j, k)])
+    match &grid.voxels {
+        GridVoxels::U8(v) => bounds_of_voxels(grid, v),
+        GridVoxels::U16(v) => bounds_of_voxels(grid, v),
+        GridVoxels::I16(v) => bounds_of_voxels(grid, v),
+        GridVoxels::F32(v) => bounds_of_voxels(grid, v),
+    }
+}
+
+fn bounds_of_voxels<T: Voxel>(grid: &Grid, voxels: &[T]) -> MinMaxPyramid<1> {
+    let [nx, ny, _] = grid.size;
+    MinMaxPyramid::from_runs(grid.size, 2, |first, last, j, k| {
+        let row = (k * ny + j) * nx;
+        let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
+        for v in &voxels[row + first..=row + last] {
+            let v = v.to_f32();
+            (low, high) = (low.min(v), high.max(v));
+        }
+        let (a, b) = (low * grid.scale + grid.offset, high * grid.scale + grid.offset);
+        // A negative slope turns the range around.
+        Range { min: [a.min(b)], max: [a.max(b)] }
+    })
 }
 
 /// The constants of one picture.

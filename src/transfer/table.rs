@@ -6,6 +6,9 @@
 //! opacity within a range of values is, which is what empty-space skipping asks.
 
 use super::TransferFunction;
+use crate::math::lanes::*;
+use crate::volume::Voxel;
+use glam::Vec4;
 
 /// Entries over the curve's domain.
 pub const TABLE_ENTRIES: usize = 4096;
@@ -30,6 +33,8 @@ pub struct Table {
     pub offset: f32,
     /// `maxima[l][i]` = highest τ in entries `i .. i + 2^l`.
     maxima: Vec<Vec<f32>>,
+    /// How many of the entries before the i-th are transparent.
+    transparent: Vec<u32>,
 }
 
 impl Table {
@@ -70,6 +75,11 @@ impl Table {
                 })
                 .collect()
         };
+        let mut transparent = vec![0];
+        transparent.extend(entries.iter().scan(0, |sum, e| {
+            *sum += u32::from(e[3] <= 0.0);
+            Some(*sum)
+        }));
         let mut maxima = vec![entries.iter().map(|e| e[3]).collect::<Vec<f32>>()];
         while 2 << (maxima.len() - 1) <= TABLE_ENTRIES {
             let half = 1 << (maxima.len() - 1);
@@ -84,6 +94,7 @@ impl Table {
             scale: (span / (high - low)) as f32,
             offset: ((range[0] - low) / (high - low)) as f32,
             maxima,
+            transparent,
         }
     }
 
@@ -95,6 +106,34 @@ impl Table {
         let t = x - i as f32;
         let (a, b) = (&self.entries[i], &self.entries[i + 1]);
         std::array::from_fn(|c| a[c] + (b[c] - a[c]) * t)
+    }
+
+    /// Entries below eight values, and where between those and the next ones they lie.
+    #[inline(always)]
+    fn places<S: Simd>(&self, value: f32x8<S>) -> ([usize; LANES], f32x8<S>) {
+        let x = (value * self.scale + self.offset).max(0.0).min(1.0) * (TABLE_ENTRIES - 1) as f32;
+        let entry = x.to_int::<i32x8<S>>().max(0).min(TABLE_ENTRIES as i32 - 2);
+        (std::array::from_fn(|n| entry[n] as usize), x - entry.to_float::<f32x8<S>>())
+    }
+
+    /// Optical depths of eight normalised values.
+    #[inline(always)]
+    pub fn depth_lanes<S: Simd>(&self, simd: S, value: f32x8<S>) -> f32x8<S> {
+        let (entry, t) = self.places(value);
+        let [a, b] = f32::pairs(simd, &self.maxima[0], &entry);
+        a + (b - a) * t
+    }
+
+    /// Colours of eight normalised values; those of `lanes` (a bit each) are wanted.
+    #[inline(always)]
+    pub fn color_lanes<S: Simd>(&self, simd: S, value: f32x8<S>, lanes: u64) -> Vec3x8<S> {
+        let (entry, t) = self.places(value);
+        let mut colors = Vec3x8::splat(simd, glam::Vec3::ZERO);
+        for n in lanes_of(lanes) {
+            let [a, b] = [entry[n], entry[n] + 1].map(|i| Vec4::from(self.entries[i]));
+            colors.set(n, (a + (b - a) * t[n]).truncate());
+        }
+        colors
     }
 
     /// 1 where opacity rises with the value, -1 where it falls: the side of a surface on which its matter lies.
@@ -115,11 +154,22 @@ impl Table {
         a + (b - a) * (x - i as f32)
     }
 
-    /// The highest optical depth that any normalised value in `[low, high]` can have.
-    pub fn max_depth(&self, low: f32, high: f32) -> f32 {
+    /// The first and last entry that normalised values in `[low, high]` mix.
+    fn entries_over(&self, low: f32, high: f32) -> (usize, usize) {
         let entry = |v: f32| (v * self.scale + self.offset).clamp(0.0, 1.0) * (TABLE_ENTRIES - 1) as f32;
         let (a, b) = (entry(low.min(high)).floor() as usize, entry(high.max(low)).ceil() as usize);
-        let (a, b) = (a.min(b), b.min(TABLE_ENTRIES - 1));
+        (a.min(b), b.min(TABLE_ENTRIES - 1))
+    }
+
+    /// Whether every normalised value in `[low, high]` shows something.
+    pub fn is_visible_throughout(&self, low: f32, high: f32) -> bool {
+        let (a, b) = self.entries_over(low, high);
+        self.transparent[b + 1] == self.transparent[a]
+    }
+
+    /// The highest optical depth that any normalised value in `[low, high]` can have.
+    pub fn max_depth(&self, low: f32, high: f32) -> f32 {
+        let (a, b) = self.entries_over(low, high);
         let level = (b - a + 1).ilog2() as usize;
         self.maxima[level][a].max(self.maxima[level][b + 1 - (1 << level)])
     }

@@ -5,6 +5,7 @@
 //! ten-thousandth of a voxel, in which values between theirs and 0 remain.
 
 use super::{Colors, Rescale, Volume, Voxels};
+use crate::math::lanes::{LANES, Simd, f32x8};
 use glam::{Vec3, Vec4};
 use std::sync::Arc;
 
@@ -44,17 +45,13 @@ pub struct Grid {
 pub trait Voxel: Copy + Send + Sync + 'static {
     /// The value as f32, exact for all four types.
     fn to_f32(self) -> f32;
-}
 
-macro_rules! voxel {
-    ($($t:ty),*) => {$(impl Voxel for $t {
-        #[inline(always)]
-        fn to_f32(self) -> f32 {
-            self as f32
-        }
-    })*};
+    /// For each of eight indices, the values there and at the next one.
+    fn pairs<S: Simd>(simd: S, voxels: &[Self], at: &[usize; LANES]) -> [f32x8<S>; 2];
+
+    /// For each of eight indices, the values there and at the next three.
+    fn quads<S: Simd>(simd: S, voxels: &[Self], at: &[usize; LANES]) -> [f32x8<S>; 4];
 }
-voxel!(u8, u16, i16, f32);
 
 impl Grid {
     /// The grid of a volume. Shares the voxels of u8, i16, u16 and ordinary f32 volumes; i8 becomes i16, everything else normalised f32.
@@ -161,12 +158,12 @@ fn means<T: Voxel, U: Send>(
 
 /// Trilinear sampling of one typed grid.
 pub struct Sampler<'a, T> {
-    voxels: &'a [T],
-    size: [usize; 3],
+    pub(super) voxels: &'a [T],
+    pub(super) size: [usize; 3],
     /// Highest sample coordinate per axis, voxels.
-    top: Vec3,
-    scale: f32,
-    offset: f32,
+    pub(super) top: Vec3,
+    pub(super) scale: f32,
+    pub(super) offset: f32,
 }
 
 impl<'a, T: Voxel> Sampler<'a, T> {

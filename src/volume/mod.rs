@@ -7,6 +7,7 @@
 mod colors;
 mod gradient;
 mod grid;
+mod lanes;
 pub mod load;
 pub mod phantom;
 pub mod save;

@@ -1,0 +1,217 @@
+//! incise's side of `run.py`: answers one JSON object per line on standard input with one per line on standard output.
+//!
+//! What outlives a picture (volumes, fields, the device) is loaded once and kept, as peers keep theirs; `ms` is the time of the work alone,
+//! measured here, without the pipe. A request that cannot be met is answered with its `error`.
+#![allow(missing_docs, reason = "a benchmark has no callers")]
+
+use anyhow::{Context as _, Result, bail};
+use incise::cpu;
+use incise::deform::invert;
+use incise::deform::transform::{Context, Step, Transform, VectorField};
+use incise::export::bake;
+use incise::scene::{Assets, Deformed, Prepared, Rendered, Scene, Stages};
+use incise::volume::save::Format;
+use serde::Deserialize;
+use serde_json::{Map, Value, json};
+use std::collections::HashMap;
+use std::fs;
+use std::io::{BufRead, Write};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// What can be asked.
+#[derive(Deserialize)]
+#[serde(tag = "do", rename_all = "snake_case", deny_unknown_fields)]
+enum Request {
+    /// What this is running on.
+    About,
+    /// Reads a volume and keeps it by name.
+    Load { name: String, path: String },
+    /// Reads a displacement field and keeps it by name.
+    LoadField { name: String, path: PathBuf },
+    /// Forgets a volume.
+    Forget { name: String },
+    /// Everything between a scene that has changed and its picture in memory, 8 bits a channel. The volume is a loaded one, whatever the
+    /// scene names. `picture` gets the picture's bytes (RGBA).
+    Render { volume: String, backend: Backend, scene: String, picture: Option<PathBuf> },
+    /// The deformed volume on the grid of its source, as a file's bytes in memory. `output` gets them.
+    Bake { volume: String, scene: String, output: Option<PathBuf> },
+    /// The inverse of a field on its own grid. `output` gets it: three f32 a point.
+    Invert { field: String, output: Option<PathBuf> },
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Backend {
+    Cpu,
+    Gpu,
+}
+
+/// The GPU renderer, opened when it is first asked for.
+#[cfg(feature = "gpu")]
+#[derive(Default)]
+struct Gpu(Option<incise::render::Renderer>);
+
+#[cfg(feature = "gpu")]
+impl Gpu {
+    fn renderer(&mut self) -> Result<&mut incise::render::Renderer> {
+        use incise::gpu::{Device, Want};
+        if self.0.is_none() {
+            self.0 = Some(incise::render::Renderer::new(Device::open(Want::Any)?));
+        }
+        self.0.as_mut().context("there is no renderer")
+    }
+
+    fn about(&mut self) -> Value {
+        self.renderer().map_or(Value::Null, |r| r.device().report())
+    }
+
+    fn prepare<'a>(&mut self, scene: &Scene, assets: &'a Assets) -> Result<Prepared<'a>> {
+        let renderer = self.renderer()?;
+        Ok(Prepared::composed_by(scene, assets, &|stack, points| renderer.evaluate(stack, points))?)
+    }
+
+    fn render(&mut self, prepared: &Prepared) -> Result<Rendered> {
+        Ok(self.renderer()?.render(prepared, false, &|_| ())?)
+    }
+}
+
+/// No GPU.
+#[cfg(not(feature = "gpu"))]
+#[derive(Default)]
+struct Gpu;
+
+#[cfg(not(feature = "gpu"))]
+impl Gpu {
+    fn about(&mut self) -> Value {
+        Value::Null
+    }
+
+    fn prepare<'a>(&mut self, _scene: &Scene, _assets: &'a Assets) -> Result<Prepared<'a>> {
+        bail!("this build has no GPU renderer")
+    }
+
+    fn render(&mut self, _prepared: &Prepared) -> Result<Rendered> {
+        bail!("this build has no GPU renderer")
+    }
+}
+
+#[derive(Default)]
+struct Worker {
+    volumes: HashMap<String, Assets>,
+    fields: HashMap<String, VectorField>,
+    gpu: Gpu,
+}
+
+impl Worker {
+    fn answer(&mut self, request: Request) -> Result<Value> {
+        match request {
+            Request::About => Ok(json!({ "threads": rayon::current_num_threads(), "gpu": self.gpu.about() })),
+            Request::Load { name, path } => {
+                let start = Instant::now();
+                let assets = Assets::load(&Scene::of_volume(path), &|_, _| ())?;
+                let answer = json!({ "ms": ms(start), "stages": stages(&[&assets.stages]), "size": assets.volume.size });
+                self.volumes.insert(name, assets);
+                Ok(answer)
+            }
+            Request::LoadField { name, path } => {
+                let field = load_field(&path)?;
+                let answer = json!({ "size": field.grid.size });
+                self.fields.insert(name, field);
+                Ok(answer)
+            }
+            Request::Forget { name } => Ok(json!({ "forgotten": self.volumes.remove(&name).is_some() })),
+            Request::Render { volume, backend, scene, picture } => self.render(&volume, &backend, &scene, picture.as_deref()),
+            Request::Bake { volume, scene, output } => self.bake(&volume, &scene, output.as_deref()),
+            Request::Invert { field, output } => self.invert(&field, output.as_deref()),
+        }
+    }
+
+    fn render(&mut self, volume: &str, backend: &Backend, scene: &str, picture: Option<&Path>) -> Result<Value> {
+        let scene = parse(scene)?;
+        let assets = find(&self.volumes, volume)?;
+        let start = Instant::now();
+        let (prepared, rendered) = match backend {
+            Backend::Cpu => {
+                let prepared = Prepared::new(&scene, assets)?;
+                let rendered = cpu::render(&prepared, &|_| ());
+                (prepared, rendered)
+            }
+            Backend::Gpu => {
+                let prepared = self.gpu.prepare(&scene, assets)?;
+                let rendered = self.gpu.render(&prepared)?;
+                (prepared, rendered)
+            }
+        };
+        let mut last = Stages::default();
+        let bytes = last.time("8 bits", || rendered.picture.over(scene.render.background));
+        let ms = ms(start);
+        write(picture, &bytes)?;
+        Ok(json!({ "ms": ms, "stages": stages(&[&prepared.stages, &rendered.stages, &last]) }))
+    }
+
+    fn bake(&mut self, volume: &str, scene: &str, output: Option<&Path>) -> Result<Value> {
+        let scene = parse(scene)?;
+        let assets = find(&self.volumes, volume)?;
+        let volume = &assets.volume;
+        let start = Instant::now();
+        let mut bytes = Vec::with_capacity(volume.size.iter().product::<usize>() * 4);
+        let Deformed { stack, cuts, .. } = Deformed::exact(&scene, assets, true)?;
+        let deformation = bake::Deformation { stack: &stack, cuts: &cuts };
+        let (grid, fill) = (volume.geometry(), volume.range[0]);
+        bake::volume(volume, &deformation, &grid, bake::Interpolation::Linear, fill, Format::Nifti, &mut bytes, &|_| ())?;
+        let ms = ms(start);
+        write(output, &bytes)?;
+        Ok(json!({ "ms": ms }))
+    }
+
+    fn invert(&mut self, field: &str, output: Option<&Path>) -> Result<Value> {
+        let field = find(&self.fields, field)?;
+        let start = Instant::now();
+        let inverse = invert::field(field);
+        let ms = ms(start);
+        let bytes: Vec<u8> = inverse.field.vectors.iter().flat_map(|v| v.to_array()).flat_map(f32::to_le_bytes).collect();
+        write(output, &bytes)?;
+        Ok(json!({ "ms": ms, "report": inverse.report }))
+    }
+}
+
+fn ms(start: Instant) -> f64 {
+    start.elapsed().as_secs_f64() * 1e3
+}
+
+fn parse(scene: &str) -> Result<Scene> {
+    Scene::from_toml(scene).map_err(anyhow::Error::msg)
+}
+
+fn find<'a, T>(all: &'a HashMap<String, T>, name: &str) -> Result<&'a T> {
+    all.get(name).with_context(|| format!("\"{name}\" was not loaded"))
+}
+
+fn load_field(path: &Path) -> Result<VectorField> {
+    let transform = Transform::load(path, &Context { moving: None, reference: None, convention: None })?;
+    match <[Step; 1]>::try_from(transform.steps) {
+        Ok([Step::Field(field)]) => Ok(field),
+        _ => bail!("{} is not one displacement field", path.display()),
+    }
+}
+
+fn write(path: Option<&Path>, bytes: &[u8]) -> Result<()> {
+    path.map_or(Ok(()), |p| fs::write(p, bytes).with_context(|| format!("{} cannot be written", p.display())))
+}
+
+fn stages(all: &[&Stages]) -> Map<String, Value> {
+    all.iter().flat_map(|s| &s.0).map(|(name, ms)| ((*name).to_owned(), json!(ms))).collect()
+}
+
+fn main() -> Result<()> {
+    let mut worker = Worker::default();
+    for line in std::io::stdin().lock().lines() {
+        let request = serde_json::from_str(&line?).map_err(anyhow::Error::from);
+        let answer = request.and_then(|r| worker.answer(r)).unwrap_or_else(|e| json!({ "error": format!("{e:#}") }));
+        let mut out = std::io::stdout().lock();
+        writeln!(out, "{answer}")?;
+        out.flush()?;
+    }
+    Ok(())
+}

@@ -1,0 +1,507 @@
+//! Eight rays, four across and two down, marched together.
+//!
+//! *Theory*: neighbouring rays ask the same questions at nearly the same places, so eight of them share every instruction: one lane each
+//! ([`crate::math::lanes`]). As in `shaders/raycast.wgsl` there are two loops: lanes look until each has found something to shade or is
+//! through, then those that have found something shade together. A ray thus waits for its neighbours, never for their shading.
+//!
+//! Most samples are *plain*: farther from every cut than anything that a cut does to light. What lanes do for those is what [`shading`] does
+//! for one sample, less what is known to change nothing. The others, beside a cut, are handed to [`shading`] one by one; there are few, since
+//! a cut is a surface.
+//!
+//! *What is not computed*: a sample's neighbour in front of it has mostly been looked at just before, so whether the ray enters matter here is
+//! known without a look; the distance to the shapes of cuts changes no faster than the point moves, so that between two evaluations it is
+//! bounded; the Jacobian is the identity outside all maps.
+
+use super::shading::{self, EVEN_LIGHT, SURFACE};
+use super::{ENTRY_STEPS, OPAQUE, Projection, shading::Sample};
+use crate::math::lanes::*;
+use crate::scene::{Mode, Normals, Prepared, RenderStats};
+use crate::transfer::Blend;
+use crate::volume::{Sampler, Voxel};
+use glam::{Mat3, Vec3};
+
+/// A ray: where it starts, its unit direction, and how far it is to go, mm.
+#[derive(Clone, Copy)]
+pub struct Ray {
+    /// Start.
+    pub origin: Vec3,
+    /// Unit direction.
+    pub direction: Vec3,
+    /// Where something opaque ends it; negative for a ray that is not wanted.
+    pub until: f32,
+}
+
+/// What is at eight points of the deformed scene; see [`super::Look`].
+#[derive(Clone, Copy)]
+struct Looks<S: Simd> {
+    in_voxel: Vec3x8<S>,
+    value: f32x8<S>,
+    present: mask32x8<S>,
+    alpha: f32x8<S>,
+    /// Optical depth per reference length; 0 where nothing is present.
+    depth: f32x8<S>,
+    /// Inside the cube of any map.
+    inside: mask32x8<S>,
+}
+
+/// What all packets of a picture share.
+pub struct Marcher<'a, T> {
+    scene: &'a Prepared<'a>,
+    sampler: &'a Sampler<'a, T>,
+    /// Voxels along each axis nearer to the volume's faces than which a sample is not plain.
+    face: Vec3,
+    /// The same for cuts, mm.
+    margin_mm: f32,
+    /// A covector per voxel to one per mm.
+    world_from_covector: Mat3,
+    /// Whether samples are asked for more than depth and colour.
+    composite: bool,
+    grey_faces: bool,
+    lit: bool,
+    gradient_opacity: bool,
+}
+
+/// Index of the first sample at or after `t`, for eight rays.
+#[inline(always)]
+fn first_sample_after<S: Simd>(t: f32x8<S>, step: f32x8<S>) -> f32x8<S> {
+    (t / step - 0.5).ceil().max(0.0)
+}
+
+/// A colour under light where there is a surface, under even light where there is none.
+#[inline(always)]
+fn lit<S: Simd>(color: f32x8<S>, even: f32, diffuse: f32x8<S>, highlight: f32x8<S>, confidence: f32x8<S>) -> f32x8<S> {
+    let (dull, lit) = (color * even, color * diffuse + highlight);
+    (dull + (lit - dull) * confidence).max(0.0).min(1.0)
+}
+
+#[inline(always)]
+fn count<S: Simd>(mask: mask32x8<S>) -> u64 {
+    u64::from(mask.to_bitmask().count_ones())
+}
+
+#[inline(always)]
+fn sum<S: Simd>(v: f32x8<S>) -> u64 {
+    v.as_slice().iter().sum::<f32>() as u64
+}
+
+impl<'a, T: Voxel> Marcher<'a, T> {
+    /// Prepares what does not depend on the ray.
+    pub fn new(scene: &'a Prepared, sampler: &'a Sampler<'a, T>) -> Self {
+        let world_from_covector = Mat3::from(scene.frame.voxel_from_world.matrix3).transpose();
+        // Slices are met at a slant: their step along a ray is longer than their distance.
+        let slant = match scene.settings.mode {
+            Mode::Slice => scene.frame.view.longest_slant(),
+            _ => 1.0,
+        };
+        let margin_mm = scene.frame.blend_mm[1] + 2.2 * scene.frame.step_mm * slant;
+        Self {
+            scene,
+            sampler,
+            face: Vec3::from([0, 1, 2].map(|a| margin_mm * (world_from_covector * Vec3::AXES[a]).length())),
+            margin_mm,
+            world_from_covector,
+            composite: scene.blend == Blend::Composite,
+            grey_faces: scene.grey_faces(),
+            lit: scene.is_lit(),
+            gradient_opacity: scene.uses_gradient_opacity(),
+        }
+    }
+
+    /// Looks at eight points, of which those in `lanes` are wanted. Cuts that are shapes are not asked.
+    #[inline(always)]
+    fn look<S: Simd>(&self, simd: S, p: Vec3x8<S>, lanes: mask32x8<S>) -> Looks<S> {
+        let walk = self.scene.stack.walk_lanes(simd, p, lanes);
+        let in_voxel = walk.source.transformed(&self.scene.frame.voxel_from_world);
+        let top = self.scene.frame.grid_size - 0.5;
+        let mut present =
+            lanes & walk.alpha.simd_ge(0.5) & within(in_voxel.x, -0.5, top.x) & within(in_voxel.y, -0.5, top.y) & within(in_voxel.z, -0.5, top.z);
+        let value = self.sampler.sample_lanes(simd, in_voxel);
+        if self.scene.grid.has_holes {
+            present &= value.simd_ge(-1e-4);
+        }
+        let depth = present.select(self.scene.table.depth_lanes(simd, value), f32x8::splat(simd, 0.0));
+        Looks { in_voxel, value, present, alpha: walk.alpha, depth, inside: walk.inside }
+    }
+
+    /// Which points lie near enough to the volume's faces for those to be seen as cuts.
+    #[inline(always)]
+    fn beside_face<S: Simd>(&self, in_voxel: Vec3x8<S>) -> mask32x8<S> {
+        let (low, high) = (self.face - 0.5, self.scene.frame.grid_size - 0.5 - self.face);
+        !(within(in_voxel.x, low.x, high.x) & within(in_voxel.y, low.y, high.y) & within(in_voxel.z, low.z, high.z))
+    }
+
+    /// The volume along eight rays: premultiplied colours.
+    #[inline(always)]
+    pub fn march<S: Simd>(&self, simd: S, rays: &[Ray; LANES], stats: &mut RenderStats) -> [[f32; 4]; LANES] {
+        let scene = self.scene;
+        let frame = &scene.frame;
+        let zero = f32x8::splat(simd, 0.0);
+        let origin = Vec3x8::from_lanes(simd, &rays.map(|r| r.origin));
+        let direction = Vec3x8::from_lanes(simd, &rays.map(|r| r.direction));
+        let one = f32x8::splat(simd, 1.0);
+        let inverse_direction = Vec3x8 { x: one / direction.x, y: one / direction.y, z: one / direction.z };
+        let step = match scene.settings.mode {
+            Mode::Raycast | Mode::Surface => f32x8::splat(simd, frame.step_mm),
+            Mode::Slice => f32x8::splat(simd, frame.step_mm) / direction.dot(Vec3x8::splat(simd, frame.view.forward)),
+        };
+        let length = step * frame.reference_mm.recip();
+        let (mut i, mut end) = (zero, zero);
+        for (n, ray) in rays.iter().enumerate() {
+            if let Some((near, far)) = frame.proxy.intersect_ray(ray.origin, ray.direction).filter(|_| ray.until >= 0.0) {
+                i[n] = super::first_sample_after(near, step[n]) as f32;
+                end[n] = super::first_sample_after(far.min(ray.until), step[n]) as f32;
+            }
+        }
+        let mut live = i.simd_lt(end);
+        let mut color = Vec3x8::splat(simd, Vec3::ZERO);
+        let mut transmittance = one;
+        let mut projection = Projection::new(simd, scene.blend);
+        // The last sample that was looked at: its number, whether it stood for its whole step, and what it showed.
+        let (mut last, mut last_depth) = (f32x8::splat(simd, -2.0), zero);
+        let mut last_present = i.simd_lt(-1.0);
+        // Where the distance from the shapes of cuts was last evaluated, and what it was.
+        let (mut kept_t, mut kept_mm) = (f32x8::splat(simd, f32::NEG_INFINITY), f32x8::splat(simd, -1.0));
+        let nobody = last_present;
+        while live.any_true() {
+            let (mut looking, mut found) = (live, nobody);
+            let mut at = Looks { in_voxel: origin, value: zero, present: nobody, alpha: one, depth: zero, inside: nobody };
+            let mut sampled = origin;
+            let (mut share, mut near_shape) = (one, nobody);
+            let (mut front_known, mut front_present, mut front_depth) = (nobody, nobody, zero);
+            while looking.any_true() {
+                let middle = (i + 0.5) * step;
+                let p = origin + direction * middle;
+                let (empty, exit) = scene.macrocells.empty_until_lanes(simd, p, origin, inverse_direction);
+                let empty = empty & looking;
+                if empty.any_true() {
+                    let next = first_sample_after(exit, step).max(i + 1.0).min(end);
+                    stats.samples_skipped += sum(empty.select(next - i, zero));
+                    i = empty.select(next, i);
+                }
+                let here = looking & !empty;
+                looking &= i.simd_lt(end);
+                if here.all_false() {
+                    continue;
+                }
+                stats.samples_taken += count(here);
+                let number = i;
+                i = here.select(i + 1.0, i);
+                looking &= i.simd_lt(end);
+                let (mut p, mut part, mut beside) = (p, one, nobody);
+                let mut asked = here;
+                if !scene.cuts.is_empty() {
+                    // The distance is known to within the way since: evaluate it only where that does not decide.
+                    let sure = kept_mm.abs() - (middle - kept_t).abs();
+                    let unsure = here & !sure.simd_gt(step * 0.5);
+                    for n in lanes_of(unsure.to_bitmask()) {
+                        let (o, d, t) = (rays[n].origin, rays[n].direction, middle[n]);
+                        kept_t[n] = t;
+                        kept_mm[n] = scene.cuts.kept(o + d * t);
+                        if kept_mm[n].abs() <= 0.5 * step[n] {
+                            let kept = scene.cuts.kept_part(o, d, t, step[n]);
+                            part[n] = kept.share;
+                            p.set(n, o + d * kept.at);
+                        }
+                    }
+                    let sure = kept_mm.abs() - (middle - kept_t).abs();
+                    let whole = sure.simd_gt(step * 0.5);
+                    part = (whole & kept_mm.simd_lt(0.0)).select(zero, part);
+                    asked &= part.simd_gt(0.0);
+                    beside = !(sure.simd_gt(self.margin_mm) & kept_mm.simd_gt(0.0));
+                    if asked.all_false() {
+                        last = here.select(f32x8::splat(simd, -2.0), last);
+                        continue;
+                    }
+                }
+                let look = self.look(simd, p, asked);
+                if !self.composite {
+                    projection.insert(look.value, look.present);
+                    continue;
+                }
+                let mut hit = asked
+                    & match scene.iso {
+                        Some(iso) => look.present & look.value.simd_ge(iso),
+                        None => look.depth.simd_gt(0.0) | (look.alpha.simd_gt(0.0) & look.alpha.simd_lt(1.0)),
+                    };
+                if self.grey_faces {
+                    hit |= asked & look.present & (look.alpha.simd_lt(1.0) | beside);
+                }
+                if hit.any_true() {
+                    at = Looks {
+                        in_voxel: Vec3x8::select(hit, look.in_voxel, at.in_voxel),
+                        value: hit.select(look.value, at.value),
+                        present: (hit & look.present) | (at.present & !hit),
+                        alpha: hit.select(look.alpha, at.alpha),
+                        depth: hit.select(look.depth, at.depth),
+                        inside: (hit & look.inside) | (at.inside & !hit),
+                    };
+                    sampled = Vec3x8::select(hit, p, sampled);
+                    share = hit.select(part, share);
+                    near_shape |= hit & beside;
+                    front_known |= hit & last.simd_eq(number - 1.0) & part.simd_eq(1.0);
+                    front_present |= hit & last_present;
+                    front_depth = hit.select(last_depth, front_depth);
+                    found |= hit;
+                    looking &= !hit;
+                }
+                last = here.select((asked & part.simd_eq(1.0)).select(number, f32x8::splat(simd, -2.0)), last);
+                last_present = (here & look.present) | (last_present & !here);
+                last_depth = here.select(look.depth, last_depth);
+            }
+            if found.all_false() {
+                break;
+            }
+            let mut seen = found & at.depth.simd_gt(0.0);
+            let mut opaque = nobody;
+            let (mut rgb, mut depth) = (color, zero);
+            // What is no plain sample, one by one.
+            let mut single = near_shape & found;
+            if self.grey_faces || scene.iso.is_some() {
+                single = found;
+            } else {
+                single |= found & !at.inside & self.beside_face(at.in_voxel);
+                single |= found & !seen;
+            }
+            let plain = seen & !single;
+            if plain.any_true() {
+                let front = Front { known: front_known, present: front_present, depth: front_depth };
+                let (shaded, factor, cut) = self.shade(simd, &at, sampled, direction, step, plain, &front);
+                rgb = shaded;
+                depth = at.depth * factor * share;
+                single |= cut;
+            }
+            if (single & found).any_true() {
+                for n in lanes_of((single & found).to_bitmask()) {
+                    let of_sample = self.shade_single(at.lane(n), sampled.lane(n), rays[n].direction, step[n]);
+                    match of_sample {
+                        Single::Nothing => seen.set(n, false),
+                        Single::Opaque(c) => {
+                            opaque.set(n, true);
+                            rgb.set(n, c);
+                            depth[n] = f32::INFINITY;
+                            seen.set(n, true);
+                        }
+                        Single::Visible(c, tau) => {
+                            seen.set(n, true);
+                            rgb.set(n, c);
+                            depth[n] = tau * share[n];
+                        }
+                    }
+                }
+            }
+            let pass = opaque.select(zero, exp2(-(depth * length)));
+            let weight = seen.select(transmittance * (one - pass), zero);
+            color = color + Vec3x8::select(seen, rgb, color) * weight;
+            transmittance = seen.select(transmittance * pass, transmittance);
+            let mut through = opaque;
+            if scene.settings.early_termination {
+                through |= seen & transmittance.simd_lt(OPAQUE);
+            }
+            let through = through & live;
+            stats.samples_terminated += sum(through.select((end - i).max(0.0), zero));
+            live &= !through & i.simd_lt(end);
+        }
+        if self.composite {
+            return std::array::from_fn(|n| color.lane(n).extend(1.0 - transmittance[n]).to_array());
+        }
+        std::array::from_fn(|n| projection.color(scene, n))
+    }
+
+    /// A sample that is not plain.
+    #[inline(never)]
+    fn shade_single(&self, (at, depth): (super::Look, f32), sampled: Vec3, direction: Vec3, step: f32) -> Single {
+        let (scene, sampler) = (self.scene, self.sampler);
+        if at.present
+            && self.grey_faces
+            && let Some(grey) = shading::grey_face(scene, sampler, &at, sampled, direction, step)
+        {
+            return Single::Opaque(Vec3::splat(grey));
+        }
+        if let Some(iso) = scene.iso {
+            if at.present && at.value >= iso {
+                return Single::Opaque(shading::iso_surface(scene, sampler, iso, sampled, direction, step));
+            }
+            return Single::Nothing;
+        }
+        if depth > 0.0 {
+            let [r, g, b, depth] = scene.table.lookup(at.value);
+            let sample = Sample { deformed: sampled, in_voxel: at.in_voxel, color: Vec3::new(r, g, b), depth, value: at.value };
+            let shaded = shading::shade(scene, sampler, &sample, direction, step);
+            return Single::Visible(shaded.color, depth * shaded.depth_factor);
+        }
+        if at.alpha > 0.0
+            && at.alpha < 1.0
+            && let Some((depth, shaded)) = shading::sliver(scene, sampler, sampled, at.present, direction, step)
+        {
+            return Single::Visible(shaded.color, depth * shaded.depth_factor);
+        }
+        Single::Nothing
+    }
+
+    /// Light on eight visible samples: colours, factors on their depths, and which of `lanes` turn out to lie beside a cut, so that what is said
+    /// of them does not hold.
+    #[inline(always)]
+    #[allow(clippy::too_many_arguments, reason = "what eight rays know of their samples")]
+    fn shade<S: Simd>(
+        &self,
+        simd: S,
+        at: &Looks<S>,
+        sampled: Vec3x8<S>,
+        direction: Vec3x8<S>,
+        step: f32x8<S>,
+        lanes: mask32x8<S>,
+        front: &Front<S>,
+    ) -> (Vec3x8<S>, f32x8<S>, mask32x8<S>) {
+        let scene = self.scene;
+        let one = f32x8::splat(simd, 1.0);
+        let entry = self.entry(simd, at, sampled, direction, step, lanes, front);
+        let (bits, mut cut) = (lanes.to_bitmask(), lanes & !lanes);
+        let mut color = scene.table.color_lanes(simd, entry.value, bits);
+        if let Some(colors) = scene.colors {
+            for n in lanes_of(bits) {
+                color.set(n, colors.sample(scene.grid.size, entry.in_voxel.lane(n)));
+            }
+        }
+        let touched = lanes & (at.inside | entry.inside);
+        let mut turned = [Vec3x8::splat(simd, Vec3::X), Vec3x8::splat(simd, Vec3::Y), Vec3x8::splat(simd, Vec3::Z)];
+        for n in lanes_of(touched.to_bitmask()) {
+            let jet = scene.stack.jet(entry.deformed.lane(n));
+            let nearest = shading::nearest_cut(scene, &jet, entry.in_voxel.lane(n));
+            cut.set(n, nearest.distance_mm < self.margin_mm);
+            let j = jet.d_source_d_deformed;
+            (0..3).for_each(|a| turned[a].set(n, j.col(a)));
+        }
+        if !self.lit && !self.gradient_opacity {
+            return (color, one, cut);
+        }
+        let gradient = self.sampler.gradient_lanes(simd, entry.in_voxel, scene.gradient_filter(), bits).mapped(&self.world_from_covector);
+        let magnitude = gradient.length();
+        let mut factor = one;
+        if self.gradient_opacity {
+            for n in lanes_of(bits) {
+                factor[n] = scene.table.gradient_factor(magnitude[n]);
+            }
+        }
+        if !self.lit {
+            return (color, factor, cut);
+        }
+        let mut inward = gradient;
+        if !scene.light.two_sided {
+            for n in lanes_of(bits) {
+                if scene.table.falling_side(entry.value[n]) < 0.0 {
+                    inward.set(n, -inward.lane(n));
+                }
+            }
+        }
+        if touched.any_true() && matches!(scene.settings.normals, Normals::Transformed | Normals::Blended) {
+            inward = Vec3x8 { x: turned[0].dot(inward), y: turned[1].dot(inward), z: turned[2].dot(inward) };
+        }
+        let per_reference = magnitude * (scene.table.scale.abs() * scene.frame.reference_mm);
+        let confidence = smoothstep(SURFACE[0], SURFACE[1], per_reference);
+        let mut normal = -inward.normalized();
+        if scene.light.two_sided {
+            let away = normal.dot(direction).simd_gt(0.0);
+            normal = Vec3x8::select(away, -normal, normal);
+        }
+        (self.light(simd, normal, confidence, direction, color), factor, cut)
+    }
+
+    /// Blinn-Phong under one directional light.
+    #[inline(always)]
+    fn light<S: Simd>(&self, simd: S, normal: Vec3x8<S>, confidence: f32x8<S>, direction: Vec3x8<S>, color: Vec3x8<S>) -> Vec3x8<S> {
+        let light = &self.scene.light;
+        let to_light = Vec3x8::splat(simd, self.scene.frame.to_light);
+        let zero = f32x8::splat(simd, 0.0);
+        let even = light.ambient + EVEN_LIGHT * light.diffuse;
+        let facing = normal.dot(to_light);
+        let diffuse = facing.max(0.0) * light.diffuse + light.ambient;
+        let mut highlight = zero;
+        if light.specular > 0.0 {
+            let half = (to_light - direction).normalized();
+            let cosine = normal.dot(half);
+            let shines = facing.simd_gt(0.0) & cosine.simd_gt(1e-6);
+            if shines.any_true() {
+                let power = exp2(log2(cosine.max(1e-6)) * light.shininess) * light.specular;
+                highlight = shines.select(power, zero);
+            }
+        }
+        Vec3x8 {
+            x: lit(color.x, even, diffuse, highlight, confidence),
+            y: lit(color.y, even, diffuse, highlight, confidence),
+            z: lit(color.z, even, diffuse, highlight, confidence),
+        }
+    }
+
+    /// Where rays that enter matter within their last step do, by bisection; else the samples themselves. See [`shading`].
+    #[inline(always)]
+    #[allow(clippy::too_many_arguments, reason = "what eight rays know of their samples")]
+    fn entry<S: Simd>(
+        &self,
+        simd: S,
+        at: &Looks<S>,
+        sampled: Vec3x8<S>,
+        direction: Vec3x8<S>,
+        step: f32x8<S>,
+        lanes: mask32x8<S>,
+        front: &Front<S>,
+    ) -> Entry<S> {
+        let enough = at.depth * 0.5;
+        let mut first = Entry { deformed: sampled, in_voxel: at.in_voxel, value: at.value, inside: at.inside };
+        let mut enters = lanes & front.known & !(front.present & front.depth.simd_ge(enough));
+        let unknown = lanes & !front.known;
+        if unknown.any_true() {
+            let before = self.look(simd, sampled - direction * step, unknown);
+            enters |= unknown & !(before.present & before.depth.simd_ge(enough));
+        }
+        if enters.any_true() {
+            let mut width = step;
+            for _ in 0..ENTRY_STEPS {
+                width *= 0.5;
+                let p = first.deformed - direction * width;
+                let look = self.look(simd, p, enters);
+                let dense = enters & look.present & look.depth.simd_ge(enough);
+                first = Entry {
+                    deformed: Vec3x8::select(dense, p, first.deformed),
+                    in_voxel: Vec3x8::select(dense, look.in_voxel, first.in_voxel),
+                    value: dense.select(look.value, first.value),
+                    inside: first.inside | (dense & look.inside),
+                };
+            }
+        }
+        first
+    }
+}
+
+/// What is known of the samples in front of eight.
+struct Front<S: Simd> {
+    known: mask32x8<S>,
+    present: mask32x8<S>,
+    depth: f32x8<S>,
+}
+
+/// Where eight rays enter matter.
+#[derive(Clone, Copy)]
+struct Entry<S: Simd> {
+    deformed: Vec3x8<S>,
+    in_voxel: Vec3x8<S>,
+    value: f32x8<S>,
+    inside: mask32x8<S>,
+}
+
+/// What a sample beside a cut shows.
+enum Single {
+    Nothing,
+    /// A surface that hides everything behind it.
+    Opaque(Vec3),
+    /// Its colour and optical depth per reference length.
+    Visible(Vec3, f32),
+}
+
+impl<S: Simd> Looks<S> {
+    /// What a lane saw, and its optical depth.
+    #[inline(always)]
+    fn lane(&self, n: usize) -> (super::Look, f32) {
+        let look = super::Look { in_voxel: self.in_voxel.lane(n), value: self.value[n], present: self.present.test(n), alpha: self.alpha[n] };
+        (look, self.depth[n])
+    }
+}

@@ -1,0 +1,240 @@
+//! Eight trilinear samples, or eight gradients, at once.
+//!
+//! *Theory*: what a sample costs is its loads. The two voxels of a row lie beside each other and are loaded as one word; a gradient needs 32
+//! voxels of the 64 around a point, not the 48 of six samples: the differences to both sides are interpolated by the point's one fraction.
+//!
+//! *How to call it*: as [`Sampler::sample`] and [`Sampler::gradient`], whose values these are to rounding.
+
+use super::{GradientFilter, Sampler, Voxel};
+use crate::math::lanes::*;
+
+/// Cells that eight points lie in.
+struct Cells<S: Simd> {
+    /// Flat index of each cell's lowest voxel.
+    base: [usize; LANES],
+    /// Where in the cell.
+    f: Vec3x8<S>,
+}
+
+#[inline(always)]
+fn mix<S: Simd>(a: f32x8<S>, b: f32x8<S>, t: f32x8<S>) -> f32x8<S> {
+    a + (b - a) * t
+}
+
+/// The mix of four corners of a face.
+#[inline(always)]
+fn mix_face<S: Simd>(corners: [[f32x8<S>; 2]; 2], s: f32x8<S>, t: f32x8<S>) -> f32x8<S> {
+    let [[a, b], [c, d]] = corners;
+    mix(mix(a, b, s), mix(c, d, s), t)
+}
+
+/// Of four neighbours along a row, twice the slope between the middle ones at t.
+#[inline(always)]
+fn slope<S: Simd>(row: [f32x8<S>; 4], t: f32x8<S>) -> f32x8<S> {
+    mix(row[2] - row[0], row[3] - row[1], t)
+}
+
+/// Cells along an axis and where in them, `margin` cells away from the ends.
+#[inline(always)]
+fn along<S: Simd>(x: f32x8<S>, voxels: usize, margin: i32) -> (i32x8<S>, f32x8<S>) {
+    let x = x.max(0.0).min((voxels - 1) as f32);
+    // x is not negative: truncation is floor. A coordinate that is no number must not leave the grid either.
+    let cell = x.to_int::<i32x8<S>>().max(margin).min(voxels as i32 - 2 - margin);
+    (cell, x - cell.to_float::<f32x8<S>>())
+}
+
+/// Indices moved by an offset.
+#[inline(always)]
+fn moved(at: &[usize; LANES], by: isize) -> [usize; LANES] {
+    let mut moved = *at;
+    for index in &mut moved {
+        *index = index.wrapping_add_signed(by);
+    }
+    moved
+}
+
+impl<T: Voxel> Sampler<'_, T> {
+    /// Whether every axis has at least `n` voxels.
+    #[inline(always)]
+    fn is_at_least(&self, n: usize) -> bool {
+        self.size.iter().all(|&m| m >= n)
+    }
+
+    /// The cells of points, kept `margin` cells away from the grid's faces; points beyond the outermost voxel centres are moved onto them.
+    #[inline(always)]
+    fn cells<S: Simd>(&self, p: Vec3x8<S>, margin: i32) -> Cells<S> {
+        let [nx, ny, nz] = self.size;
+        let ((i, x), (j, y), (k, z)) = (along(p.x, nx, margin), along(p.y, ny, margin), along(p.z, nz, margin));
+        let mut base = [0; LANES];
+        for n in 0..LANES {
+            base[n] = (k[n] as usize * ny + j[n] as usize) * nx + i[n] as usize;
+        }
+        Cells { base, f: Vec3x8 { x, y, z } }
+    }
+
+    /// Values at points along the first axis of cells, `offset` voxels on.
+    #[inline(always)]
+    fn row<S: Simd>(&self, simd: S, base: &[usize; LANES], offset: isize, x: f32x8<S>) -> f32x8<S> {
+        let [a, b] = T::pairs(simd, self.voxels, &moved(base, offset));
+        mix(a, b, x)
+    }
+
+    /// Normalised values at eight positions in voxels.
+    #[inline(always)]
+    pub fn sample_lanes<S: Simd>(&self, simd: S, p: Vec3x8<S>) -> f32x8<S> {
+        if !self.is_at_least(2) {
+            let mut values = [0.0; LANES];
+            for n in 0..LANES {
+                values[n] = self.sample(p.lane(n));
+            }
+            return f32x8::load_array(simd, values);
+        }
+        let Cells { base, f } = self.cells(p, 0);
+        let (up, on) = (self.size[0] as isize, (self.size[0] * self.size[1]) as isize);
+        let near = [self.row(simd, &base, 0, f.x), self.row(simd, &base, up, f.x)];
+        let far = [self.row(simd, &base, on, f.x), self.row(simd, &base, on + up, f.x)];
+        mix_face([near, far], f.y, f.z) * self.scale + self.offset
+    }
+
+    /// Gradients of the normalised value per voxel along i, j, k at eight positions in voxels; those of `lanes` (a bit each) are wanted.
+    #[inline(always)]
+    pub fn gradient_lanes<S: Simd>(&self, simd: S, p: Vec3x8<S>, filter: GradientFilter, lanes: u64) -> Vec3x8<S> {
+        let mut all = Vec3x8::splat(simd, glam::Vec3::ZERO);
+        let mut single = lanes;
+        if filter == GradientFilter::Central && self.is_at_least(4) {
+            let Cells { base, f } = self.cells(p, 1);
+            let (up, on) = (self.size[0] as isize, (self.size[0] * self.size[1]) as isize);
+            // The four rows of the cell, from one voxel before it to one behind it.
+            let a = T::quads(simd, self.voxels, &moved(&base, -1));
+            let b = T::quads(simd, self.voxels, &moved(&base, up - 1));
+            let c = T::quads(simd, self.voxels, &moved(&base, on - 1));
+            let d = T::quads(simd, self.voxels, &moved(&base, on + up - 1));
+            all.x = mix_face([[slope(a, f.x), slope(b, f.x)], [slope(c, f.x), slope(d, f.x)]], f.y, f.z);
+            let (a, b, c, d) = (mix(a[1], a[2], f.x), mix(b[1], b[2], f.x), mix(c[1], c[2], f.x), mix(d[1], d[2], f.x));
+            let near = slope([self.row(simd, &base, -up, f.x), a, b, self.row(simd, &base, 2 * up, f.x)], f.y);
+            let far = slope([self.row(simd, &base, on - up, f.x), c, d, self.row(simd, &base, on + 2 * up, f.x)], f.y);
+            all.y = mix(near, far, f.z);
+            let low = slope([self.row(simd, &base, -on, f.x), a, c, self.row(simd, &base, 2 * on, f.x)], f.z);
+            let high = slope([self.row(simd, &base, up - on, f.x), b, d, self.row(simd, &base, up + 2 * on, f.x)], f.z);
+            all.z = mix(low, high, f.y);
+            all = all * f32x8::splat(simd, 0.5 * self.scale);
+            // Beside the grid's faces a difference is taken at the face, as a texture's edge is.
+            let (x, y, z) = (beyond(p.x, self.top.x), beyond(p.y, self.top.y), beyond(p.z, self.top.z));
+            single &= (x | y | z).to_bitmask();
+        }
+        for n in lanes_of(single) {
+            all.set(n, self.gradient(p.lane(n), filter));
+        }
+        all
+    }
+}
+
+/// Whether one of the voxels to both sides of a coordinate lies beyond the grid.
+#[inline(always)]
+fn beyond<S: Simd>(x: f32x8<S>, top: f32) -> mask32x8<S> {
+    x.simd_lt(1.0) | x.simd_gt(top - 1.0)
+}
+
+/// Integers of 16 bits, the lower one first, as the two halves of a word.
+#[inline(always)]
+fn halves<S: Simd>(words: i32x8<S>, signed: bool) -> [f32x8<S>; 2] {
+    let low = if signed { (words << 16) >> 16 } else { words & 0xffff };
+    let high = if signed { words >> 16 } else { (words >> 16) & 0xffff };
+    [low.to_float(), high.to_float()]
+}
+
+impl Voxel for u8 {
+    #[inline(always)]
+    fn to_f32(self) -> f32 {
+        f32::from(self)
+    }
+
+    #[inline(always)]
+    fn pairs<S: Simd>(simd: S, voxels: &[Self], at: &[usize; LANES]) -> [f32x8<S>; 2] {
+        let mut words = [0; LANES];
+        for n in 0..LANES {
+            let v = &voxels[at[n]..at[n] + 2];
+            words[n] = i32::from(u16::from_le_bytes([v[0], v[1]]));
+        }
+        let words = i32x8::load_array(simd, words);
+        [(words & 255).to_float(), (words >> 8).to_float()]
+    }
+
+    #[inline(always)]
+    fn quads<S: Simd>(simd: S, voxels: &[Self], at: &[usize; LANES]) -> [f32x8<S>; 4] {
+        let mut words = [0; LANES];
+        for n in 0..LANES {
+            let v = &voxels[at[n]..at[n] + 4];
+            words[n] = i32::from_le_bytes([v[0], v[1], v[2], v[3]]);
+        }
+        let words = i32x8::load_array(simd, words);
+        [(words & 255).to_float(), ((words >> 8) & 255).to_float(), ((words >> 16) & 255).to_float(), ((words >> 24) & 255).to_float()]
+    }
+}
+
+macro_rules! of_16_bits {
+    ($t:ty, $signed:literal) => {
+        impl Voxel for $t {
+            #[inline(always)]
+            fn to_f32(self) -> f32 {
+                f32::from(self)
+            }
+
+            #[inline(always)]
+            fn pairs<S: Simd>(simd: S, voxels: &[Self], at: &[usize; LANES]) -> [f32x8<S>; 2] {
+                let mut words = [0; LANES];
+                for n in 0..LANES {
+                    let v = &voxels[at[n]..at[n] + 2];
+                    let ([a, b], [c, d]) = (v[0].to_le_bytes(), v[1].to_le_bytes());
+                    words[n] = i32::from_le_bytes([a, b, c, d]);
+                }
+                halves(i32x8::load_array(simd, words), $signed)
+            }
+
+            #[inline(always)]
+            fn quads<S: Simd>(simd: S, voxels: &[Self], at: &[usize; LANES]) -> [f32x8<S>; 4] {
+                let (mut front, mut back) = ([0; LANES], [0; LANES]);
+                for n in 0..LANES {
+                    let v = &voxels[at[n]..at[n] + 4];
+                    let ([a, b], [c, d]) = (v[0].to_le_bytes(), v[1].to_le_bytes());
+                    front[n] = i32::from_le_bytes([a, b, c, d]);
+                    let ([a, b], [c, d]) = (v[2].to_le_bytes(), v[3].to_le_bytes());
+                    back[n] = i32::from_le_bytes([a, b, c, d]);
+                }
+                let [a, b] = halves(i32x8::load_array(simd, front), $signed);
+                let [c, d] = halves(i32x8::load_array(simd, back), $signed);
+                [a, b, c, d]
+            }
+        }
+    };
+}
+of_16_bits!(u16, false);
+of_16_bits!(i16, true);
+
+impl Voxel for f32 {
+    #[inline(always)]
+    fn to_f32(self) -> f32 {
+        self
+    }
+
+    #[inline(always)]
+    fn pairs<S: Simd>(simd: S, voxels: &[Self], at: &[usize; LANES]) -> [f32x8<S>; 2] {
+        let (mut a, mut b) = ([0.0; LANES], [0.0; LANES]);
+        for n in 0..LANES {
+            let v = &voxels[at[n]..at[n] + 2];
+            (a[n], b[n]) = (v[0], v[1]);
+        }
+        [f32x8::load_array(simd, a), f32x8::load_array(simd, b)]
+    }
+
+    #[inline(always)]
+    fn quads<S: Simd>(simd: S, voxels: &[Self], at: &[usize; LANES]) -> [f32x8<S>; 4] {
+        let mut all = [[0.0; LANES]; 4];
+        for n in 0..LANES {
+            let v = &voxels[at[n]..at[n] + 4];
+            (all[0][n], all[1][n], all[2][n], all[3][n]) = (v[0], v[1], v[2], v[3]);
+        }
+        let [a, b, c, d] = all;
+        [f32x8::load_array(simd, a), f32x8::load_array(simd, b), f32x8::load_array(simd, c), f32x8::load_array(simd, d)]
+    }
+}
