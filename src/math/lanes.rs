@@ -94,7 +94,11 @@ impl<S: Simd> Vec3x8<S> {
     /// A vector for every lane.
     #[inline(always)]
     pub fn from_lanes(simd: S, v: &[Vec3; LANES]) -> Self {
-        Self { x: f32x8::from_fn(simd, |n| v[n].x), y: f32x8::from_fn(simd, |n| v[n].y), z: f32x8::from_fn(simd, |n| v[n].z) }
+        let mut all = [[0.0; LANES]; 3];
+        for (n, v) in v.iter().enumerate() {
+            (all[0][n], all[1][n], all[2][n]) = (v.x, v.y, v.z);
+        }
+        Self { x: f32x8::load_array(simd, all[0]), y: f32x8::load_array(simd, all[1]), z: f32x8::load_array(simd, all[2]) }
     }
 
     /// The vector of a lane.

@@ -113,7 +113,11 @@ impl Table {
     fn places<S: Simd>(&self, value: f32x8<S>) -> ([usize; LANES], f32x8<S>) {
         let x = (value * self.scale + self.offset).max(0.0).min(1.0) * (TABLE_ENTRIES - 1) as f32;
         let entry = x.to_int::<i32x8<S>>().max(0).min(TABLE_ENTRIES as i32 - 2);
-        (std::array::from_fn(|n| entry[n] as usize), x - entry.to_float::<f32x8<S>>())
+        let mut places = [0; LANES];
+        for n in 0..LANES {
+            places[n] = entry[n] as usize;
+        }
+        (places, x - entry.to_float::<f32x8<S>>())
     }
 
     /// Optical depths of eight normalised values.
@@ -130,7 +134,7 @@ impl Table {
         let (entry, t) = self.places(value);
         let mut colors = Vec3x8::splat(simd, glam::Vec3::ZERO);
         for n in lanes_of(lanes) {
-            let [a, b] = [entry[n], entry[n] + 1].map(|i| Vec4::from(self.entries[i]));
+            let (a, b) = (Vec4::from(self.entries[entry[n]]), Vec4::from(self.entries[entry[n] + 1]));
             colors.set(n, (a + (b - a) * t[n]).truncate());
         }
         colors
