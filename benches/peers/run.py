@@ -21,7 +21,7 @@ import work
 ROOT = Path(__file__).resolve().parents[2]
 HEAD = ROOT / "volumes" / "colin27-head-t1.nii.gz"
 # Rays may step differently through the outermost voxels: what two pictures' mean brightness may differ by, as a share.
-AGREEMENT = 0.06
+AGREEMENT = 0.04
 # Baked values may be rounded or cut off.
 BAKED = 1.0
 # Peak memory of a picture: this many times the voxels, and so much besides.
@@ -241,7 +241,7 @@ class Bench:
         return np.fromfile(path, np.uint8).reshape(case.size, case.size, 4)[..., :3]
 
     def agree(self, line: int, case: work.Case, backend: str, modes: list[str]) -> None:
-        """Without light all programs show the same colours and opacities; else the comparison is void."""
+        """In flat white all programs show the same opacities; else the comparison is void."""
         vtk = self.vtk()
         for light, name in ((work.FLAT, "flat"), (work.HEADLIGHT, "lit")):
             lit = work.Case(case.name, case.volume, case.transfer, case.view, case.size, light)
@@ -422,19 +422,18 @@ def line_7(bench: Bench) -> None:
     residuals = {"incise": judge(made, np.fromfile(output, np.float32).reshape(made.vectors.shape).astype(np.float64))}
     inversion = bench.itk().Inversion(made)
     array = bench.itk().array
-    # As they come, and until they are about as exact as incise.
+    # As they come (more iterations of the second change nothing), and about as exact as incise.
     theirs: dict[str, Callable[[], Any]] = {
         "InvertDisplacementField, 10 iterations": lambda: inversion.direct(10, 0.1),
         "InvertDisplacementField, to 1e-3 voxels": lambda: inversion.direct(200, 1e-3),
         "IterativeInverseDisplacementField, 5 iterations": lambda: inversion.iterative(5),
-        "IterativeInverseDisplacementField, 20 iterations": lambda: inversion.iterative(20),
     }
     ways: dict[str, Way] = {"incise": lambda turn: float(bench.worker.ask(do="invert", field="field")["ms"])}
     for name, invert in theirs.items():
         residuals[name] = judge(made, array(invert()).astype(np.float64))
         ways[name] = lambda turn, i=invert: timed(i)
     for name, (mean, high) in residuals.items():
-        better = "" if residuals["incise"][0] <= mean else ": more exact than incise"
+        better = "".join(f"; {what} more exact than incise" for what, ours, it in zip(("on average", "in its tail"), residuals["incise"], (mean, high)) if it < ours)
         bench.report.note(f"{name}: residual mean {mean:.2e} mm, 99.9 % below {high:.2e} mm{better}")
     bench.compare(7, "inverse of a 128^3 field", bench.alternate(ways), ["incise"], {name: 1.0 for name in theirs})
 

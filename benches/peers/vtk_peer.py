@@ -31,7 +31,7 @@ def image(volume: work.Volume) -> vtk.vtkImageData:
 def volume_property(case: work.Case, unit: float, best: bool) -> vtk.vtkVolumeProperty:
     """Transfer function and light; opacities are per `unit` mm. At its best VTK takes the nearest voxel, as it does by default."""
     color, opacity = vtk.vtkColorTransferFunction(), vtk.vtkPiecewiseFunction()
-    for value, rgb, alpha in work.TRANSFER[case.transfer]:
+    for value, rgb, alpha in case.points():
         color.AddRGBPoint(value, *rgb)
         opacity.AddPoint(value, alpha)
     out = vtk.vtkVolumeProperty()
@@ -90,6 +90,8 @@ class Renderer:
         self.renderer.AutomaticLightCreationOff()
         light = vtk.vtkLight()
         light.SetLightTypeToHeadlight()
+        # Black by default, which leaves the CPU mapper without ambient light.
+        light.SetAmbientColor(1.0, 1.0, 1.0)
         self.renderer.AddLight(light)
         self.window = vtk.vtkRenderWindow()
         self.window.SetOffScreenRendering(True)

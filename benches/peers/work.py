@@ -39,7 +39,7 @@ class Light:
 
 
 HEADLIGHT = Light(0.25, 0.7, 0.1, 20.0)
-# Colour and opacity alone, which programs with different lighting models must agree in.
+# Shown in white: opacity alone, which programs with different lighting models must agree in.
 FLAT = Light(1.0, 0.0, 0.0, 20.0)
 
 
@@ -54,10 +54,15 @@ class Case:
     size: int = 512
     light: Light = HEADLIGHT
 
+    def points(self) -> list[Point]:
+        """The transfer function."""
+        points = TRANSFER[self.transfer]
+        return [(value, WHITE, opacity) for value, _, opacity in points] if self.light is FLAT else points
+
 
 def scene_toml(case: Case, azimuth_deg: float, mode: str = "raycast", deformation: str = "") -> str:
     """The case as incise's scene; `azimuth_deg` is added to the view. The worker puts the loaded volume in."""
-    points = ",\n".join(f"  {{ value = {v:.1f}, color = [{r}, {g}, {b}], opacity = {a} }}" for v, (r, g, b), a in TRANSFER[case.transfer])
+    points = ",\n".join(f"  {{ value = {v:.1f}, color = [{r}, {g}, {b}], opacity = {a} }}" for v, (r, g, b), a in case.points())
     return f"""incise = 1
 
 [volume]

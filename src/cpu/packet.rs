@@ -165,7 +165,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         while live.any_true() {
             let (mut looking, mut found) = (live, nobody);
             let mut at = Looks { in_voxel: origin, value: zero, present: nobody, alpha: one, depth: zero, inside: nobody };
-            let mut sampled = origin;
+            let (mut sampled, mut before) = (origin, origin);
             let (mut share, mut near_shape) = (one, nobody);
             let (mut front_known, mut front_present, mut front_depth) = (nobody, nobody, zero);
             while looking.any_true() {
@@ -207,7 +207,12 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                     let whole = sure.simd_gt(step * 0.5);
                     part = (whole & kept_mm.simd_lt(0.0)).select(zero, part);
                     asked &= part.simd_gt(0.0);
-                    beside = !(sure.simd_gt(self.margin_mm) & kept_mm.simd_gt(0.0));
+                    beside = asked & !(sure.simd_gt(self.margin_mm) & kept_mm.simd_gt(0.0));
+                    // Asked again where the bound leaves it open: what a sample is must not depend on where the ray was asked before.
+                    for n in lanes_of(beside.to_bitmask()) {
+                        (kept_t[n], kept_mm[n]) = (middle[n], scene.cuts.kept(rays[n].origin + rays[n].direction * middle[n]));
+                        beside.set(n, kept_mm[n] <= self.margin_mm);
+                    }
                     if asked.all_false() {
                         last = here.select(f32x8::splat(simd, -2.0), last);
                         continue;
@@ -236,6 +241,9 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                         inside: (hit & look.inside) | (at.inside & !hit),
                     };
                     sampled = Vec3x8::select(hit, p, sampled);
+                    // Where the sample before this one lies: the same point, to the bit, whether or not it was looked at.
+                    let previous = origin + direction * ((number - 0.5) * step);
+                    before = Vec3x8::select(hit, Vec3x8::select(part.simd_eq(1.0), previous, p - direction * step), before);
                     share = hit.select(part, share);
                     near_shape |= hit & beside;
                     front_known |= hit & last.simd_eq(number - 1.0) & part.simd_eq(1.0);
@@ -264,7 +272,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             }
             let plain = seen & !single;
             if plain.any_true() {
-                let front = Front { known: front_known, present: front_present, depth: front_depth };
+                let front = Front { before, known: front_known, present: front_present, depth: front_depth };
                 let (shaded, factor, cut) = self.shade(simd, &at, sampled, direction, step, plain, &front);
                 rgb = shaded;
                 depth = at.depth * factor * share;
@@ -450,7 +458,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         let mut enters = lanes & front.known & !(front.present & front.depth.simd_ge(enough));
         let unknown = lanes & !front.known;
         if unknown.any_true() {
-            let before = self.look(simd, sampled - direction * step, unknown);
+            let before = self.look(simd, front.before, unknown);
             enters |= unknown & !(before.present & before.depth.simd_ge(enough));
         }
         if enters.any_true() {
@@ -474,6 +482,9 @@ impl<'a, T: Voxel> Marcher<'a, T> {
 
 /// What is known of the samples in front of eight.
 struct Front<S: Simd> {
+    /// Where they lie.
+    before: Vec3x8<S>,
+    /// Which of them have been looked at.
     known: mask32x8<S>,
     present: mask32x8<S>,
     depth: f32x8<S>,

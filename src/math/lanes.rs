@@ -29,23 +29,23 @@ pub trait OverSimd {
 /// Runs a function on the best registers of this machine.
 pub fn with_simd<F: OverSimd>(f: F) -> F::Output {
     let level = Level::new();
-    // Two kinds of machine, not six: each is a copy of the renderer.
-    #[cfg(any(target_arch = "x86", target_arch = "x86_64"))]
-    {
-        if let Some(simd) = level.as_avx2() {
-            return simd.vectorize(
-                #[inline(always)]
-                || f.run(simd),
-            );
-        }
-    }
+    // Two kinds of machine, not the six that `dispatch!` knows: each is a copy of the renderer for each type of voxel.
     #[cfg(target_arch = "x86_64")]
-    if let Some(simd) = level.as_sse2() {
+    if let Some(simd) = level.as_avx2() {
         return simd.vectorize(
             #[inline(always)]
             || f.run(simd),
         );
     }
+    #[cfg(target_arch = "x86_64")]
+    match level.as_sse2() {
+        Some(simd) => simd.vectorize(
+            #[inline(always)]
+            || f.run(simd),
+        ),
+        None => unreachable!("every x86-64 has SSE2"),
+    }
+    #[cfg(not(target_arch = "x86_64"))]
     fearless_simd::dispatch!(level, simd => f.run(simd))
 }
 
