@@ -1,10 +1,11 @@
 //! What an edit of a scene costs the GPU renderer: pictures of a scene that has changed a little make and upload only what has changed.
 
+use crate::metrics::{STEP, difference};
 use crate::parity::with_renderer;
 use crate::scenes;
 use glam::Vec3;
 use incise::render::Work;
-use incise::scene::{Assets, Deformation, Mode, Prepared, Scene};
+use incise::scene::{Assets, Deformation, Mode, Picture, Prepared, Projection, Scene};
 
 /// Two moving maps over a small head.
 fn scene(mode: Mode) -> Scene {
@@ -80,5 +81,39 @@ pub fn edits_upload_what_changed() {
             let work = work_of(&scene, &other);
             assert!(n < 2 || (work.textures_created, work.bind_groups_created) == (0, 0), "{mode:?}, size {n}: {work:?}");
         }
+    }
+}
+
+/// Segments and shifted samples: the same by rays and by slabs, which meet the same samples without perspective; and no more than a finer
+/// way to the same picture.
+pub fn segments_and_shifts_agree_between_modes() {
+    let mut scene = Scene::of_volume("phantom:head-ct:size=64");
+    scene.render.size = [96, 96];
+    scene.camera.view = "40,20".parse().unwrap();
+    scene.camera.projection = Projection::Orthographic;
+    scene.deformation.push(Deformation::new("peel"));
+    scene.transfer.preset = Some("ct-bones-and-muscle".into());
+    let assets = scenes::assets(&scene);
+    let picture = |preintegrated: bool, jitter: bool, mode: Mode, step: f32| -> Picture {
+        let mut s = scene.clone();
+        (s.render.preintegrated, s.render.jitter, s.render.mode, s.render.step) = (preintegrated, jitter, mode, step);
+        let prepared = Prepared::new(&s, &assets).unwrap();
+        with_renderer(|r| r.render(&prepared, false, &|_| ()).unwrap()).picture
+    };
+    for (preintegrated, jitter) in [(true, false), (false, true), (true, true)] {
+        let d = difference(&picture(preintegrated, jitter, Mode::Raycast, 1.0), &picture(preintegrated, jitter, Mode::Slice, 1.0)).unwrap();
+        println!(
+            "segments {preintegrated}, shifted {jitter}: rays against slabs mean {:.3}/255, within 4/255 {:.3} %",
+            d.mean / STEP,
+            100.0 * d.within_4
+        );
+        assert!(d.mean <= 0.5 * STEP && d.within_4 >= 0.999, "{preintegrated} {jitter}: {}", d.mean / STEP);
+        let plain = picture(false, false, Mode::Raycast, 1.0);
+        let other = picture(preintegrated, jitter, Mode::Raycast, 1.0);
+        assert!(plain != other, "the setting does nothing");
+        let (fine, finer) = (picture(false, false, Mode::Raycast, 0.1), picture(preintegrated, jitter, Mode::Raycast, 0.1));
+        let d = difference(&fine, &finer).unwrap();
+        println!("segments {preintegrated}, shifted {jitter}: at a tenth of a voxel mean {:.3}/255 from single values", d.mean / STEP);
+        assert!(d.mean <= 1.5 * STEP, "{preintegrated} {jitter}: {}", d.mean / STEP);
     }
 }

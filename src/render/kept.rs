@@ -238,11 +238,8 @@ impl Renderer {
         for (shape, cut) in shapes.iter_mut().zip(scene.cuts.primitives()) {
             *shape = CutShapeUniform::new(cut);
         }
-        let contents: [&[u8]; 3] = [
-            bytemuck::bytes_of(&frame),
-            bytemuck::cast_slice::<PlacedMapUniform, u8>(&placed),
-            bytemuck::cast_slice::<CutShapeUniform, u8>(&shapes),
-        ];
+        let contents: [&[u8]; 3] =
+            [bytemuck::bytes_of(&frame), bytemuck::cast_slice::<PlacedMapUniform, u8>(&placed), bytemuck::cast_slice::<CutShapeUniform, u8>(&shapes)];
         let uniforms = match &self.kept.uniforms {
             Some(buffers) => {
                 buffers.iter().zip(contents).for_each(|(buffer, bytes)| self.device.queue.write_buffer(buffer, 0, bytes));
@@ -360,7 +357,11 @@ impl Renderer {
         self.device.queue.write_texture(
             target.texture.as_image_copy(),
             bytemuck::cast_slice(&halves),
-            wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(PREINTEGRATED_SIZE as u32 * 8), rows_per_image: Some(PREINTEGRATED_SIZE as u32) },
+            wgpu::TexelCopyBufferLayout {
+                offset: 0,
+                bytes_per_row: Some(PREINTEGRATED_SIZE as u32 * 8),
+                rows_per_image: Some(PREINTEGRATED_SIZE as u32),
+            },
             target.texture.size(),
         );
         let view = target.view.clone();
@@ -402,8 +403,7 @@ impl Renderer {
             return group.clone();
         }
         let of_views = views.iter().map(|(n, view)| (*n, wgpu::BindingResource::TextureView(view)));
-        let entries: Vec<_> =
-            of_views.chain(others.iter().cloned()).map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource }).collect();
+        let entries: Vec<_> = of_views.chain(others.iter().cloned()).map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource }).collect();
         tally.count(Made::BindGroup);
         let group = device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some(label), layout, entries: &entries });
         if groups.len() >= KEPT_GROUPS {

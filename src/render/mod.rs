@@ -1,15 +1,26 @@
 //! Renders a scene on a GPU: view-aligned slices (\[DDM06\] section 4) or rays, on one library of WGSL functions.
 //!
-//! *Theory*: the shaders in `shaders/` state what `src/cpu` states, function by function. Slices are polygons of plane and proxy box,
-//! rasterised back to front and blended by the hardware into a 16-bit float target, premultiplied. Projections (MIP and its kin) blend by
-//! maximum or sum, in 32 bits, and pass through the transfer function in a second pass. A composite of very many faint slices (a step of
-//! a twentieth of a voxel, say) loses what is below the 16-bit target's resolution; rays, which sum in 32 bits, do not.
+//! *Theory*: the shaders in `shaders/` state what `src/cpu` states, function by function. Slices are drawn in slabs of eight: a polygon covers
+//! eight planes' sections of the proxy box, a fragment composites their samples in 32 bits, and the hardware blends slabs front to back, under
+//! what is there, into a 16-bit float target, premultiplied. Between slabs the pixels that have become opaque get depth 0, and the depth test
+//! rejects what would be drawn behind them before it is shaded (Krueger and Westermann 2003). Slices of a mesh are drawn one by one. Projections
+//! (MIP and its kin) blend by maximum or sum, in 32 bits, and pass through the transfer function in a second pass.
 //!
-//! *How to call it*: a [`Renderer`] owns a device and keeps what outlives a picture: pipelines by variant, the volume's texture as long as
-//! the same volume is rendered. Uniforms, maps and tables are per picture.
+//! *How to call it*: a [`Renderer`] owns a device and keeps what outlives a picture: pipelines by variant, the volume's texture as
+//! long as the same volume is rendered, displacement maps by identity, tables, macrocells, targets, buffers and bind groups. What a picture adds
+//! to it is counted ([`Renderer::work`]), and a test (`tests/editing.rs`) holds it to this table:
 //!
-//! Large pictures are drawn in bands and many slices in batches, each its own submission: a driver that watches for hung commands must
-//! not take a long one for it.
+//! | edit | uploads besides uniforms | made anew |
+//! |---|---|---|
+//! | nothing, light, camera | none (slicing: its polygons) | nothing |
+//! | a placement | macrocells | nothing; their texture if the deformed box needs more or fewer cells |
+//! | a map's parameter | that map, macrocells | the map's texture, a bind group |
+//! | transfer function | table, macrocells | nothing |
+//! | volume | the volume, and what depends on it | its texture, a bind group |
+//! | size of the picture | none | targets, for the first time; two sizes are kept |
+//!
+//! Large pictures are drawn in bands and many slabs in batches, each its own submission: a driver that watches for hung commands must
+//! not take a long one for it. The next submission is recorded while one is under way.
 
 mod draw;
 mod evaluate;
@@ -83,7 +94,17 @@ impl Renderer {
             ..Default::default()
         });
         let shared_layout = shared_layout(&device.device);
-        Self { device, shared_layout, sampler, pipelines: HashMap::new(), volume: None, kept: Kept::default(), counter: None, tally: Tally::default(), most: None }
+        Self {
+            device,
+            shared_layout,
+            sampler,
+            pipelines: HashMap::new(),
+            volume: None,
+            kept: Kept::default(),
+            counter: None,
+            tally: Tally::default(),
+            most: None,
+        }
     }
 
     /// The device.

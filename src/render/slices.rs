@@ -181,9 +181,7 @@ mod tests {
     #[test]
     fn polygons_cover_the_box() {
         let bounds = Bounds::new(Vec3::new(-30.0, -20.0, -25.0), Vec3::new(30.0, 25.0, 40.0));
-        for (view, projection) in
-            [("anterior", Projection::Perspective), ("30,20", Projection::Perspective), ("130,-65", Projection::Orthographic)]
-        {
+        for (view, projection) in [("anterior", Projection::Perspective), ("30,20", Projection::Perspective), ("130,-65", Projection::Orthographic)] {
             let frame = frame(view, projection, bounds);
             let polygons = slabs(&frame, &Macrocells::solid(bounds), None);
             assert!(polygons.corners.windows(2).all(|w| w[0][3] <= w[1][3]), "front to back");

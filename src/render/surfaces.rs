@@ -5,8 +5,8 @@
 //! their number.
 //! An object in two stages has its triangles drawn into a layer beside, which its rays read and blend with.
 
-use super::uniforms::{DeformerUniform, PlacedSolidUniform, SurfaceObjectUniform};
 use super::kept::Shared;
+use super::uniforms::{DeformerUniform, PlacedSolidUniform, SurfaceObjectUniform};
 use super::{Counter, Renderer, Variant, extent, overrides};
 use crate::gpu::shaders::Program;
 use crate::mesh::Implicit;
