@@ -24,6 +24,9 @@
 // Own colours of the voxels, multiplied by their weights.
 @group(0) @binding(17) var colors: texture_3d<f32>;
 
+// Colour and optical depth of segments: front values down, back values across.
+@group(0) @binding(18) var preintegrated: texture_2d<f32>;
+
 // No surface.
 const FAR_AWAY: f32 = 1e30;
 
@@ -45,6 +48,10 @@ override NORMALS: u32 = 3u;
 override BLEND: u32 = 0u;
 // 0 central differences, 1 Sobel.
 override GRADIENT: u32 = 0u;
+// 1: colour and opacity are those of segments between samples.
+override PREINTEGRATED: u32 = 0u;
+// Slices of one slab; 1 for slices of a mesh.
+override SLAB: u32 = 1u;
 
 // Normalised value at a position in voxels.
 fn sample_volume(p: vec3<f32>) -> f32 {
@@ -73,6 +80,12 @@ fn fetch(k: u32, x: vec3<f32>) -> vec4<f32> {
 
 fn table_entry(i: i32, row: i32) -> vec4<f32> {
     return textureLoad(table, vec2<i32>(i, row), 0);
+}
+
+// By table coordinates of a segment's ends.
+fn preintegrated_entry(front: f32, back: f32) -> vec4<f32> {
+    let size = vec2<f32>(textureDimensions(preintegrated));
+    return textureSampleLevel(preintegrated, linear_clamp, (clamp(vec2<f32>(back, front), vec2<f32>(0.0), vec2<f32>(1.0)) * (size - 1.0) + 0.5) / size, 0.0);
 }
 
 fn cell_distance(cell: vec3<i32>) -> u32 {

@@ -1,60 +1,44 @@
-// View-aligned slices: polygons of plane and proxy box, drawn back to front and blended by the hardware ([DDM06] section 4).
+// Slabs of view-aligned slices, front to back ([DDM06] section 4): a fragment composites the samples of SLAB slices, the blend unit the slabs.
 //
-// A fragment takes its position from its pixel's ray and its slice's depth rather than from interpolated vertices: the same arithmetic
-// as a ray's sample, so that the renderers agree on where they look.
+// A fragment takes its positions from its pixel's ray and its slices' depths rather than from interpolated vertices: the same arithmetic
+// as a ray's samples, so that the renderers agree on where they look. The polygon of a slab covers its slices' and more; which slices a
+// pixel's ray meets inside the box is asked here.
 
-struct Slice {
+struct Slab {
     @builtin(position) position: vec4<f32>,
-    @location(0) @interpolate(flat) depth_mm: f32,
+    // Number of the nearest slice: it lies at depth (first + 1/2) step.
+    @location(0) @interpolate(flat) first: i32,
 }
 
 @vertex
-fn vertex(@location(0) corner: vec4<f32>) -> Slice {
-    return Slice(frame.clip_from_world * vec4<f32>(corner.xyz, 1.0), corner.w);
+fn vertex(@location(0) corner: vec4<f32>) -> Slab {
+    let clip = frame.clip_from_world * vec4<f32>(corner.xyz, 1.0);
+    // Behind the mask of opaque pixels at depth 0, before everything else.
+    return Slab(vec4<f32>(clip.xy, 0.5 * clip.w, clip.w), i32(corner.w));
 }
 
 @fragment
-fn fragment(slice: Slice) -> @location(0) vec4<f32> {
-    let ray = pixel_ray(slice.position.xy);
-    let slant = dot(ray.direction, frame.forward);
-    let step = frame.step_mm / slant;
-    // The near end of what this slice stands for decides, as a ray's last sample does.
-    if BEHIND != 0u && first_sample_after(textureLoad(behind_t, vec2<i32>(slice.position.xy), 0).r, step) <= i32(floor(slice.depth_mm / frame.step_mm)) {
-        discard;
+fn fragment(slab: Slab) -> @location(0) vec4<f32> {
+    var ray = pixel_ray(slab.position.xy);
+    let step = frame.step_mm / dot(ray.direction, frame.forward);
+    // As for rays; a whole step at most separates a shifted slice from its polygon.
+    let shift = pixel_shift(vec2<u32>(slab.position.xy)) * step;
+    ray.origin += ray.direction * shift;
+    var first = slab.first;
+    var end = slab.first + i32(SLAB);
+    if SLAB > 1u {
+        let range = proxy_range(ray.origin, 1.0 / ray.direction);
+        first = max(first, first_sample_after(range.x, step));
+        end = select(first, min(end, first_sample_after(range.y, step)), range.x <= range.y);
     }
-    let deformed = ray.origin + ray.direction * (slice.depth_mm / slant);
-    if empty_until(deformed, ray.origin, 1.0 / ray.direction) >= 0.0 {
-        count(slice.position.xy, vec3<u32>(0u, 1u, 0u));
-        discard;
+    if BEHIND != 0u {
+        end = min(end, first_sample_after(textureLoad(behind_t, vec2<i32>(slab.position.xy), 0).r - shift, step));
     }
-    let part = kept_part(ray.origin, ray.direction, slice.depth_mm / slant, step);
-    count(slice.position.xy, vec3<u32>(1u, 0u, 0u));
-    if part.share <= 0.0 {
-        discard;
+    let all = composite(slab.position.xy, ray, first, end, step);
+    if BLEND == 0u {
+        return all.color;
     }
-    let sampled = ray.origin + ray.direction * part.t;
-    let at = look(sampled);
-    if BLEND != 0u {
-        if !at.present {
-            discard;
-        }
-        // Red: the value (negated for the minimum), for the blend unit's maximum or sum; green: whether, or how often.
-        return vec4<f32>(select(at.value, -at.value, BLEND == 2u), 1.0, 0.0, 0.0);
-    }
-    if ISO != 0u && at.present && at.value >= frame.iso && !enters_iso(sampled, ray.direction, step) {
-        // The surface in front of it hides it, unless it is the face of a cut.
-        discard;
-    }
-    let face = opaque_face(at, sampled, ray.direction, step);
-    if face.a > 0.0 {
-        return face;
-    }
-    if ISO != 0u {
-        discard;
-    }
-    let s = visible(at, sampled);
-    if s.depth <= 0.0 && !near_a_cut(at) {
-        discard;
-    }
-    return shaded_sample(at, s, ray.direction, step, step / frame.reference_mm * part.share);
+    // Red: the value (negated for the minimum), for the blend unit's maximum or sum; green: whether, or how often.
+    let value = select(-1e4, select(all.projected, -all.projected, BLEND == 2u), all.matter > 0.0);
+    return vec4<f32>(select(value, all.projected, BLEND == 3u), select(min(all.matter, 1.0), all.matter, BLEND == 3u), 0.0, 0.0);
 }

@@ -9,6 +9,8 @@ mod closed_forms;
 mod command_line;
 mod contract;
 mod damage;
+#[cfg(feature = "gpu")]
+mod editing;
 mod fields;
 mod metrics;
 mod nifti;

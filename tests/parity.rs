@@ -19,7 +19,7 @@ use std::sync::{LazyLock, Mutex};
 static RENDERER: LazyLock<Mutex<Result<Renderer, String>>> =
     LazyLock::new(|| Mutex::new(Device::open(Want::Any).map(Renderer::new).map_err(|e| e.to_string())));
 
-fn with_renderer<T>(work: impl FnOnce(&mut Renderer) -> T) -> T {
+pub fn with_renderer<T>(work: impl FnOnce(&mut Renderer) -> T) -> T {
     // A test that failed before leaves the renderer usable.
     let mut guard = RENDERER.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
     work(guard.as_mut().unwrap())
@@ -57,6 +57,8 @@ pub fn trials() -> Vec<Trial> {
     all.push(gpu("parity::surface_options_agree".into(), Box::new(surface_options_agree)));
     all.push(gpu("parity::one_deformation_on_the_gpu".into(), Box::new(one_deformation_on_the_gpu)));
     all.push(gpu("parity::counts_agree".into(), Box::new(counts_agree)));
+    all.push(gpu("editing::edits_upload_what_changed".into(), Box::new(crate::editing::edits_upload_what_changed)));
+    all.push(gpu("editing::segments_and_shifts_agree_between_modes".into(), Box::new(crate::editing::segments_and_shifts_agree_between_modes)));
     all.push(gpu("parity::eight_maps_agree".into(), Box::new(eight_maps_agree)));
     all.push(gpu("parity::composition_agrees".into(), Box::new(composition_agrees)));
     all.push(gpu("parity::voxel_types_agree".into(), Box::new(voxel_types_agree)));

@@ -46,7 +46,7 @@ pub fn uniforms_match_their_structs() {
     let m = module(Program::Raycast, false);
     same_layout!(&m, "Frame", FrameUniform: clip_from_world, voxel_from_world, eye, perspective, forward, step_mm, right, reference_mm, up,
         blend_near_mm, to_light, blend_far_mm, proxy_min, ambient, proxy_max, diffuse, grid_size, specular, cells_origin, shininess, cell_mm,
-        value_scale, cells, value_offset, picture, table_scale, table_offset, gradient_top, two_sided, has_holes, early_termination, grey_low, grey_high, iso, padding, texture_size, padding_2);
+        value_scale, cells, value_offset, picture, table_scale, table_offset, gradient_top, two_sided, has_holes, early_termination, grey_low, grey_high, iso, jitter, texture_size, padding_2);
     same_layout!(&m, "CutShape", CutShapeUniform: local_from_world, half, shape, half_angle, sense, joined, and_group);
     let s = module(Program::Surface, false);
     same_layout!(&s, "SurfaceObject", SurfaceObjectUniform: grid_from_world, world_from_grid, size, kind, cells_origin, resolution_mm, cell_mm, step_mm,
@@ -86,7 +86,7 @@ pub fn counterparts_exist() {
         ),
         ("shaders/lib/formula.wgsl", "src/mesh/formula.rs", &[("GYROID_SLOPE: f32 = 1.75", "GYROID_SLOPE: f32 = 1.75")][..]),
         ("shaders/lib/cut.wgsl", "src/deform/cut.rs", &[("ROOT_STEPS: i32 = 4", "ROOT_STEPS: u32 = 4")][..]),
-        ("shaders/raycast.wgsl", "src/cpu/mod.rs", &[("OPAQUE: f32 = 1.0 / 512.0", "OPAQUE: f32 = 1.0 / 512.0")][..]),
+        ("shaders/lib/composite.wgsl", "src/cpu/mod.rs", &[("OPAQUE: f32 = 1.0 / 512.0", "OPAQUE: f32 = 1.0 / 512.0")][..]),
         (
             "shaders/lib/transfer.wgsl",
             "src/transfer/table.rs",

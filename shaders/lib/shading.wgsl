@@ -94,6 +94,10 @@ fn entry(s: Sample, direction: vec3<f32>, step_mm: f32) -> Entry {
             through_cut = nearer.depth < -1.5;
         }
     }
+    if PREINTEGRATED != 0u {
+        // The colour is that of the whole segment.
+        first.color = s.color;
+    }
     return Entry(first, true, through_cut);
 }
 
@@ -135,6 +139,15 @@ fn visible(at: Look, deformed: vec3<f32>) -> Sample {
         return Sample(deformed, at.in_voxel, vec3<f32>(0.0), 0.0, 0.0);
     }
     let t = lookup(at.value);
+    return Sample(deformed, at.in_voxel, t.rgb, t.a, at.value);
+}
+
+// As visible, with colour and depth of the segment from a front value.
+fn visible_segment(at: Look, front: f32, deformed: vec3<f32>) -> Sample {
+    if !at.present {
+        return Sample(deformed, at.in_voxel, vec3<f32>(0.0), 0.0, 0.0);
+    }
+    let t = lookup_segment(front, at.value);
     return Sample(deformed, at.in_voxel, t.rgb, t.a, at.value);
 }
 
@@ -230,12 +243,6 @@ fn derivative_facing(at: vec3<f32>) -> f32 {
     );
     let facing = d.x / max(length(d), 1e-6);
     return select(max(facing, 0.0), abs(facing), frame.two_sided != 0u);
-}
-
-// Whether the volume's surface, or a cut through its inside, lies within the step before a sample.
-fn enters_iso(deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> bool {
-    let before = look(deformed - direction * step_mm);
-    return !(before.present && before.value >= frame.iso);
 }
 
 // Colour of the surface where the volume has the value frame.iso, met within the step before `deformed`.

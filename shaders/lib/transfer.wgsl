@@ -11,6 +11,11 @@ fn lookup(value: f32) -> vec4<f32> {
     return mix(table_entry(i, 0), table_entry(i + 1, 0), x - f32(i));
 }
 
+// As lookup, of the segment between two samples.
+fn lookup_segment(front: f32, back: f32) -> vec4<f32> {
+    return preintegrated_entry(front * frame.table_scale + frame.table_offset, back * frame.table_scale + frame.table_offset);
+}
+
 fn falling_side(value: f32) -> f32 {
     let step = SLOPE_STEP / frame.table_scale;
     return select(1.0, -1.0, lookup(value + step).a < lookup(value - step).a);

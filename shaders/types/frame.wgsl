@@ -43,7 +43,8 @@ struct Frame {
     grey_high: f32,
     // Normalised value of the surface that is shown.
     iso: f32,
-    padding: f32,
+    // 1: samples are shifted along each pixel's ray.
+    jitter: u32,
     // Voxels that the volume's texture spans: the grid's size, or a little more where it was reduced.
     texture_size: vec3<f32>,
     padding_2: f32,

@@ -3,7 +3,7 @@
 
 use super::distance::{Region, of_region};
 use super::transform::{Context, Transform};
-use super::{Arguments, PlacedMap};
+use super::{Arguments, DisplacementMap};
 use crate::math::DistanceGrid;
 use crate::volume::load::{self, Choice};
 use crate::volume::{GridGeometry, Volume};
@@ -21,7 +21,7 @@ pub struct Library {
     distances: Mutex<HashMap<String, Arc<DistanceGrid>>>,
     transforms: Mutex<HashMap<String, Arc<Transform>>>,
     /// Sampled maps by what they were made of, the most recently used last.
-    maps: Mutex<Vec<(String, Vec<PlacedMap>)>>,
+    maps: Mutex<Vec<(String, Arc<DisplacementMap>)>>,
     notices: Mutex<Vec<String>>,
 }
 
@@ -185,26 +185,26 @@ impl Library {
         }
     }
 
-    /// The maps made of what `key` says; made anew unless they are among the last ones used. (A live view asks for the same maps at every
+    /// The map made of what `key` says; made anew unless it is among the last ones used. (A live view asks for the same maps at every
     /// turn of its camera.)
     ///
     /// # Errors
-    /// Those of making them.
-    pub fn maps(&self, key: String, make: impl FnOnce() -> Result<Vec<PlacedMap>>) -> Result<Vec<PlacedMap>> {
+    /// Those of making it.
+    pub fn map(&self, key: String, make: impl FnOnce() -> Result<Arc<DisplacementMap>>) -> Result<Arc<DisplacementMap>> {
         {
             let mut kept = lock(&self.maps);
             if let Some(at) = kept.iter().position(|(k, _)| *k == key) {
                 let entry = kept.remove(at);
-                let maps = entry.1.clone();
+                let map = entry.1.clone();
                 kept.push(entry);
-                return Ok(maps);
+                return Ok(map);
             }
         }
         let made = make()?;
         let mut kept = lock(&self.maps);
         kept.push((key, made.clone()));
-        let bytes = |maps: &[PlacedMap]| maps.iter().map(|m| m.map.size.iter().product::<usize>() * 16).sum::<usize>();
-        let mut all: usize = kept.iter().map(|(_, maps)| bytes(maps)).sum();
+        let bytes = |map: &DisplacementMap| map.size.iter().product::<usize>() * 16;
+        let mut all: usize = kept.iter().map(|(_, map)| bytes(map)).sum();
         while kept.len() > 1 && (all > KEPT_MAP_BYTES || kept.len() > KEPT_MAPS) {
             all -= bytes(&kept.remove(0).1);
         }

@@ -5,7 +5,7 @@ mod readback;
 pub mod shaders;
 
 pub use device::{Device, Want};
-pub use readback::{read_buffer, read_r32f, read_rgba16f};
+pub use readback::{read_buffer, read_r32f, read_rgba16f, texture_bytes};
 
 use crate::{Error, Result};
 
@@ -31,5 +31,15 @@ pub fn checked<T>(device: &wgpu::Device, work: impl FnOnce() -> Result<T>) -> Re
 /// A lost device.
 pub fn wait(device: &wgpu::Device) -> Result<()> {
     device.poll(wgpu::PollType::wait_indefinitely()).map_err(|e| Error::Gpu(format!("the device stopped answering: {e}")))?;
+    Ok(())
+}
+
+/// Waits until one submission, and all before it, are done; later ones may still be under way.
+///
+/// # Errors
+/// A lost device.
+pub fn wait_for(device: &wgpu::Device, submission: wgpu::SubmissionIndex) -> Result<()> {
+    let wanted = wgpu::PollType::Wait { submission_index: Some(submission), timeout: None };
+    device.poll(wanted).map_err(|e| Error::Gpu(format!("the device stopped answering: {e}")))?;
     Ok(())
 }

@@ -3,15 +3,14 @@
 use super::wait;
 use crate::{Error, Result};
 use half::f16;
+use half::slice::HalfFloatSliceExt;
+use rayon::prelude::*;
 
 /// Rows of a texture copy are padded to this many bytes.
 const ROW_ALIGNMENT: u32 = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT;
 
-/// The content of a buffer that can be mapped for reading.
-///
-/// # Errors
-/// A lost device.
-pub fn read_buffer(device: &wgpu::Device, buffer: &wgpu::Buffer) -> Result<Vec<u8>> {
+/// Maps a buffer and hands its content over.
+fn mapped<T>(device: &wgpu::Device, buffer: &wgpu::Buffer, use_bytes: impl FnOnce(&[u8]) -> Result<T>) -> Result<T> {
     let (send, receive) = std::sync::mpsc::channel();
     buffer.map_async(wgpu::MapMode::Read, .., move |result| {
         // The receiver lives until the end of this function.
@@ -21,50 +20,70 @@ pub fn read_buffer(device: &wgpu::Device, buffer: &wgpu::Buffer) -> Result<Vec<u
     let mapped = receive.recv().map_err(|e| Error::Gpu(e.to_string()))?;
     mapped.map_err(|e| Error::Gpu(format!("reading back failed: {e}")))?;
     let view = buffer.get_mapped_range(..).map_err(|e| Error::Gpu(format!("reading back failed: {e}")))?;
-    let bytes = view.to_vec();
+    let result = use_bytes(&view);
     drop(view);
     buffer.unmap();
-    Ok(bytes)
+    result
 }
 
-/// An Rgba16Float texture as rows of pixels.
+/// The content of a buffer that can be mapped for reading.
 ///
 /// # Errors
 /// A lost device.
-pub fn read_rgba16f(device: &wgpu::Device, queue: &wgpu::Queue, texture: &wgpu::Texture) -> Result<Vec<[f32; 4]>> {
-    let bytes = read_texture(device, queue, texture, 8)?;
-    Ok(bytes.chunks_exact(8).map(|p| std::array::from_fn(|c| f16::from_le_bytes([p[2 * c], p[2 * c + 1]]).to_f32())).collect())
+pub fn read_buffer(device: &wgpu::Device, buffer: &wgpu::Buffer) -> Result<Vec<u8>> {
+    mapped(device, buffer, |bytes| Ok(bytes.to_vec()))
 }
 
-/// An R32Float texture as rows of pixels.
+/// An Rgba16Float texture as rows of pixels, through a buffer of [`texture_bytes`] that can be mapped for reading.
 ///
 /// # Errors
 /// A lost device.
-pub fn read_r32f(device: &wgpu::Device, queue: &wgpu::Queue, texture: &wgpu::Texture) -> Result<Vec<f32>> {
-    let bytes = read_texture(device, queue, texture, 4)?;
-    Ok(bytes.chunks_exact(4).map(|p| f32::from_le_bytes([p[0], p[1], p[2], p[3]])).collect())
+pub fn read_rgba16f(device: &wgpu::Device, queue: &wgpu::Queue, texture: &wgpu::Texture, through: &wgpu::Buffer) -> Result<Vec<[f32; 4]>> {
+    let row_texels = texture.width() as usize;
+    let mut pixels = vec![[0.0f32; 4]; row_texels * texture.height() as usize];
+    copy(device, queue, texture, through);
+    mapped(device, through, |bytes| {
+        let halves: &[f16] = bytemuck::try_cast_slice(bytes).map_err(|e| Error::Gpu(format!("reading back failed: {e}")))?;
+        let padded = row_bytes(texture) as usize / 2;
+        pixels.par_chunks_mut(row_texels).zip(halves.par_chunks_exact(padded)).for_each(|(row, halves)| {
+            halves[..4 * row_texels].convert_to_f32_slice(row.as_flattened_mut());
+        });
+        Ok(())
+    })?;
+    Ok(pixels)
 }
 
-/// The texels of a 2D texture, without the padding of its rows.
-fn read_texture(device: &wgpu::Device, queue: &wgpu::Queue, texture: &wgpu::Texture, texel: u32) -> Result<Vec<u8>> {
-    let (width, height) = (texture.width(), texture.height());
-    let row_bytes = (width * texel).next_multiple_of(ROW_ALIGNMENT);
-    let buffer = device.create_buffer(&wgpu::BufferDescriptor {
-        label: Some("readback"),
-        size: u64::from(row_bytes) * u64::from(height),
-        usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
-        mapped_at_creation: false,
-    });
+/// An R32Float texture as rows of pixels, through a buffer as of [`read_rgba16f`].
+///
+/// # Errors
+/// A lost device.
+pub fn read_r32f(device: &wgpu::Device, queue: &wgpu::Queue, texture: &wgpu::Texture, through: &wgpu::Buffer) -> Result<Vec<f32>> {
+    copy(device, queue, texture, through);
+    mapped(device, through, |bytes| {
+        let texels: &[f32] = bytemuck::try_cast_slice(bytes).map_err(|e| Error::Gpu(format!("reading back failed: {e}")))?;
+        let rows = texels.chunks_exact(row_bytes(texture) as usize / 4);
+        Ok(rows.flat_map(|row| &row[..texture.width() as usize]).copied().collect())
+    })
+}
+
+fn row_bytes(texture: &wgpu::Texture) -> u32 {
+    (texture.width() * texture.format().block_copy_size(None).unwrap_or(16)).next_multiple_of(ROW_ALIGNMENT)
+}
+
+/// Bytes of a copy of a 2D texture in a buffer, whose rows are padded.
+pub fn texture_bytes(texture: &wgpu::Texture) -> u64 {
+    u64::from(row_bytes(texture)) * u64::from(texture.height())
+}
+
+fn copy(device: &wgpu::Device, queue: &wgpu::Queue, texture: &wgpu::Texture, buffer: &wgpu::Buffer) {
     let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
     encoder.copy_texture_to_buffer(
         texture.as_image_copy(),
         wgpu::TexelCopyBufferInfo {
-            buffer: &buffer,
-            layout: wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(row_bytes), rows_per_image: Some(height) },
+            buffer,
+            layout: wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(row_bytes(texture)), rows_per_image: Some(texture.height()) },
         },
         texture.size(),
     );
     queue.submit([encoder.finish()]);
-    let bytes = read_buffer(device, &buffer)?;
-    Ok(bytes.chunks_exact(row_bytes as usize).flat_map(|row| &row[..(width * texel) as usize]).copied().collect())
 }

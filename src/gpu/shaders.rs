@@ -9,6 +9,10 @@ pub enum Program {
     Slice,
     /// The second pass of a projection by slices.
     Resolve,
+    /// The mask of pixels that slices have made opaque.
+    Opaque,
+    /// Surfaces under slices.
+    Under,
     /// Shared functions at given points, for tests.
     Probe,
     /// A stack at given points, to compose it.
@@ -41,15 +45,18 @@ const SURFACES: [&str; 4] = [piece!("types/surface.wgsl"), piece!("lib/implicit.
 
 impl Program {
     /// All programs.
-    pub const ALL: [Self; 7] = [Self::Raycast, Self::Slice, Self::Resolve, Self::Probe, Self::Compose, Self::Surface, Self::Mesh];
+    pub const ALL: [Self; 9] =
+        [Self::Raycast, Self::Slice, Self::Resolve, Self::Opaque, Self::Under, Self::Probe, Self::Compose, Self::Surface, Self::Mesh];
 
     /// The program's whole text; `counting` keeps the sample counts.
     pub fn source(self, counting: bool) -> String {
         let count = if counting { piece!("lib/count.wgsl") } else { piece!("lib/count_nothing.wgsl") };
         let own: &[&str] = match self {
-            Self::Raycast => &[piece!("lib/march.wgsl"), piece!("lib/projection.wgsl"), count, piece!("raycast.wgsl")],
-            Self::Slice => &[piece!("lib/march.wgsl"), count, piece!("slice.wgsl")],
+            Self::Raycast => &[piece!("lib/march.wgsl"), piece!("lib/composite.wgsl"), piece!("lib/projection.wgsl"), count, piece!("raycast.wgsl")],
+            Self::Slice => &[piece!("lib/march.wgsl"), piece!("lib/composite.wgsl"), count, piece!("slice.wgsl")],
             Self::Resolve => &[piece!("lib/projection.wgsl"), piece!("resolve.wgsl")],
+            Self::Opaque => &[piece!("opaque.wgsl")],
+            Self::Under => &[piece!("under.wgsl")],
             Self::Probe => &[piece!("probe.wgsl")],
             Self::Compose => &[piece!("compose.wgsl")],
             Self::Surface => &[piece!("lib/march.wgsl"), count, piece!("surface.wgsl")],

@@ -82,17 +82,12 @@ impl Renderer {
 
     /// The maps of a stack alone.
     fn bind_stack(&self, stack: &Stack) -> Result<wgpu::BindGroup> {
-        let device = &self.device.device;
         let mut placed = [bytemuck::Zeroable::zeroed(); MAX_MAPS];
         for (uniform, map) in placed.iter_mut().zip(stack.maps()) {
             *uniform = PlacedMapUniform::new(map);
         }
-        let uniform = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
-            label: None,
-            contents: bytemuck::cast_slice::<PlacedMapUniform, u8>(&placed),
-            usage: wgpu::BufferUsages::UNIFORM,
-        });
-        let views = self.upload_maps(stack)?;
+        let uniform = self.buffer_of("placements", bytemuck::cast_slice::<PlacedMapUniform, u8>(&placed), wgpu::BufferUsages::UNIFORM);
+        let (views, _) = self.upload_maps(stack)?;
         let mut entries = vec![
             wgpu::BindGroupEntry { binding: 1, resource: uniform.as_entire_binding() },
             wgpu::BindGroupEntry { binding: 3, resource: wgpu::BindingResource::Sampler(&self.sampler) },
@@ -103,7 +98,7 @@ impl Renderer {
                 .enumerate()
                 .map(|(k, view)| wgpu::BindGroupEntry { binding: 6 + k as u32, resource: wgpu::BindingResource::TextureView(view) }),
         );
-        Ok(device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("stack"), layout: &self.stack_layout(), entries: &entries }))
+        Ok(self.bind_group("stack", &self.stack_layout(), &entries))
     }
 
     fn points_layout(&self) -> wgpu::BindGroupLayout {

@@ -1,41 +1,52 @@
 //! Renders a scene on a GPU: view-aligned slices (\[DDM06\] section 4) or rays, on one library of WGSL functions.
 //!
-//! *Theory*: the shaders in `shaders/` state what `src/cpu` states, function by function. Slices are polygons of plane and proxy box,
-//! rasterised back to front and blended by the hardware into a 16-bit float target, premultiplied. Projections (MIP and its kin) blend by
-//! maximum or sum, in 32 bits, and pass through the transfer function in a second pass. A composite of very many faint slices (a step of
-//! a twentieth of a voxel, say) loses what is below the 16-bit target's resolution; rays, which sum in 32 bits, do not.
+//! *Theory*: the shaders in `shaders/` state what `src/cpu` states, function by function. Slices are drawn in slabs of eight: a polygon covers
+//! eight planes' sections of the proxy box, a fragment composites their samples in 32 bits, and the hardware blends slabs front to back, under
+//! what is there, into a 16-bit float target, premultiplied. Between slabs the pixels that have become opaque get depth 0, and the depth test
+//! rejects what would be drawn behind them before it is shaded (Krueger and Westermann 2003). Slices of a mesh are drawn one by one. Projections
+//! (MIP and its kin) blend by maximum or sum, in 32 bits, and pass through the transfer function in a second pass.
 //!
-//! *How to call it*: a [`Renderer`] owns a device and keeps what outlives a picture: pipelines by variant, the volume's texture as long as
-//! the same volume is rendered. Uniforms, maps and tables are per picture.
+//! *How to call it*: a [`Renderer`] owns a device and keeps what outlives a picture: pipelines by variant, the volume's texture as
+//! long as the same volume is rendered, displacement maps by identity, tables, macrocells, targets, buffers and bind groups. What a picture adds
+//! to it is counted ([`Renderer::work`]), and a test (`tests/editing.rs`) holds it to this table:
 //!
-//! Large pictures are drawn in bands and many slices in batches, each its own submission: a driver that watches for hung commands must
-//! not take a long one for it.
+//! | edit | uploads besides uniforms | made anew |
+//! |---|---|---|
+//! | nothing, light, camera | none (slicing: its polygons) | nothing |
+//! | a placement | macrocells | nothing; their texture if the deformed box needs more or fewer cells |
+//! | a map's parameter | that map, macrocells | the map's texture, a bind group |
+//! | transfer function | table, macrocells | nothing |
+//! | volume | the volume, and what depends on it | its texture, a bind group |
+//! | size of the picture | none | targets, for the first time; two sizes are kept |
+//!
+//! Large pictures are drawn in bands and many slabs in batches, each its own submission: a driver that watches for hung commands must
+//! not take a long one for it. The next submission is recorded while one is under way.
 
+mod draw;
 mod evaluate;
+mod kept;
 mod slices;
 mod surfaces;
 pub mod uniforms;
 mod volume;
+mod work;
 
-use crate::deform::cut::MAX_CUTS;
-use crate::deform::{DisplacementMap, MAX_MAPS, Stack, Storage};
+pub use work::Work;
+
+use crate::deform::MAX_MAPS;
 use crate::gpu::shaders::Program;
-use crate::gpu::{Device, checked, read_buffer, read_rgba16f, wait};
+use crate::gpu::{Device, checked, read_buffer, read_rgba16f, texture_bytes, wait};
 use crate::scene::{IsoLight, Mode, Normals, Picture, Prepared, RenderStats, Rendered, Stages};
-use crate::transfer::{Blend, GRADIENT_ENTRIES, TABLE_ENTRIES};
+use crate::transfer::Blend;
 use crate::volume::GradientFilter;
 use crate::{Error, Result, Watch};
+use draw::Draw;
+use kept::Kept;
 use std::collections::HashMap;
-use surfaces::Layer;
-use uniforms::{CutShapeUniform, FrameUniform, PlacedMapUniform};
 use volume::VolumeTexture;
-use wgpu::util::DeviceExt;
-use wgpu::{Features, TextureFormat};
+use wgpu::{BufferUsages, Features, TextureFormat};
+use work::{Made, Tally};
 
-/// Pixels per submission of rays.
-const PIXELS_PER_BAND: u32 = 1 << 16;
-/// Fragments per submission of slices, about.
-const FRAGMENTS_PER_BATCH: u64 = 1 << 24;
 /// What projections by slices are gathered in: sums of hundreds of samples need more than 16 bits.
 const GATHERED: TextureFormat = TextureFormat::Rgba32Float;
 /// Counters of `shaders/lib/count.wgsl`.
@@ -50,6 +61,8 @@ struct Variant {
     normals: Normals,
     blend: u32,
     gradient: GradientFilter,
+    slab: u32,
+    preintegrated: bool,
     cuts: usize,
     grey_faces: bool,
     iso: u32,
@@ -64,44 +77,11 @@ pub struct Renderer {
     sampler: wgpu::Sampler,
     pipelines: HashMap<Variant, wgpu::RenderPipeline>,
     volume: Option<VolumeTexture>,
+    kept: Kept,
+    counter: Option<Counter>,
+    tally: Tally,
     /// Smaller limits on the volume than the device's: voxels along an axis, and bytes.
     most: Option<(usize, u64)>,
-}
-
-/// What the shaders' shared functions read, uploaded.
-struct Shared {
-    frame: wgpu::Buffer,
-    placed: wgpu::Buffer,
-    shapes: wgpu::Buffer,
-    table: wgpu::TextureView,
-    cells: wgpu::TextureView,
-    maps: Vec<wgpu::TextureView>,
-    nothing: Layer,
-}
-
-/// One picture being drawn.
-#[derive(Clone, Copy)]
-struct Draw<'a> {
-    scene: &'a Prepared<'a>,
-    bindings: &'a wgpu::BindGroup,
-    behind: Option<&'a Layer>,
-    counter: Option<&'a Counter>,
-    target: &'a wgpu::Texture,
-    watch: &'a Watch<'a>,
-}
-
-impl Draw<'_> {
-    fn variant(&self, program: Program) -> Variant {
-        Renderer::variant(self.scene, program, self.counter.is_some())
-    }
-
-    /// Binds the scene, and the counters if samples are counted.
-    fn bind(&self, pass: &mut wgpu::RenderPass) {
-        pass.set_bind_group(0, self.bindings, &[]);
-        if let Some(counter) = self.counter {
-            pass.set_bind_group(1, &counter.group, &[]);
-        }
-    }
 }
 
 impl Renderer {
@@ -114,12 +94,27 @@ impl Renderer {
             ..Default::default()
         });
         let shared_layout = shared_layout(&device.device);
-        Self { device, shared_layout, sampler, pipelines: HashMap::new(), volume: None, most: None }
+        Self {
+            device,
+            shared_layout,
+            sampler,
+            pipelines: HashMap::new(),
+            volume: None,
+            kept: Kept::default(),
+            counter: None,
+            tally: Tally::default(),
+            most: None,
+        }
     }
 
     /// The device.
     pub fn device(&self) -> &Device {
         &self.device
+    }
+
+    /// What was made and uploaded since the renderer was made.
+    pub fn work(&self) -> Work {
+        self.tally.work()
     }
 
     /// Renders a prepared scene; `counting` keeps sample counts, which costs a little. `progress` is told the share that is done.
@@ -173,35 +168,48 @@ impl Renderer {
         })?;
         let notices: Vec<String> = self.volume.as_ref().and_then(|v| v.notice.clone()).filter(|_| shows_volume).into_iter().collect();
         let shared = stages.time("bind", || self.shared(scene))?;
-        let counter = counting.then(|| Counter::new(&self.device.device));
+        let counter = counting.then(|| self.fresh_counter());
         let behind = if scene.surfaces.objects.is_empty() {
             None
         } else {
             Some(stages.time("surfaces drawn", || self.draw_surfaces(scene, &shared, counter.as_ref(), watch))?)
         };
-        if let (false, Some(layer)) = (shows_volume, &behind) {
-            let pixels = stages.time("readback", || read_rgba16f(&self.device.device, &self.device.queue, &layer.color))?;
-            let stats = counter.map(|c| c.read(&self.device)).transpose()?;
-            return Ok(Rendered { picture: Picture { width, height, pixels }.reduced(scene.settings.antialias), stats, stages, notices });
-        }
-        let bindings = self.group(&shared, behind.as_ref());
-        let target = self.target(width, height, TextureFormat::Rgba16Float);
-        stages.time("pipelines", || self.compile(scene, counting));
-        let draw = Draw { scene, bindings: &bindings, behind: behind.as_ref(), counter: counter.as_ref(), target: &target, watch };
-        stages.time("draw", || match scene.settings.mode {
-            Mode::Raycast => self.draw_rays(&draw),
-            Mode::Slice => self.draw_slices(&draw),
-            Mode::Surface => Ok(()),
+        let target = if let (false, Some(layer)) = (shows_volume, &behind) {
+            layer.color.clone()
+        } else {
+            let bindings = self.group(&shared, behind.as_ref());
+            let target = self.target("picture", width, height, TextureFormat::Rgba16Float);
+            stages.time("pipelines", || self.compile(scene, counting));
+            let draw = Draw { scene, bindings: &bindings, behind: behind.as_ref(), counter: counter.as_ref(), target: &target.view, watch };
+            stages.time("draw", || match scene.settings.mode {
+                Mode::Raycast => self.draw_rays(&draw),
+                Mode::Slice => self.draw_slices(&draw),
+                Mode::Surface => Ok(()),
+            })?;
+            target.texture
+        };
+        let pixels = stages.time("readback", || {
+            let buffer = self.readback(texture_bytes(&target));
+            read_rgba16f(&self.device.device, &self.device.queue, &target, &buffer)
         })?;
-        let pixels = stages.time("readback", || read_rgba16f(&self.device.device, &self.device.queue, &target))?;
-        let stats = counter.map(|c| c.read(&self.device)).transpose()?;
+        let stats = counter.map(|c| c.read(self)).transpose()?;
         Ok(Rendered { picture: Picture { width, height, pixels }.reduced(scene.settings.antialias), stats, stages, notices })
+    }
+
+    /// The counters, at zero.
+    fn fresh_counter(&mut self) -> Counter {
+        if let Some(counter) = &self.counter {
+            self.device.queue.write_buffer(&counter.buffer, 0, &[0; COUNTERS * 4]);
+            return counter.clone();
+        }
+        let counter = Counter::new(self);
+        self.counter.insert(counter).clone()
     }
 
     fn variant(scene: &Prepared, program: Program, counting: bool) -> Variant {
         Variant {
             program,
-            counting: counting && program != Program::Resolve,
+            counting: counting && matches!(program, Program::Raycast | Program::Slice | Program::Surface),
             maps: scene.stack.maps().len(),
             normals: if scene.is_lit() { scene.settings.normals } else { Normals::None },
             blend: match scene.blend {
@@ -211,6 +219,7 @@ impl Renderer {
                 Blend::Average => 3,
             },
             gradient: scene.gradient_filter(),
+            slab: if program != Program::Slice || scene.proxy_mesh.is_some() { 1 } else { slices::SLICES_PER_SLAB as u32 },
             cuts: scene.cuts.primitives().len(),
             grey_faces: scene.grey_faces(),
             iso: match (scene.iso, scene.settings.iso_light) {
@@ -220,18 +229,22 @@ impl Renderer {
                 (Some(_), IsoLight::Derivative) => 2,
             },
             colors: scene.colors.is_some(),
-            behind: matches!(program, Program::Raycast | Program::Slice | Program::Resolve) && !scene.surfaces.objects.is_empty(),
+            preintegrated: scene.preintegrated() && matches!(program, Program::Raycast | Program::Slice),
+            behind: matches!(program, Program::Raycast | Program::Slice | Program::Resolve | Program::Under) && !scene.surfaces.objects.is_empty(),
         }
     }
 
     fn compile(&mut self, scene: &Prepared, counting: bool) {
-        let programs: &[Program] = match (scene.settings.mode, scene.blend) {
-            (Mode::Surface, _) => &[],
-            (Mode::Raycast, _) => &[Program::Raycast],
-            (Mode::Slice, Blend::Composite) => &[Program::Slice],
-            (Mode::Slice, _) => &[Program::Slice, Program::Resolve],
+        let mut programs = match (scene.settings.mode, scene.blend) {
+            (Mode::Surface, _) => vec![],
+            (Mode::Raycast, _) => vec![Program::Raycast],
+            (Mode::Slice, Blend::Composite) => vec![Program::Slice, Program::Opaque],
+            (Mode::Slice, _) => vec![Program::Slice, Program::Resolve],
         };
-        for &program in programs {
+        if scene.settings.mode == Mode::Slice && scene.blend == Blend::Composite && !scene.surfaces.objects.is_empty() {
+            programs.push(Program::Under);
+        }
+        for program in programs {
             let variant = Self::variant(scene, program, counting);
             if !self.pipelines.contains_key(&variant) {
                 let pipeline = self.pipeline(variant);
@@ -241,6 +254,7 @@ impl Renderer {
     }
 
     fn pipeline(&self, variant: Variant) -> wgpu::RenderPipeline {
+        self.tally.count(Made::Pipeline);
         let device = &self.device.device;
         let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some(&format!("{:?}", variant.program)),
@@ -248,19 +262,28 @@ impl Renderer {
         });
         let constants = overrides(&variant);
         let options = wgpu::PipelineCompilationOptions { constants: &constants, ..Default::default() };
-        let over = wgpu::BlendState::PREMULTIPLIED_ALPHA_BLENDING;
+        // Front to back: what comes is seen through what is there.
+        let through = wgpu::BlendComponent {
+            src_factor: wgpu::BlendFactor::OneMinusDstAlpha,
+            dst_factor: wgpu::BlendFactor::One,
+            operation: wgpu::BlendOperation::Add,
+        };
+        let under = wgpu::BlendState { color: through, alpha: through };
         let gather = |operation| {
             let component = wgpu::BlendComponent { src_factor: wgpu::BlendFactor::One, dst_factor: wgpu::BlendFactor::One, operation };
             wgpu::BlendState { color: component, alpha: component }
         };
         let (format, blend) = match (variant.program, variant.blend) {
-            (Program::Slice, 0) => (TextureFormat::Rgba16Float, Some(over)),
+            (Program::Slice | Program::Under, 0) => (TextureFormat::Rgba16Float, Some(under)),
             (Program::Slice, 3) => (GATHERED, Some(gather(wgpu::BlendOperation::Add))),
             (Program::Slice, _) => (GATHERED, Some(gather(wgpu::BlendOperation::Max))),
             _ => (TextureFormat::Rgba16Float, None),
         };
+        let masked = matches!((variant.program, variant.blend), (Program::Slice, 0) | (Program::Opaque, _));
+        let has_corners = matches!(variant.program, Program::Slice | Program::Opaque);
+        let color = [Some(wgpu::ColorTargetState { format, blend, write_mask: wgpu::ColorWrites::ALL })];
         let own_layout = match variant.program {
-            Program::Resolve => Some(gathered_layout(device)),
+            Program::Resolve | Program::Opaque => Some(gathered_layout(device)),
             _ if variant.counting => Some(Counter::layout(device)),
             _ => None,
         };
@@ -282,139 +305,26 @@ impl Renderer {
                 module: &module,
                 entry_point: Some("vertex"),
                 compilation_options: options.clone(),
-                buffers: if variant.program == Program::Slice { &buffers } else { &[] },
+                buffers: if has_corners { &buffers } else { &[] },
             },
             primitive: wgpu::PrimitiveState::default(),
-            depth_stencil: None,
+            depth_stencil: masked.then(|| wgpu::DepthStencilState {
+                format: draw::MASK,
+                depth_write_enabled: Some(variant.program == Program::Opaque),
+                depth_compare: Some(wgpu::CompareFunction::Less),
+                stencil: wgpu::StencilState::default(),
+                bias: wgpu::DepthBiasState::default(),
+            }),
             multisample: wgpu::MultisampleState::default(),
             fragment: Some(wgpu::FragmentState {
                 module: &module,
                 entry_point: Some("fragment"),
                 compilation_options: options,
-                targets: &[Some(wgpu::ColorTargetState { format, blend, write_mask: wgpu::ColorWrites::ALL })],
+                targets: if variant.program == Program::Opaque { &[] } else { &color },
             }),
             multiview_mask: None,
             cache: None,
         })
-    }
-
-    fn target(&self, width: u32, height: u32, format: TextureFormat) -> wgpu::Texture {
-        self.device.device.create_texture(&wgpu::TextureDescriptor {
-            label: Some("picture"),
-            size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
-            mip_level_count: 1,
-            sample_count: 1,
-            dimension: wgpu::TextureDimension::D2,
-            format,
-            usage: wgpu::TextureUsages::RENDER_ATTACHMENT
-                | wgpu::TextureUsages::COPY_SRC
-                | wgpu::TextureUsages::COPY_DST
-                | wgpu::TextureUsages::TEXTURE_BINDING,
-            view_formats: &[],
-        })
-    }
-
-    fn draw_rays(&self, draw: &Draw) -> Result<()> {
-        let Draw { scene, target, watch, .. } = *draw;
-        let [width, height] = scene.frame.size;
-        let pipeline = &self.pipelines[&draw.variant(Program::Raycast)];
-        let view = target.create_view(&wgpu::TextureViewDescriptor::default());
-        let rows = (PIXELS_PER_BAND / width).clamp(1, height);
-        for top in (0..height).step_by(rows as usize) {
-            let load = if top == 0 { wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT) } else { wgpu::LoadOp::Load };
-            self.pass(&view, load, |pass| {
-                pass.set_scissor_rect(0, top, width, rows.min(height - top));
-                pass.set_pipeline(pipeline);
-                draw.bind(pass);
-                pass.draw(0..3, 0..1);
-            });
-            wait(&self.device.device)?;
-            (watch.progress)((top + rows).min(height) as f32 / height as f32);
-            watch.check()?;
-        }
-        Ok(())
-    }
-
-    fn draw_slices(&self, draw: &Draw) -> Result<()> {
-        let Draw { scene, target, watch, .. } = *draw;
-        let device = &self.device.device;
-        let [width, height] = scene.frame.size;
-        let composite = scene.blend == Blend::Composite;
-        let pipeline = &self.pipelines[&draw.variant(Program::Slice)];
-        let gathered = (!composite).then(|| self.target(width, height, GATHERED));
-        let canvas = gathered.as_ref().unwrap_or(target).create_view(&wgpu::TextureViewDescriptor::default());
-        let empty = match scene.blend {
-            Blend::Composite | Blend::Average => wgpu::Color::TRANSPARENT,
-            // Below every value; green stays 0 where nothing was drawn.
-            Blend::Mip | Blend::Minip => wgpu::Color { r: -1e4, ..wgpu::Color::TRANSPARENT },
-        };
-        let corners = slices::slices(&scene.frame, &scene.macrocells, scene.proxy_mesh.as_deref());
-        let batches = batches(&corners, u64::from(width) * u64::from(height));
-        self.pass(&canvas, wgpu::LoadOp::Clear(empty), |_| {});
-        if let (true, Some(layer)) = (composite, draw.behind) {
-            // Slices are blended over what lies behind them.
-            let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-            encoder.copy_texture_to_texture(layer.color.as_image_copy(), target.as_image_copy(), target.size());
-            self.device.queue.submit([encoder.finish()]);
-        }
-        if !corners.is_empty() {
-            let vertices = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
-                label: Some("slices"),
-                contents: bytemuck::cast_slice(&corners),
-                usage: wgpu::BufferUsages::VERTEX,
-            });
-            for range in batches {
-                let end = range.end;
-                self.pass(&canvas, wgpu::LoadOp::Load, |pass| {
-                    pass.set_pipeline(pipeline);
-                    draw.bind(pass);
-                    pass.set_vertex_buffer(0, vertices.slice(..));
-                    pass.draw(range, 0..1);
-                });
-                wait(device)?;
-                (watch.progress)(end as f32 / corners.len() as f32);
-                watch.check()?;
-            }
-        }
-        if composite {
-            return Ok(());
-        }
-        let resolve = &self.pipelines[&draw.variant(Program::Resolve)];
-        let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: None,
-            layout: &gathered_layout(device),
-            entries: &[wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::TextureView(&canvas) }],
-        });
-        let view = target.create_view(&wgpu::TextureViewDescriptor::default());
-        self.pass(&view, wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT), |pass| {
-            pass.set_pipeline(resolve);
-            pass.set_bind_group(0, draw.bindings, &[]);
-            pass.set_bind_group(1, &group, &[]);
-            pass.draw(0..3, 0..1);
-        });
-        wait(device)
-    }
-
-    /// One pass in one submission.
-    fn pass(&self, view: &wgpu::TextureView, load: wgpu::LoadOp<wgpu::Color>, record: impl FnOnce(&mut wgpu::RenderPass)) {
-        let mut encoder = self.device.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        {
-            let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-                label: None,
-                color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                    view,
-                    depth_slice: None,
-                    resolve_target: None,
-                    ops: wgpu::Operations { load, store: wgpu::StoreOp::Store },
-                })],
-                depth_stencil_attachment: None,
-                timestamp_writes: None,
-                occlusion_query_set: None,
-                multiview_mask: None,
-            });
-            record(&mut pass);
-        }
-        self.device.queue.submit([encoder.finish()]);
     }
 
     /// Copies whole layers into a 3D texture.
@@ -428,117 +338,10 @@ impl Renderer {
             extent([size[0], size[1], layers]),
         );
     }
-
-    fn upload_map(&self, map: &DisplacementMap) -> Result<wgpu::TextureView> {
-        let format = match map.storage {
-            Storage::F16 => TextureFormat::Rgba16Float,
-            Storage::Snorm16 if self.device.device.features().contains(Features::TEXTURE_FORMAT_16BIT_NORM) => TextureFormat::Rgba16Snorm,
-            Storage::Snorm16 => TextureFormat::Rgba16Float,
-            Storage::Snorm8 => TextureFormat::Rgba8Snorm,
-            Storage::F32 if self.device.device.features().contains(Features::FLOAT32_FILTERABLE) => TextureFormat::Rgba32Float,
-            Storage::F32 => TextureFormat::Rgba16Float,
-        };
-        let texture = self.texture_3d("displacement map", map.size, format)?;
-        let storage = if format == TextureFormat::Rgba16Float { Storage::F16 } else { map.storage };
-        self.write_layers(&texture, 0, &map.encode_as(storage), map.size);
-        Ok(texture.create_view(&wgpu::TextureViewDescriptor::default()))
-    }
-
-    /// A stack's maps; the bindings that it leaves free get the identity.
-    fn upload_maps(&self, stack: &Stack) -> Result<Vec<wgpu::TextureView>> {
-        let unused = DisplacementMap::identity([1; 3]);
-        (0..MAX_MAPS).map(|k| self.upload_map(stack.maps().get(k).map_or(&unused, |m| &m.map))).collect()
-    }
-
-    /// Uploads everything that the shared shader functions read.
-    fn shared(&self, scene: &Prepared) -> Result<Shared> {
-        let device = &self.device.device;
-        let volume = self.volume.as_ref().ok_or_else(|| Error::Gpu("no volume was uploaded".into()))?;
-        let frame = FrameUniform::new(scene, volume.scale, volume.offset, volume.spanned);
-        let mut placed = [bytemuck::Zeroable::zeroed(); MAX_MAPS];
-        for (uniform, map) in placed.iter_mut().zip(scene.stack.maps()) {
-            *uniform = PlacedMapUniform::new(map);
-        }
-        let uniform = |bytes: &[u8]| {
-            device.create_buffer_init(&wgpu::util::BufferInitDescriptor { label: None, contents: bytes, usage: wgpu::BufferUsages::UNIFORM })
-        };
-        let mut shapes = [bytemuck::Zeroable::zeroed(); MAX_CUTS];
-        for (shape, cut) in shapes.iter_mut().zip(scene.cuts.primitives()) {
-            *shape = CutShapeUniform::new(cut);
-        }
-        let cells = {
-            let size = scene.macrocells.size.to_array().map(|n| n as usize);
-            let texture = self.texture_3d("macrocells", size, TextureFormat::R8Uint)?;
-            self.write_layers(&texture, 0, &scene.macrocells.distance, size);
-            texture.create_view(&wgpu::TextureViewDescriptor::default())
-        };
-        Ok(Shared {
-            frame: uniform(bytemuck::bytes_of(&frame)),
-            placed: uniform(bytemuck::cast_slice::<PlacedMapUniform, u8>(&placed)),
-            shapes: uniform(bytemuck::cast_slice::<CutShapeUniform, u8>(&shapes)),
-            table: self.upload_table(scene),
-            cells,
-            maps: self.upload_maps(&scene.stack)?,
-            nothing: self.layer(1, 1),
-        })
-    }
-
-    /// The shared bindings, with what lies behind.
-    fn group(&self, shared: &Shared, behind: Option<&Layer>) -> wgpu::BindGroup {
-        let texture = |binding: u32, view| wgpu::BindGroupEntry { binding, resource: wgpu::BindingResource::TextureView(view) };
-        let buffer = |binding: u32, buffer: &'_ wgpu::Buffer| (binding, buffer.clone());
-        let buffers = [buffer(0, &shared.frame), buffer(1, &shared.placed), buffer(14, &shared.shapes)];
-        let volume = self.volume.as_ref().map_or(&shared.maps[0], |v| &v.view);
-        let colors = self.volume.as_ref().and_then(|v| v.colors.as_ref()).unwrap_or(&shared.maps[0]);
-        let [color, distance] = behind.unwrap_or(&shared.nothing).views();
-        let mut entries = vec![
-            texture(2, volume),
-            wgpu::BindGroupEntry { binding: 3, resource: wgpu::BindingResource::Sampler(&self.sampler) },
-            texture(4, &shared.table),
-            texture(5, &shared.cells),
-            texture(15, color),
-            texture(16, distance),
-            texture(17, colors),
-        ];
-        entries.extend(buffers.iter().map(|(binding, b)| wgpu::BindGroupEntry { binding: *binding, resource: b.as_entire_binding() }));
-        entries.extend(shared.maps.iter().enumerate().map(|(k, view)| texture(6 + k as u32, view)));
-        self.device.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("scene"), layout: &self.shared_layout, entries: &entries })
-    }
-
-    /// The shared bindings of a scene with nothing behind.
-    fn bind(&self, scene: &Prepared) -> Result<wgpu::BindGroup> {
-        Ok(self.group(&self.shared(scene)?, None))
-    }
-
-    /// Row 0: colour and optical depth; row 1: gradient factors.
-    fn upload_table(&self, scene: &Prepared) -> wgpu::TextureView {
-        let mut texels = scene.table.entries.clone();
-        texels.resize(2 * TABLE_ENTRIES, [0.0; 4]);
-        for (n, factor) in scene.table.gradient.iter().take(GRADIENT_ENTRIES).enumerate() {
-            texels[TABLE_ENTRIES + n][0] = *factor;
-        }
-        let descriptor = wgpu::TextureDescriptor {
-            label: Some("transfer function"),
-            size: wgpu::Extent3d { width: TABLE_ENTRIES as u32, height: 2, depth_or_array_layers: 1 },
-            mip_level_count: 1,
-            sample_count: 1,
-            dimension: wgpu::TextureDimension::D2,
-            format: TextureFormat::Rgba32Float,
-            usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
-            view_formats: &[],
-        };
-        let texture = self.device.device.create_texture_with_data(
-            &self.device.queue,
-            &descriptor,
-            wgpu::util::TextureDataOrder::LayerMajor,
-            bytemuck::cast_slice(&texels),
-        );
-        texture.create_view(&wgpu::TextureViewDescriptor::default())
-    }
 }
 
 /// Values of the shaders' `override` constants.
-fn overrides(variant: &Variant) -> [(&'static str, f64); 9] {
+fn overrides(variant: &Variant) -> [(&'static str, f64); 11] {
     let normals = match variant.normals {
         Normals::None => 0.0,
         Normals::Source => 1.0,
@@ -551,6 +354,8 @@ fn overrides(variant: &Variant) -> [(&'static str, f64); 9] {
         ("NORMALS", normals),
         ("BLEND", f64::from(variant.blend)),
         ("GRADIENT", gradient),
+        ("SLAB", f64::from(variant.slab)),
+        ("PREINTEGRATED", f64::from(u8::from(variant.preintegrated))),
         ("CUTS", variant.cuts as f64),
         ("GREY_FACES", f64::from(u8::from(variant.grey_faces))),
         ("ISO", f64::from(variant.iso)),
@@ -561,24 +366,6 @@ fn overrides(variant: &Variant) -> [(&'static str, f64); 9] {
 
 fn extent(size: [usize; 3]) -> wgpu::Extent3d {
     wgpu::Extent3d { width: size[0] as u32, height: size[1] as u32, depth_or_array_layers: size[2] as u32 }
-}
-
-/// Vertex ranges of whole slices, about [`FRAGMENTS_PER_BATCH`] pixels each if every slice filled the picture.
-fn batches(corners: &[slices::Corner], pixels: u64) -> Vec<std::ops::Range<u32>> {
-    let slices_per_batch = (FRAGMENTS_PER_BATCH / pixels.max(1)).max(1);
-    let mut ranges = Vec::new();
-    let (mut start, mut count) = (0u32, 0u64);
-    for n in 0..corners.len() {
-        let ends_slice = n + 1 == corners.len() || corners[n + 1][3] != corners[n][3];
-        if ends_slice {
-            count += 1;
-            if count == slices_per_batch || n + 1 == corners.len() {
-                ranges.push(start..n as u32 + 1);
-                (start, count) = (n as u32 + 1, 0);
-            }
-        }
-    }
-    ranges
 }
 
 fn shared_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
@@ -598,6 +385,7 @@ fn shared_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     entries.extend((0..MAX_MAPS as u32).map(|k| entry(6 + k, texture(filtered, wgpu::TextureViewDimension::D3))));
     entries.push(entry(14, uniform));
     entries.push(entry(17, texture(filtered, wgpu::TextureViewDimension::D3)));
+    entries.push(entry(18, texture(filtered, wgpu::TextureViewDimension::D2)));
     let unfiltered = wgpu::TextureSampleType::Float { filterable: false };
     entries.extend([15, 16].map(|n| entry(n, texture(unfiltered, wgpu::TextureViewDimension::D2))));
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some("scene"), entries: &entries })
@@ -620,8 +408,10 @@ fn gathered_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
 }
 
 /// The sample counters.
+#[derive(Clone)]
 struct Counter {
     buffer: wgpu::Buffer,
+    back: wgpu::Buffer,
     group: wgpu::BindGroup,
 }
 
@@ -642,31 +432,20 @@ impl Counter {
         })
     }
 
-    fn new(device: &wgpu::Device) -> Self {
-        let buffer = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
-            label: Some("counts"),
-            contents: &[0; COUNTERS * 4],
-            usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC,
-        });
-        let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some("counts"),
-            layout: &Self::layout(device),
-            entries: &[wgpu::BindGroupEntry { binding: 0, resource: buffer.as_entire_binding() }],
-        });
-        Self { buffer, group }
+    fn new(renderer: &Renderer) -> Self {
+        let buffer = renderer.buffer_of("counts", &[0; COUNTERS * 4], BufferUsages::STORAGE | BufferUsages::COPY_SRC);
+        let back = renderer.buffer("counts, to read", buffer.size(), BufferUsages::MAP_READ | BufferUsages::COPY_DST);
+        let entry = wgpu::BindGroupEntry { binding: 0, resource: buffer.as_entire_binding() };
+        let group = renderer.bind_group("counts", &Self::layout(&renderer.device.device), &[entry]);
+        Self { buffer, back, group }
     }
 
-    fn read(&self, device: &Device) -> Result<RenderStats> {
-        let back = device.device.create_buffer(&wgpu::BufferDescriptor {
-            label: None,
-            size: self.buffer.size(),
-            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
+    fn read(&self, renderer: &Renderer) -> Result<RenderStats> {
+        let device = &renderer.device;
         let mut encoder = device.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        encoder.copy_buffer_to_buffer(&self.buffer, 0, &back, 0, self.buffer.size());
+        encoder.copy_buffer_to_buffer(&self.buffer, 0, &self.back, 0, self.buffer.size());
         device.queue.submit([encoder.finish()]);
-        let counts: Vec<u32> = bytemuck::pod_collect_to_vec(&read_buffer(&device.device, &back)?);
+        let counts: Vec<u32> = bytemuck::pod_collect_to_vec(&read_buffer(&device.device, &self.back)?);
         let sum = |n: usize| counts.iter().skip(n).step_by(3).map(|&c| u64::from(c)).sum();
         Ok(RenderStats { samples_taken: sum(0), samples_skipped: sum(1), samples_terminated: sum(2) })
     }

@@ -5,8 +5,9 @@
 //! their number.
 //! An object in two stages has its triangles drawn into a layer beside, which its rays read and blend with.
 
+use super::kept::Shared;
 use super::uniforms::{DeformerUniform, PlacedSolidUniform, SurfaceObjectUniform};
-use super::{Counter, Renderer, Shared, Variant, extent, overrides};
+use super::{Counter, Renderer, Variant, extent, overrides};
 use crate::gpu::shaders::Program;
 use crate::mesh::Implicit;
 use crate::mesh::deformer::MOST_DEFORMERS;
@@ -17,7 +18,6 @@ use crate::{Result, Watch};
 use half::f16;
 use rayon::prelude::*;
 use wgpu::TextureFormat;
-use wgpu::util::DeviceExt;
 
 /// Depth of a layer: the test between objects.
 const DEPTH: TextureFormat = TextureFormat::Depth32Float;
@@ -47,18 +47,18 @@ impl Layer {
 type MeshCorner = [[f32; 3]; 2];
 
 impl Renderer {
-    pub(super) fn layer(&self, width: u32, height: u32) -> Layer {
-        let color = self.target(width, height, TextureFormat::Rgba16Float);
-        let distance = self.target(width, height, TextureFormat::R32Float);
-        let depth = self.target(width, height, DEPTH);
-        let view = |t: &wgpu::Texture| t.create_view(&wgpu::TextureViewDescriptor::default());
-        Layer { color_view: view(&color), distance_view: view(&distance), depth_view: view(&depth), color, distance }
+    /// A layer of a purpose: its colour, distance and depth by name. Its content is what it was.
+    pub(super) fn layer(&mut self, purpose: [&'static str; 3], width: u32, height: u32) -> Layer {
+        let color = self.target(purpose[0], width, height, TextureFormat::Rgba16Float);
+        let distance = self.target(purpose[1], width, height, TextureFormat::R32Float);
+        let depth = self.target(purpose[2], width, height, DEPTH);
+        Layer { color: color.texture, color_view: color.view, distance: distance.texture, distance_view: distance.view, depth_view: depth.view }
     }
 
     /// Draws all surfaces of a scene.
     pub(super) fn draw_surfaces(&mut self, scene: &Prepared, shared: &Shared, counter: Option<&Counter>, watch: &Watch) -> Result<Layer> {
         let [width, height] = scene.frame.size;
-        let layer = self.layer(width, height);
+        let layer = self.layer(["surfaces: colour", "surfaces: distance", "surfaces: depth"], width, height);
         self.clear(&layer);
         let count = scene.surfaces.objects.len();
         for (n, object) in scene.surfaces.objects.iter().enumerate() {
@@ -71,7 +71,7 @@ impl Renderer {
             match (object.stage, triangles) {
                 (Stage::Triangles, Some((count, vertices))) => self.draw_mesh(scene, &layer, &nothing_behind, &group, &vertices, count)?,
                 (Stage::Both(_), Some((count, vertices))) => {
-                    let drawn = self.layer(width, height);
+                    let drawn = self.layer(["triangles: colour", "triangles: distance", "triangles: depth"], width, height);
                     self.clear(&drawn);
                     self.draw_mesh(scene, &drawn, &nothing_behind, &group, &vertices, count)?;
                     let behind = self.group(shared, Some(&drawn));
@@ -86,11 +86,7 @@ impl Renderer {
     }
 
     fn vertices(&self, contents: &[u8]) -> wgpu::Buffer {
-        self.device.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
-            label: Some("triangles"),
-            contents,
-            usage: wgpu::BufferUsages::VERTEX,
-        })
+        self.buffer_of("triangles", contents, wgpu::BufferUsages::VERTEX)
     }
 
     fn clear(&self, layer: &Layer) {
@@ -191,10 +187,7 @@ impl Renderer {
 
     /// Field, empty space, formulas and deformers of one object.
     fn bind_object(&self, scene: &Prepared, object: &SurfaceObject) -> Result<wgpu::BindGroup> {
-        let device = &self.device.device;
-        let uniform = |contents: &[u8]| {
-            device.create_buffer_init(&wgpu::util::BufferInitDescriptor { label: None, contents, usage: wgpu::BufferUsages::UNIFORM })
-        };
+        let uniform = |contents: &[u8]| self.buffer_of("object", contents, wgpu::BufferUsages::UNIFORM);
         let own = SurfaceObjectUniform::new(scene, object);
         let mut solids: [PlacedSolidUniform; MOST_SOLIDS] = [bytemuck::Zeroable::zeroed(); MOST_SOLIDS];
         if let Some(Implicit::Formula(f)) = &object.implicit {
@@ -211,17 +204,17 @@ impl Renderer {
         let cells_texture = self.texture_3d("cells of a surface", size, TextureFormat::Rg32Float)?;
         self.write_layers(&cells_texture, 0, bytemuck::cast_slice(&cells), size);
         let cells = cells_texture.create_view(&wgpu::TextureViewDescriptor::default());
-        Ok(device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some("object"),
-            layout: &self.object_layout(),
-            entries: &[
+        Ok(self.bind_group(
+            "object",
+            &self.object_layout(),
+            &[
                 wgpu::BindGroupEntry { binding: 0, resource: own.as_entire_binding() },
                 wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::TextureView(&field) },
                 wgpu::BindGroupEntry { binding: 2, resource: wgpu::BindingResource::TextureView(&cells) },
                 wgpu::BindGroupEntry { binding: 3, resource: solids.as_entire_binding() },
                 wgpu::BindGroupEntry { binding: 4, resource: deformers.as_entire_binding() },
             ],
-        }))
+        ))
     }
 
     /// A field in half precision, whose steps are finest where it matters, at the surface.
@@ -256,6 +249,7 @@ impl Renderer {
         if self.pipelines.contains_key(&variant) {
             return;
         }
+        self.tally.count(super::work::Made::Pipeline);
         let device = &self.device.device;
         let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some(&format!("{:?}", variant.program)),
@@ -317,7 +311,10 @@ impl Renderer {
             self.upload_volume(scene.grid, scene.colors)?;
             let shared = self.shared(scene)?;
             let layer = self.draw_surfaces(scene, &shared, None, &Watch::NOBODY)?;
-            let distances = crate::gpu::read_r32f(&self.device.device, &self.device.queue, &layer.distance)?;
+            let distances = {
+                let buffer = self.readback(crate::gpu::texture_bytes(&layer.distance));
+                crate::gpu::read_r32f(&self.device.device, &self.device.queue, &layer.distance, &buffer)?
+            };
             Ok(distances.into_iter().map(|t| if f64::from(t) < 0.99 * FAR_AWAY { t } else { f32::INFINITY }).collect())
         })
     }

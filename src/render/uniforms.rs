@@ -50,7 +50,7 @@ pub struct FrameUniform {
     pub grey_low: f32,
     pub grey_high: f32,
     pub iso: f32,
-    pub padding: f32,
+    pub jitter: u32,
     pub texture_size: [f32; 3],
     pub padding_2: f32,
 }
@@ -142,7 +142,7 @@ impl FrameUniform {
             grey_low: scene.grey_window[0],
             grey_high: scene.grey_window[1],
             iso: scene.iso.unwrap_or(0.0),
-            padding: 0.0,
+            jitter: u32::from(scene.settings.jitter),
             texture_size,
             padding_2: 0.0,
         }

@@ -3,6 +3,7 @@
 //! A volume beyond the device's limits is reduced by whole factors, each texel being the mean of a block of voxels, and the user is told. The
 //! whole of it stays on the CPU, whose renderer shows every voxel.
 
+use super::work::Made;
 use super::{Renderer, extent};
 use crate::gpu::wait;
 use crate::volume::{Colors, Grid, GridVoxels};
@@ -63,6 +64,7 @@ impl Renderer {
     pub fn limit_volume(&mut self, most_voxels: usize, most_bytes: u64) {
         self.most = Some((most_voxels, most_bytes));
         self.volume = None;
+        self.kept.forget_groups();
     }
 
     /// Puts the volume on the GPU unless it is there already.
@@ -72,6 +74,8 @@ impl Renderer {
             return Ok(());
         }
         self.volume = None;
+        self.kept.forget_groups();
+        self.tally.count(Made::Volume);
         let limits = self.device.device.limits();
         let (most_voxels, most_bytes) = self.most.unwrap_or((usize::MAX, u64::MAX));
         let most_voxels = most_voxels.min(limits.max_texture_dimension_3d as usize);
@@ -174,7 +178,7 @@ impl Renderer {
                 size[0], size[1], size[2]
             )));
         }
-        Ok(self.device.device.create_texture(&wgpu::TextureDescriptor {
+        Ok(self.texture(&wgpu::TextureDescriptor {
             label: Some(label),
             size: extent(size),
             mip_level_count: 1,

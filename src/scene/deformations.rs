@@ -210,12 +210,7 @@ fn place(deformation: &Deformation, making: &Making) -> Result<Vec<PlacedMap>> {
     let mut placed = match deformation.kind.as_str() {
         "field" => place_field(deformation, making),
         "map" => place_map(deformation, making).map(|m| vec![m]),
-        _ => {
-            let locked = kinds::kind(&deformation.kind).is_ok_and(|k| k.locked_to_view) && deformation.matrix.is_none();
-            let view = locked.then_some(making.view);
-            let key = format!("{deformation:?} {:?} {} {:?} {view:?}", making.scene_box, making.least_ramp_mm, making.storage);
-            making.library.maps(key, || place_kind(deformation, making).map(|m| vec![m]))
-        }
+        _ => place_kind(deformation, making).map(|m| vec![m]),
     }
     .map_err(named)?;
     if deformation.add {
@@ -254,7 +249,12 @@ fn stated_placement(deformation: &Deformation, making: &Making, default_size: im
 fn place_kind(deformation: &Deformation, making: &Making) -> Result<PlacedMap> {
     let kind = kinds::kind(&deformation.kind)?;
     let placement = kind_placement(deformation, kind, making)?;
-    let size_mm = placement.size_mm();
+    let size_mm = match (deformation.matrix, deformation.size) {
+        (Some(_), _) => placement.size_mm(),
+        // As stated: lengths of turned axes differ from it in their last digits.
+        (None, Some(size)) => size.xyz(),
+        (None, None) => kind.default_size(&making.scene_box),
+    };
     let progress = progress(deformation)?;
     // At most 2^24 texels: 128 MiB in half precision.
     let varies_all = kind.varies == [true; 3] || kinds::vary_everywhere(&deformation.parameters);
@@ -268,8 +268,11 @@ fn place_kind(deformation: &Deformation, making: &Making) -> Result<PlacedMap> {
     // The box's own millimetres: from its centre, along its axes.
     let world_from_local = placement.world_from_map * Affine3A::from_translation(Vec3::splat(0.5)) * Affine3A::from_scale(size_mm.recip());
     let inputs = Inputs { settings: &settings, world_from_local, library: making.library };
-    let map = kind.map(&values, progress, size_mm, &sampling, &inputs)?;
-    Ok(PlacedMap::new(Arc::new(map), placement.scaled(Vec3::splat(kind.inflate))?))
+    // A formula has the same map wherever its box lies: one that is moved or turned is not sampled, and not uploaded, again.
+    let lies = (!kind.is_the_same_anywhere(&deformation.parameters)).then_some(world_from_local);
+    let key = format!("{} {:?} {progress} {size_mm:?} {sampling:?} {lies:?}", kind.name, deformation.parameters);
+    let map = making.library.map(key, || kind.map(&values, progress, size_mm, &sampling, &inputs).map(Arc::new))?;
+    Ok(PlacedMap::new(map, placement.scaled(Vec3::splat(kind.inflate))?))
 }
 
 /// Only the settings of a file kind may be given.

@@ -296,6 +296,14 @@ pub struct RenderSettings {
     pub iso: Option<f64>,
     /// How that surface is lit.
     pub iso_light: IsoLight,
+    /// Take colour and opacity from the values at both ends of each step (a pre-integrated transfer function) instead of from one: thin features of
+    /// the curve stay closed at longer steps. Composite pictures on a GPU; the CPU renderer takes single values.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub preintegrated: bool,
+    /// Shift each pixel's samples along its ray by a fixed pseudo-random part of a step: the rings of a coarse step become fine grain. On a GPU; the
+    /// CPU renderer leaves samples where they are.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub jitter: bool,
     /// Compose all deformations into one map that is this exact, mm: the cost of a picture no longer depends on their number.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub precompose: Option<f32>,
@@ -317,6 +325,8 @@ impl Default for RenderSettings {
             cut_faces: CutFaces::Lit,
             iso: None,
             iso_light: IsoLight::Gradient,
+            preintegrated: false,
+            jitter: false,
             precompose: None,
         }
     }

@@ -468,7 +468,7 @@ impl<'a> Prepared<'a> {
                 blend: function.blend,
             };
             let slant = scene.camera.slant(settings.size);
-            let reach_mm = if stack.is_empty() && cuts.is_empty() && iso.is_none() { 0.0 } else { 1.01 * step_mm * slant };
+            let reach_mm = if stack.is_empty() && cuts.is_empty() && iso.is_none() && !settings.preintegrated { 0.0 } else { 1.01 * step_mm * slant };
             // What looks back a step may lie beyond the box of the scene itself.
             Macrocells::new(deformed.grown(reach_mm), reference_mm, reach_mm, &contents)
         });
@@ -518,6 +518,11 @@ impl<'a> Prepared<'a> {
     /// Whether the faces of cuts are painted with the scan's grey value.
     pub fn grey_faces(&self) -> bool {
         self.settings.cut_faces == CutFaces::Grey && self.blend == Blend::Composite && (!self.cuts.is_empty() || !self.stack.is_empty())
+    }
+
+    /// Whether colour and opacity are those of segments between samples.
+    pub fn preintegrated(&self) -> bool {
+        self.settings.preintegrated && self.blend == Blend::Composite && self.iso.is_none()
     }
 
     /// Whether the gradient is needed before the opacity.

@@ -4,9 +4,11 @@
 //! spacing; the table holds it as optical depth, τ = -log₂(1 - opacity), so that a sample that stands for a length ℓ has the
 //! opacity 1 - 2^(-τ ℓ/Δ₀): the opacity correction of `model.md` section 5 with one exponential.
 
+mod preintegrated;
 mod presets;
 mod table;
 
+pub use preintegrated::{PREINTEGRATED_SIZE, Preintegrated};
 pub use presets::{OWN_COLORS, Preset, Scale, list, preset};
 pub use table::{GRADIENT_ENTRIES, TABLE_ENTRIES, Table};
 

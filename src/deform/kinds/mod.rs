@@ -311,6 +311,11 @@ pub struct Sampling {
 }
 
 impl Kind {
+    /// Whether its map depends on nothing but its numbers and its size: not on where the box lies, nor on what lies there.
+    pub fn is_the_same_anywhere(&self, settings: &Arguments) -> bool {
+        matches!(self.build, Build::Formula(_)) && !settings.0.contains_key("spare")
+    }
+
     /// The size of the box in a scene of the given bounds when the user gives none, mm.
     pub fn default_size(&self, scene: &Bounds) -> Vec3 {
         match self.size {

@@ -1,0 +1,125 @@
+// A stretch of a ray, front to back. Counterpart of march in src/cpu/mod.rs; a ray is one stretch, a slab of slices a short one.
+
+const OPAQUE: f32 = 1.0 / 512.0;
+
+struct Stretch {
+    // Premultiplied.
+    color: vec4<f32>,
+    // Greatest, smallest or summed value of a projection, and samples with matter.
+    projected: f32,
+    matter: f32,
+}
+
+// Where a ray meets the box of what can be seen: near and far; it misses if near > far.
+fn proxy_range(origin: vec3<f32>, inverse_direction: vec3<f32>) -> vec2<f32> {
+    let a = (frame.proxy_min - origin) * inverse_direction;
+    let b = (frame.proxy_max - origin) * inverse_direction;
+    let nears = min(a, b);
+    let fars = max(a, b);
+    return vec2<f32>(max(nears.x, max(nears.y, nears.z)), min(fars.x, min(fars.y, fars.z)));
+}
+
+// A pixel's shift of its samples, in steps, -1/2 .. 1/2: a hash by multiplication and shifts, the same integers on every device.
+fn pixel_shift(pixel: vec2<u32>) -> f32 {
+    if frame.jitter == 0u {
+        return 0.0;
+    }
+    var h = pixel.x * 0x9E3779B1u ^ pixel.y * 0x85EBCA77u;
+    h = (h ^ (h >> 16u)) * 0x7FEB352Du;
+    h = (h ^ (h >> 15u)) * 0x846CA68Bu;
+    h ^= h >> 16u;
+    return f32(h >> 8u) / 16777216.0 - 0.5;
+}
+
+// Samples first .. end of a ray, at (i + 1/2) step.
+fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Stretch {
+    let inverse_direction = 1.0 / ray.direction;
+    let length = step / frame.reference_mm;
+    var i = first;
+    var color = vec4<f32>(0.0);
+    var projected = select(0.0, select(-1e30, 1e30, BLEND == 2u), BLEND != 3u);
+    var matter = 0.0;
+    var taken = 0u;
+    var skipped = 0u;
+    var terminated = 0u;
+    // The last sample that had matter, and its number.
+    var before = 0.0;
+    var before_at = -2;
+    while i < end {
+        // Two loops instead of a branch: neighbouring rays run in lockstep, and shading costs far more than looking. This way the rays of a
+        // group look until each has something to shade, then shade together.
+        var stop = false;
+        var found: Sample;
+        var at: Look;
+        var share = 1.0;
+        while i < end && !stop {
+            let deformed = ray.origin + ray.direction * ((f32(i) + 0.5) * step);
+            let t = empty_until(deformed, ray.origin, inverse_direction);
+            if t >= 0.0 {
+                let next = min(max(first_sample_after(t, step), i + 1), end);
+                skipped += u32(next - i);
+                i = next;
+                continue;
+            }
+            let part = kept_part(ray.origin, ray.direction, (f32(i) + 0.5) * step, step);
+            i += 1;
+            taken += 1u;
+            if part.share <= 0.0 {
+                continue;
+            }
+            share = part.share;
+            let sampled = ray.origin + ray.direction * part.t;
+            at = look(sampled);
+            if BLEND != 0u {
+                if at.present {
+                    matter += 1.0;
+                    switch BLEND {
+                        case 1u: { projected = max(projected, at.value); }
+                        case 2u: { projected = min(projected, at.value); }
+                        default: { projected += at.value; }
+                    }
+                }
+                continue;
+            }
+            if PREINTEGRATED == 0u {
+                found = visible(at, sampled);
+            } else {
+                var front = at.value;
+                if at.present {
+                    if CUTS == 0u && before_at == i - 2 {
+                        front = before;
+                    } else {
+                        let earlier = look(sampled - ray.direction * step);
+                        front = select(at.value, earlier.value, earlier.present);
+                    }
+                    before = at.value;
+                    before_at = i - 1;
+                }
+                found = visible_segment(at, front, sampled);
+            }
+            if ISO != 0u {
+                stop = (at.present && at.value >= frame.iso) || (GREY_FACES != 0u && at.present && near_a_face(at, sampled, step));
+            } else {
+                stop = found.depth > 0.0 || near_a_cut(at) || (GREY_FACES != 0u && at.present && near_a_face(at, sampled, step));
+            }
+        }
+        if stop {
+            let face = opaque_face(at, found.deformed, ray.direction, step);
+            if face.a > 0.0 {
+                color += face * (1.0 - color.a);
+                terminated += u32(max(end - i, 0));
+                break;
+            }
+            if ISO != 0u {
+                continue;
+            }
+            color += shaded_sample(at, found, ray.direction, step, length * share) * (1.0 - color.a);
+            if 1.0 - color.a < OPAQUE && frame.early_termination != 0u {
+                terminated += u32(max(end - i, 0));
+                break;
+            }
+        }
+    }
+    count(pixel, vec3<u32>(taken, skipped, terminated));
+    return Stretch(color, projected, matter);
+}

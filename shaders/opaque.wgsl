@@ -1,0 +1,19 @@
+// Marks the pixels behind whose slices nothing can be seen: depth 0, which the test before shading finds nearer than any slab
+// (Krueger and Westermann 2003, early ray termination by the depth test).
+
+@group(1) @binding(1) var gathered: texture_2d<f32>;
+
+const SEEN_THROUGH: f32 = 1.0 - 1.0 / 512.0;
+
+@vertex
+fn vertex(@location(0) corner: vec4<f32>) -> @builtin(position) vec4<f32> {
+    let clip = frame.clip_from_world * vec4<f32>(corner.xyz, 1.0);
+    return vec4<f32>(clip.xy, 0.0, clip.w);
+}
+
+@fragment
+fn fragment(@builtin(position) position: vec4<f32>) {
+    if textureLoad(gathered, vec2<i32>(position.xy), 0).a <= SEEN_THROUGH {
+        discard;
+    }
+}

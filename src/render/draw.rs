@@ -1,0 +1,199 @@
+//! Submissions: bands of rays, slabs of slices. Two are under way at a time, so that the device need not wait for the next one to be recorded.
+
+use super::slices::{self, SLICES_PER_SLAB};
+use super::surfaces::Layer;
+use super::{Counter, GATHERED, Renderer, Variant};
+use crate::gpu::shaders::Program;
+use crate::gpu::{wait, wait_for};
+use crate::scene::Prepared;
+use crate::transfer::Blend;
+use crate::{Result, Watch};
+use std::collections::VecDeque;
+use wgpu::TextureFormat;
+
+/// Pixels per submission of rays: on hardware, and on a processor, where a band is long enough to be told to stop within.
+const PIXELS_PER_BAND: [u32; 2] = [1 << 18, 1 << 16];
+/// Samples per submission of slices, about.
+const SAMPLES_PER_BATCH: u64 = 1 << 24;
+/// Slabs between two looks at which pixels have become opaque.
+const SLABS_PER_MASK: usize = 2;
+/// Depth of the mask of opaque pixels.
+pub(super) const MASK: TextureFormat = TextureFormat::Depth32Float;
+
+/// One picture being drawn.
+#[derive(Clone, Copy)]
+pub(super) struct Draw<'a> {
+    pub scene: &'a Prepared<'a>,
+    pub bindings: &'a wgpu::BindGroup,
+    pub behind: Option<&'a Layer>,
+    pub counter: Option<&'a Counter>,
+    pub target: &'a wgpu::TextureView,
+    pub watch: &'a Watch<'a>,
+}
+
+impl Draw<'_> {
+    fn variant(&self, program: Program) -> Variant {
+        Renderer::variant(self.scene, program, self.counter.is_some())
+    }
+
+    /// Binds the scene, and the counters if samples are counted.
+    fn bind(&self, pass: &mut wgpu::RenderPass) {
+        pass.set_bind_group(0, self.bindings, &[]);
+        if let Some(counter) = self.counter {
+            pass.set_bind_group(1, &counter.group, &[]);
+        }
+    }
+}
+
+/// Attachments of a pass.
+struct Canvas<'a> {
+    color: Option<(&'a wgpu::TextureView, wgpu::LoadOp<wgpu::Color>)>,
+    depth: Option<(&'a wgpu::TextureView, wgpu::LoadOp<f32>)>,
+}
+
+impl<'a> Canvas<'a> {
+    fn of(color: &'a wgpu::TextureView, load: wgpu::LoadOp<wgpu::Color>) -> Self {
+        Self { color: Some((color, load)), depth: None }
+    }
+
+    fn pass(&self, encoder: &mut wgpu::CommandEncoder, record: impl FnOnce(&mut wgpu::RenderPass)) {
+        let color = self.color.map(|(view, load)| wgpu::RenderPassColorAttachment {
+            view,
+            depth_slice: None,
+            resolve_target: None,
+            ops: wgpu::Operations { load, store: wgpu::StoreOp::Store },
+        });
+        let depth = self.depth.map(|(view, load)| wgpu::RenderPassDepthStencilAttachment {
+            view,
+            depth_ops: Some(wgpu::Operations { load, store: wgpu::StoreOp::Store }),
+            stencil_ops: None,
+        });
+        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: None,
+            color_attachments: if color.is_some() { std::slice::from_ref(&color) } else { &[] },
+            depth_stencil_attachment: depth,
+            timestamp_writes: None,
+            occlusion_query_set: None,
+            multiview_mask: None,
+        });
+        record(&mut pass);
+    }
+}
+
+/// Submissions that are under way, the oldest first.
+#[derive(Default)]
+struct UnderWay(VecDeque<(wgpu::SubmissionIndex, f32)>);
+
+impl Renderer {
+    /// Submits; waits for the submission before it, tells how far that was, and stops if told to.
+    fn submit(&self, encoder: wgpu::CommandEncoder, share: f32, under_way: &mut UnderWay, watch: &Watch) -> Result<()> {
+        under_way.0.push_back((self.device.queue.submit([encoder.finish()]), share));
+        if under_way.0.len() > 1
+            && let Some((index, share)) = under_way.0.pop_front()
+        {
+            wait_for(&self.device.device, index)?;
+            (watch.progress)(share);
+        }
+        watch.check()
+    }
+
+    fn encoder(&self) -> wgpu::CommandEncoder {
+        self.device.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
+    }
+
+    pub(super) fn draw_rays(&self, draw: &Draw) -> Result<()> {
+        let [width, height] = draw.scene.frame.size;
+        let pipeline = &self.pipelines[&draw.variant(Program::Raycast)];
+        let pixels = PIXELS_PER_BAND[usize::from(self.device.is_software())];
+        let rows = (pixels / width).clamp(1, height);
+        let mut under_way = UnderWay::default();
+        for top in (0..height).step_by(rows as usize) {
+            let load = if top == 0 { wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT) } else { wgpu::LoadOp::Load };
+            let mut encoder = self.encoder();
+            Canvas::of(draw.target, load).pass(&mut encoder, |pass| {
+                pass.set_scissor_rect(0, top, width, rows.min(height - top));
+                pass.set_pipeline(pipeline);
+                draw.bind(pass);
+                pass.draw(0..3, 0..1);
+            });
+            self.submit(encoder, (top + rows).min(height) as f32 / height as f32, &mut under_way, draw.watch)?;
+        }
+        wait(&self.device.device)
+    }
+
+    /// Slabs of slices, front to back: each blended under what is there, and where that is opaque, not drawn. Projections are gathered
+    /// instead, in any order.
+    pub(super) fn draw_slices(&mut self, draw: &Draw) -> Result<()> {
+        let scene = draw.scene;
+        let [width, height] = scene.frame.size;
+        let composite = scene.blend == Blend::Composite;
+        let gathered = (!composite).then(|| self.target("gathered", width, height, GATHERED));
+        let mask = composite.then(|| self.target("opaque pixels", width, height, MASK));
+        let canvas = gathered.as_ref().map_or(draw.target, |t| &t.view);
+        let empty = match scene.blend {
+            Blend::Composite | Blend::Average => wgpu::Color::TRANSPARENT,
+            // Below every value; green stays 0 where nothing was drawn.
+            Blend::Mip | Blend::Minip => wgpu::Color { r: -1e4, ..wgpu::Color::TRANSPARENT },
+        };
+        let polygons = slices::slabs(&scene.frame, &scene.macrocells, scene.proxy_mesh.as_deref());
+        let vertices = self.slice_vertices(bytemuck::cast_slice(&polygons.corners));
+        let seen = mask.as_ref().filter(|_| scene.settings.early_termination).map(|_| self.gathered_group(draw.target));
+        let pipeline = &self.pipelines[&draw.variant(Program::Slice)];
+        let mut under_way = UnderWay::default();
+        let mut encoder = self.encoder();
+        let depth = |load| mask.as_ref().map(|m| (&m.view, load));
+        Canvas { color: Some((canvas, wgpu::LoadOp::Clear(empty))), depth: depth(wgpu::LoadOp::Clear(1.0)) }.pass(&mut encoder, |_| {});
+        let samples_per_slab = u64::from(width) * u64::from(height) * if scene.proxy_mesh.is_some() { 1 } else { SLICES_PER_SLAB as u64 };
+        let (count, mut samples) = (polygons.slabs.len(), 0);
+        let slabs_at_once = if scene.proxy_mesh.is_some() { SLABS_PER_MASK * SLICES_PER_SLAB as usize } else { SLABS_PER_MASK };
+        let mut parts = polygons.slabs.chunks(slabs_at_once).map(|p| (p.len() as u64, p[0].start..p[p.len() - 1].end)).enumerate().peekable();
+        while let Some((n, (slabs, corners))) = parts.next() {
+            Canvas { color: Some((canvas, wgpu::LoadOp::Load)), depth: depth(wgpu::LoadOp::Load) }.pass(&mut encoder, |pass| {
+                pass.set_pipeline(pipeline);
+                draw.bind(pass);
+                pass.set_vertex_buffer(0, vertices.slice(..));
+                pass.draw(corners, 0..1);
+            });
+            // Only where the next slabs come.
+            if let (Some(seen), Some((_, (_, next)))) = (&seen, parts.peek()) {
+                Canvas { color: None, depth: depth(wgpu::LoadOp::Load) }.pass(&mut encoder, |pass| {
+                    pass.set_pipeline(&self.pipelines[&draw.variant(Program::Opaque)]);
+                    pass.set_bind_group(0, draw.bindings, &[]);
+                    pass.set_bind_group(1, seen, &[]);
+                    pass.set_vertex_buffer(0, vertices.slice(..));
+                    pass.draw(next.clone(), 0..1);
+                });
+            }
+            samples += samples_per_slab * slabs;
+            if samples >= SAMPLES_PER_BATCH {
+                let share = ((n + 1) * slabs_at_once).min(count) as f32 / count as f32;
+                self.submit(std::mem::replace(&mut encoder, self.encoder()), share, &mut under_way, draw.watch)?;
+                samples = 0;
+            }
+        }
+        if composite {
+            if draw.behind.is_some() {
+                Canvas::of(canvas, wgpu::LoadOp::Load).pass(&mut encoder, |pass| {
+                    pass.set_pipeline(&self.pipelines[&draw.variant(Program::Under)]);
+                    pass.set_bind_group(0, draw.bindings, &[]);
+                    pass.draw(0..3, 0..1);
+                });
+            }
+        } else {
+            let group = self.gathered_group(canvas);
+            Canvas::of(draw.target, wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT)).pass(&mut encoder, |pass| {
+                pass.set_pipeline(&self.pipelines[&draw.variant(Program::Resolve)]);
+                pass.set_bind_group(0, draw.bindings, &[]);
+                pass.set_bind_group(1, &group, &[]);
+                pass.draw(0..3, 0..1);
+            });
+        }
+        self.submit(encoder, 1.0, &mut under_way, draw.watch)?;
+        wait(&self.device.device)
+    }
+
+    fn gathered_group(&mut self, view: &wgpu::TextureView) -> wgpu::BindGroup {
+        let layout = super::gathered_layout(&self.device.device);
+        self.kept_group("gathered", &layout, vec![(1, view.clone())])
+    }
+}

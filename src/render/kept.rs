@@ -1,0 +1,421 @@
+//! What a renderer keeps from picture to picture: uniform buffers, the table's and the macrocells' textures, displacement maps by identity,
+//! targets by size, and the bind groups of all of these. A picture rewrites what has changed and makes what is not there.
+
+use super::surfaces::Layer;
+use super::uniforms::{CutShapeUniform, FrameUniform, PlacedMapUniform};
+use super::work::{Made, Tally};
+use super::{Renderer, extent};
+use crate::deform::cut::MAX_CUTS;
+use crate::deform::{DisplacementMap, MAX_MAPS, Stack, Storage};
+use crate::scene::Prepared;
+use crate::transfer::{GRADIENT_ENTRIES, PREINTEGRATED_SIZE, Preintegrated, TABLE_ENTRIES, Table};
+use crate::{Error, Result};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use wgpu::{BufferUsages, Features, TextureFormat, TextureUsages};
+
+/// Maps that are kept at most, and their bytes. A stack in use is kept whole.
+const KEPT_MAPS: usize = 32;
+const KEPT_MAP_BYTES: usize = 256 << 20;
+/// Targets of one purpose that are kept: a live view changes between a coarse and a fine picture.
+const KEPT_SIZES: usize = 2;
+/// Bind groups that are kept: with nothing behind, and with each layer of surfaces.
+const KEPT_GROUPS: usize = 6;
+
+/// A texture with its view.
+#[derive(Clone, PartialEq)]
+pub(super) struct Target {
+    pub texture: wgpu::Texture,
+    pub view: wgpu::TextureView,
+}
+
+impl Target {
+    pub(super) fn new(texture: wgpu::Texture) -> Self {
+        let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
+        Self { texture, view }
+    }
+}
+
+/// A displacement map on the GPU. The map itself is kept, so that nothing else can take its address.
+struct KeptMap {
+    map: Arc<DisplacementMap>,
+    view: wgpu::TextureView,
+}
+
+/// What the shaders' shared functions read, with the content that was last written.
+#[derive(Default)]
+pub(super) struct Kept {
+    uniforms: Option<[wgpu::Buffer; 3]>,
+    table: Option<(Target, Vec<[f32; 4]>)>,
+    cells: Option<(Target, Vec<u8>)>,
+    /// Made for a curve and a step.
+    preintegrated: Option<(Target, Vec<[f32; 4]>, f32)>,
+    nothing_preintegrated: Option<Target>,
+    /// The most recently used last.
+    maps: Mutex<Vec<KeptMap>>,
+    unused_map: Mutex<Option<wgpu::TextureView>>,
+    /// By purpose, the most recently used last.
+    targets: Vec<(&'static str, Target)>,
+    groups: Vec<(Vec<wgpu::TextureView>, wgpu::BindGroup)>,
+    readback: Option<wgpu::Buffer>,
+    vertices: Option<wgpu::Buffer>,
+}
+
+/// What a picture binds: handles of what is kept.
+pub(super) struct Shared {
+    uniforms: [wgpu::Buffer; 3],
+    table: wgpu::TextureView,
+    cells: wgpu::TextureView,
+    preintegrated: wgpu::TextureView,
+    maps: Vec<wgpu::TextureView>,
+    nothing: Layer,
+}
+
+fn lock<T>(m: &Mutex<T>) -> MutexGuard<'_, T> {
+    // Entries are only ever added whole.
+    m.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Kept {
+    /// Bind groups hold what they bind: those of textures that are replaced must go, or the textures stay.
+    pub(super) fn forget_groups(&mut self) {
+        self.groups.clear();
+    }
+}
+
+impl Renderer {
+    /// A buffer, counted.
+    pub(super) fn buffer(&self, label: &str, size: u64, usage: BufferUsages) -> wgpu::Buffer {
+        self.tally.count(Made::Buffer);
+        self.device.device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false })
+    }
+
+    /// A buffer with its content, counted.
+    pub(super) fn buffer_of(&self, label: &str, contents: &[u8], usage: BufferUsages) -> wgpu::Buffer {
+        let buffer = self.buffer(label, (contents.len() as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT), usage | BufferUsages::COPY_DST);
+        self.device.queue.write_buffer(&buffer, 0, contents);
+        buffer
+    }
+
+    /// A bind group, counted.
+    pub(super) fn bind_group(&self, label: &str, layout: &wgpu::BindGroupLayout, entries: &[wgpu::BindGroupEntry]) -> wgpu::BindGroup {
+        self.tally.count(Made::BindGroup);
+        self.device.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some(label), layout, entries })
+    }
+
+    /// A texture, counted.
+    pub(super) fn texture(&self, descriptor: &wgpu::TextureDescriptor) -> wgpu::Texture {
+        self.tally.count(Made::Texture);
+        self.device.device.create_texture(descriptor)
+    }
+
+    /// A 2D texture to draw into and to read, kept by purpose, size and format. Its content is what it was.
+    pub(super) fn target(&mut self, purpose: &'static str, width: u32, height: u32, format: TextureFormat) -> Target {
+        let fits = |t: &Target| (t.texture.width(), t.texture.height(), t.texture.format()) == (width, height, format);
+        let targets = &mut self.kept.targets;
+        if let Some(at) = targets.iter().position(|(p, t)| *p == purpose && fits(t)) {
+            let found = targets.remove(at);
+            let target = found.1.clone();
+            targets.push(found);
+            return target;
+        }
+        let mut same = targets.iter().enumerate().filter(|(_, (p, _))| *p == purpose).map(|(n, _)| n);
+        if let (Some(oldest), others) = (same.next(), same.count())
+            && others + 1 >= KEPT_SIZES
+        {
+            targets.remove(oldest);
+            self.kept.forget_groups();
+        }
+        let target = Target::new(self.texture(&wgpu::TextureDescriptor {
+            label: Some(purpose),
+            size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format,
+            usage: TextureUsages::RENDER_ATTACHMENT | TextureUsages::COPY_SRC | TextureUsages::COPY_DST | TextureUsages::TEXTURE_BINDING,
+            view_formats: &[],
+        }));
+        self.kept.targets.push((purpose, target.clone()));
+        target
+    }
+
+    /// A buffer to read a picture back through, kept until a picture is larger.
+    pub(super) fn readback(&mut self, size: u64) -> wgpu::Buffer {
+        match &self.kept.readback {
+            Some(buffer) if buffer.size() >= size => buffer.clone(),
+            _ => {
+                let buffer = self.buffer("readback", size, BufferUsages::COPY_DST | BufferUsages::MAP_READ);
+                self.kept.readback.insert(buffer).clone()
+            }
+        }
+    }
+
+    /// Corners of slices, in a buffer that grows.
+    pub(super) fn slice_vertices(&mut self, contents: &[u8]) -> wgpu::Buffer {
+        match &self.kept.vertices {
+            Some(buffer) if buffer.size() >= contents.len() as u64 => {
+                self.device.queue.write_buffer(buffer, 0, contents);
+                buffer.clone()
+            }
+            _ => {
+                let size = (contents.len() as u64).next_power_of_two().max(1 << 14);
+                let buffer = self.buffer("slices", size, BufferUsages::VERTEX | BufferUsages::COPY_DST);
+                self.device.queue.write_buffer(&buffer, 0, contents);
+                self.kept.vertices.insert(buffer).clone()
+            }
+        }
+    }
+
+    fn upload_map(&self, map: &DisplacementMap) -> Result<wgpu::TextureView> {
+        let features = self.device.device.features();
+        let format = match map.storage {
+            Storage::F16 => TextureFormat::Rgba16Float,
+            Storage::Snorm16 if features.contains(Features::TEXTURE_FORMAT_16BIT_NORM) => TextureFormat::Rgba16Snorm,
+            Storage::Snorm16 => TextureFormat::Rgba16Float,
+            Storage::Snorm8 => TextureFormat::Rgba8Snorm,
+            Storage::F32 if features.contains(Features::FLOAT32_FILTERABLE) => TextureFormat::Rgba32Float,
+            Storage::F32 => TextureFormat::Rgba16Float,
+        };
+        let texture = self.texture_3d("displacement map", map.size, format)?;
+        let storage = if format == TextureFormat::Rgba16Float { Storage::F16 } else { map.storage };
+        self.write_layers(&texture, 0, &map.encode_as(storage), map.size);
+        Ok(texture.create_view(&wgpu::TextureViewDescriptor::default()))
+    }
+
+    /// A map by its identity; whether others had to go for it.
+    fn map(&self, map: &Arc<DisplacementMap>, in_use: &Stack) -> Result<(wgpu::TextureView, bool)> {
+        let mut kept = lock(&self.kept.maps);
+        if let Some(at) = kept.iter().position(|k| Arc::ptr_eq(&k.map, map)) {
+            let entry = kept.remove(at);
+            let view = entry.view.clone();
+            kept.push(entry);
+            return Ok((view, false));
+        }
+        self.tally.count(Made::Map);
+        let view = self.upload_map(map)?;
+        kept.push(KeptMap { map: map.clone(), view: view.clone() });
+        let mut bytes: usize = kept.iter().map(|k| k.map.gpu_bytes()).sum();
+        let mut count = kept.len();
+        let before = count;
+        kept.retain(|k| {
+            let goes = (bytes > KEPT_MAP_BYTES || count > KEPT_MAPS) && !in_use.maps().iter().any(|m| Arc::ptr_eq(&m.map, &k.map));
+            if goes {
+                bytes -= k.map.gpu_bytes();
+                count -= 1;
+            }
+            !goes
+        });
+        Ok((view, count < before))
+    }
+
+    /// A stack's maps, and whether others had to go for them; the bindings that it leaves free get the identity.
+    pub(super) fn upload_maps(&self, stack: &Stack) -> Result<(Vec<wgpu::TextureView>, bool)> {
+        let mut views = Vec::with_capacity(MAX_MAPS);
+        let mut replaced = false;
+        for placed in stack.maps().iter().take(MAX_MAPS) {
+            let (view, others_went) = self.map(&placed.map, stack)?;
+            views.push(view);
+            replaced |= others_went;
+        }
+        let mut unused = lock(&self.kept.unused_map);
+        let unused = match &*unused {
+            Some(view) => view.clone(),
+            None => unused.insert(self.upload_map(&DisplacementMap::identity([1; 3]))?).clone(),
+        };
+        views.resize(MAX_MAPS, unused);
+        Ok((views, replaced))
+    }
+
+    /// Uploads what of the shared shader functions' inputs has changed.
+    pub(super) fn shared(&mut self, scene: &Prepared) -> Result<Shared> {
+        let volume = self.volume.as_ref().ok_or_else(|| Error::Gpu("no volume was uploaded".into()))?;
+        let frame = FrameUniform::new(scene, volume.scale, volume.offset, volume.spanned);
+        let mut placed = [bytemuck::Zeroable::zeroed(); MAX_MAPS];
+        for (uniform, map) in placed.iter_mut().zip(scene.stack.maps()) {
+            *uniform = PlacedMapUniform::new(map);
+        }
+        let mut shapes = [bytemuck::Zeroable::zeroed(); MAX_CUTS];
+        for (shape, cut) in shapes.iter_mut().zip(scene.cuts.primitives()) {
+            *shape = CutShapeUniform::new(cut);
+        }
+        let contents: [&[u8]; 3] =
+            [bytemuck::bytes_of(&frame), bytemuck::cast_slice::<PlacedMapUniform, u8>(&placed), bytemuck::cast_slice::<CutShapeUniform, u8>(&shapes)];
+        let uniforms = match &self.kept.uniforms {
+            Some(buffers) => {
+                buffers.iter().zip(contents).for_each(|(buffer, bytes)| self.device.queue.write_buffer(buffer, 0, bytes));
+                buffers.clone()
+            }
+            None => {
+                let buffers = contents.map(|bytes| self.buffer_of("uniforms", bytes, BufferUsages::UNIFORM));
+                self.kept.uniforms.insert(buffers).clone()
+            }
+        };
+        let (maps, replaced) = self.upload_maps(&scene.stack)?;
+        if replaced {
+            self.kept.forget_groups();
+        }
+        let nothing = self.layer(["nothing: colour", "nothing: distance", "nothing: depth"], 1, 1);
+        let (table, cells, preintegrated) = (self.table(&scene.table), self.cells(scene)?, self.preintegrated(scene));
+        Ok(Shared { uniforms, table, cells, preintegrated, maps, nothing })
+    }
+
+    /// The macrocells' texture.
+    fn cells(&mut self, scene: &Prepared) -> Result<wgpu::TextureView> {
+        let (size, distance) = (scene.macrocells.size.to_array().map(|n| n as usize), &scene.macrocells.distance);
+        let target = match self.kept.cells.take() {
+            Some((target, written)) if target.texture.size() == extent(size) => {
+                if written == *distance {
+                    let view = target.view.clone();
+                    self.kept.cells = Some((target, written));
+                    return Ok(view);
+                }
+                target
+            }
+            _ => {
+                self.kept.forget_groups();
+                Target::new(self.texture_3d("macrocells", size, TextureFormat::R8Uint)?)
+            }
+        };
+        self.tally.count(Made::Cells);
+        self.write_layers(&target.texture, 0, distance, size);
+        let view = target.view.clone();
+        self.kept.cells = Some((target, distance.clone()));
+        Ok(view)
+    }
+
+    /// Row 0: colour and optical depth; row 1: gradient factors.
+    fn table(&mut self, table: &Table) -> wgpu::TextureView {
+        let mut texels = table.entries.clone();
+        texels.resize(2 * TABLE_ENTRIES, [0.0; 4]);
+        for (n, factor) in table.gradient.iter().take(GRADIENT_ENTRIES).enumerate() {
+            texels[TABLE_ENTRIES + n][0] = *factor;
+        }
+        let target = match self.kept.table.take() {
+            Some((target, written)) if written == texels => {
+                let view = target.view.clone();
+                self.kept.table = Some((target, written));
+                return view;
+            }
+            Some((target, _)) => target,
+            None => Target::new(self.texture(&wgpu::TextureDescriptor {
+                label: Some("transfer function"),
+                size: wgpu::Extent3d { width: TABLE_ENTRIES as u32, height: 2, depth_or_array_layers: 1 },
+                mip_level_count: 1,
+                sample_count: 1,
+                dimension: wgpu::TextureDimension::D2,
+                format: TextureFormat::Rgba32Float,
+                usage: TextureUsages::TEXTURE_BINDING | TextureUsages::COPY_DST,
+                view_formats: &[],
+            })),
+        };
+        self.tally.count(Made::Table);
+        self.device.queue.write_texture(
+            target.texture.as_image_copy(),
+            bytemuck::cast_slice(&texels),
+            wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(TABLE_ENTRIES as u32 * 16), rows_per_image: Some(2) },
+            target.texture.size(),
+        );
+        let view = target.view.clone();
+        self.kept.table = Some((target, texels));
+        view
+    }
+
+    /// The table of segments, if the scene wants one.
+    fn preintegrated(&mut self, scene: &Prepared) -> wgpu::TextureView {
+        let table_of = |renderer: &Self, edge: usize| {
+            Target::new(renderer.texture(&wgpu::TextureDescriptor {
+                label: Some("pre-integrated transfer function"),
+                size: wgpu::Extent3d { width: edge as u32, height: edge as u32, depth_or_array_layers: 1 },
+                mip_level_count: 1,
+                sample_count: 1,
+                dimension: wgpu::TextureDimension::D2,
+                format: TextureFormat::Rgba16Float,
+                usage: TextureUsages::TEXTURE_BINDING | TextureUsages::COPY_DST,
+                view_formats: &[],
+            }))
+        };
+        if !scene.preintegrated() {
+            if let Some(target) = &self.kept.nothing_preintegrated {
+                return target.view.clone();
+            }
+            let target = table_of(self, 1);
+            return self.kept.nothing_preintegrated.insert(target).view.clone();
+        }
+        let length = scene.frame.step_mm / scene.frame.reference_mm;
+        let target = match self.kept.preintegrated.take() {
+            Some((target, entries, of)) if of == length && entries == scene.table.entries => {
+                let view = target.view.clone();
+                self.kept.preintegrated = Some((target, entries, of));
+                return view;
+            }
+            Some((target, ..)) => target,
+            None => table_of(self, PREINTEGRATED_SIZE),
+        };
+        let made = Preintegrated::new(&scene.table, length);
+        let halves: Vec<u16> = made.entries.as_flattened().iter().map(|v| half::f16::from_f32(*v).to_bits()).collect();
+        self.tally.count(Made::Table);
+        self.device.queue.write_texture(
+            target.texture.as_image_copy(),
+            bytemuck::cast_slice(&halves),
+            wgpu::TexelCopyBufferLayout {
+                offset: 0,
+                bytes_per_row: Some(PREINTEGRATED_SIZE as u32 * 8),
+                rows_per_image: Some(PREINTEGRATED_SIZE as u32),
+            },
+            target.texture.size(),
+        );
+        let view = target.view.clone();
+        self.kept.preintegrated = Some((target, scene.table.entries.clone(), length));
+        view
+    }
+
+    /// The shared bindings, with what lies behind.
+    pub(super) fn group(&mut self, shared: &Shared, behind: Option<&Layer>) -> wgpu::BindGroup {
+        let volume = self.volume.as_ref().map_or(&shared.maps[0], |v| &v.view);
+        let colors = self.volume.as_ref().and_then(|v| v.colors.as_ref()).unwrap_or(&shared.maps[0]);
+        let [color, distance] = behind.unwrap_or(&shared.nothing).views();
+        // By number of binding.
+        let mut views = vec![(2, volume.clone()), (4, shared.table.clone()), (5, shared.cells.clone())];
+        views.extend([(15, color.clone()), (16, distance.clone()), (17, colors.clone()), (18, shared.preintegrated.clone())]);
+        views.extend(shared.maps.iter().enumerate().map(|(k, view)| (6 + k as u32, view.clone())));
+        let sampler = (3, wgpu::BindingResource::Sampler(&self.sampler));
+        let buffers = [0, 1, 14].into_iter().zip(&shared.uniforms).map(|(n, b)| (n, b.as_entire_binding()));
+        let others: Vec<_> = std::iter::once(sampler).chain(buffers).collect();
+        Self::group_of(&mut self.kept.groups, &self.tally, &self.device.device, "scene", &self.shared_layout, views, &others)
+    }
+
+    /// A bind group by the views that it binds, by number of binding.
+    pub(super) fn kept_group(&mut self, label: &str, layout: &wgpu::BindGroupLayout, views: Vec<(u32, wgpu::TextureView)>) -> wgpu::BindGroup {
+        Self::group_of(&mut self.kept.groups, &self.tally, &self.device.device, label, layout, views, &[])
+    }
+
+    fn group_of(
+        groups: &mut Vec<(Vec<wgpu::TextureView>, wgpu::BindGroup)>,
+        tally: &Tally,
+        device: &wgpu::Device,
+        label: &str,
+        layout: &wgpu::BindGroupLayout,
+        views: Vec<(u32, wgpu::TextureView)>,
+        others: &[(u32, wgpu::BindingResource)],
+    ) -> wgpu::BindGroup {
+        let key: Vec<wgpu::TextureView> = views.iter().map(|(_, view)| view.clone()).collect();
+        if let Some((_, group)) = groups.iter().find(|(k, _)| *k == key) {
+            return group.clone();
+        }
+        let of_views = views.iter().map(|(n, view)| (*n, wgpu::BindingResource::TextureView(view)));
+        let entries: Vec<_> = of_views.chain(others.iter().cloned()).map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource }).collect();
+        tally.count(Made::BindGroup);
+        let group = device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some(label), layout, entries: &entries });
+        if groups.len() >= KEPT_GROUPS {
+            groups.remove(0);
+        }
+        groups.push((key, group.clone()));
+        group
+    }
+
+    /// The shared bindings of a scene with nothing behind.
+    pub(super) fn bind(&mut self, scene: &Prepared) -> Result<wgpu::BindGroup> {
+        let shared = self.shared(scene)?;
+        Ok(self.group(&shared, None))
+    }
+}

@@ -1,0 +1,77 @@
+//! What a renderer has made and uploaded: a picture that differs little from the one before should add little to it.
+
+use std::sync::atomic::{AtomicU32, Ordering};
+
+/// Work of a [`Renderer`](super::Renderer) since it was made.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Work {
+    /// Pipelines compiled.
+    pub pipelines_compiled: u32,
+    /// Textures created.
+    pub textures_created: u32,
+    /// Buffers created.
+    pub buffers_created: u32,
+    /// Bind groups created.
+    pub bind_groups_created: u32,
+    /// Volumes written to a texture.
+    pub volume_uploads: u32,
+    /// Displacement maps written to a texture.
+    pub map_uploads: u32,
+    /// Transfer functions written to the table's texture.
+    pub table_uploads: u32,
+    /// Macrocells written to their texture.
+    pub cell_uploads: u32,
+}
+
+impl Work {
+    /// What was added since an earlier state.
+    pub fn since(&self, before: &Self) -> Self {
+        Self {
+            pipelines_compiled: self.pipelines_compiled.wrapping_sub(before.pipelines_compiled),
+            textures_created: self.textures_created.wrapping_sub(before.textures_created),
+            buffers_created: self.buffers_created.wrapping_sub(before.buffers_created),
+            bind_groups_created: self.bind_groups_created.wrapping_sub(before.bind_groups_created),
+            volume_uploads: self.volume_uploads.wrapping_sub(before.volume_uploads),
+            map_uploads: self.map_uploads.wrapping_sub(before.map_uploads),
+            table_uploads: self.table_uploads.wrapping_sub(before.table_uploads),
+            cell_uploads: self.cell_uploads.wrapping_sub(before.cell_uploads),
+        }
+    }
+}
+
+/// One of the things that are counted, by the order of [`Work`]'s fields.
+#[derive(Clone, Copy)]
+pub(super) enum Made {
+    Pipeline,
+    Texture,
+    Buffer,
+    BindGroup,
+    Volume,
+    Map,
+    Table,
+    Cells,
+}
+
+/// The counters. Atomic because a device evaluates stacks for those who only borrow the renderer.
+#[derive(Default)]
+pub(super) struct Tally([AtomicU32; 8]);
+
+impl Tally {
+    pub(super) fn count(&self, made: Made) {
+        self.0[made as usize].fetch_add(1, Ordering::Relaxed);
+    }
+
+    pub(super) fn work(&self) -> Work {
+        let n = |made: Made| self.0[made as usize].load(Ordering::Relaxed);
+        Work {
+            pipelines_compiled: n(Made::Pipeline),
+            textures_created: n(Made::Texture),
+            buffers_created: n(Made::Buffer),
+            bind_groups_created: n(Made::BindGroup),
+            volume_uploads: n(Made::Volume),
+            map_uploads: n(Made::Map),
+            table_uploads: n(Made::Table),
+            cell_uploads: n(Made::Cells),
+        }
+    }
+}

@@ -1,0 +1,119 @@
+//! What an edit of a scene costs the GPU renderer: pictures of a scene that has changed a little make and upload only what has changed.
+
+use crate::metrics::{STEP, difference};
+use crate::parity::with_renderer;
+use crate::scenes;
+use glam::Vec3;
+use incise::render::Work;
+use incise::scene::{Assets, Deformation, Mode, Picture, Prepared, Projection, Scene};
+
+/// Two moving maps over a small head.
+fn scene(mode: Mode) -> Scene {
+    let mut scene = Scene::of_volume("phantom:head-ct:size=48");
+    scene.render.size = [64, 64];
+    scene.render.mode = mode;
+    for kind in ["twist", "peel"] {
+        let mut deformation = Deformation::new(kind);
+        (deformation.resolution, deformation.center) = (Some(16), Some([0.0, 0.0, 20.0]));
+        scene.deformation.push(deformation);
+    }
+    scene
+}
+
+fn work_of(scene: &Scene, assets: &Assets) -> Work {
+    let prepared = Prepared::new(scene, assets).unwrap();
+    with_renderer(|r| {
+        let before = r.work();
+        r.render(&prepared, false, &|_| ()).unwrap();
+        r.work().since(&before)
+    })
+}
+
+type Edit = (&'static str, fn(&mut Scene), Work);
+
+/// By kind of edit: what the next picture may do. Textures and bind groups appear where a texture of another size, or of another map, takes
+/// the place of one.
+pub fn edits_upload_what_changed() {
+    let nothing = Work::default();
+    let edits: [Edit; 7] = [
+        ("nothing", |_| (), nothing),
+        ("the camera", |s| s.camera.view = "35,15".parse().unwrap(), nothing),
+        ("the light", |s| s.light.direction = Vec3::new(0.3, -0.5, 0.8).to_array(), nothing),
+        ("a placement moved", |s| s.deformation[1].center = Some([0.0, 0.0, 21.0]), Work { cell_uploads: 1, ..nothing }),
+        ("a placement turned", |s| s.deformation[1].rotate = Some([0.0, 0.0, 10.0]), Work { cell_uploads: 1, ..nothing }),
+        (
+            "a parameter of a map",
+            |s| s.deformation[0].progress = Some(0.7),
+            Work { cell_uploads: 1, map_uploads: 1, textures_created: 1, bind_groups_created: 1, ..nothing },
+        ),
+        ("the transfer function", |s| s.transfer.preset = Some("ct-bones-and-muscle".into()), Work { cell_uploads: 1, table_uploads: 1, ..nothing }),
+    ];
+    for mode in [Mode::Raycast, Mode::Slice] {
+        let mut scene = scene(mode);
+        let assets = scenes::assets(&scene);
+        work_of(&scene, &assets);
+        for (name, edit, allowed) in &edits {
+            edit(&mut scene);
+            let mut work = work_of(&scene, &assets);
+            // The grid of macrocells follows the deformed box: another size is another texture.
+            let mut allowed = *allowed;
+            if allowed.cell_uploads == 1 && work.textures_created == allowed.textures_created + 1 {
+                (work.textures_created, work.bind_groups_created) = (allowed.textures_created, work.bind_groups_created.min(1));
+                allowed.bind_groups_created = 1;
+            }
+            // Another view may cut more corners than the buffer held.
+            work.buffers_created = work.buffers_created.saturating_sub(u32::from(mode == Mode::Slice && *name == "the camera"));
+            println!("{mode:?}, {name}: {work:?}");
+            assert!(work.cell_uploads <= 1 && work.pipelines_compiled == 0, "{mode:?}, {name}: {work:?}");
+            allowed.cell_uploads = work.cell_uploads.min(allowed.cell_uploads);
+            assert_eq!(work, allowed, "{mode:?}, {name}");
+        }
+        // Another volume of the same kind: its texture, and what depends on what it holds.
+        scene.volume = Scene::of_volume("phantom:head-ct:size=40").volume;
+        let other = scenes::assets(&scene);
+        let work = work_of(&scene, &other);
+        assert_eq!((work.volume_uploads, work.pipelines_compiled), (1, 0), "{mode:?}: {work:?}");
+        assert!(work.buffers_created <= 1 && work.map_uploads <= 2, "{mode:?}: {work:?}");
+        // Back and forth between two sizes, as a live view goes, makes nothing after the first time.
+        work_of(&scene, &other);
+        for n in 0..4 {
+            scene.render.size = if n % 2 == 0 { [32, 32] } else { [64, 64] };
+            let work = work_of(&scene, &other);
+            assert!(n < 2 || (work.textures_created, work.bind_groups_created) == (0, 0), "{mode:?}, size {n}: {work:?}");
+        }
+    }
+}
+
+/// Segments and shifted samples: the same by rays and by slabs, which meet the same samples without perspective; and no more than a finer
+/// way to the same picture.
+pub fn segments_and_shifts_agree_between_modes() {
+    let mut scene = Scene::of_volume("phantom:head-ct:size=64");
+    scene.render.size = [96, 96];
+    scene.camera.view = "40,20".parse().unwrap();
+    scene.camera.projection = Projection::Orthographic;
+    scene.deformation.push(Deformation::new("peel"));
+    scene.transfer.preset = Some("ct-bones-and-muscle".into());
+    let assets = scenes::assets(&scene);
+    let picture = |preintegrated: bool, jitter: bool, mode: Mode, step: f32| -> Picture {
+        let mut s = scene.clone();
+        (s.render.preintegrated, s.render.jitter, s.render.mode, s.render.step) = (preintegrated, jitter, mode, step);
+        let prepared = Prepared::new(&s, &assets).unwrap();
+        with_renderer(|r| r.render(&prepared, false, &|_| ()).unwrap()).picture
+    };
+    for (preintegrated, jitter) in [(true, false), (false, true), (true, true)] {
+        let d = difference(&picture(preintegrated, jitter, Mode::Raycast, 1.0), &picture(preintegrated, jitter, Mode::Slice, 1.0)).unwrap();
+        println!(
+            "segments {preintegrated}, shifted {jitter}: rays against slabs mean {:.3}/255, within 4/255 {:.3} %",
+            d.mean / STEP,
+            100.0 * d.within_4
+        );
+        assert!(d.mean <= 0.5 * STEP && d.within_4 >= 0.999, "{preintegrated} {jitter}: {}", d.mean / STEP);
+        let plain = picture(false, false, Mode::Raycast, 1.0);
+        let other = picture(preintegrated, jitter, Mode::Raycast, 1.0);
+        assert!(plain != other, "the setting does nothing");
+        let (fine, finer) = (picture(false, false, Mode::Raycast, 0.1), picture(preintegrated, jitter, Mode::Raycast, 0.1));
+        let d = difference(&fine, &finer).unwrap();
+        println!("segments {preintegrated}, shifted {jitter}: at a tenth of a voxel mean {:.3}/255 from single values", d.mean / STEP);
+        assert!(d.mean <= 1.5 * STEP, "{preintegrated} {jitter}: {}", d.mean / STEP);
+    }
+}
