@@ -88,7 +88,7 @@ impl Report {
         let series = |dot: &dyn Fn(&lab::Point) -> Dot| -> Vec<Series> {
             let one = |c: &lab::Curve| Series {
                 name: format!("{} {}", mode_name(c.mode), c.backend),
-                color: color_of(c.mode),
+                color: color_of(c.mode, c.backend == "cpu"),
                 dashed: c.backend != "cpu",
                 dots: c.points.iter().map(dot).collect(),
             };
@@ -258,13 +258,14 @@ fn protocol_text(protocol: &Protocol) -> String {
     text
 }
 
-/// The colour of a mode's curves.
-fn color_of(mode: Mode) -> usize {
-    match mode {
+/// The colour of a renderer's curves: a hue for each mode, another lightness beside the CPU's.
+fn color_of(mode: Mode, cpu: bool) -> usize {
+    let hue = match mode {
         Mode::Slice => 0,
         Mode::Raycast => 1,
         Mode::Surface => 2,
-    }
+    };
+    if cpu { hue } else { hue + 5 }
 }
 
 fn decibels(psnr_db: f64) -> String {

@@ -38,7 +38,7 @@ impl Shown {
 impl std::fmt::Display for Shown {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let what = if self.surface { "surfaces" } else { "volume" };
-        write!(f, "{what}, {}, {} × {}", self.camera, self.size[0], self.size[1])
+        write!(f, "{what}, view {}, {} × {} pixels", self.camera, self.size[0], self.size[1])
     }
 }
 
