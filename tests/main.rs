@@ -7,6 +7,7 @@
 mod architecture;
 mod closed_forms;
 mod command_line;
+mod comparison;
 mod contract;
 mod damage;
 #[cfg(feature = "gpu")]
@@ -70,6 +71,10 @@ fn main() {
     all.extend(trials!(command_line:
         bad_input_is_named_and_leaves_no_file, bad_deformations_are_named, maps_and_bakes_by_the_command_line, same_bytes_for_any_number_of_threads, cpu_is_used_without_a_driver, stats_are_complete,
         an_existing_file_is_replaced_whole, meshes_and_fields_by_the_command_line, info_tells_what_is_needed, usage_errors_exit_with_2));
+    all.extend(trials!(comparison:
+        a_sweep_is_whole_and_converges, only_like_is_compared_with_like, what_cannot_be_compared_is_told, a_missing_gpu_is_told));
+    #[cfg(feature = "gpu")]
+    all.extend(comparison::on_a_gpu());
     #[cfg(feature = "gpu")]
     all.extend(parity::trials());
     #[cfg(all(feature = "gui", target_os = "linux"))]

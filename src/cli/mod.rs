@@ -2,6 +2,8 @@
 
 mod arguments;
 mod bake;
+mod common;
+mod compare;
 mod gallery;
 mod info;
 mod map;
@@ -28,6 +30,8 @@ struct Cli {
 enum Command {
     /// Render one picture of a scene, a volume or a phantom.
     Render(Box<render::Arguments>),
+    /// Compare slices, rays and surfaces, on the CPU and a GPU: pictures, times, errors, a page.
+    Compare(Box<compare::Arguments>),
     /// Write the deformed volume, resampled, or the composed displacement, into a file.
     Bake(Box<bake::Arguments>),
     /// Make, convert, invert or check a displacement map or field.
@@ -57,6 +61,7 @@ pub fn main() -> Run {
     let cli = Cli::parse();
     let result = match cli.command {
         Some(Command::Render(arguments)) => render::run(&arguments),
+        Some(Command::Compare(arguments)) => compare::run(&arguments),
         Some(Command::Bake(arguments)) => bake::run(&arguments),
         Some(Command::Map(arguments)) => map::run(&arguments),
         Some(Command::Gallery(arguments)) => gallery::run(&arguments),
@@ -74,7 +79,7 @@ pub fn main() -> Run {
             if let Some(word) =
                 cli.file.as_ref().and_then(|f| f.to_str()).filter(|w| !w.contains(['.', '/', '\\', ':']) && !std::path::Path::new(w).exists())
             {
-                let commands = ["render", "bake", "map", "gallery", "sdf", "info", "schema", "list"];
+                let commands = ["render", "compare", "bake", "map", "gallery", "sdf", "info", "schema", "list"];
                 eprintln!("incise: there is no command and no file \"{word}\"; {}", crate::error::suggestion(word, commands));
                 return Run::Done(ExitCode::from(2));
             }

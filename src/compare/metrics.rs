@@ -37,6 +37,13 @@ pub struct Difference {
     pub ssim: f64,
 }
 
+impl Difference {
+    /// Root of the mean square over all four channels of all pixels, 0..255: what the PSNR says, as a length.
+    pub fn rms(&self) -> f64 {
+        255.0 * 10f64.powf(-self.psnr_db / 20.0)
+    }
+}
+
 /// JSON has no infinity.
 fn finite<S: Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S::Error> {
     value.is_finite().then_some(*value).serialize(serializer)
@@ -193,7 +200,8 @@ mod tests {
     fn an_offset_has_its_closed_form() {
         let d = difference(&uniform([0.4; 4]), &uniform([0.5; 4])).unwrap();
         assert!((d.mean - 25.5).abs() < 1e-4 && (d.max - 25.5).abs() < 1e-4, "{d:?}");
-        assert!((d.psnr_db - 20.0).abs() < 1e-4, "{d:?}");
+        assert!((d.psnr_db - 20.0).abs() < 1e-4 && (d.rms() - 25.5).abs() < 1e-3, "{d:?}");
+        assert_eq!(difference(&sample(), &sample()).unwrap().rms(), 0.0);
         let ssim = (2.0 * 0.4 * 0.5 + 1e-4) / (0.16 + 0.25 + 1e-4);
         assert!((d.ssim - ssim).abs() < 1e-6, "{d:?}, not {ssim}");
         let one_channel = difference(&uniform([0.4; 4]), &uniform([0.4, 0.4, 0.4, 0.5])).unwrap();

@@ -1,23 +1,93 @@
-//! Comparing renderers of one scene: pictures, differences, times, as one report.
+//! Comparing renderers of one scene: pictures, differences, errors, times, as one report.
 //!
 //! *Theory*: the protocol of Meissner, Huang, Bartz, Mueller, Crawfis, "A Practical Evaluation of Popular Volume Rendering Algorithms",
 //! Volume Visualization 2000: algorithms can be compared only where they are given the same optical model, the same view and the same
 //! transfer function, and their pictures are put side by side with what they cost. Here all runs of a report are one scene; they differ in
-//! mode, backend or step. Their opacities are corrected to the same length, so that a different step shows the error of sampling alone.
-//! Beyond the paper's pictures and times there are numbers for how far pictures are apart ([`Difference`]).
+//! mode, backend, step, size or camera. Their opacities are corrected to the same length, so that a different step shows the error of
+//! sampling alone. Beyond the paper's pictures and times there are numbers for how far pictures are apart ([`Difference`]), errors against a
+//! reference of a much finer step, and what a renderer costs where all are equally wrong ([`lab`]).
 //!
-//! *How to call it*: a [`Run`] for every renderer ([`run_on_cpu`], or made from what another renderer gave), [`Report::new`],
-//! [`Report::write`].
+//! *How to call it*: [`lab::Plan`] and [`lab::run`] for all of it; or a [`Run`] for every renderer ([`run_on_cpu`], or made from what another
+//! renderer gave) and [`Report::new`]. Then [`Report::write`].
 
+pub mod lab;
 mod metrics;
+mod page;
+pub mod plot;
 mod report;
 
 pub use metrics::{Difference, difference, difference_picture};
-pub use report::{Pair, Report, Run};
+pub use report::{Pair, Protocol, Report, Run, Shown, write_files};
 
-use crate::scene::{Assets, Prepared, Scene};
+use crate::scene::{Assets, Prepared, Scene, Stages};
+use crate::volume::GridVoxels;
 use crate::{Result, Watch, cpu};
 use std::time::Instant;
+
+/// Milliseconds that something took, once or repeatedly.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Times {
+    /// The one in the middle; of an even number the lower of the two.
+    pub median: f64,
+    /// The least.
+    pub min: f64,
+    /// The greatest.
+    pub max: f64,
+}
+
+impl Times {
+    /// Of any number of measurements; all 0 of none.
+    pub fn of(milliseconds: &[f64]) -> Self {
+        let mut sorted = milliseconds.to_vec();
+        sorted.sort_by(f64::total_cmp);
+        let at = |n: usize| sorted.get(n).copied().unwrap_or(0.0);
+        let last = sorted.len().saturating_sub(1);
+        Self { median: at(last / 2), min: at(0), max: at(last) }
+    }
+}
+
+/// Bytes that a picture needs, in the process that made it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Memory {
+    /// The volume's values as they are sampled.
+    pub volume_bytes: u64,
+    /// All displacement maps, as a GPU holds them.
+    pub map_bytes: u64,
+    /// Distance fields of surfaces, as a GPU holds them.
+    pub surface_bytes: u64,
+    /// The largest resident size of the process up to the end of the run, where the system tells.
+    pub peak_bytes: Option<u64>,
+}
+
+impl Memory {
+    /// What a prepared scene holds now.
+    pub fn of(scene: &Prepared) -> Self {
+        let volume = match &scene.grid.voxels {
+            GridVoxels::U8(v) => size_of_val(v.as_slice()),
+            GridVoxels::U16(v) => size_of_val(v.as_slice()),
+            GridVoxels::I16(v) => size_of_val(v.as_slice()),
+            GridVoxels::F32(v) => size_of_val(v.as_slice()),
+        };
+        Self {
+            volume_bytes: volume as u64,
+            map_bytes: scene.stack.maps().iter().map(|m| m.map.gpu_bytes() as u64).sum(),
+            surface_bytes: scene.surfaces.objects.iter().filter_map(|o| o.implicit.as_ref()).map(|i| i.gpu_bytes() as u64).sum(),
+            peak_bytes: peak_memory_bytes(),
+        }
+    }
+}
+
+/// The process's largest resident size, where the system tells (Linux).
+pub fn peak_memory_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
+    line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib * 1024)
+}
+
+/// Stages with names of their own.
+fn owned(stages: &[&Stages]) -> Vec<(String, f64)> {
+    stages.iter().flat_map(|s| &s.0).map(|&(stage, ms)| (stage.to_owned(), ms)).collect()
+}
 
 /// Renders a scene on the CPU, as one run of a report. Loading the assets is not part of its time, preparing the scene is.
 ///
@@ -27,17 +97,25 @@ pub fn run_on_cpu(scene: &Scene, assets: &Assets, name: &str, watch: &Watch) -> 
     watch.check()?;
     let start = Instant::now();
     let prepared = Prepared::new(scene, assets)?;
+    let before = start.elapsed().as_secs_f64() * 1e3;
     let rendered = cpu::render_until(&prepared, watch)?;
-    let milliseconds = start.elapsed().as_secs_f64() * 1e3;
-    let stages = prepared.stages.0.iter().chain(&rendered.stages.0).map(|&(stage, ms)| (stage.to_owned(), ms)).collect();
+    let all = start.elapsed().as_secs_f64() * 1e3;
     Ok(Run {
         name: name.to_owned(),
-        picture: rendered.picture,
-        milliseconds,
-        stages,
-        stats: rendered.stats,
+        shown: Shown::of(scene),
+        mode: scene.render.mode,
         backend: "cpu".to_owned(),
         step: scene.render.step,
+        milliseconds: Times::of(&[all]),
+        rendering: Times::of(&[all - before]),
+        repetitions: 1,
+        warm_up: None,
+        stages: owned(&[&prepared.stages, &rendered.stages]),
+        stats: rendered.stats,
+        memory: Memory::of(&prepared),
+        error: None,
+        is_reference: false,
+        picture: rendered.picture,
     })
 }
 
@@ -56,6 +134,16 @@ mod tests {
         scene
     }
 
+    #[test]
+    fn the_middle_is_one_of_them() {
+        let times = |v: &[f64]| {
+            let t = Times::of(v);
+            [t.median, t.min, t.max]
+        };
+        assert_eq!(times(&[7.0, 1.0, 3.0]), [3.0, 1.0, 7.0]);
+        assert_eq!((times(&[7.0, 3.0]), times(&[2.0]), times(&[])), ([3.0, 3.0, 7.0], [2.0; 3], [0.0; 3]));
+    }
+
     /// Without perspective a ray meets slices at its own samples.
     #[test]
     fn slices_are_rays_where_rays_are_parallel() {
@@ -63,7 +151,7 @@ mod tests {
         let run = |mode, name| run_on_cpu(&scene(mode), &assets, name, &Watch::NOBODY).unwrap();
         let (slice, raycast) = (run(Mode::Slice, "slice"), run(Mode::Raycast, "raycast"));
         assert!(slice.picture.pixels.iter().any(|p| p[3] > 0.1), "the scene shows nothing");
-        assert!(slice.milliseconds > 0.0 && slice.stages.iter().any(|s| s.0 == "render") && slice.stats.is_some());
+        assert!(slice.milliseconds.median > 0.0 && slice.stages.iter().any(|s| s.0 == "render") && slice.stats.is_some());
         let report = Report::new("ball", "", [0.0, 0.0, 0.0, 1.0], vec![slice, raycast]).unwrap();
         assert!(report.pairs.len() == 1 && report.pairs[0].difference.mean < 0.1, "{:?}", report.pairs);
     }

@@ -1,41 +1,80 @@
 //! A comparison as a folder: pictures, differences, numbers for people (a page) and for programs (JSON and CSV).
-//!
-//! The page holds its pictures itself and asks for nothing else, so that it can be mailed, archived, and opened without a network.
 
+use super::lab::{EqualError, equal_errors};
 use super::metrics::{Difference, difference, difference_picture};
+use super::{Memory, Times};
 use crate::export::{Output, png};
-use crate::scene::{Picture, RenderStats};
+use crate::scene::{Mode, Picture, RenderStats, Scene};
 use crate::{Error, Result};
-use base64::Engine;
-use base64::engine::general_purpose::STANDARD;
-use serde::Serialize;
+use serde_json::{Value, json};
 use std::collections::HashSet;
 use std::path::Path;
 
 /// The version of the program.
-const VERSION: &str = env!("CARGO_PKG_VERSION");
+pub(super) const VERSION: &str = env!("CARGO_PKG_VERSION");
 /// Longest part of a file's name that comes from a run's name, characters.
 const LONGEST_NAME: usize = 60;
 /// Differences are shown this many times as large: 1/8 of the range is as bright as it gets.
 const AMPLIFY: f32 = 8.0;
 
+/// What a picture shows, and how large: only pictures that agree in it can be compared.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Shown {
+    /// The direction of view, as it is written in a scene file.
+    pub camera: String,
+    /// Width and height, pixels.
+    pub size: [u32; 2],
+    /// Surfaces alone, which are something else than the volume.
+    pub surface: bool,
+}
+
+impl Shown {
+    /// What a scene's picture shows.
+    pub fn of(scene: &Scene) -> Self {
+        Self { camera: scene.camera.view.into(), size: scene.render.size, surface: scene.render.mode == Mode::Surface }
+    }
+}
+
+impl std::fmt::Display for Shown {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let what = if self.surface { "surfaces" } else { "volume" };
+        write!(f, "{what}, view {}, {} × {} pixels", self.camera, self.size[0], self.size[1])
+    }
+}
+
 /// One renderer's picture of the scene and what it cost.
 #[derive(Clone, Debug)]
 pub struct Run {
-    /// What it is called in the report, e.g. `slice`; no two runs of a report have the same name.
+    /// What it is called in the report, e.g. `slice cpu`; no two runs of a report have the same name.
     pub name: String,
     /// The picture, premultiplied, without background.
     pub picture: Picture,
-    /// Time from the loaded scene to the picture, milliseconds.
-    pub milliseconds: f64,
-    /// Parts of that time by name, milliseconds, in order.
-    pub stages: Vec<(String, f64)>,
-    /// Samples, if they were counted.
-    pub stats: Option<RenderStats>,
-    /// What rendered it, e.g. `cpu` or the name of a graphics adapter.
+    /// What it shows.
+    pub shown: Shown,
+    /// How the scene was sampled.
+    pub mode: Mode,
+    /// What rendered it: `cpu` or `gpu`.
     pub backend: String,
     /// Distance between samples in voxels (of the smallest spacing).
     pub step: f32,
+    /// From the loaded scene to the picture.
+    pub milliseconds: Times,
+    /// The part of it after the scene was prepared: what differs between renderers.
+    pub rendering: Times,
+    /// How often it was timed.
+    pub repetitions: usize,
+    /// How long an untimed first picture took, milliseconds, if there was one.
+    pub warm_up: Option<f64>,
+    /// Parts of the median time by name, milliseconds, in order.
+    pub stages: Vec<(String, f64)>,
+    /// Samples, if they were counted.
+    pub stats: Option<RenderStats>,
+    /// What it needed.
+    pub memory: Memory,
+    /// How far it is from its reference, if there is one.
+    pub error: Option<Difference>,
+    /// Whether it is what others are measured against.
+    pub is_reference: bool,
 }
 
 /// Two runs and how their pictures differ.
@@ -49,7 +88,22 @@ pub struct Pair {
     pub difference: Difference,
 }
 
-/// Runs of one scene, every one compared with every other.
+/// How the runs of a report were made.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Protocol {
+    /// The processor, for people.
+    pub cpu: String,
+    /// The graphics adapter, for people, if one was used.
+    pub gpu: Option<String>,
+    /// How often each run was timed.
+    pub repeat: usize,
+    /// Step of the references, voxels, if there are any.
+    pub reference_step: Option<f32>,
+    /// What a reader should know, one sentence each.
+    pub notices: Vec<String>,
+}
+
+/// Runs of one scene, and how they differ.
 #[derive(Clone, Debug)]
 pub struct Report {
     /// Heading of the page.
@@ -58,65 +112,20 @@ pub struct Report {
     pub scene_toml: String,
     /// The runs.
     pub runs: Vec<Run>,
-    /// All pairs of runs, in order.
+    /// Pairs of runs, in order.
     pub pairs: Vec<Pair>,
     /// Behind the pictures: red, green, blue, alpha in 0..1, not premultiplied. The numbers do not depend on it.
     pub background: [f32; 4],
     /// Difference pictures show differences this many times as large.
     pub amplify: f32,
-}
-
-/// What `report.json` says.
-#[derive(Serialize)]
-struct Summary<'a> {
-    /// The version of the program.
-    incise: &'static str,
-    title: &'a str,
-    size: [u32; 2],
-    background: [f32; 4],
-    amplify: f32,
-    scene: &'a str,
-    runs: Vec<RunRow<'a>>,
-    pairs: Vec<PairRow<'a>>,
-}
-
-#[derive(Serialize)]
-struct RunRow<'a> {
-    name: &'a str,
-    backend: &'a str,
-    step_voxels: f32,
-    milliseconds: f64,
-    stages: Vec<StageRow<'a>>,
-    samples: Option<SamplesRow>,
-    picture: &'a str,
-}
-
-#[derive(Serialize)]
-struct StageRow<'a> {
-    name: &'a str,
-    milliseconds: f64,
-}
-
-#[derive(Serialize)]
-struct SamplesRow {
-    taken: u64,
-    skipped: u64,
-    terminated: u64,
-}
-
-#[derive(Serialize)]
-struct PairRow<'a> {
-    a: &'a str,
-    b: &'a str,
-    #[serde(flatten)]
-    difference: Difference,
-    picture: &'a str,
+    /// How the runs were made, if all by one rule.
+    pub protocol: Option<Protocol>,
 }
 
 /// A picture as it is written.
-struct Encoded {
-    file: String,
-    png: Vec<u8>,
+pub(super) struct Encoded {
+    pub(super) file: String,
+    pub(super) png: Vec<u8>,
 }
 
 impl Report {
@@ -125,19 +134,34 @@ impl Report {
     /// # Errors
     /// No runs, two of one name, pictures of different sizes or with values that are not numbers.
     pub fn new(title: impl Into<String>, scene_toml: impl Into<String>, background: [f32; 4], runs: Vec<Run>) -> Result<Self> {
+        let all = (0..runs.len()).flat_map(|a| (a + 1..runs.len()).map(move |b| [a, b])).collect();
+        Self::of_pairs(title, scene_toml, background, runs, all)
+    }
+
+    /// Compares runs by pairs of their indices.
+    ///
+    /// # Errors
+    /// As [`Self::new`]; a pair of runs that are not there.
+    pub fn of_pairs(
+        title: impl Into<String>,
+        scene_toml: impl Into<String>,
+        background: [f32; 4],
+        runs: Vec<Run>,
+        pairs: Vec<[usize; 2]>,
+    ) -> Result<Self> {
         if runs.is_empty() {
             return Err(Error::value("runs", "there are none; a comparison needs at least one picture"));
         }
-        let mut pairs = Vec::new();
-        for (a, first) in runs.iter().enumerate() {
-            for (b, second) in runs.iter().enumerate().skip(a + 1) {
-                if first.name == second.name {
-                    return Err(Error::value("runs", format!("two are called \"{}\"; give each a name of its own", first.name)));
-                }
-                pairs.push(Pair { a, b, difference: difference(&first.picture, &second.picture)? });
-            }
+        let mut names = HashSet::new();
+        if let Some(twice) = runs.iter().find(|run| !names.insert(&run.name)) {
+            return Err(Error::value("runs", format!("two are called \"{}\"; give each a name of its own", twice.name)));
         }
-        Ok(Self { title: title.into(), scene_toml: scene_toml.into(), runs, pairs, background, amplify: AMPLIFY })
+        let compared = |[a, b]: [usize; 2]| match (runs.get(a), runs.get(b)) {
+            (Some(first), Some(second)) => Ok(Pair { a, b, difference: difference(&first.picture, &second.picture)? }),
+            _ => Err(Error::value("pairs", format!("runs {a} and {b} are not both among the {} there are", runs.len()))),
+        };
+        let pairs = pairs.into_iter().map(compared).collect::<Result<_>>()?;
+        Ok(Self { title: title.into(), scene_toml: scene_toml.into(), runs, pairs, background, amplify: AMPLIFY, protocol: None })
     }
 
     /// Writes `NAME.png` for every run, `difference-A-B.png` for every pair, `report.json`, `runs.csv`, `pairs.csv` and `index.html` into a
@@ -146,7 +170,15 @@ impl Report {
     /// # Errors
     /// A folder that cannot be made or written, an amplification that is not positive.
     pub fn write(&self, folder: &Path) -> Result<()> {
-        std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "making", e))?;
+        write_files(folder, &self.files()?)
+    }
+
+    /// The files of the report by name, in the order in which they are to be written: the page is last, so that where there is a page, all
+    /// that it speaks of is there.
+    ///
+    /// # Errors
+    /// An amplification that is not positive.
+    pub fn files(&self) -> Result<Vec<(String, Vec<u8>)>> {
         let mut taken = HashSet::new();
         let mut pictures = Vec::new();
         for run in &self.runs {
@@ -159,207 +191,175 @@ impl Report {
             let shown = difference_picture(&a.picture, &b.picture, self.amplify)?;
             differences.push(Encoded { file, png: png(&shown, [0.0, 0.0, 0.0, 1.0])? });
         }
-        let write = |file: &str, content: &[u8]| Output::create(&folder.join(file))?.finish(content);
-        for picture in pictures.iter().chain(&differences) {
-            write(&picture.file, &picture.png)?;
-        }
-        write("report.json", &self.json(&pictures, &differences)?)?;
-        write("runs.csv", self.runs_csv(&pictures).as_bytes())?;
-        write("pairs.csv", self.pairs_csv(&differences).as_bytes())?;
-        // Last: where there is a page, all that it speaks of is there.
-        write("index.html", self.page(&pictures, &differences).as_bytes())
+        let equal = equal_errors(&self.runs);
+        let json = format!("{:#}\n", self.json(&pictures, &differences, &equal));
+        let page = self.page(&pictures, &differences, &equal);
+        let texts =
+            [("report.json", json), ("runs.csv", self.runs_csv(&pictures)), ("pairs.csv", self.pairs_csv(&differences)), ("index.html", page)];
+        let pictures = pictures.into_iter().chain(differences).map(|e| (e.file, e.png));
+        Ok(pictures.chain(texts.map(|(file, text)| (file.to_owned(), text.into_bytes()))).collect())
     }
 
-    fn size(&self) -> [u32; 2] {
-        self.runs.first().map_or([0, 0], |run| [run.picture.width, run.picture.height])
-    }
-
-    fn json(&self, pictures: &[Encoded], differences: &[Encoded]) -> Result<Vec<u8>> {
-        let runs: Vec<RunRow> = self
-            .runs
-            .iter()
-            .zip(pictures)
-            .map(|(run, picture)| RunRow {
-                name: &run.name,
-                backend: &run.backend,
-                step_voxels: run.step,
-                milliseconds: run.milliseconds,
-                stages: run.stages.iter().map(|(name, ms)| StageRow { name, milliseconds: *ms }).collect(),
-                samples: run.stats.map(|s| SamplesRow { taken: s.samples_taken, skipped: s.samples_skipped, terminated: s.samples_terminated }),
-                picture: &picture.file,
+    fn json(&self, pictures: &[Encoded], differences: &[Encoded], equal: &[EqualError]) -> Value {
+        let row = |(run, picture): (&Run, &Encoded)| {
+            let stages: Vec<Value> = run.stages.iter().map(|(name, ms)| json!({ "name": name, "milliseconds": ms })).collect();
+            let samples = run.stats.map(|s| json!({ "taken": s.samples_taken, "skipped": s.samples_skipped, "terminated": s.samples_terminated }));
+            let reference = run.error.and_then(|_| self.runs.iter().find(|r| r.is_reference && r.shown == run.shown)).map(|r| &r.name);
+            json!({
+                "name": run.name,
+                "mode": run.mode,
+                "backend": run.backend,
+                "step_voxels": run.step,
+                "size": run.shown.size,
+                "camera": run.shown.camera,
+                "milliseconds": run.milliseconds.median,
+                "milliseconds_min": run.milliseconds.min,
+                "milliseconds_max": run.milliseconds.max,
+                "rendering_milliseconds": run.rendering.median,
+                "rendering_milliseconds_min": run.rendering.min,
+                "rendering_milliseconds_max": run.rendering.max,
+                "repetitions": run.repetitions,
+                "warm_up_milliseconds": run.warm_up,
+                "stages": stages,
+                "samples": samples,
+                "memory": {
+                    "volume_bytes": run.memory.volume_bytes,
+                    "map_bytes": run.memory.map_bytes,
+                    "surface_bytes": run.memory.surface_bytes,
+                    "peak_bytes": run.memory.peak_bytes,
+                },
+                "reference": reference,
+                "error": run.error.map(|d| json!({ "mean": d.mean, "max": d.max, "rms": d.rms(), "psnr_db": finite(d.psnr_db), "ssim": d.ssim })),
+                "picture": picture.file,
             })
-            .collect();
-        let pairs: Vec<PairRow> = self
-            .pairs
-            .iter()
-            .zip(differences)
-            .map(|(pair, picture)| PairRow {
-                a: &self.runs[pair.a].name,
-                b: &self.runs[pair.b].name,
-                difference: pair.difference,
-                picture: &picture.file,
-            })
-            .collect();
-        let summary = Summary {
-            incise: VERSION,
-            title: &self.title,
-            size: self.size(),
-            background: self.background,
-            amplify: self.amplify,
-            scene: &self.scene_toml,
-            runs,
-            pairs,
         };
-        serde_json::to_vec_pretty(&summary).map_err(|e| Error::value("report", format!("could not be written as JSON: {e}")))
+        let rows = |references: bool| -> Vec<Value> { self.runs.iter().zip(pictures).filter(|r| r.0.is_reference == references).map(row).collect() };
+        let pair = |(pair, picture): (&Pair, &Encoded)| {
+            let d = pair.difference;
+            json!({
+                "a": self.runs[pair.a].name, "b": self.runs[pair.b].name,
+                "mean": d.mean, "max": d.max, "rms": d.rms(), "psnr_db": finite(d.psnr_db), "ssim": d.ssim,
+                "picture": picture.file,
+            })
+        };
+        let at_equal_error = |e: &EqualError| {
+            let entry = |entry: &super::lab::Entry| {
+                json!({
+                    "mode": entry.mode, "backend": entry.backend,
+                    "rendering_milliseconds": entry.at.map(|p| p.milliseconds), "step_voxels": entry.at.map(|p| p.step),
+                })
+            };
+            json!({
+                "camera": e.shown.camera, "size": e.shown.size, "surface": e.shown.surface, "rms": e.error,
+                "renderers": e.entries.iter().map(entry).collect::<Vec<_>>(),
+            })
+        };
+        let protocol = self
+            .protocol
+            .as_ref()
+            .map(|p| json!({ "cpu": p.cpu, "gpu": p.gpu, "repeat": p.repeat, "reference_step_voxels": p.reference_step, "notices": p.notices }));
+        json!({
+            "incise": VERSION,
+            "title": self.title,
+            "size": self.size(),
+            "background": self.background,
+            "amplify": self.amplify,
+            "scene": self.scene_toml,
+            "protocol": protocol,
+            "runs": rows(false),
+            "references": rows(true),
+            "pairs": self.pairs.iter().zip(differences).map(pair).collect::<Vec<_>>(),
+            "equal_error": equal.iter().map(at_equal_error).collect::<Vec<_>>(),
+        })
+    }
+
+    /// The size that all pictures have; none if they differ in it.
+    pub(super) fn size(&self) -> Option<[u32; 2]> {
+        let size = |run: &Run| [run.picture.width, run.picture.height];
+        let first = size(self.runs.first()?);
+        self.runs.iter().all(|run| size(run) == first).then_some(first)
     }
 
     /// Names of all stages of any run, in order of appearance.
-    fn stage_names(&self) -> Vec<&str> {
+    pub(super) fn stage_names(&self) -> Vec<&str> {
         let mut seen = HashSet::new();
         self.runs.iter().flat_map(|run| &run.stages).map(|(name, _)| name.as_str()).filter(|name| seen.insert(*name)).collect()
     }
 
     fn runs_csv(&self, pictures: &[Encoded]) -> String {
         let stages = self.stage_names();
-        let mut header: Vec<String> =
-            ["name", "backend", "step_voxels", "milliseconds", "samples_taken", "samples_skipped", "samples_terminated", "picture"]
-                .map(String::from)
-                .into();
+        let columns = "name,mode,backend,step_voxels,width,height,camera,milliseconds,milliseconds_min,milliseconds_max,rendering_milliseconds,\
+                       repetitions,warm_up_milliseconds,samples_taken,samples_skipped,samples_terminated,volume_bytes,map_bytes,surface_bytes,\
+                       peak_bytes,error_mean,error_max,error_rms,error_psnr_db,error_ssim,reference,picture";
+        let mut header: Vec<String> = columns.split(',').map(String::from).collect();
         header.extend(stages.iter().map(|stage| format!("milliseconds {stage}")));
         let mut text = csv_line(&header);
         for (run, picture) in self.runs.iter().zip(pictures) {
-            let mut line = vec![run.name.clone(), run.backend.clone(), run.step.to_string(), run.milliseconds.to_string()];
-            line.extend(samples(run).map(|count| count.map_or_else(String::new, |n| n.to_string())));
-            line.push(picture.file.clone());
-            line.extend(stages.iter().map(|stage| stage_milliseconds(run, stage).map_or_else(String::new, |ms| ms.to_string())));
+            let mut line = vec![run.name.clone(), mode_name(run.mode).to_owned(), run.backend.clone(), run.step.to_string()];
+            line.extend(run.shown.size.map(|n| n.to_string()));
+            line.push(run.shown.camera.clone());
+            let Times { median, min, max } = run.milliseconds;
+            line.extend([median, min, max, run.rendering.median].map(|ms| ms.to_string()));
+            line.extend([run.repetitions.to_string(), optional(run.warm_up)]);
+            line.extend(samples(run).map(optional));
+            line.extend([run.memory.volume_bytes, run.memory.map_bytes, run.memory.surface_bytes].map(|n| n.to_string()));
+            line.push(optional(run.memory.peak_bytes));
+            line.extend(run.error.map_or([None; 5], |d| [d.mean, d.max, d.rms(), d.psnr_db, d.ssim].map(Some)).map(optional));
+            line.extend([run.is_reference.to_string(), picture.file.clone()]);
+            line.extend(stages.iter().map(|stage| optional(stage_milliseconds(run, stage))));
             text.push_str(&csv_line(&line));
         }
         text
     }
 
     fn pairs_csv(&self, differences: &[Encoded]) -> String {
-        let mut text = csv_line(&["a", "b", "mean", "max", "psnr_db", "ssim", "picture"].map(String::from));
+        let mut text = csv_line(&["a", "b", "mean", "max", "psnr_db", "ssim", "rms", "picture"].map(String::from));
         for (pair, picture) in self.pairs.iter().zip(differences) {
             let d = pair.difference;
             let [a, b] = [pair.a, pair.b].map(|n| self.runs[n].name.clone());
             // An infinite PSNR is `inf`, which programs that read CSV take for what it is.
-            let [mean, max, psnr_db, ssim] = [d.mean, d.max, d.psnr_db, d.ssim].map(|v| v.to_string());
-            text.push_str(&csv_line(&[a, b, mean, max, psnr_db, ssim, picture.file.clone()]));
+            let [mean, max, psnr_db, ssim, rms] = [d.mean, d.max, d.psnr_db, d.ssim, d.rms()].map(|v| v.to_string());
+            text.push_str(&csv_line(&[a, b, mean, max, psnr_db, ssim, rms, picture.file.clone()]));
         }
         text
     }
+}
 
-    fn page(&self, pictures: &[Encoded], differences: &[Encoded]) -> String {
-        let [width, height] = self.size();
-        let title = escaped(&self.title);
-        let mut page = format!(
-            "<!doctype html>\n<html lang=\"en\">\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" content=\"width=device-width\">\n\
-             <title>{title}</title>\n<style>{STYLE}</style>\n<h1>{title}</h1>\n\
-             <p>One scene, {width} × {height} pixels: the same volume, view, transfer function and light in every picture. incise {VERSION}.</p>\n"
-        );
-        let captions: Vec<String> = self
-            .runs
-            .iter()
-            .map(|run| run.name.clone())
-            .chain(self.pairs.iter().map(|pair| format!("difference of {} and {}", self.runs[pair.a].name, self.runs[pair.b].name)))
-            .map(|caption| escaped(&caption))
-            .collect();
-        if captions.len() > 1 {
-            let option = |(n, caption): (usize, &String)| format!("<option value=\"picture-{n}\">{caption}</option>");
-            let options: String = captions.iter().enumerate().map(option).collect();
-            page.push_str(&format!(
-                "<section id=\"wipe\" hidden>\n<h2>Side by side</h2>\n<p><label>Left <select id=\"left\">{options}</select></label> \
-                 <label>Right <select id=\"right\">{options}</select></label></p>\n\
-                 <div id=\"stack\"><img id=\"left-picture\" alt=\"\" draggable=\"false\"><img id=\"right-picture\" alt=\"\" draggable=\"false\">\
-                 <div id=\"edge\"></div></div>\n\
-                 <p><input id=\"at\" type=\"range\" min=\"0\" max=\"100\" step=\"0.1\" value=\"50\" \
-                 aria-label=\"Where the left picture ends, percent\"></p>\n\
-                 </section>\n"
-            ));
-        }
-        page.push_str(&self.run_table());
-        if !self.pairs.is_empty() {
-            page.push_str(&self.pair_table());
-        }
-        page.push_str("<h2>Pictures</h2>\n<div class=\"pictures\">\n");
-        for (n, (encoded, caption)) in pictures.iter().chain(differences).zip(&captions).enumerate() {
-            page.push_str(&format!(
-                "<figure><img id=\"picture-{n}\" alt=\"{caption}\" src=\"data:image/png;base64,{}\"><figcaption>{caption}</figcaption></figure>\n",
-                STANDARD.encode(&encoded.png)
-            ));
-        }
-        page.push_str("</div>\n");
-        if !self.scene_toml.trim().is_empty() {
-            page.push_str(&format!("<details><summary>The scene</summary><pre>{}</pre></details>\n", escaped(&self.scene_toml)));
-        }
-        page.push_str(&format!("<script>{SCRIPT}</script>\n</html>\n"));
-        page
-    }
+/// Writes files into a folder, which is made if it does not exist, in their order.
+///
+/// # Errors
+/// A folder that cannot be made or written.
+pub fn write_files(folder: &Path, files: &[(String, Vec<u8>)]) -> Result<()> {
+    std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "making", e))?;
+    files.iter().try_for_each(|(file, content)| Output::create(&folder.join(file))?.finish(content))
+}
 
-    fn run_table(&self) -> String {
-        let stages = self.stage_names();
-        let mut table = String::from(
-            "<h2>Cost</h2>\n<div class=\"wide\"><table>\n<tr><th>Run</th><th>Backend</th><th>Step, voxels</th><th>Time, ms</th>\
-             <th>Samples taken</th><th>skipped</th><th>terminated</th>",
-        );
-        for stage in &stages {
-            table.push_str(&format!("<th>{}, ms</th>", escaped(stage)));
-        }
-        table.push_str("</tr>\n");
-        let cell = |text: Option<String>| format!("<td>{}</td>", text.unwrap_or_else(|| "–".to_owned()));
-        for run in &self.runs {
-            table.push_str(&format!("<tr><th>{}</th><td class=\"text\">{}</td>", escaped(&run.name), escaped(&run.backend)));
-            table.push_str(&cell(Some(run.step.to_string())));
-            table.push_str(&cell(Some(format!("{:.1}", run.milliseconds))));
-            for count in samples(run) {
-                table.push_str(&cell(count.map(grouped)));
-            }
-            for stage in &stages {
-                table.push_str(&cell(stage_milliseconds(run, stage).map(|ms| format!("{ms:.1}"))));
-            }
-            table.push_str("</tr>\n");
-        }
-        table.push_str(
-            "</table></div>\n<p class=\"note\">Skipped samples lie in cells that show nothing, terminated ones behind what is opaque. A dash: not \
-             counted, or no such stage.</p>\n",
-        );
-        table
-    }
+/// JSON has no infinity.
+fn finite(value: f64) -> Option<f64> {
+    value.is_finite().then_some(value)
+}
 
-    fn pair_table(&self) -> String {
-        let mut table = String::from(
-            "<h2>Differences</h2>\n<div class=\"wide\"><table>\n<tr><th>Run</th><th>Run</th><th>Mean, of 255</th><th>Largest, of 255</th>\
-             <th>PSNR, dB</th><th>SSIM</th></tr>\n",
-        );
-        for pair in &self.pairs {
-            let d = pair.difference;
-            let psnr = if d.psnr_db.is_finite() { format!("{:.2}", d.psnr_db) } else { "∞".to_owned() };
-            table.push_str(&format!(
-                "<tr><th>{}</th><th>{}</th><td>{:.3}</td><td>{:.1}</td><td>{psnr}</td><td>{:.5}</td></tr>\n",
-                escaped(&self.runs[pair.a].name),
-                escaped(&self.runs[pair.b].name),
-                d.mean,
-                d.max,
-                d.ssim
-            ));
-        }
-        table.push_str(&format!(
-            "</table></div>\n<p class=\"note\">Mean, largest and PSNR over red, green, blue and alpha, premultiplied, without the background. SSIM: \
-             Wang et al. 2004, 11 × 11 Gaussian window, luminance over black. Difference pictures show the largest difference of any channel, \
-             {} times as large: black is none, then violet, orange, pale yellow.</p>\n",
-            self.amplify
-        ));
-        table
+/// The word for a mode that people type.
+pub(super) fn mode_name(mode: Mode) -> &'static str {
+    match mode {
+        Mode::Slice => "slice",
+        Mode::Raycast => "raycast",
+        Mode::Surface => "surface",
     }
 }
 
+/// A field of CSV; empty if there is no value.
+fn optional<T: ToString>(value: Option<T>) -> String {
+    value.map_or_else(String::new, |v| v.to_string())
+}
+
 /// Samples taken, skipped and terminated, if they were counted.
-fn samples(run: &Run) -> [Option<u64>; 3] {
+pub(super) fn samples(run: &Run) -> [Option<u64>; 3] {
     run.stats.map_or([None; 3], |s| [s.samples_taken, s.samples_skipped, s.samples_terminated].map(Some))
 }
 
 /// Time that all stages of a name took together; none if there is no such stage.
-fn stage_milliseconds(run: &Run, stage: &str) -> Option<f64> {
+pub(super) fn stage_milliseconds(run: &Run, stage: &str) -> Option<f64> {
     let mut times = run.stages.iter().filter(|(name, _)| name == stage).map(|(_, ms)| ms).peekable();
     times.peek()?;
     Some(times.sum())
@@ -394,103 +394,23 @@ fn csv_line(fields: &[String]) -> String {
     line
 }
 
-/// Text as HTML, in an element or a quoted attribute.
-fn escaped(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '&' => out.push_str("&amp;"),
-            '<' => out.push_str("&lt;"),
-            '>' => out.push_str("&gt;"),
-            '"' => out.push_str("&quot;"),
-            '\'' => out.push_str("&#39;"),
-            _ => out.push(c),
-        }
-    }
-    out
-}
-
-/// A count in groups of three digits, kept apart by spaces that do not break.
-fn grouped(count: u64) -> String {
-    let digits = count.to_string();
-    let mut out = String::new();
-    for (n, digit) in digits.chars().enumerate() {
-        if n > 0 && (digits.len() - n).is_multiple_of(3) {
-            out.push('\u{a0}');
-        }
-        out.push(digit);
-    }
-    out
-}
-
-/// Greys only: the pictures are the colours of the page. Text has a contrast of at least 7 to 1 on either background.
-const STYLE: &str = "
-:root{color-scheme:light dark;--page:#fff;--text:#1b1b1b;--quiet:#505050;--line:#c4c4c4}
-@media (prefers-color-scheme:dark){:root{--page:#171717;--text:#e4e4e4;--quiet:#b4b4b4;--line:#484848}}
-body{margin:2em;font:15px/1.45 system-ui,sans-serif;color:var(--text);background:var(--page)}
-h1{font-size:1.5em;font-weight:600}h2{font-size:1.15em;font-weight:600;margin:1.8em 0 .5em}
-.note,figcaption{color:var(--quiet);max-width:60em}
-.wide{overflow-x:auto}
-table{border-collapse:collapse;font-variant-numeric:tabular-nums}
-th,td{padding:.25em .8em;border-bottom:1px solid var(--line);text-align:right;white-space:nowrap}
-th,td.text{text-align:left;font-weight:600}td.text{font-weight:400}
-img{display:block;max-width:100%;height:auto;background:repeating-conic-gradient(#777 0 25%,#999 0 50%) 0 0/16px 16px}
-.pictures{display:flex;flex-wrap:wrap;gap:1.5em}
-figure{margin:0;max-width:100%}figcaption{margin-top:.3em}
-#stack{position:relative;width:fit-content;max-width:100%;touch-action:pan-y;cursor:ew-resize;user-select:none}
-#right-picture{position:absolute;inset:0;width:100%;height:100%}
-#edge{position:absolute;top:0;bottom:0;width:2px;margin-left:-1px;background:#fff;outline:1px solid #000;pointer-events:none}
-#at{width:100%;max-width:40em}
-select{font:inherit;color:inherit;background:var(--page);border:1px solid var(--quiet);padding:.15em}
-pre{overflow-x:auto;padding:1em;border:1px solid var(--line)}summary{margin-top:1.8em;cursor:pointer}
-";
-
-/// The pictures of the wipe are those of the page, by their ids, so that the page holds each once.
-const SCRIPT: &str = "
-(() => {
-  const byId = id => document.getElementById(id);
-  const wipe = byId('wipe');
-  if (!wipe) return;
-  const stack = byId('stack'), at = byId('at');
-  const sides = ['left', 'right'].map(side => ({ select: byId(side), picture: byId(side + '-picture') }));
-  const choose = () => sides.forEach(({ select, picture }) => {
-    const from = byId(select.value);
-    picture.src = from.src;
-    picture.alt = from.alt;
-  });
-  const move = () => {
-    const x = Number(at.value);
-    sides[0].picture.style.clipPath = 'inset(0 ' + (100 - x) + '% 0 0)';
-    sides[1].picture.style.clipPath = 'inset(0 0 0 ' + x + '%)';
-    byId('edge').style.left = x + '%';
-  };
-  const drag = event => {
-    if (!(event.buttons & 1)) return;
-    const box = stack.getBoundingClientRect();
-    at.value = 100 * (event.clientX - box.left) / box.width;
-    move();
-  };
-  sides[1].select.selectedIndex = 1;
-  sides.forEach(({ select }) => select.addEventListener('change', choose));
-  at.addEventListener('input', move);
-  stack.addEventListener('pointerdown', event => { stack.setPointerCapture(event.pointerId); drag(event); });
-  stack.addEventListener('pointermove', drag);
-  choose();
-  move();
-  wipe.hidden = false;
-})();
-";
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use serde_json::{Value, json};
 
     fn run(name: &str, color: [f32; 4]) -> Run {
         Run {
             name: name.to_owned(),
             picture: Picture { width: 4, height: 3, pixels: vec![color; 12] },
-            milliseconds: 12.5,
+            milliseconds: Times { median: 12.5, min: 12.0, max: 14.0 },
+            rendering: Times { median: 10.0, min: 9.0, max: 11.0 },
+            repetitions: 3,
+            warm_up: None,
+            shown: Shown { camera: "anterior".to_owned(), size: [4, 3], surface: false },
+            mode: Mode::Slice,
+            memory: Memory { volume_bytes: 64, map_bytes: 0, surface_bytes: 0, peak_bytes: None },
+            error: None,
+            is_reference: false,
             stages: vec![("maps".to_owned(), 2.0), ("render".to_owned(), 10.0)],
             stats: Some(RenderStats { samples_taken: 1_234_567, samples_skipped: 2, samples_terminated: 3 }),
             backend: "cpu".to_owned(),
@@ -522,7 +442,11 @@ mod tests {
         assert!((json["pairs"][0]["max"].as_f64().unwrap() - 25.5).abs() < 1e-3);
         assert_eq!(json["pairs"][0]["picture"], "difference-slice-ray--1-2.png");
         let runs = read("runs.csv");
-        assert!(runs.lines().count() == 3 && runs.contains("\n\"ray, 1/2\",cpu,0.5,12.5,1234567,2,3,ray--1-2.png,2,10\n"), "{runs}");
+        assert!(
+            runs.lines().count() == 3
+                && runs.contains("\n\"ray, 1/2\",slice,cpu,0.5,4,3,anterior,12.5,12,14,10,3,,1234567,2,3,64,0,0,,,,,,,false,ray--1-2.png,2,10\n"),
+            "{runs}"
+        );
         assert!(read("pairs.csv").lines().nth(1).is_some_and(|line| line.starts_with("slice,\"ray, 1/2\",")));
         let html = read("index.html");
         assert!(!html.contains("http") && !html.contains("<ball>") && html.contains("&lt;ball&gt;") && html.contains("Slices &amp; rays"));
@@ -564,10 +488,5 @@ mod tests {
         let mut larger = run("b", [0.0; 4]);
         larger.picture = Picture { width: 4, height: 4, pixels: vec![[0.0; 4]; 16] };
         assert!(Report::new("", "", [0.0; 4], vec![run("a", [0.0; 4]), larger]).is_err());
-    }
-
-    #[test]
-    fn counts_are_grouped() {
-        assert_eq!([7, 1_000, 1_234_567].map(grouped), ["7", "1\u{a0}000", "1\u{a0}234\u{a0}567"]);
     }
 }

@@ -1,0 +1,234 @@
+//! The options that `render` and `compare` share, and the scene that they make of an input.
+
+use super::arguments;
+use super::progress::Progress;
+use crate::export::Output;
+use crate::scene::surface::CutModel;
+use crate::scene::{Assets, Camera, InsideMesh, Mode, Projection, Scene, View};
+use crate::{Error, Result};
+use clap::{Args, ValueEnum};
+use std::path::{Path, PathBuf};
+
+/// How the scene is sampled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ModeName {
+    /// The volume by slices.
+    Slice,
+    /// The volume by rays.
+    Raycast,
+    /// The surface of a signed distance field.
+    Surface,
+}
+
+impl From<ModeName> for Mode {
+    fn from(name: ModeName) -> Self {
+        match name {
+            ModeName::Slice => Self::Slice,
+            ModeName::Raycast => Self::Raycast,
+            ModeName::Surface => Self::Surface,
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum CutModelName {
+    /// Nothing: a thin shell.
+    Hollow,
+    /// Matter.
+    Solid,
+    /// A thick skin around nothing.
+    Thick,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum ProjectionName {
+    Perspective,
+    Orthographic,
+}
+
+/// What is shown and how: the options that every command with a picture takes.
+#[derive(Args)]
+pub struct Common {
+    /// A scene (.toml), a volume (DICOM file, folder or zip, .nii.gz, .nrrd, .mha, .vti, .tif and so on), a mesh (.stl, .obj, .ply, .off, .gltf, .glb, .gii) or phantom:NAME[:size=N].
+    pub input: PathBuf,
+    #[command(flatten)]
+    volume: arguments::VolumeArguments,
+    /// The volume by slices or by rays, or surfaces.
+    #[arg(long, value_enum)]
+    pub mode: Option<ModeName>,
+    /// Size of the picture.
+    #[arg(long, value_name = "WxH", value_parser = arguments::picture_size)]
+    pub size: Option<[u32; 2]>,
+    /// Sampling distance in voxels (of the smallest spacing).
+    #[arg(long)]
+    pub step: Option<f32>,
+    /// Average this many by this many samples into each pixel (1 to 4).
+    #[arg(long, value_name = "N")]
+    antialias: Option<u32>,
+    /// anterior, posterior, left, right, superior, inferior or AZ,EL in degrees.
+    #[arg(long, allow_hyphen_values = true, value_parser = |t: &str| t.parse::<View>())]
+    pub camera: Option<View>,
+    /// 1 shows the whole volume.
+    #[arg(long)]
+    zoom: Option<f32>,
+    /// Kind of camera.
+    #[arg(long, value_enum)]
+    projection: Option<ProjectionName>,
+    /// Transfer function by name (see incise list).
+    #[arg(long)]
+    preset: Option<String>,
+    /// Width of the value range that the transfer function spans.
+    #[arg(long)]
+    window: Option<f64>,
+    /// Middle of that range.
+    #[arg(long, allow_hyphen_values = true)]
+    level: Option<f64>,
+    /// A deformation, applied after those of the scene; repeatable, in order.
+    #[arg(long, value_name = "KIND[:name=value,...]")]
+    deform: Vec<String>,
+    /// Compose all deformations into one map that is this exact, mm.
+    #[arg(long, value_name = "MM")]
+    precompose: Option<f32>,
+    /// Value of the volume whose surface is shown (mode surface; data units).
+    #[arg(long, value_name = "VALUE", allow_hyphen_values = true)]
+    iso: Option<f64>,
+    /// Look of surfaces by name (see incise list).
+    #[arg(long, value_name = "NAME")]
+    look: Option<String>,
+    /// What lies under a surface where it is cut.
+    #[arg(long, value_enum)]
+    cut_model: Option<CutModelName>,
+    /// A closed mesh: the volume is shown inside of it.
+    #[arg(long, value_name = "MESH")]
+    inside: Option<String>,
+    /// R,G,B[,A] (0..1 or 0..255), #rrggbb or transparent.
+    #[arg(long, value_parser = arguments::background)]
+    background: Option<[f32; 4]>,
+    /// Write a JSON report of what was done to a file, or to standard output (-).
+    #[arg(long, value_name = "FILE|-")]
+    pub stats: Option<PathBuf>,
+    /// The same report on standard output.
+    #[arg(long)]
+    pub json: bool,
+    /// Threads of the CPU renderer; all cores by default.
+    #[arg(long)]
+    threads: Option<usize>,
+    /// No notices, no progress.
+    #[arg(short, long)]
+    pub quiet: bool,
+    /// Say what was done.
+    #[arg(short, long)]
+    pub verbose: bool,
+}
+
+impl Common {
+    /// The scene that the input names, with the options laid over it.
+    ///
+    /// # Errors
+    /// An input that cannot be used, options that contradict it.
+    pub fn scene(&self) -> Result<Scene> {
+        let mut scene = Scene::of_input(&self.input)?;
+        self.volume.apply(&mut scene)?;
+        let render = &mut scene.render;
+        render.mode = self.mode.map_or(render.mode, Mode::from);
+        render.size = self.size.unwrap_or(render.size);
+        render.step = self.step.unwrap_or(render.step);
+        render.antialias = self.antialias.unwrap_or(render.antialias);
+        render.background = self.background.unwrap_or(render.background);
+        let camera = &mut scene.camera;
+        if let Some(view) = self.camera {
+            *camera = self.seen_from(view, camera);
+        }
+        camera.zoom = self.zoom.unwrap_or(camera.zoom);
+        match self.projection {
+            Some(ProjectionName::Perspective) => camera.projection = Projection::Perspective,
+            Some(ProjectionName::Orthographic) => camera.projection = Projection::Orthographic,
+            None => {}
+        }
+        let transfer = &mut scene.transfer;
+        if let Some(preset) = &self.preset {
+            transfer.preset = Some(preset.clone());
+            transfer.points.clear();
+        }
+        transfer.window = self.window.or(transfer.window);
+        transfer.level = self.level.or(transfer.level);
+        scene.render.precompose = self.precompose.or(scene.render.precompose);
+        scene.surface.iso = self.iso.or(scene.surface.iso);
+        for appearance in scene.mesh.iter_mut().map(|m| &mut m.appearance).chain([&mut scene.surface.appearance]) {
+            if let Some(look) = &self.look {
+                (appearance.look, appearance.color, appearance.inside_color, appearance.cut_color) = (Some(look.clone()), None, None, None);
+            }
+            appearance.model = match self.cut_model {
+                Some(CutModelName::Hollow) => Some(CutModel::Hollow),
+                Some(CutModelName::Solid) => Some(CutModel::Solid),
+                Some(CutModelName::Thick) => Some(CutModel::Thick),
+                None => appearance.model,
+            };
+        }
+        if let Some(mesh) = &self.inside {
+            let volume = scene.volume.as_mut().ok_or_else(|| Error::value("--inside", "needs a volume to show inside of the mesh"))?;
+            // As typed, from where it was typed; a scene's own paths start at the scene.
+            let path = std::path::absolute(mesh).map_err(|e| Error::io(Path::new(mesh), "reading", e))?;
+            volume.inside = Some(InsideMesh { path: path.to_string_lossy().into_owned(), ..InsideMesh::default() });
+        }
+        for text in &self.deform {
+            scene.deformation.push(arguments::deformation(text)?);
+        }
+        Ok(scene)
+    }
+
+    /// A camera of the scene from another direction, without the scene's framing of its own.
+    pub fn seen_from(&self, view: View, camera: &Camera) -> Camera {
+        let seen = Camera { view, projection: camera.projection, field_of_view: camera.field_of_view, ..Camera::default() };
+        Camera { zoom: self.zoom.unwrap_or(seen.zoom), ..seen }
+    }
+
+    /// As many threads as were asked for.
+    ///
+    /// # Errors
+    /// A number that cannot be, or threads that the system refuses.
+    pub fn use_threads(&self) -> Result<()> {
+        let Some(threads) = self.threads else { return Ok(()) };
+        if !(1..=1024).contains(&threads) {
+            return Err(Error::value("--threads", format!("{threads} is outside 1 to 1024")));
+        }
+        // The pool exists once per process; this is the first use.
+        rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().map_err(|e| Error::value("--threads", e.to_string()))
+    }
+
+    /// The scene's assets; what its volume's reader warns of is told.
+    ///
+    /// # Errors
+    /// What the readers report.
+    pub fn load(&self, scene: &Scene, bar: &Progress) -> Result<Assets> {
+        let assets = Assets::load(scene, &|what, share| bar.set(what, share))?;
+        self.tell(assets.volume.warnings.iter().map(|warning| format!("{}: {warning}", scene.volume_name())));
+        Ok(assets)
+    }
+
+    /// Tells on stderr, unless it is to be quiet.
+    pub fn tell<T: std::fmt::Display>(&self, notices: impl IntoIterator<Item = T>) {
+        if !self.quiet {
+            notices.into_iter().for_each(|notice| eprintln!("incise: {notice}"));
+        }
+    }
+
+    /// The file that `--stats` names, unless it is standard output.
+    ///
+    /// # Errors
+    /// A place that cannot be written.
+    pub fn stats_file(&self) -> Result<Option<Output>> {
+        self.stats.as_deref().filter(|p| *p != Path::new("-")).map(Output::create).transpose()
+    }
+
+    /// Writes what `--stats` and `--json` ask for.
+    ///
+    /// # Errors
+    /// A full disk.
+    pub fn write_stats(&self, text: &str, file: Option<Output>) -> Result<()> {
+        if self.json || self.stats.as_deref() == Some(Path::new("-")) {
+            super::print(text);
+        }
+        file.map_or(Ok(()), |file| file.finish(text.as_bytes()))
+    }
+}

@@ -1,0 +1,224 @@
+//! `incise compare`: slices, rays and surfaces of one scene, on the CPU and a GPU, as a folder with a page.
+
+use super::arguments;
+use super::common::{Common, ModeName};
+use super::progress::Progress;
+use crate::compare::lab::{self, Gpu, Plan, REFERENCE_STEP};
+use crate::compare::{Report, write_files};
+use crate::export::{Output, protect};
+use crate::scene::{Mode, Scene, View};
+use crate::{Error, Result};
+use clap::{Args, ValueEnum};
+use std::path::{Path, PathBuf};
+
+/// Where pictures are computed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Backends {
+    /// The CPU, and any graphics adapter there is, software ones included.
+    Auto,
+    /// A graphics adapter, software ones included; an error if there is none. References are rendered on the CPU all the same.
+    Gpu,
+    /// The CPU.
+    Cpu,
+}
+
+/// Options as typed.
+#[derive(Args)]
+#[command(after_long_help = "\
+Every combination of --modes, --steps, --sizes and --cameras is rendered on every backend and timed. Each picture is measured against a
+reference, rays on the CPU at a step of 1/16 voxel (surfaces against surfaces); over two steps or more, the report says what each renderer
+costs where all are equally wrong. The protocol is that of Meissner et al., Volume Visualization 2000: same optical model, same view, same
+transfer function.
+
+DIR gets every picture, difference pictures, report.json, runs.csv, pairs.csv and index.html, a page that holds all of it. Files of these
+names are replaced, the page last.
+
+    incise compare scan.nii.gz -o lab
+    incise compare scene.toml -o lab --steps 0.5,1,2 --sizes 256x256,512x512 --cameras 'anterior;40,20'
+    incise compare model.stl -o lab --deform wedge:angle=70 --backend cpu --repeat 9")]
+pub struct Arguments {
+    #[command(flatten)]
+    common: Common,
+    /// The folder to write; made if it does not exist.
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+    /// Where to compute.
+    #[arg(long, value_enum, default_value = "auto")]
+    backend: Backends,
+    /// Only these modes; by default slice and raycast where there is a volume, surface where the scene has a surface.
+    #[arg(long, value_enum, value_name = "MODE,...", value_delimiter = ',', conflicts_with = "mode")]
+    modes: Vec<ModeName>,
+    /// Sampling distances in voxels, e.g. 0.5,1,2.
+    #[arg(long, value_name = "STEP,...", value_delimiter = ',', conflicts_with = "step")]
+    steps: Vec<f32>,
+    /// Sizes of pictures, e.g. 256x256,512x512.
+    #[arg(long, value_name = "WxH,...", value_delimiter = ',', value_parser = arguments::picture_size, conflicts_with = "size")]
+    sizes: Vec<[u32; 2]>,
+    /// Cameras, e.g. 'anterior;left;40,20': names and pairs AZ,EL with ; or , between them, or the option repeated.
+    #[arg(long, value_name = "CAMERA;...", allow_hyphen_values = true, value_parser = cameras, conflicts_with = "camera")]
+    cameras: Vec<Cameras>,
+    /// Times are the median of this many renderings.
+    #[arg(long, value_name = "N", default_value_t = 3)]
+    repeat: usize,
+    /// Step of the references, voxels; at most half of the finest step.
+    #[arg(long, value_name = "STEP", default_value_t = REFERENCE_STEP)]
+    reference: f32,
+    /// No references, and so no errors; much faster.
+    #[arg(long, conflicts_with = "reference")]
+    no_reference: bool,
+}
+
+/// Several directions of view, typed as one.
+#[derive(Clone, Debug, PartialEq)]
+struct Cameras(Vec<View>);
+
+/// Names, and pairs of numbers; a comma within a pair and one between two cameras are told apart by what stands around them.
+fn cameras(text: &str) -> Result<Cameras, String> {
+    let mut views = Vec::new();
+    for part in text.split(';') {
+        let mut words = part.split(',');
+        while let Some(word) = words.next() {
+            let is_number = word.trim().parse::<f32>().is_ok();
+            let view = match is_number.then(|| words.next()) {
+                Some(Some(elevation)) => format!("{word},{elevation}"),
+                _ => word.trim().to_owned(),
+            };
+            views.push(view.parse()?);
+        }
+    }
+    Ok(Cameras(views))
+}
+
+/// The list without what was in it before.
+fn once<T: PartialEq + Clone>(list: &[T]) -> Vec<T> {
+    let mut kept: Vec<T> = Vec::new();
+    for item in list {
+        if !kept.contains(item) {
+            kept.push(item.clone());
+        }
+    }
+    kept
+}
+
+impl Arguments {
+    /// The scene with what is to be varied of it.
+    fn plan(&self) -> Result<Plan> {
+        let scene = self.common.scene()?;
+        let mut plan = Plan::of(scene);
+        if let Some(mode) = self.common.mode {
+            plan.modes = vec![mode.into()];
+        }
+        if !self.modes.is_empty() {
+            plan.modes = once(&self.modes).into_iter().map(Mode::from).collect();
+        }
+        if !self.steps.is_empty() {
+            plan.steps = once(&self.steps);
+        }
+        if !self.sizes.is_empty() {
+            plan.sizes = once(&self.sizes);
+        }
+        if !self.cameras.is_empty() {
+            let views: Vec<View> = self.cameras.iter().flat_map(|c| c.0.iter().copied()).collect();
+            plan.cameras = once(&views).into_iter().map(|view| self.common.seen_from(view, &plan.scene.camera)).collect();
+        }
+        plan.repeat = self.repeat;
+        plan.reference = (!self.no_reference).then_some(self.reference);
+        plan.on_cpu = self.backend != Backends::Gpu;
+        plan.gpu_is_required = self.backend == Backends::Gpu;
+        Ok(plan)
+    }
+
+    /// The folder can be written, or made; nothing of it is read. Nothing is made yet.
+    fn check_output(&self, scene: &Scene) -> Result<()> {
+        let folder = &self.output;
+        if folder.exists() && !folder.is_dir() {
+            return Err(Error::file(folder, "is a file; --output names a folder"));
+        }
+        let is_there = |p: &&Path| p.as_os_str().is_empty() || p.exists();
+        let nearest = folder.ancestors().find(is_there).unwrap_or(Path::new("."));
+        if !nearest.as_os_str().is_empty() && !nearest.is_dir() {
+            return Err(Error::file(nearest, "is a file; --output names a folder below it"));
+        }
+        Output::create(&nearest.join("index.html"))?;
+        self.protect(scene, ["index.html", "picture.png"].into_iter())
+    }
+
+    /// Nothing is ever written to a file that is read.
+    fn protect<'a>(&self, scene: &Scene, names: impl Iterator<Item = &'a str>) -> Result<()> {
+        let read = scene.files();
+        let read = || read.iter().map(PathBuf::as_path).chain([self.common.input.as_path()]);
+        if let Some(stats) = self.common.stats.as_ref().filter(|p| *p != Path::new("-")) {
+            protect("--stats", stats, read().collect::<Vec<_>>())?;
+        }
+        let paths: Vec<&Path> = read().collect();
+        names.into_iter().try_for_each(|name| protect("--output", &self.output.join(name), paths.iter().copied()))
+    }
+}
+
+/// Renders, compares, writes.
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let common = &arguments.common;
+    let plan = arguments.plan()?;
+    // A GPU may be missing; what is wrong with the options is told before it is looked for.
+    plan.check(1)?;
+    arguments.check_output(&plan.scene)?;
+    let stats_file = common.stats_file()?;
+    common.use_threads()?;
+    let gpu = match arguments.backend {
+        Backends::Cpu => None,
+        Backends::Gpu => Some(Gpu::open()?),
+        Backends::Auto => match Gpu::open() {
+            Ok(gpu) => Some(gpu),
+            Err(error) => {
+                common.tell([format!("{error}; comparing on the CPU alone")]);
+                None
+            }
+        },
+    };
+    let bar = Progress::new(common.quiet);
+    let assets = common.load(&plan.loading(), &bar)?;
+    let title = common.input.file_name().unwrap_or(common.input.as_os_str()).to_string_lossy();
+    let report = lab::run(&plan, &assets, gpu, &title, &|what, share| bar.set(what, share))?;
+    bar.finish();
+    common.tell(assets.library.notices());
+    common.tell(report.protocol.iter().flat_map(|p| &p.notices));
+    let files = report.files()?;
+    arguments.protect(&plan.scene, files.iter().map(|f| f.0.as_str()))?;
+    write_files(&arguments.output, &files)?;
+    if let Some((_, json)) = files.iter().find(|f| f.0 == "report.json") {
+        common.write_stats(String::from_utf8_lossy(json).trim_end(), stats_file)?;
+    }
+    if common.verbose {
+        summary(&report);
+    }
+    Ok(())
+}
+
+/// Says what was found.
+fn summary(report: &Report) {
+    for run in report.runs.iter().filter(|run| !run.is_reference) {
+        let error = run.error.map_or(String::new(), |d| format!(", RMS error {:.3} of 255", d.rms()));
+        eprintln!("incise: {}: {:.1} ms{error}", run.name, run.milliseconds.median);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cameras_are_names_and_pairs() {
+        let views = |text: &str| cameras(text).map(|c| c.0.into_iter().map(String::from).collect::<Vec<_>>());
+        assert_eq!(views("anterior,left,40,20"), Ok(vec!["anterior".into(), "left".into(), "40,20".into()]));
+        assert_eq!(views("anterior; -40, 20 ;left"), Ok(vec!["anterior".into(), "-40,20".into(), "left".into()]));
+        assert_eq!(views("-40,-20,10,5"), Ok(vec!["-40,-20".into(), "10,5".into()]));
+        for bad in ["", "above", "40", "anterior,40", "anterior;;left", "40,20,30", "nan,3", "10,95"] {
+            assert!(views(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn repeated_values_count_once() {
+        assert_eq!(once(&[2.0, 1.0, 2.0]), [2.0, 1.0]);
+    }
+}

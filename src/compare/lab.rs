@@ -1,0 +1,671 @@
+//! The comparison lab: one scene by every renderer, over steps, sizes and cameras, against references of a much finer step.
+//!
+//! *Theory*: the protocol of Meissner, Huang, Bartz, Mueller and Crawfis (Volume Visualization 2000): same optical model, same view, same
+//! transfer function; pictures side by side with their cost. What we add, and why:
+//! - *Error*: their pictures were judged by eye. Here each is measured against a **reference**, rays on the CPU at a step of 1/16 voxel
+//!   (surfaces, which show something else than a volume, against surfaces at that step). Errors below what the reference itself errs by, about
+//!   1/16 of a run's at step 1, mean nothing, so a reference has to be at least twice as fine as the finest run.
+//! - *Speed at equal error*: a renderer can always be made faster by a coarser step. Over a sweep of steps the time of each is interpolated
+//!   where all err alike, on logarithmic axes, where such curves are nearly straight. The common error is the smallest that all of them
+//!   reach, that of the worst one at its finest step: as near to a picture that one would use as the measurements go. Nothing is extrapolated.
+//! - *Time* is the median of repetitions. On a GPU a first picture, which uploads the volume and compiles shaders, is rendered and not timed.
+//!   Curves show the time after the scene was prepared, because preparing is the same work for all.
+//!
+//! *How to call it*: a [`Plan`], [`Assets`] loaded for [`Plan::loading`], [`Gpu::open`] if there is to be one, [`run`].
+
+use super::metrics::difference;
+use super::report::{Protocol, Report, Run, Shown, mode_name};
+use super::{Memory, Times, owned};
+use crate::scene::{Assets, Camera, MAX_PICTURE_EDGE, Mode, Prepared, Rendered, Scene};
+use crate::{Error, Result, Watch};
+use std::collections::BTreeSet;
+use std::time::Instant;
+
+/// Step of references, voxels.
+pub const REFERENCE_STEP: f32 = 1.0 / 16.0;
+/// Steps that a scene can have, voxels.
+const STEPS: std::ops::RangeInclusive<f32> = 0.01..=100.0;
+/// Most times that a run is repeated.
+const MOST_REPETITIONS: usize = 1000;
+/// Most pixels of all pictures together: each takes 16 bytes, and they are kept until the report is written.
+const MOST_PIXELS: u64 = 1 << 28;
+/// Work of a repetition on a GPU beside one on the CPU, for progress.
+const GPU_SHARE: f32 = 0.2;
+
+/// What is compared: every combination of modes, steps, sizes and cameras on every backend.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// The scene; what follows takes the place of its own settings.
+    pub scene: Scene,
+    /// Modes.
+    pub modes: Vec<Mode>,
+    /// Steps, voxels (of the smallest spacing).
+    pub steps: Vec<f32>,
+    /// Sizes of pictures, pixels.
+    pub sizes: Vec<[u32; 2]>,
+    /// Cameras.
+    pub cameras: Vec<Camera>,
+    /// How often each run is timed.
+    pub repeat: usize,
+    /// Step of the references, voxels; none without them.
+    pub reference: Option<f32>,
+    /// Whether the CPU renders runs; it renders references in any case.
+    pub on_cpu: bool,
+    /// Whether a run that the GPU cannot render is an error, or is left out with a notice.
+    pub gpu_is_required: bool,
+}
+
+/// The modes that show something of a scene.
+pub fn modes_of(scene: &Scene) -> Vec<Mode> {
+    let volume = scene.volume.is_some().then_some([Mode::Slice, Mode::Raycast]);
+    let has_surface = scene.mesh.iter().any(|m| !m.hidden) || scene.surface.iso.is_some() || scene.render.mode == Mode::Surface;
+    volume.into_iter().flatten().chain(has_surface.then_some(Mode::Surface)).collect()
+}
+
+impl Plan {
+    /// Everything about a scene at its own step, size and camera, on the CPU.
+    pub fn of(scene: Scene) -> Self {
+        Self {
+            modes: modes_of(&scene),
+            steps: vec![scene.render.step],
+            sizes: vec![scene.render.size],
+            cameras: vec![scene.camera.clone()],
+            repeat: 3,
+            reference: Some(REFERENCE_STEP),
+            on_cpu: true,
+            gpu_is_required: false,
+            scene,
+        }
+    }
+
+    /// The scene that the assets are to be loaded for: all modes share them, and so the view.
+    pub fn loading(&self) -> Scene {
+        let mut scene = self.scene.clone();
+        if self.modes.contains(&Mode::Surface) {
+            scene.render.mode = Mode::Surface;
+        }
+        scene
+    }
+
+    /// Whether all of it can be done, before any of it is; `backends` is how many there are. Errors name the options of `incise compare`.
+    ///
+    /// # Errors
+    /// Lists that are empty, settings out of range, a reference that is no finer than what it is to judge, more pictures than fit.
+    pub fn check(&self, backends: usize) -> Result<()> {
+        let empty = [("--modes", self.modes.is_empty()), ("--steps", self.steps.is_empty()), ("--sizes", self.sizes.is_empty())];
+        let empty = empty.into_iter().chain([("--cameras", self.cameras.is_empty()), ("--backend", backends == 0)]);
+        if let Some((option, _)) = empty.into_iter().find(|e| e.1) {
+            return Err(Error::value(option, "leaves nothing to compare; name at least one"));
+        }
+        if let Some(mode) = self.modes.iter().find(|m| **m != Mode::Surface && self.scene.volume.is_none()) {
+            return Err(Error::value(format!("--modes {}", mode_name(*mode)), "shows a volume, and the scene has none; use --modes surface"));
+        }
+        if let Some(step) = self.steps.iter().find(|s| !STEPS.contains(*s)) {
+            return Err(Error::value("--steps", format!("{step} is outside {} to {} voxels", STEPS.start(), STEPS.end())));
+        }
+        if let Some([w, h]) = self.sizes.iter().find(|s| s.iter().any(|n| !(1..=MAX_PICTURE_EDGE).contains(n))) {
+            return Err(Error::value("--sizes", format!("{w}x{h} cannot be made; each edge is 1 to {MAX_PICTURE_EDGE} pixels")));
+        }
+        if !(1..=MOST_REPETITIONS).contains(&self.repeat) {
+            return Err(Error::value("--repeat", format!("{} is outside 1 to {MOST_REPETITIONS}", self.repeat)));
+        }
+        if let Some(reference) = self.reference {
+            let finest = self.steps.iter().copied().fold(f32::INFINITY, f32::min);
+            if !STEPS.contains(&reference) {
+                return Err(Error::value("--reference", format!("{reference} is outside {} to {} voxels", STEPS.start(), STEPS.end())));
+            }
+            if reference > 0.5 * finest {
+                return Err(Error::value(
+                    "--reference",
+                    format!(
+                        "a step of {reference} is too coarse to judge one of {finest}; use {} or less, coarser --steps, or --no-reference",
+                        0.5 * finest
+                    ),
+                ));
+            }
+        }
+        let kinds = BTreeSet::from_iter(self.modes.iter().map(|m| *m == Mode::Surface)).len();
+        let pictures = (self.modes.len() * self.steps.len() * backends + if self.reference.is_some() { kinds } else { 0 }) * self.cameras.len();
+        let pixels = self.sizes.iter().map(|[w, h]| u64::from(*w) * u64::from(*h)).sum::<u64>().saturating_mul(pictures as u64);
+        if pixels > MOST_PIXELS {
+            return Err(Error::value(
+                "--sizes",
+                format!(
+                    "{} pictures have {pixels} pixels together, of {MOST_PIXELS} that are kept at once; compare less in one go",
+                    pictures * self.sizes.len()
+                ),
+            ));
+        }
+        Ok(())
+    }
+
+    /// One scene of the sweep.
+    fn at(&self, mode: Mode, step: f32, size: [u32; 2], camera: &Camera) -> Scene {
+        let mut scene = Scene { camera: camera.clone(), ..self.scene.clone() };
+        (scene.render.mode, scene.render.step, scene.render.size) = (mode, step, size);
+        scene
+    }
+
+    /// A name that tells a run from all others: mode and backend, and what the plan varies.
+    fn name(&self, head: &str, scene: &Scene, tells_step: bool) -> String {
+        let mut name = head.to_owned();
+        if tells_step && self.steps.len() > 1 {
+            name += &format!(" step {}", scene.render.step);
+        }
+        if self.sizes.len() > 1 {
+            name += &format!(" {}x{}", scene.render.size[0], scene.render.size[1]);
+        }
+        if self.cameras.len() > 1 {
+            name += &format!(" {}", String::from(scene.camera.view));
+        }
+        name
+    }
+}
+
+/// A GPU to compare, software ones included.
+#[cfg(feature = "gpu")]
+pub struct Gpu {
+    renderer: crate::render::Renderer,
+}
+
+#[cfg(feature = "gpu")]
+impl Gpu {
+    /// The best adapter there is.
+    ///
+    /// # Errors
+    /// There is none, or it cannot be opened.
+    pub fn open() -> Result<Self> {
+        let device = crate::gpu::Device::open(crate::gpu::Want::Any)?;
+        Ok(Self { renderer: crate::render::Renderer::new(device) })
+    }
+
+    /// What it is, for people.
+    pub fn name(&self) -> String {
+        let device = self.renderer.device();
+        let soft = if device.is_software() { ", a software adapter: its times are a processor's" } else { "" };
+        format!("{}{soft}", device.info())
+    }
+
+    fn prepare<'a>(&self, scene: &Scene, assets: &'a Assets) -> Result<Prepared<'a>> {
+        Prepared::composed_by(scene, assets, &|stack, points| self.renderer.evaluate(stack, points))
+    }
+
+    fn render(&mut self, scene: &Prepared, counting: bool, watch: &Watch) -> Result<Rendered> {
+        self.renderer.render_until(scene, counting, watch)
+    }
+}
+
+/// No GPU: there is never one.
+#[cfg(not(feature = "gpu"))]
+pub struct Gpu {
+    never: std::convert::Infallible,
+}
+
+#[cfg(not(feature = "gpu"))]
+impl Gpu {
+    /// There is none.
+    ///
+    /// # Errors
+    /// Always.
+    pub fn open() -> Result<Self> {
+        Err(Error::Gpu("this build has no GPU renderer; use --backend cpu, or build with the feature `gpu`".into()))
+    }
+
+    /// What it is, for people.
+    pub fn name(&self) -> String {
+        match self.never {}
+    }
+
+    fn prepare<'a>(&self, _scene: &Scene, _assets: &'a Assets) -> Result<Prepared<'a>> {
+        match self.never {}
+    }
+
+    fn render(&mut self, _scene: &Prepared, _counting: bool, _watch: &Watch) -> Result<Rendered> {
+        match self.never {}
+    }
+}
+
+/// Renders everything of a plan and compares what can be compared. `tell` is told what is being rendered, and the share of all that is done.
+///
+/// # Errors
+/// As [`Plan::check`]; any setting that cannot be used, by name; what the GPU reports, if it is required.
+pub fn run(plan: &Plan, assets: &Assets, mut gpu: Option<Gpu>, title: &str, tell: &(dyn Fn(&'static str, f32) + Sync)) -> Result<Report> {
+    plan.check(usize::from(plan.on_cpu) + usize::from(gpu.is_some()))?;
+    let mut progress = Progress { tell, done: 0.0, all: work(plan, gpu.is_some()) };
+    let mut notices = Vec::new();
+    let mut runs: Vec<Run> = Vec::new();
+    for camera in &plan.cameras {
+        for &size in &plan.sizes {
+            let first = runs.len();
+            for &mode in &plan.modes {
+                for &step in &plan.steps {
+                    let scene = plan.at(mode, step, size, camera);
+                    let repetition = area(size) / step;
+                    if plan.on_cpu {
+                        let part = progress.part(mode_name(mode), repetition * plan.repeat as f32);
+                        let measured = on_cpu(plan, &scene, assets, &part)?;
+                        progress.done = part.end;
+                        runs.push(measured);
+                    }
+                    if let Some(gpu) = &mut gpu {
+                        let part = progress.part(mode_name(mode), GPU_SHARE * repetition * (plan.repeat + 2) as f32);
+                        let measured = on_gpu(plan, &scene, assets, gpu, &part, &mut notices);
+                        progress.done = part.end;
+                        match measured {
+                            Ok(measured) => runs.push(measured),
+                            Err(error) if plan.gpu_is_required => return Err(error),
+                            Err(error) => {
+                                notices.push(format!("{} is left out: {error}", plan.name(&format!("{} gpu", mode_name(mode)), &scene, true)))
+                            }
+                        }
+                    }
+                }
+            }
+            if let Some(step) = plan.reference {
+                for surface in [false, true] {
+                    let judged: Vec<usize> = (first..runs.len()).filter(|n| !runs[*n].is_reference && runs[*n].shown.surface == surface).collect();
+                    if judged.is_empty() {
+                        continue;
+                    }
+                    let mode = if surface { Mode::Surface } else { Mode::Raycast };
+                    let scene = plan.at(mode, step, size, camera);
+                    let part = progress.part("reference", area(size) / step);
+                    let name = plan.name(&format!("{} reference", mode_name(mode)), &scene, false);
+                    let share = |share: f32| part.tell(share);
+                    let reference = Run { is_reference: true, ..super::run_on_cpu(&scene, assets, &name, &Watch::telling(&share))? };
+                    progress.done = part.end;
+                    for n in judged {
+                        runs[n].error = Some(difference(&runs[n].picture, &reference.picture)?);
+                    }
+                    runs.push(reference);
+                }
+            }
+        }
+    }
+    let mut seen = BTreeSet::new();
+    notices.retain(|n| seen.insert(n.clone()));
+    let pairs = pairs_of(&runs);
+    let mut report = Report::of_pairs(title, plan.scene.to_toml()?, plan.scene.render.background, runs, pairs)?;
+    report.protocol = Some(Protocol {
+        cpu: format!("{}, {} threads", std::env::consts::ARCH, rayon::current_num_threads()),
+        gpu: gpu.as_ref().map(Gpu::name),
+        repeat: plan.repeat,
+        reference_step: plan.reference,
+        notices,
+    });
+    Ok(report)
+}
+
+/// How much of the whole work is done.
+struct Progress<'a> {
+    tell: &'a (dyn Fn(&'static str, f32) + Sync),
+    done: f32,
+    all: f32,
+}
+
+impl<'a> Progress<'a> {
+    fn part(&self, what: &'static str, work: f32) -> Part<'a> {
+        Part { tell: self.tell, what, start: self.done, end: self.done + work, all: self.all }
+    }
+}
+
+/// One part of it.
+struct Part<'a> {
+    tell: &'a (dyn Fn(&'static str, f32) + Sync),
+    what: &'static str,
+    start: f32,
+    end: f32,
+    all: f32,
+}
+
+impl Part<'_> {
+    fn tell(&self, share: f32) {
+        (self.tell)(self.what, ((self.start + share * (self.end - self.start)) / self.all).clamp(0.0, 1.0));
+    }
+}
+
+fn area([width, height]: [u32; 2]) -> f32 {
+    width as f32 * height as f32
+}
+
+/// Work of a plan, in samples about.
+fn work(plan: &Plan, gpu: bool) -> f32 {
+    let per_pixel: f32 = plan.steps.iter().map(|s| 1.0 / s).sum();
+    let repetitions = if plan.on_cpu { plan.repeat as f32 } else { 0.0 } + if gpu { GPU_SHARE * (plan.repeat + 2) as f32 } else { 0.0 };
+    let kinds = BTreeSet::from_iter(plan.modes.iter().map(|m| *m == Mode::Surface)).len();
+    let references = plan.reference.map_or(0.0, |s| kinds as f32 / s);
+    let pixels: f32 = plan.sizes.iter().copied().map(area).sum();
+    (pixels * plan.cameras.len() as f32 * (plan.modes.len() as f32 * per_pixel * repetitions + references)).max(f32::MIN_POSITIVE)
+}
+
+/// A run out of repetitions of it: what the one in the middle has, with the spread of all.
+fn merged(mut all: Vec<Run>) -> Result<Run> {
+    let times = Times::of(&all.iter().map(|r| r.milliseconds.median).collect::<Vec<_>>());
+    let rendering = Times::of(&all.iter().map(|r| r.rendering.median).collect::<Vec<_>>());
+    let repetitions = all.len();
+    all.sort_by(|a, b| a.milliseconds.median.total_cmp(&b.milliseconds.median));
+    let middle = all.into_iter().nth(repetitions.saturating_sub(1) / 2);
+    let middle = middle.ok_or_else(|| Error::value("--repeat", "0 is outside 1 to 1000"))?;
+    Ok(Run { milliseconds: times, rendering, repetitions, ..middle })
+}
+
+fn on_cpu(plan: &Plan, scene: &Scene, assets: &Assets, part: &Part) -> Result<Run> {
+    let name = plan.name(&format!("{} cpu", mode_name(scene.render.mode)), scene, true);
+    let once = |n: usize| {
+        let share = |share: f32| part.tell((n as f32 + share) / plan.repeat as f32);
+        super::run_on_cpu(scene, assets, &name, &Watch::telling(&share))
+    };
+    merged((0..plan.repeat).map(once).collect::<Result<_>>()?)
+}
+
+fn on_gpu(plan: &Plan, scene: &Scene, assets: &Assets, gpu: &mut Gpu, part: &Part, notices: &mut Vec<String>) -> Result<Run> {
+    let name = plan.name(&format!("{} gpu", mode_name(scene.render.mode)), scene, true);
+    let pictures = plan.repeat + 2;
+    let mut once = |n: usize, counting: bool| -> Result<(Run, Vec<String>)> {
+        let share = |share: f32| part.tell((n as f32 + share) / pictures as f32);
+        let start = Instant::now();
+        let prepared = gpu.prepare(scene, assets)?;
+        let before = start.elapsed().as_secs_f64() * 1e3;
+        let rendered = gpu.render(&prepared, counting, &Watch::telling(&share))?;
+        let all = start.elapsed().as_secs_f64() * 1e3;
+        let run = Run {
+            name: name.clone(),
+            shown: Shown::of(scene),
+            mode: scene.render.mode,
+            backend: "gpu".to_owned(),
+            step: scene.render.step,
+            milliseconds: Times::of(&[all]),
+            rendering: Times::of(&[all - before]),
+            repetitions: 1,
+            warm_up: None,
+            stages: owned(&[&prepared.stages, &rendered.stages]),
+            stats: rendered.stats,
+            memory: Memory::of(&prepared),
+            error: None,
+            is_reference: false,
+            picture: rendered.picture,
+        };
+        Ok((run, rendered.notices))
+    };
+    let (first, told) = once(0, false)?;
+    let timed = (0..plan.repeat).map(|n| once(n + 1, false).map(|r| r.0)).collect::<Result<_>>()?;
+    let (counted, _) = once(pictures - 1, true)?;
+    notices.extend(told);
+    Ok(Run { warm_up: Some(first.milliseconds.median), stats: counted.stats, ..merged(timed)? })
+}
+
+/// Everything that runs show, in order, each once.
+pub fn views(runs: &[Run]) -> Vec<Shown> {
+    let mut views: Vec<Shown> = Vec::new();
+    for run in runs {
+        if !views.contains(&run.shown) {
+            views.push(run.shown.clone());
+        }
+    }
+    views
+}
+
+/// Pairs of runs whose difference says something, by index: of those that show the same, different renderers at one step, and each run with
+/// its reference. Two steps of one renderer are compared by way of the reference.
+pub fn pairs_of(runs: &[Run]) -> Vec<[usize; 2]> {
+    let all = (0..runs.len()).flat_map(|a| (a + 1..runs.len()).map(move |b| [a, b]));
+    let telling = |[a, b]: &[usize; 2]| {
+        let (a, b) = (&runs[*a], &runs[*b]);
+        let renderers = a.step == b.step && (a.mode, &a.backend) != (b.mode, &b.backend);
+        a.shown == b.shown && if a.is_reference || b.is_reference { a.is_reference != b.is_reference } else { renderers }
+    };
+    all.filter(telling).collect()
+}
+
+/// One point of a renderer's curve over the steps of a sweep.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Point {
+    /// Voxels.
+    pub step: f64,
+    /// RMS error against the reference, of 255; not a number if there is no reference.
+    pub error: f64,
+    /// Of rendering, the median.
+    pub milliseconds: f64,
+    /// Least and greatest milliseconds.
+    pub spread: [f64; 2],
+}
+
+/// One renderer over the steps of a sweep, at one size and camera.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Curve {
+    /// How it samples.
+    pub mode: Mode,
+    /// Where it renders.
+    pub backend: String,
+    /// By step, the coarsest first.
+    pub points: Vec<Point>,
+}
+
+/// The curves of all renderers of one thing, in the order of their runs.
+pub fn curves(runs: &[Run], shown: &Shown) -> Vec<Curve> {
+    let mut curves: Vec<Curve> = Vec::new();
+    for run in runs.iter().filter(|run| run.shown == *shown && !run.is_reference) {
+        let point = Point {
+            step: f64::from(run.step),
+            error: run.error.map_or(f64::NAN, |d| d.rms()),
+            milliseconds: run.rendering.median,
+            spread: [run.rendering.min, run.rendering.max],
+        };
+        match curves.iter_mut().find(|c| (c.mode, &c.backend) == (run.mode, &run.backend)) {
+            Some(curve) => curve.points.push(point),
+            None => curves.push(Curve { mode: run.mode, backend: run.backend.clone(), points: vec![point] }),
+        }
+    }
+    for curve in &mut curves {
+        curve.points.sort_by(|a, b| b.step.total_cmp(&a.step));
+    }
+    curves
+}
+
+/// What a renderer costs at the common error.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Entry {
+    /// How it samples.
+    pub mode: Mode,
+    /// Where it renders.
+    pub backend: String,
+    /// Where its curve meets the common error; none if even its coarsest step is better.
+    pub at: Option<Point>,
+    /// Its coarsest step.
+    pub coarsest: Option<Point>,
+}
+
+/// Renderers where they are equally wrong.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EqualError {
+    /// What they show.
+    pub shown: Shown,
+    /// The common error, RMS of 255.
+    pub error: f64,
+    /// Every renderer whose error is known at two steps or more.
+    pub entries: Vec<Entry>,
+}
+
+/// For everything that runs show: what renderers cost at their common error, where there are two or more that have one.
+pub fn equal_errors(runs: &[Run]) -> Vec<EqualError> {
+    let at_one = |shown: Shown| -> Option<EqualError> {
+        let curves: Vec<Curve> = curves(runs, &shown).into_iter().filter(|c| usable(&c.points).count() > 1).collect();
+        let error = common_error(&curves)?;
+        let entry = |c: Curve| Entry { at: at_error(&c.points, error), coarsest: usable(&c.points).next(), mode: c.mode, backend: c.backend };
+        let entries: Vec<Entry> = curves.into_iter().map(entry).collect();
+        // Curves that do not overlap have nothing in common.
+        (entries.iter().filter(|e| e.at.is_some()).count() > 1).then_some(EqualError { shown, error, entries })
+    };
+    views(runs).into_iter().filter_map(at_one).collect()
+}
+
+/// Points that a logarithmic axis can show. An error of 0 is below what can be measured.
+fn usable(points: &[Point]) -> impl Iterator<Item = Point> {
+    let positive = |v: f64| v.is_finite() && v > 0.0;
+    points.iter().copied().filter(move |p| positive(p.step) && positive(p.error) && positive(p.milliseconds))
+}
+
+/// The smallest error that all curves reach; none for fewer than two curves, or if one has no point that can be used.
+pub fn common_error(curves: &[Curve]) -> Option<f64> {
+    if curves.len() < 2 {
+        return None;
+    }
+    let finest = |c: &Curve| usable(&c.points).map(|p| p.error).reduce(f64::min);
+    curves.iter().map(finest).try_fold(0.0f64, |worst, finest| Some(worst.max(finest?)))
+}
+
+/// Where a curve has an error: step and milliseconds interpolated between two measured points around it, all three by their logarithms. Where
+/// the error goes up and down over the steps, the cheapest such place. None if it lies beyond what was measured.
+pub fn at_error(points: &[Point], error: f64) -> Option<Point> {
+    let points: Vec<Point> = usable(points).collect();
+    let between = |[a, b]: [Point; 2]| {
+        if !(a.error.min(b.error)..=a.error.max(b.error)).contains(&error) {
+            return None;
+        }
+        let span = (b.error / a.error).ln();
+        let share = if span == 0.0 { 0.0 } else { ((error / a.error).ln() / span).clamp(0.0, 1.0) };
+        let mix = |a: f64, b: f64| (a.ln() + share * (b / a).ln()).exp();
+        let milliseconds = mix(a.milliseconds, b.milliseconds);
+        Some(Point { step: mix(a.step, b.step), error, milliseconds, spread: [milliseconds; 2] })
+    };
+    let found = points.windows(2).filter_map(|w| between([w[0], w[1]]));
+    found.min_by(|a, b| a.milliseconds.total_cmp(&b.milliseconds))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::compare::Difference;
+    use crate::scene::Picture;
+
+    /// error = c · step^p, milliseconds = k / step: straight lines on logarithmic axes.
+    fn power(mode: Mode, c: f64, p: f64, k: f64, steps: &[f64]) -> Curve {
+        let point = |&step: &f64| Point { step, error: c * step.powf(p), milliseconds: k / step, spread: [k / step; 2] };
+        Curve { mode, backend: "cpu".to_owned(), points: steps.iter().map(point).collect() }
+    }
+
+    fn run(name: &str, mode: Mode, backend: &str, step: f32, error: f64, ms: f64) -> Run {
+        let d = |rms: f64| Difference { mean: 0.5 * rms, max: 9.0, psnr_db: 20.0 * (255.0 / rms).log10(), ssim: 0.9 };
+        Run {
+            name: name.to_owned(),
+            picture: Picture { width: 1, height: 1, pixels: vec![[0.5; 4]] },
+            shown: Shown { camera: "anterior".to_owned(), size: [1, 1], surface: mode == Mode::Surface },
+            mode,
+            backend: backend.to_owned(),
+            step,
+            milliseconds: Times::of(&[2.0 * ms]),
+            rendering: Times::of(&[ms]),
+            repetitions: 1,
+            warm_up: None,
+            stages: Vec::new(),
+            stats: None,
+            memory: Memory::default(),
+            error: (error > 0.0).then(|| d(error)),
+            is_reference: error == 0.0,
+        }
+    }
+
+    #[test]
+    fn powers_are_interpolated_exactly() {
+        let steps = [4.0, 1.0, 0.5];
+        let curve = power(Mode::Slice, 3.0, 1.5, 20.0, &steps);
+        for error in [3.0 * 8.0, 10.0, 3.0, 1.7, 3.0 * 0.5f64.powf(1.5)] {
+            let at = at_error(&curve.points, error).unwrap();
+            let step = (error / 3.0).powf(1.0 / 1.5);
+            assert!((at.step - step).abs() < 1e-9 && (at.milliseconds - 20.0 / step).abs() < 1e-9 && at.error == error, "{error}: {at:?}");
+        }
+        for beyond in [24.01, 1.06, 0.0, f64::NAN, f64::INFINITY] {
+            assert_eq!(at_error(&curve.points, beyond), None, "{beyond} was not measured");
+        }
+        assert_eq!(at_error(&curve.points[..1], 24.0), None);
+    }
+
+    #[test]
+    fn the_common_error_is_that_of_the_worst_at_its_finest() {
+        let steps = [2.0, 1.0, 0.5];
+        let [good, bad] = [power(Mode::Raycast, 1.0, 2.0, 30.0, &steps), power(Mode::Slice, 2.0, 2.0, 10.0, &steps)];
+        let common = common_error(&[good.clone(), bad.clone()]).unwrap();
+        assert!((common - 0.5).abs() < 1e-12);
+        // The good one meets it at a step of √½, the bad one at its own finest.
+        let [good_at, bad_at] = [&good, &bad].map(|c| at_error(&c.points, common).unwrap());
+        assert!((good_at.milliseconds - 30.0 / 0.5f64.sqrt()).abs() < 1e-9 && (bad_at.milliseconds - 20.0).abs() < 1e-9);
+        let nothing = Curve { points: vec![Point { step: 1.0, error: 0.0, milliseconds: 1.0, spread: [1.0; 2] }], ..good.clone() };
+        assert_eq!((common_error(std::slice::from_ref(&good)), common_error(&[good, nothing])), (None, None));
+    }
+
+    #[test]
+    fn an_error_that_rises_again_is_met_where_it_is_cheapest() {
+        let point = |step: f64, error: f64| Point { step, error, milliseconds: 8.0 / step, spread: [0.0; 2] };
+        let points = [point(2.0, 8.0), point(1.0, 2.0), point(0.5, 2.0), point(0.25, 8.0), point(0.1, 0.0)];
+        let at = at_error(&points, 4.0).unwrap();
+        assert!((at.step - 2f64.sqrt()).abs() < 1e-9, "{at:?}");
+        assert!((at_error(&points, 2.0).unwrap().step - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn renderers_are_told_apart_where_they_overlap() {
+        let mut runs = Vec::new();
+        for (mode, backend, c) in [(Mode::Slice, "cpu", 2.0), (Mode::Raycast, "cpu", 1.0), (Mode::Raycast, "gpu", 0.01), (Mode::Surface, "cpu", 1.0)]
+        {
+            for step in [0.5f32, 1.0, 2.0] {
+                let name = format!("{mode:?} {backend} {step}");
+                runs.push(run(&name, mode, backend, step, c * f64::from(step), 10.0 / f64::from(step)));
+            }
+        }
+        runs.push(run("reference", Mode::Raycast, "cpu", 0.0625, 0.0, 100.0));
+        let curves = curves(&runs, &runs[0].shown);
+        assert_eq!(curves.len(), 3);
+        assert!(curves.iter().all(|c| c.points.iter().map(|p| p.step).eq([2.0, 1.0, 0.5])));
+        let equal = equal_errors(&runs);
+        assert!(equal.len() == 1 && (equal[0].error - 1.0).abs() < 1e-9, "{equal:?}");
+        let at = |n: usize| equal[0].entries[n].at.map(|p| p.milliseconds);
+        assert!((at(0).unwrap() - 20.0).abs() < 1e-6 && (at(1).unwrap() - 10.0).abs() < 1e-6);
+        assert!(at(2).is_none() && equal[0].entries[2].coarsest.is_some_and(|p| p.step == 2.0), "better at every step");
+        let one_step: Vec<Run> = runs.iter().filter(|r| r.step == 1.0).cloned().collect();
+        assert!(equal_errors(&one_step).is_empty());
+    }
+
+    #[test]
+    fn only_telling_pairs_are_compared() {
+        let runs = [
+            run("a", Mode::Slice, "cpu", 1.0, 1.0, 1.0),
+            run("b", Mode::Slice, "cpu", 2.0, 1.0, 1.0),
+            run("c", Mode::Raycast, "cpu", 1.0, 1.0, 1.0),
+            run("d", Mode::Slice, "gpu", 1.0, 1.0, 1.0),
+            run("e", Mode::Surface, "cpu", 1.0, 1.0, 1.0),
+            run("r", Mode::Raycast, "cpu", 0.0625, 0.0, 1.0),
+            Run { shown: Shown { camera: "left".into(), size: [1, 1], surface: false }, ..run("f", Mode::Raycast, "cpu", 1.0, 1.0, 1.0) },
+        ];
+        assert_eq!(pairs_of(&runs), [[0, 2], [0, 3], [0, 5], [1, 5], [2, 3], [2, 5], [3, 5]]);
+    }
+
+    #[test]
+    fn plans_that_cannot_be_are_named() {
+        let good = || Plan { steps: vec![0.5, 1.0], ..Plan::of(Scene::of_volume("phantom:ball:size=12")) };
+        assert!(good().check(1).is_ok() && good().check(2).is_ok());
+        assert_eq!(good().modes, [Mode::Slice, Mode::Raycast]);
+        assert_eq!(Plan::of(Scene::of_mesh("a.stl")).modes, [Mode::Surface]);
+        let cases: [(&str, Plan); 10] = [
+            ("--modes", Plan { modes: Vec::new(), ..good() }),
+            ("--modes slice", Plan { modes: vec![Mode::Slice], ..Plan::of(Scene::of_mesh("a.stl")) }),
+            ("--steps", Plan { steps: vec![f32::NAN], ..good() }),
+            ("--steps", Plan { steps: vec![0.001], ..good() }),
+            ("--sizes", Plan { sizes: vec![[0, 5]], ..good() }),
+            ("--sizes", Plan { sizes: vec![[9000, 9000]], ..good() }),
+            ("--cameras", Plan { cameras: Vec::new(), ..good() }),
+            ("--repeat", Plan { repeat: 0, ..good() }),
+            ("--reference", Plan { reference: Some(0.4), ..good() }),
+            ("--reference", Plan { reference: Some(f32::NAN), ..good() }),
+        ];
+        for (option, plan) in cases {
+            let message = plan.check(1).unwrap_err().to_string();
+            assert!(message.starts_with(option), "{message}");
+        }
+        assert!(good().check(0).is_err());
+        // Names tell what varies, and no more.
+        let plan = Plan { sizes: vec![[8, 6], [16, 12]], ..good() };
+        let scene = plan.at(Mode::Slice, 0.5, [8, 6], &plan.cameras[0]);
+        assert_eq!(plan.name("slice cpu", &scene, true), "slice cpu step 0.5 8x6");
+        assert_eq!(Plan::of(scene.clone()).name("slice cpu", &scene, true), "slice cpu");
+    }
+}
