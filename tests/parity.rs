@@ -158,6 +158,14 @@ fn options_agree() {
     add("minip", &|s| s.transfer.preset = Some("ct-minip".into()));
     add("average", &|s| s.transfer.preset = Some("ct-xray".into()));
     add("step 0.5", &|s| s.render.step = 0.5);
+    add("jitter", &|s| s.render.jitter = true);
+    add("preintegrated", &|s| {
+        s.render.preintegrated = true;
+        s.transfer.preset = Some("ct-bones-and-muscle".into());
+    });
+    add("preintegrated, step 2, jitter", &|s| {
+        (s.render.preintegrated, s.render.jitter, s.render.step) = (true, true, 2.0);
+    });
     let cut = |kind: &str, center: [f32; 3], settings: &[(&str, &str)]| {
         let mut d = Deformation::new(kind);
         d.center = Some(center);

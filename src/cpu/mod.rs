@@ -18,7 +18,7 @@ pub mod shading;
 pub mod surface;
 
 use crate::math::lanes::*;
-use crate::scene::{Picture, Prepared, RenderStats, Rendered, Stages};
+use crate::scene::{Mode, Picture, Prepared, RenderStats, Rendered, Stages};
 use crate::transfer::Blend;
 use crate::volume::{GridVoxels, Sampler, Voxel};
 use crate::{Result, Watch};
@@ -102,7 +102,8 @@ impl<T: Voxel> OverSimd for Strip<'_, T> {
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> RenderStats {
-        let [width, height] = self.scene.frame.size.map(|n| n as usize);
+        let frame = &self.scene.frame;
+        let [width, height] = frame.size.map(|n| n as usize);
         let mut stats = RenderStats::default();
         let rows = self.pixels.len() / width;
         for (y, x) in (0..rows).step_by(2).flat_map(|y| (0..width).step_by(4).map(move |x| (y, x))) {
@@ -111,12 +112,19 @@ impl<T: Voxel> OverSimd for Strip<'_, T> {
                 let (x, y) = (x + n % 4, y + n / 4);
                 let u = (x as f32 + 0.5) / width as f32 * 2.0 - 1.0;
                 let v = 1.0 - ((self.top + y) as f32 + 0.5) / height as f32 * 2.0;
-                let (origin, direction) = self.scene.frame.view.ray(u, v);
+                let (origin, direction) = frame.view.ray(u, v);
                 if x >= width || y >= rows {
                     return Ray { origin, direction, until: -1.0 };
                 }
                 behind[n] = surface::nearest(self.scene, origin, direction, &mut stats.samples_taken);
-                Ray { origin, direction, until: behind[n].as_ref().map_or(f32::INFINITY, |hit| hit.t) }
+                let until = behind[n].as_ref().map_or(f32::INFINITY, |hit| hit.t);
+                if !self.scene.settings.jitter {
+                    return Ray { origin, direction, until };
+                }
+                // Samples are shifted by moving where the ray is measured from.
+                let slant = if self.scene.settings.mode == Mode::Slice { direction.dot(frame.view.forward) } else { 1.0 };
+                let shift = packet::pixel_shift(x as u32, (self.top + y) as u32) * frame.step_mm / slant;
+                Ray { origin: origin + direction * shift, direction, until: (until - shift).max(0.0) }
             });
             let colors = self.marcher.march(simd, &rays, &mut stats);
             for (n, (color, behind)) in colors.into_iter().zip(behind).enumerate() {

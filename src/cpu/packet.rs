@@ -16,7 +16,7 @@ use super::shading::{self, EVEN_LIGHT, SURFACE};
 use super::{ENTRY_STEPS, OPAQUE, Projection, shading::Sample};
 use crate::math::lanes::*;
 use crate::scene::{Mode, Normals, Prepared, RenderStats};
-use crate::transfer::Blend;
+use crate::transfer::{Blend, Preintegrated};
 use crate::volume::{Sampler, Voxel};
 use glam::{Mat3, Vec3};
 
@@ -40,8 +40,20 @@ struct Looks<S: Simd> {
     alpha: f32x8<S>,
     /// Optical depth per reference length; 0 where nothing is present.
     depth: f32x8<S>,
+    /// The value in front, where the segment between the two is what is seen.
+    front: f32x8<S>,
     /// Inside the cube of any map.
     inside: mask32x8<S>,
+}
+
+/// A pixel's shift of its samples, in steps, -1/2 .. 1/2: a hash by multiplication and shifts, the same integers as in
+/// `shaders/lib/composite.wgsl`.
+pub fn pixel_shift(x: u32, y: u32) -> f32 {
+    let mut h = x.wrapping_mul(0x9E37_79B1) ^ y.wrapping_mul(0x85EB_CA77);
+    h = (h ^ (h >> 16)).wrapping_mul(0x7FEB_352D);
+    h = (h ^ (h >> 15)).wrapping_mul(0x846C_A68B);
+    h ^= h >> 16;
+    (h >> 8) as f32 / 16_777_216.0 - 0.5
 }
 
 /// What all packets of a picture share.
@@ -59,6 +71,8 @@ pub struct Marcher<'a, T> {
     grey_faces: bool,
     lit: bool,
     gradient_opacity: bool,
+    /// By the values at both ends of a step, if those are what is seen.
+    preintegrated: Option<Preintegrated>,
 }
 
 /// Index of the first sample at or after `t`, for eight rays.
@@ -104,7 +118,14 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             grey_faces: scene.grey_faces(),
             lit: scene.is_lit(),
             gradient_opacity: scene.uses_gradient_opacity(),
+            preintegrated: scene.preintegrated().then(|| Preintegrated::new(&scene.table, scene.frame.step_mm / scene.frame.reference_mm)),
         }
+    }
+
+    /// Colour and optical depth of the segment between two values.
+    fn segment(&self, table: &Preintegrated, front: f32, back: f32) -> [f32; 4] {
+        let place = |value: f32| value * self.scene.table.scale + self.scene.table.offset;
+        table.lookup(place(front), place(back))
     }
 
     /// Looks at eight points, of which those in `lanes` are wanted. Cuts that are shapes are not asked.
@@ -120,7 +141,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             present &= value.simd_ge(-1e-4);
         }
         let depth = present.select(self.scene.table.depth_lanes(simd, value), f32x8::splat(simd, 0.0));
-        Looks { in_voxel, value, present, alpha: walk.alpha, depth, inside: walk.inside }
+        Looks { in_voxel, value, present, alpha: walk.alpha, depth, front: value, inside: walk.inside }
     }
 
     /// Which points lie near enough to the volume's faces for those to be seen as cuts.
@@ -157,14 +178,14 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         let mut transmittance = one;
         let mut projection = Projection::new(simd, scene.blend);
         // The last sample that was looked at: its number, whether it stood for its whole step, and what it showed.
-        let (mut last, mut last_depth) = (f32x8::splat(simd, -2.0), zero);
+        let (mut last, mut last_depth, mut last_value) = (f32x8::splat(simd, -2.0), zero, zero);
         let mut last_present = i.simd_lt(-1.0);
         // Where the distance from the shapes of cuts was last evaluated, and what it was.
         let (mut kept_t, mut kept_mm) = (f32x8::splat(simd, f32::NEG_INFINITY), f32x8::splat(simd, -1.0));
         let nobody = last_present;
         while live.any_true() {
             let (mut looking, mut found) = (live, nobody);
-            let mut at = Looks { in_voxel: origin, value: zero, present: nobody, alpha: one, depth: zero, inside: nobody };
+            let mut at = Looks { in_voxel: origin, value: zero, present: nobody, alpha: one, depth: zero, front: zero, inside: nobody };
             let (mut sampled, mut before) = (origin, origin);
             let (mut share, mut near_shape) = (one, nobody);
             let (mut front_known, mut front_present, mut front_depth) = (nobody, nobody, zero);
@@ -218,15 +239,30 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                         continue;
                     }
                 }
-                let look = self.look(simd, p, asked);
+                let mut look = self.look(simd, p, asked);
                 if !self.composite {
                     projection.insert(look.value, look.present);
                     continue;
                 }
+                let (mut depth, known) = (look.depth, asked & last.simd_eq(number - 1.0) & part.simd_eq(1.0));
+                // The same point, to the bit, whether or not it was looked at.
+                let previous = Vec3x8::select(part.simd_eq(1.0), origin + direction * ((number - 0.5) * step), p - direction * step);
+                if let Some(table) = &self.preintegrated {
+                    let with_front = known & last_present;
+                    look.front = with_front.select(last_value, look.value);
+                    let unknown = asked & look.present & !known;
+                    if unknown.any_true() {
+                        let earlier = self.look(simd, previous, unknown);
+                        look.front = earlier.present.select(earlier.value, look.front);
+                    }
+                    for n in lanes_of((asked & look.present).to_bitmask()) {
+                        depth[n] = self.segment(table, look.front[n], look.value[n])[3];
+                    }
+                }
                 let mut hit = asked
                     & match scene.iso {
                         Some(iso) => look.present & look.value.simd_ge(iso),
-                        None => look.depth.simd_gt(0.0) | (look.alpha.simd_gt(0.0) & look.alpha.simd_lt(1.0)),
+                        None => depth.simd_gt(0.0) | (look.alpha.simd_gt(0.0) & look.alpha.simd_lt(1.0)),
                     };
                 if self.grey_faces {
                     hit |= asked & look.present & (look.alpha.simd_lt(1.0) | beside);
@@ -237,16 +273,15 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                         value: hit.select(look.value, at.value),
                         present: (hit & look.present) | (at.present & !hit),
                         alpha: hit.select(look.alpha, at.alpha),
-                        depth: hit.select(look.depth, at.depth),
+                        depth: hit.select(depth, at.depth),
+                        front: hit.select(look.front, at.front),
                         inside: (hit & look.inside) | (at.inside & !hit),
                     };
                     sampled = Vec3x8::select(hit, p, sampled);
-                    // Where the sample before this one lies: the same point, to the bit, whether or not it was looked at.
-                    let previous = origin + direction * ((number - 0.5) * step);
-                    before = Vec3x8::select(hit, Vec3x8::select(part.simd_eq(1.0), previous, p - direction * step), before);
+                    before = Vec3x8::select(hit, previous, before);
                     share = hit.select(part, share);
                     near_shape |= hit & beside;
-                    front_known |= hit & last.simd_eq(number - 1.0) & part.simd_eq(1.0);
+                    front_known |= hit & known;
                     front_present |= hit & last_present;
                     front_depth = hit.select(last_depth, front_depth);
                     found |= hit;
@@ -255,6 +290,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                 last = here.select((asked & part.simd_eq(1.0)).select(number, f32x8::splat(simd, -2.0)), last);
                 last_present = (here & look.present) | (last_present & !here);
                 last_depth = here.select(look.depth, last_depth);
+                last_value = here.select(look.value, last_value);
             }
             if found.all_false() {
                 break;
@@ -280,7 +316,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             }
             if (single & found).any_true() {
                 for n in lanes_of((single & found).to_bitmask()) {
-                    let of_sample = self.shade_single(at.lane(n), sampled.lane(n), rays[n].direction, step[n]);
+                    let of_sample = self.shade_single(at.lane(n), at.front[n], sampled.lane(n), rays[n].direction, step[n]);
                     match of_sample {
                         Single::Nothing => seen.set(n, false),
                         Single::Opaque(c) => {
@@ -317,7 +353,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
 
     /// A sample that is not plain.
     #[inline(never)]
-    fn shade_single(&self, (at, depth): (super::Look, f32), sampled: Vec3, direction: Vec3, step: f32) -> Single {
+    fn shade_single(&self, (at, depth): (super::Look, f32), front: f32, sampled: Vec3, direction: Vec3, step: f32) -> Single {
         let (scene, sampler) = (self.scene, self.sampler);
         if at.present
             && self.grey_faces
@@ -332,7 +368,10 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             return Single::Nothing;
         }
         if depth > 0.0 {
-            let [r, g, b, depth] = scene.table.lookup(at.value);
+            let [r, g, b, depth] = match &self.preintegrated {
+                Some(table) => self.segment(table, front, at.value),
+                None => scene.table.lookup(at.value),
+            };
             let sample = Sample { deformed: sampled, in_voxel: at.in_voxel, color: Vec3::new(r, g, b), depth, value: at.value };
             let shaded = shading::shade(scene, sampler, &sample, direction, step);
             return Single::Visible(shaded.color, depth * shaded.depth_factor);
@@ -364,7 +403,17 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         let one = f32x8::splat(simd, 1.0);
         let entry = self.entry(simd, at, sampled, direction, step, lanes, front);
         let (bits, mut cut) = (lanes.to_bitmask(), lanes & !lanes);
-        let mut color = scene.table.color_lanes(simd, entry.value, bits);
+        let mut color = match &self.preintegrated {
+            None => scene.table.color_lanes(simd, entry.value, bits),
+            Some(table) => {
+                let mut color = Vec3x8::splat(simd, Vec3::ZERO);
+                for n in lanes_of(bits) {
+                    let [r, g, b, _] = self.segment(table, at.front[n], at.value[n]);
+                    color.set(n, Vec3::new(r, g, b));
+                }
+                color
+            }
+        };
         if let Some(colors) = scene.colors {
             for n in lanes_of(bits) {
                 color.set(n, colors.sample(scene.grid.size, entry.in_voxel.lane(n)));

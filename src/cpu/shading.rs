@@ -199,6 +199,10 @@ fn entry<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, sample: &Sample, dire
             Err(thin) => through_cut = !thin,
         }
     }
+    if scene.preintegrated() {
+        // The colour is that of the whole segment.
+        first.color = sample.color;
+    }
     Some(Entry { first, through_cut })
 }
 

@@ -297,11 +297,10 @@ pub struct RenderSettings {
     /// How that surface is lit.
     pub iso_light: IsoLight,
     /// Take colour and opacity from the values at both ends of each step (a pre-integrated transfer function) instead of from one: thin features of
-    /// the curve stay closed at longer steps. Composite pictures on a GPU; the CPU renderer takes single values.
+    /// the curve stay closed at longer steps.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub preintegrated: bool,
-    /// Shift each pixel's samples along its ray by a fixed pseudo-random part of a step: the rings of a coarse step become fine grain. On a GPU; the
-    /// CPU renderer leaves samples where they are.
+    /// Shift each pixel's samples along its ray by a fixed pseudo-random part of a step: the rings of a coarse step become fine grain.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub jitter: bool,
     /// Compose all deformations into one map that is this exact, mm: the cost of a picture no longer depends on their number.
