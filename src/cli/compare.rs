@@ -4,6 +4,7 @@ use super::arguments;
 use super::common::{Common, ModeName};
 use super::progress::Progress;
 use crate::compare::lab::{self, Gpu, Plan, REFERENCE_STEP};
+use crate::compare::plot::number;
 use crate::compare::{Report, write_files};
 use crate::export::{Output, protect};
 use crate::scene::{Mode, Scene, View};
@@ -197,7 +198,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 /// Says what was found.
 fn summary(report: &Report) {
     for run in report.runs.iter().filter(|run| !run.is_reference) {
-        let error = run.error.map_or(String::new(), |d| format!(", RMS error {:.3} of 255", d.rms()));
+        let error = run.error.map_or(String::new(), |d| format!(", RMS error {} of 255", number(d.rms())));
         eprintln!("incise: {}: {:.1} ms{error}", run.name, run.milliseconds.median);
     }
 }

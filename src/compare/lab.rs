@@ -3,8 +3,9 @@
 //! *Theory*: the protocol of Meissner, Huang, Bartz, Mueller and Crawfis (Volume Visualization 2000): same optical model, same view, same
 //! transfer function; pictures side by side with their cost. What we add, and why:
 //! - *Error*: their pictures were judged by eye. Here each is measured against a **reference**, rays on the CPU at a step of 1/16 voxel
-//!   (surfaces, which show something else than a volume, against surfaces at that step). Errors below what the reference itself errs by, about
-//!   1/16 of a run's at step 1, mean nothing, so a reference has to be at least twice as fine as the finest run.
+//!   (surfaces, which show something else than a volume, against surfaces at that step). Errors below what the reference itself errs by mean
+//!   nothing, so a reference has to be at least twice as fine as the finest run. Where the error is proportional to the step that is 1/16 of
+//!   a run's at step 1; gaps thinner than a step, which only fine steps meet, make it more.
 //! - *Speed at equal error*: a renderer can always be made faster by a coarser step. Over a sweep of steps the time of each is interpolated
 //!   where all err alike, on logarithmic axes, where such curves are nearly straight. The common error is the smallest that all of them
 //!   reach, that of the worst one at its finest step: as near to a picture that one would use as the measurements go. Nothing is extrapolated.
@@ -29,6 +30,8 @@ const STEPS: std::ops::RangeInclusive<f32> = 0.01..=100.0;
 const MOST_REPETITIONS: usize = 1000;
 /// Most pixels of all pictures together: each takes 16 bytes, and they are kept until the report is written.
 const MOST_PIXELS: u64 = 1 << 28;
+/// RMS errors below this, of 255, are rounding and not sampling: no curve shows them, and none is interpolated to them.
+pub const LEAST_ERROR: f64 = 1e-3;
 /// Work of a repetition on a GPU beside one on the CPU, for progress.
 const GPU_SHARE: f32 = 0.2;
 
@@ -499,10 +502,10 @@ pub fn equal_errors(runs: &[Run]) -> Vec<EqualError> {
     views(runs).into_iter().filter_map(at_one).collect()
 }
 
-/// Points that a logarithmic axis can show. An error of 0 is below what can be measured.
+/// Points that a logarithmic axis can show, with errors that say something.
 fn usable(points: &[Point]) -> impl Iterator<Item = Point> {
     let positive = |v: f64| v.is_finite() && v > 0.0;
-    points.iter().copied().filter(move |p| positive(p.step) && positive(p.error) && positive(p.milliseconds))
+    points.iter().copied().filter(move |p| positive(p.step) && p.error.is_finite() && p.error >= LEAST_ERROR && positive(p.milliseconds))
 }
 
 /// The smallest error that all curves reach; none for fewer than two curves, or if one has no point that can be used.
@@ -578,6 +581,9 @@ mod tests {
             assert_eq!(at_error(&curve.points, beyond), None, "{beyond} was not measured");
         }
         assert_eq!(at_error(&curve.points[..1], 24.0), None);
+        // Rounding is no error of sampling.
+        let rounding = power(Mode::Slice, 1e-4, 1.0, 20.0, &steps);
+        assert_eq!((at_error(&rounding.points, 1e-4), common_error(&[curve, rounding])), (None, None));
     }
 
     #[test]

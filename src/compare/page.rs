@@ -83,6 +83,7 @@ impl Report {
         let mut steps: Vec<f64> = runs.iter().map(|run| f64::from(run.step)).collect();
         steps.sort_by(f64::total_cmp);
         steps.dedup();
+        let several = steps.len() > 1;
         let heading = if views.len() > 1 { format!("Plots: {shown}") } else { "Plots".to_owned() };
         let mut text = format!("<h2>{}</h2>\n<div class=\"plots\">\n", escaped(&heading));
         let series = |dot: &dyn Fn(&lab::Point) -> Dot| -> Vec<Series> {
@@ -97,21 +98,26 @@ impl Report {
         let time = Axis { label: "rendering, ms".to_owned(), ticks: Vec::new() };
         let error = Axis { label: "RMS error, of 255".to_owned(), ticks: Vec::new() };
         let has_errors = runs.iter().any(|run| run.error.is_some());
-        if steps.len() > 1 {
+        if several {
             let step = Axis { label: "step, voxels".to_owned(), ticks: if steps.len() <= 8 { steps } else { Vec::new() } };
             let by_step = series(&|p| Dot { x: p.step, y: p.milliseconds, spread: Some(p.spread) });
             text.push_str(&plot::curves("Time by step", &step, &time, &by_step, None));
             if has_errors {
-                let errors = series(&|p| Dot { x: p.step, y: p.error, spread: None });
+                let told = |error: f64| if error >= lab::LEAST_ERROR { error } else { f64::NAN };
+                let errors = series(&|p| Dot { x: p.step, y: told(p.error), spread: None });
                 text.push_str(&plot::curves("Error by step", &step, &error, &errors, None));
                 let common = equal.iter().find(|e| e.shown == *shown).map(|e| e.error);
-                let both = series(&|p| Dot { x: p.error, y: p.milliseconds, spread: None });
+                let both = series(&|p| Dot { x: told(p.error), y: p.milliseconds, spread: None });
                 text.push_str(&plot::curves("Time against error (lower left is better; dotted: the common error)", &error, &time, &both, common));
             }
         }
         let names = self.stage_names();
         let index = |name: &str| names.iter().position(|n| *n == name).unwrap_or(0);
-        let bar = |run: &&Run| Bar { name: run.name.clone(), parts: run.stages.iter().map(|(name, ms)| (index(name), *ms)).collect() };
+        let plain_name = |run: &Run| {
+            let step = if several { format!(" step {}", run.step) } else { String::new() };
+            format!("{} {}{step}", mode_name(run.mode), run.backend)
+        };
+        let bar = |run: &&Run| Bar { name: plain_name(run), parts: run.stages.iter().map(|(name, ms)| (index(name), *ms)).collect() };
         text.push_str(&plot::bars("Time by stage", "ms", &names, &runs.iter().map(bar).collect::<Vec<_>>()));
         text.push_str("</div>\n");
         text

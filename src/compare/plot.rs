@@ -118,12 +118,12 @@ pub fn curves(title: &str, x: &Axis, y: &Axis, series: &[Series], mark: Option<f
     }
     for (n, s) in series.iter().enumerate() {
         let _ = write!(svg, "<g class=\"c{}\">", s.color % COLORS);
-        let seen: Vec<&Dot> = s.dots.iter().filter(|d| shown(d.x) && shown(d.y)).collect();
-        let path: Vec<String> = seen.iter().map(|d| at(d)).map(|[px, py]| format!("{px:.1} {py:.1}")).collect();
-        if path.len() > 1 {
+        // A dot that cannot be shown breaks the line.
+        for stretch in s.dots.split(|d| !(shown(d.x) && shown(d.y))).filter(|stretch| stretch.len() > 1) {
+            let path: Vec<String> = stretch.iter().map(at).map(|[px, py]| format!("{px:.1} {py:.1}")).collect();
             let _ = write!(svg, "<path class=\"curve\"{} d=\"M{}\"/>", dash(s.dashed), path.join("L"));
         }
-        for d in seen {
+        for d in s.dots.iter().filter(|d| shown(d.x) && shown(d.y)) {
             let [px, py] = at(d);
             if let Some([least, most]) = d.spread.filter(|s| s.iter().all(|v| shown(*v))) {
                 let [low, high] = [least, most].map(|y| at(&Dot { y, ..*d })[1]);
@@ -396,6 +396,14 @@ mod tests {
         assert!(!none.contains("NaN") && !none.contains("inf"));
         let svg = bars("", "ms", &["a"], &[Bar { name: "x".into(), parts: vec![(0, f64::NAN), (0, -1.0)] }]);
         assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
+    }
+
+    #[test]
+    fn a_gap_breaks_the_line() {
+        let dots: Vec<Dot> = [1.0, 2.0, f64::NAN, 4.0, 5.0, 6.0].map(|y| Dot { x: y.max(3.0), y, spread: None }).into();
+        let svg = curves("", &Axis::default(), &Axis::default(), &[Series { name: String::new(), color: 0, dashed: false, dots }], None);
+        // Two stretches, and the sample in the legend.
+        assert_eq!((svg.matches("class=\"curve\"").count(), svg.matches("class=\"dot\"").count()), (2 + 1, 5 + 1));
     }
 
     #[test]
