@@ -108,8 +108,11 @@ class Worker:
     def ask(self, **request: Any) -> dict[str, Any]:
         """One request, one answer."""
         assert self.process.stdin and self.process.stdout
-        print(json.dumps(request), file=self.process.stdin, flush=True)
-        line = self.process.stdout.readline()
+        try:
+            print(json.dumps(request), file=self.process.stdin, flush=True)
+            line = self.process.stdout.readline()
+        except BrokenPipeError:
+            line = ""
         if not line:
             raise Missing(f"incise's worker ended at {request['do']}")
         answer = json.loads(line)
@@ -123,7 +126,10 @@ class Bench:
 
     def __init__(self, arguments: argparse.Namespace, folder: Path) -> None:
         self.worker = Worker(arguments.worker, arguments.threads)
-        self.incise, self.threads, self.repeats, self.folder = arguments.incise, arguments.threads, arguments.repeats, folder
+        self.about = self.worker.ask(do="about")
+        built = Path(self.about.pop("program"))
+        self.incise = arguments.incise or built
+        self.threads, self.repeats, self.folder = arguments.threads, arguments.repeats, folder
         self.pictures: Path = arguments.pictures
         self.report = Report()
         self.volumes: dict[str, work.Volume] = {}
@@ -509,7 +515,7 @@ def main() -> int:
     """Runs the lines that are asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--worker", type=Path, required=True, help="the bench program `peers`")
-    parser.add_argument("--incise", type=Path, required=True, help="the program")
+    parser.add_argument("--incise", type=Path, help="the program, instead of the one built with the worker")
     parser.add_argument("--only", default=",".join(map(str, LINES)), help="lines, as 1,3")
     parser.add_argument("--repeats", type=int, default=7, help="rounds after the one that warms up")
     parser.add_argument("--quick", action="store_true", help="three rounds")
@@ -522,7 +528,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         bench = Bench(arguments, Path(folder))
         machine = {"cpu": platform.processor() or platform.machine(), "cores": os.cpu_count(), "load before": os.getloadavg(), "python": sys.version.split()[0]}
-        bench.report.machine = machine | {"incise": bench.worker.ask(do="about"), "peers": versions()}
+        bench.report.machine = machine | {"incise": bench.about, "peers": versions()}
         for number in map(int, arguments.only.split(",")):
             print(f"\n{LINES[number].__doc__}", flush=True)
             try:

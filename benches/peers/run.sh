@@ -18,8 +18,8 @@ else
     fi
 fi
 
-cargo build --release --bin incise
 worker=$(cargo bench --no-run --bench peers --message-format=json-render-diagnostics |
     sed -n 's/.*"executable":"\([^"]*peers-[^"]*\)".*/\1/p' | tail -n 1)
+[ -n "$worker" ] || exit 1
 
-exec "$python" "$here/run.py" --worker "$worker" --incise "${CARGO_TARGET_DIR:-target}/release/incise" "$@"
+exec "$python" "$here/run.py" --worker "$worker" "$@"

@@ -1,5 +1,8 @@
 """VTK on the work of `work.py`: volume rendering on the CPU and on OpenGL, and resampling."""
 
+import os
+import sys
+
 import numpy as np
 import vtk
 from vtk.util import numpy_support
@@ -8,6 +11,10 @@ import work
 
 # Pictures a second that VTK may coarsen its sampling for, at its best.
 BEST_PER_SECOND = 5.0
+
+if sys.platform == "linux":
+    # No display is needed, and none is looked for.
+    os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
 
 
 def use_threads(count: int) -> None:

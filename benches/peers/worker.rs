@@ -10,6 +10,7 @@ use incise::deform::invert;
 use incise::deform::transform::{Context, Step, Transform, VectorField};
 use incise::export::bake;
 use incise::scene::{Assets, Deformed, Prepared, Rendered, Scene, Stages};
+use incise::volume::gradient_volume;
 use incise::volume::save::Format;
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
@@ -23,7 +24,7 @@ use std::time::Instant;
 #[derive(Deserialize)]
 #[serde(tag = "do", rename_all = "snake_case", deny_unknown_fields)]
 enum Request {
-    /// What this is running on.
+    /// What this is running on, and the program that was built with it.
     About,
     /// Reads a volume and keeps it by name.
     Load { name: String, path: String },
@@ -36,6 +37,8 @@ enum Request {
     Render { volume: String, backend: Backend, scene: String, picture: Option<PathBuf> },
     /// The deformed volume on the grid of its source, as a file's bytes in memory. `output` gets them.
     Bake { volume: String, scene: String, output: Option<PathBuf> },
+    /// The gradients of a volume's values at all voxels, normalised.
+    Gradient { volume: String },
     /// The inverse of a field on its own grid. `output` gets it: three f32 a point.
     Invert { field: String, output: Option<PathBuf> },
 }
@@ -106,7 +109,10 @@ struct Worker {
 impl Worker {
     fn answer(&mut self, request: Request) -> Result<Value> {
         match request {
-            Request::About => Ok(json!({ "threads": rayon::current_num_threads(), "gpu": self.gpu.about() })),
+            Request::About => {
+                let program = env!("CARGO_BIN_EXE_incise");
+                Ok(json!({ "program": program, "threads": rayon::current_num_threads(), "gpu": self.gpu.about() }))
+            }
             Request::Load { name, path } => {
                 let start = Instant::now();
                 let assets = Assets::load(&Scene::of_volume(path), &|_, _| ())?;
@@ -123,6 +129,12 @@ impl Worker {
             Request::Forget { name } => Ok(json!({ "forgotten": self.volumes.remove(&name).is_some() })),
             Request::Render { volume, backend, scene, picture } => self.render(&volume, &backend, &scene, picture.as_deref()),
             Request::Bake { volume, scene, output } => self.bake(&volume, &scene, output.as_deref()),
+            Request::Gradient { volume } => {
+                let assets = find(&self.volumes, &volume)?;
+                let start = Instant::now();
+                let gradients = gradient_volume(assets.grid());
+                Ok(json!({ "ms": ms(start), "vectors": gradients.len() }))
+            }
             Request::Invert { field, output } => self.invert(&field, output.as_deref()),
         }
     }

@@ -21,7 +21,7 @@ pub struct VolumeArguments {
     channel: Option<usize>,
     /// Of a multiscale image (OME-Zarr): which resolution, from 0, the full one.
     #[arg(long, value_name = "N")]
-    level: Option<usize>,
+    resolution: Option<usize>,
     /// Voxel spacing along i, j, k in mm, instead of the file's.
     #[arg(long, value_name = "X,Y,Z", value_parser = spacing)]
     spacing: Option<[f64; 3]>,
@@ -40,7 +40,7 @@ impl VolumeArguments {
             series: self.series.clone().or_else(|| before.series.clone()),
             time: self.time.or(before.time),
             channel: self.channel.or(before.channel),
-            level: self.level.or(before.level),
+            level: self.resolution.or(before.level),
             spacing: self.spacing.or(before.spacing),
             resample: self.resample || before.resample,
             raw: self.raw.clone().or_else(|| before.raw.clone()),
@@ -57,7 +57,10 @@ impl VolumeArguments {
             Some(volume) => volume.choice = self.over(&volume.choice),
             None if chosen.is_default() => {}
             None => {
-                return Err(Error::value("--series, --time, --channel, --level, --spacing, --resample, --raw", "are of volumes, and there is none"));
+                return Err(Error::value(
+                    "--series, --time, --channel, --resolution, --spacing, --resample, --raw",
+                    "are of volumes, and there is none",
+                ));
             }
         }
         Ok(())

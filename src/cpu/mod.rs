@@ -7,7 +7,25 @@
 //! skipping on or off) samples the same points.
 //!
 //! Per sample, cheapest question first: macrocell, mask and source point, value, opacity; only what is visible pays for a gradient,
-//! a Jacobian and light ([`shading`]). Pixels are independent and rows are the unit of work, so the number of threads changes nothing.
+//! a Jacobian and light ([`shading`]). Eight neighbouring rays share every instruction ([`packet`]). Strips of rows are what threads steal from each
+//! other; pixels are independent, so the number of threads changes nothing.
+//!
+//! *What each step gave*, 512 x 512, step 1, shaded, two threads, milliseconds from the prepared scene to the picture (the scenes of
+//! `benches/peers`: a CT phantom of 256^3 and the head of `volumes/`, by a curve that shows surfaces and by one that shows haze; a shared machine,
+//! figures of one column from one run):
+//!
+//! | step | CT surface | CT haze | head surface | head haze |
+//! |---|---|---|---|---|
+//! | a ray at a time, six samples a gradient | 521 | 6800 | 860 | 9650 |
+//! | eight rays at once, the sample in front remembered, 32 voxels a gradient | 50 | 600 | 118 | 800 |
+//! | nothing passed through a function that is not inlined | 46 | 440 | 87 | 575 |
+//!
+//! The first attempt at eight rays took 175, 2290, 320 and 2900: closures that were not inlined were compiled for other registers and called for
+//! every operation ([`crate::math::lanes`]). Macrocells went from 70 to 20 ms by asking blocks of cells first, the bounds of the head's voxels from
+//! 105 to 20 to 40 ms by runs of voxels.
+//!
+//! What `--backend auto` takes where the only adapter is a software one was decided by the same scenes: rays by Mesa's llvmpipe take 137, 1510, 202
+//! and 1650 ms on the same two cores, so the CPU renderer is 2.3 to 3.4 times faster, and it is taken.
 //!
 //! `shaders/raycast.wgsl` and `shaders/lib` say the same in the same words.
 

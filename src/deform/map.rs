@@ -152,6 +152,9 @@ impl DisplacementMap {
     /// J_D (column a = ∂D/∂x_a) and the mask's gradient, both in map space, by differences over one texel to each side (shortened at
     /// the cube's faces, taken at the face beyond it).
     pub fn derivatives(&self, x: Vec3) -> (Mat3, Vec3) {
+        if let Some(derivatives) = self.derivatives_inside(x) {
+            return derivatives;
+        }
         let mut columns = [Vec3::ZERO; 3];
         let mut slope = Vec3::ZERO;
         for axis in 0..3 {
@@ -167,6 +170,46 @@ impl DisplacementMap {
             slope[axis] = d.w;
         }
         (Mat3::from_cols(columns[0], columns[1], columns[2]), slope)
+    }
+
+    /// As [`Self::derivatives`] where a texel lies to each side: the differences are then taken between texels and interpolated by the point's one
+    /// fraction, from 32 texels instead of the 48 of six samples.
+    #[inline(always)]
+    fn derivatives_inside(&self, x: Vec3) -> Option<(Mat3, Vec3)> {
+        let [nx, ny, nz] = self.size;
+        let top = Vec3::from(self.size.map(|n| n as f32 - 1.0));
+        let p = x * top;
+        if !(p.cmpge(Vec3::ONE).all() && p.cmple(top - 1.0).all()) {
+            return None;
+        }
+        // Not beyond the cell whose far neighbours are the last texels; none of an axis of fewer than four.
+        let cell = |p: f32, n: usize| (p as usize).min(n.saturating_sub(3)).max(1);
+        let (i, j, k) = (cell(p.x, nx), cell(p.y, ny), cell(p.z, nz));
+        if nx < 4 || ny < 4 || nz < 4 {
+            return None;
+        }
+        let f = p - Vec3::new(i as f32, j as f32, k as f32);
+        let mix = |a: Vec4, b: Vec4, t: f32| a + (b - a) * t;
+        let slope = |row: [Vec4; 4], t: f32| mix(row[2] - row[0], row[3] - row[1], t);
+        let row = |j: usize, k: usize| -> &[Vec4] { &self.texels[(k * ny + j) * nx + i - 1..][..4] };
+        let along = |row: &[Vec4]| mix(row[1], row[2], f.x);
+        let four = |row: &[Vec4]| slope([row[0], row[1], row[2], row[3]], f.x);
+        let [a, b, c, d] = [row(j, k), row(j + 1, k), row(j, k + 1), row(j + 1, k + 1)];
+        let dx = mix(mix(four(a), four(b), f.y), mix(four(c), four(d), f.y), f.z);
+        let [a, b, c, d] = [along(a), along(b), along(c), along(d)];
+        let dy = mix(
+            slope([along(row(j - 1, k)), a, b, along(row(j + 2, k))], f.y),
+            slope([along(row(j - 1, k + 1)), c, d, along(row(j + 2, k + 1))], f.y),
+            f.z,
+        );
+        let dz = mix(
+            slope([along(row(j, k - 1)), a, c, along(row(j, k + 2))], f.z),
+            slope([along(row(j + 1, k - 1)), b, d, along(row(j + 1, k + 2))], f.z),
+            f.y,
+        );
+        // Over two texels.
+        let [dx, dy, dz] = [dx * (0.5 * top.x), dy * (0.5 * top.y), dz * (0.5 * top.z)];
+        Some((Mat3::from_cols(dx.xyz(), dy.xyz(), dz.xyz()) * self.scale, Vec3::new(dx.w, dy.w, dz.w)))
     }
 
     /// Bytes that the map takes on a GPU.
@@ -211,5 +254,26 @@ mod tests {
     fn values_that_are_not_finite_become_empty() {
         let map = DisplacementMap::from_fn([2, 2, 2], Storage::F16, |_| TexelSample { displacement: Vec3::NAN, alpha: 1.0 });
         assert_eq!(map.sample(Vec3::splat(0.5)), TexelSample { displacement: Vec3::ZERO, alpha: 0.0 });
+    }
+
+    /// The derivatives from 32 texels are those from six samples, everywhere in the cube.
+    #[test]
+    fn derivatives_are_differences_of_samples() {
+        let map = DisplacementMap::from_fn([7, 4, 6], Storage::F32, |x| TexelSample {
+            displacement: Vec3::new((7.0 * x.y).sin(), x.x * x.z, (5.0 * x.x + x.z).cos()) * 0.1,
+            alpha: x.x * x.y,
+        });
+        for n in 0..1000usize {
+            let x = Vec3::new((n % 10) as f32, (n / 10 % 10) as f32, (n / 100) as f32) / 9.0;
+            let (jacobian, slope) = map.derivatives(x);
+            for axis in 0..3 {
+                let step = 1.0 / (map.size[axis] - 1) as f32;
+                let (mut low, mut high) = (x, x);
+                low[axis] = (x[axis] - step).clamp(0.0, 1.0 - step);
+                high[axis] = (x[axis] + step).clamp(step, 1.0);
+                let d = (map.fetch(high) - map.fetch(low)) / (high[axis] - low[axis]);
+                assert!(jacobian.col(axis).abs_diff_eq(d.xyz() * map.scale, 2e-5) && (slope[axis] - d.w).abs() < 2e-5, "{x} along {axis}");
+            }
+        }
     }
 }

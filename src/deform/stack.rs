@@ -244,6 +244,13 @@ impl Stack {
         walk
     }
 
+    /// [`Self::walk`] for many points: source points and smallest masks.
+    pub fn walk_many(&self, deformed: &[Vec3]) -> Vec<(Vec3, f32)> {
+        let mut found = Vec::with_capacity(deformed.len());
+        with_simd(WalkMany { stack: self, deformed, found: &mut found });
+        found
+    }
+
     /// As [`Self::walk`], but through every map whatever the masks say: the pseudo-inverse, continuous across cuts.
     pub fn walk_through(&self, deformed: Vec3) -> (Vec3, f32) {
         let (mut p, mut at, mut smallest) = (deformed, deformed, 1.0f32);
@@ -315,6 +322,29 @@ impl Stack {
     }
 }
 
+struct WalkMany<'a> {
+    stack: &'a Stack,
+    deformed: &'a [Vec3],
+    found: &'a mut Vec<(Vec3, f32)>,
+}
+
+impl OverSimd for WalkMany<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        let everyone = mask32x8::splat(simd, true);
+        for eight in self.deformed.chunks(LANES) {
+            let mut points = [Vec3::ZERO; LANES];
+            points[..eight.len()].copy_from_slice(eight);
+            let walk = self.stack.walk_lanes(simd, Vec3x8::from_lanes(simd, &points), everyone);
+            for n in 0..eight.len() {
+                self.found.push((walk.source.lane(n), walk.alpha[n]));
+            }
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::{Storage, TexelSample};
@@ -355,6 +385,21 @@ mod tests {
             let jet = s.jet(p);
             prop_assert!(b.grown(1e-3).contains(&Bounds::new(jet.source, jet.source)));
             prop_assert!(jet.alpha <= alpha + 1e-5);
+        }
+    }
+
+    /// Many walks are the walks one by one, to the bit, cut points and maps added to each other among them.
+    #[test]
+    fn many_walks_are_single_walks() {
+        let mut s = stack();
+        for added in [false, true] {
+            s.maps[1].added = added;
+            let points: Vec<Vec3> = (0..5003).map(|n| Vec3::new((n % 23) as f32, (n / 23 % 19) as f32, (n / 437) as f32) * 4.3 - 45.0).collect();
+            let many = s.walk_many(&points);
+            assert!(many.len() == points.len() && many.iter().any(|w| w.1 < 0.5));
+            for (p, got) in points.iter().zip(many) {
+                assert_eq!(got, s.walk(*p), "{p}");
+            }
         }
     }
 

@@ -103,6 +103,14 @@ impl Stored<'_> {
         }
         let base = p.floor();
         let (c, f) = ([base.x as i64, base.y as i64, base.z as i64], p - base);
+        if self.interpolation == Interpolation::Linear
+            && self.volume.voxels.is_integer()
+            && (0..3).all(|a| c[a] >= 0 && c[a] + 1 < self.volume.size[a] as i64)
+        {
+            let [nx, ny, _] = self.volume.size;
+            let [i, j, k] = c.map(|c| c as usize);
+            return Some(self.volume.voxels.trilinear((k * ny + j) * nx + i, [nx, nx * ny], f));
+        }
         Some(match self.interpolation {
             Interpolation::Nearest => self.at([p.x.round() as i64, p.y.round() as i64, p.z.round() as i64]),
             Interpolation::Linear => self.weighted(c, 0, &[[1.0 - f.x, f.x], [1.0 - f.y, f.y], [1.0 - f.z, f.z]]),
@@ -209,16 +217,16 @@ pub fn volume(
     let voxel_from_world = volume.world_from_voxel.inverse();
     let fill = (fill - volume.rescale.intercept) / volume.rescale.slope;
     let row = |j: usize, k: usize, bytes: &mut Vec<u8>| {
-        for i in 0..grid.size[0] {
-            let p = grid.world_from_voxel.transform_point3(DVec3::new(i as f64, j as f64, k as f64));
-            // The walk gives the displacement in single precision; the point itself keeps its digits.
-            let deformed = p.as_vec3();
-            let seen = deformation.cuts.kept(deformed) >= 0.0;
-            let value = seen.then(|| deformation.stack.source_from_deformed(deformed)).flatten().and_then(|source| {
-                let exact = p + (source - deformed).as_dvec3();
+        let at = |i: usize| grid.world_from_voxel.transform_point3(DVec3::new(i as f64, j as f64, k as f64));
+        let deformed: Vec<Vec3> = (0..grid.size[0]).map(|i| at(i).as_vec3()).collect();
+        for (i, (source, alpha)) in deformation.stack.walk_many(&deformed).into_iter().enumerate() {
+            let seen = alpha >= 0.5 && deformation.cuts.kept(deformed[i]) >= 0.0;
+            let value = seen.then(|| {
+                // The walk gives the displacement in single precision; the point itself keeps its digits.
+                let exact = at(i) + (source - deformed[i]).as_dvec3();
                 stored.sample(voxel_from_world.transform_point3(exact))
             });
-            put(bytes, scalar, value.unwrap_or(fill) * in_data.slope + in_data.intercept);
+            put(bytes, scalar, value.flatten().unwrap_or(fill) * in_data.slope + in_data.intercept);
         }
     };
     slabs(grid, scalar.bytes(), row, |b| writer.push(b).map_err(|e| fail(e.to_string())), progress)?;

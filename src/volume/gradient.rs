@@ -4,8 +4,9 @@
 //! Both filters are sums of trilinear samples, so the CPU and the shaders state them alike and need no gradient volume. A central
 //! difference of trilinear samples one voxel apart equals the trilinear interpolation of the central differences at the voxels.
 
-use super::{Sampler, Voxel};
+use super::{Grid, GridVoxels, Sampler, Voxel};
 use glam::Vec3;
+use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -56,9 +57,45 @@ impl<T: Voxel> Sampler<'_, T> {
     }
 }
 
+/// Gradients of the normalised values at all voxels, per voxel along i, j, k, i fastest: central differences, one-sided over half the way at
+/// the faces, as [`Sampler::gradient`] gives them there.
+pub fn gradient_volume(grid: &Grid) -> Vec<[f32; 3]> {
+    match &grid.voxels {
+        GridVoxels::U8(v) => gradients(grid, v),
+        GridVoxels::U16(v) => gradients(grid, v),
+        GridVoxels::I16(v) => gradients(grid, v),
+        GridVoxels::F32(v) => gradients(grid, v),
+    }
+}
+
+fn gradients<T: Voxel>(grid: &Grid, voxels: &[T]) -> Vec<[f32; 3]> {
+    let [nx, ny, nz] = grid.size;
+    let mut all = vec![[0.0; 3]; voxels.len()];
+    let half = 0.5 * grid.scale;
+    all.par_chunks_mut(nx.max(1)).enumerate().for_each(|(row, out)| {
+        let (j, k) = (row % ny, row / ny);
+        let of = |j: usize, k: usize| &voxels[(k * ny + j) * nx..][..nx];
+        let (own, below, above) = (of(j, k), of(j.saturating_sub(1), k), of((j + 1).min(ny - 1), k));
+        let (front, behind) = (of(j, k.saturating_sub(1)), of(j, (k + 1).min(nz - 1)));
+        // What no bound has to be asked of is what vector registers can do.
+        for ((((g, below), above), front), behind) in out.iter_mut().zip(below).zip(above).zip(front).zip(behind) {
+            g[1] = (above.to_f32() - below.to_f32()) * half;
+            g[2] = (behind.to_f32() - front.to_f32()) * half;
+        }
+        for (g, three) in out[1.min(nx - 1)..].iter_mut().zip(own.windows(3)) {
+            g[0] = (three[2].to_f32() - three[0].to_f32()) * half;
+        }
+        if nx > 1 {
+            out[0][0] = (own[1].to_f32() - own[0].to_f32()) * half;
+            out[nx - 1][0] = (own[nx - 1].to_f32() - own[nx - 2].to_f32()) * half;
+        }
+    });
+    all
+}
+
 #[cfg(test)]
 mod tests {
-    use super::super::{Grid, GridVoxels, Rescale, Volume};
+    use super::super::{Rescale, Volume};
     use super::*;
     use glam::DAffine3;
 
@@ -73,6 +110,44 @@ mod tests {
         for filter in [GradientFilter::Central, GradientFilter::Sobel] {
             let got = s.gradient(Vec3::new(2.2, 1.9, 2.0), filter);
             assert!(got.abs_diff_eq(want, 1e-6), "{filter:?} {got}");
+        }
+    }
+
+    /// At every voxel, the faces and axes of one voxel among them, the volume of gradients is what the sampler gives, eight at once or one.
+    #[test]
+    fn gradients_at_voxels_are_the_samplers() {
+        use crate::math::lanes::*;
+        struct Lanes<'a>(&'a Sampler<'a, u16>, [Vec3; LANES]);
+        impl OverSimd for Lanes<'_> {
+            type Output = ([f32; LANES], [Vec3; LANES]);
+            #[inline(always)]
+            fn run<S: Simd>(self, simd: S) -> Self::Output {
+                let p = Vec3x8::from_lanes(simd, &self.1);
+                let g = self.0.gradient_lanes(simd, p, GradientFilter::Central, 255);
+                (self.0.sample_lanes(simd, p).to_array(), std::array::from_fn(|n| g.lane(n)))
+            }
+        }
+        for size in [[5, 4, 6], [1, 4, 3], [2, 2, 2], [7, 1, 1], [4, 9, 4]] {
+            let voxels: Vec<u16> = (0..size.iter().product::<usize>()).map(|n| (n * n * 7919 % 65_521) as u16).collect();
+            let grid = Grid::new(&Volume::new(voxels.into(), size, Rescale::NONE, DAffine3::IDENTITY));
+            let GridVoxels::U16(v) = &grid.voxels else { panic!() };
+            let s = Sampler::new(&grid, v);
+            let at = |n: usize| Vec3::new((n % size[0]) as f32, (n / size[0] % size[1]) as f32, (n / (size[0] * size[1])) as f32);
+            for (n, got) in gradient_volume(&grid).iter().enumerate() {
+                let want = s.gradient(at(n), GradientFilter::Central);
+                assert!(Vec3::from(*got).abs_diff_eq(want, 1e-6), "{size:?} {n}: {got:?} for {want}");
+                // Between voxels, and beyond the faces.
+                let points = std::array::from_fn(|lane| at(n) + Vec3::new(0.31, -0.47, 0.83) * (lane as f32 - 3.0) * 0.7);
+                let (values, gradients) = with_simd(Lanes(&s, points));
+                for (lane, p) in points.into_iter().enumerate() {
+                    let want = s.gradient(p, GradientFilter::Central);
+                    assert!(
+                        (values[lane] - s.sample(p)).abs() < 2e-6 && gradients[lane].abs_diff_eq(want, 4e-6),
+                        "{size:?} {p}: {} for {want}",
+                        gradients[lane]
+                    );
+                }
+            }
         }
     }
 }

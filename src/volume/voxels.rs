@@ -67,6 +67,20 @@ impl Voxels {
         with_voxels!(self, v => v[index] as f64)
     }
 
+    /// The trilinear mix, at shares `f` along i, j, k, of a stored value and those after it along each axis of a grid whose rows and layers are
+    /// `row` and `layer` values apart.
+    #[inline]
+    pub fn trilinear(&self, base: usize, [row, layer]: [usize; 2], f: glam::DVec3) -> f64 {
+        with_voxels!(self, v => {
+            let mix = |a: f64, b: f64, t: f64| a + (b - a) * t;
+            let along = |at: usize| {
+                let two = &v[at..at + 2];
+                mix(two[0] as f64, two[1] as f64, f.x)
+            };
+            mix(mix(along(base), along(base + row), f.y), mix(along(base + layer), along(base + layer + row), f.y), f.z)
+        })
+    }
+
     /// The name of the type, as `info` prints it.
     pub fn type_name(&self) -> &'static str {
         match self {
