@@ -4,7 +4,8 @@ use crate::metrics::{STEP, difference};
 use crate::parity::with_renderer;
 use crate::scenes;
 use glam::Vec3;
-use incise::render::Work;
+use incise::gpu::{Device, Want};
+use incise::render::{Renderer, Work};
 use incise::scene::{Assets, Deformation, Mode, Picture, Prepared, Projection, Scene};
 
 /// Two moving maps over a small head.
@@ -20,13 +21,11 @@ fn scene(mode: Mode) -> Scene {
     scene
 }
 
-fn work_of(scene: &Scene, assets: &Assets) -> Work {
+fn work_of(renderer: &mut Renderer, scene: &Scene, assets: &Assets) -> Work {
     let prepared = Prepared::new(scene, assets).unwrap();
-    with_renderer(|r| {
-        let before = r.work();
-        r.render(&prepared, false, &|_| ()).unwrap();
-        r.work().since(&before)
-    })
+    let before = renderer.work();
+    renderer.render(&prepared, false, &|_| ()).unwrap();
+    renderer.work().since(&before)
 }
 
 type Edit = (&'static str, fn(&mut Scene), Work);
@@ -34,6 +33,8 @@ type Edit = (&'static str, fn(&mut Scene), Work);
 /// By kind of edit: what the next picture may do. Textures and bind groups appear where a texture of another size, or of another map, takes
 /// the place of one.
 pub fn edits_upload_what_changed() {
+    // Its own: other tests draw other scenes at the same time.
+    let mut renderer = Renderer::new(Device::open(Want::Any).unwrap());
     let nothing = Work::default();
     let edits: [Edit; 7] = [
         ("nothing", |_| (), nothing),
@@ -51,10 +52,10 @@ pub fn edits_upload_what_changed() {
     for mode in [Mode::Raycast, Mode::Slice] {
         let mut scene = scene(mode);
         let assets = scenes::assets(&scene);
-        work_of(&scene, &assets);
+        work_of(&mut renderer, &scene, &assets);
         for (name, edit, allowed) in &edits {
             edit(&mut scene);
-            let mut work = work_of(&scene, &assets);
+            let mut work = work_of(&mut renderer, &scene, &assets);
             // The grid of macrocells follows the deformed box: another size is another texture.
             let mut allowed = *allowed;
             if allowed.cell_uploads == 1 && work.textures_created == allowed.textures_created + 1 {
@@ -71,14 +72,14 @@ pub fn edits_upload_what_changed() {
         // Another volume of the same kind: its texture, and what depends on what it holds.
         scene.volume = Scene::of_volume("phantom:head-ct:size=40").volume;
         let other = scenes::assets(&scene);
-        let work = work_of(&scene, &other);
+        let work = work_of(&mut renderer, &scene, &other);
         assert_eq!((work.volume_uploads, work.pipelines_compiled), (1, 0), "{mode:?}: {work:?}");
         assert!(work.buffers_created <= 1 && work.map_uploads <= 2, "{mode:?}: {work:?}");
         // Back and forth between two sizes, as a live view goes, makes nothing after the first time.
-        work_of(&scene, &other);
+        work_of(&mut renderer, &scene, &other);
         for n in 0..4 {
             scene.render.size = if n % 2 == 0 { [32, 32] } else { [64, 64] };
-            let work = work_of(&scene, &other);
+            let work = work_of(&mut renderer, &scene, &other);
             assert!(n < 2 || (work.textures_created, work.bind_groups_created) == (0, 0), "{mode:?}, size {n}: {work:?}");
         }
     }

@@ -50,8 +50,6 @@ const OPAQUE: f32 = 1.0 / 512.0;
 
 /// Rows that one task renders; whole packets.
 const STRIP_ROWS: usize = 8;
-/// Bisections of the step in which a ray enters matter.
-const ENTRY_STEPS: u32 = 4;
 
 /// Renders a prepared scene. `progress` is told the share that is done, from several threads.
 pub fn render(scene: &Prepared, progress: &(dyn Fn(f32) + Sync)) -> Rendered {

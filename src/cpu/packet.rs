@@ -12,8 +12,8 @@
 //! known without a look; the distance to the shapes of cuts changes no faster than the point moves, so that between two evaluations it is
 //! bounded; the Jacobian is the identity outside all maps.
 
-use super::shading::{self, EVEN_LIGHT, SURFACE};
-use super::{ENTRY_STEPS, OPAQUE, Projection, shading::Sample};
+use super::shading::{self, ENTRY_STEPS, EVEN_LIGHT, SURFACE};
+use super::{OPAQUE, Projection, shading::Sample};
 use crate::math::lanes::*;
 use crate::scene::{Mode, Normals, Prepared, RenderStats};
 use crate::transfer::{Blend, Preintegrated};

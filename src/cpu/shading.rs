@@ -22,7 +22,7 @@
 //! `shaders/lib/shading.wgsl` says the same; it takes the Jacobian at a sample once more instead of keeping it, so that samples, entries
 //! and slivers share one call.
 
-use super::{ENTRY_STEPS, Look};
+use super::Look;
 use crate::deform::{Cut, Jet};
 use crate::math::{normalize_or, smoothstep};
 use crate::scene::{IsoLight, Normals, Prepared};
@@ -50,6 +50,9 @@ pub struct Normal {
 pub(super) const SURFACE: [f32; 2] = [0.004, 0.04];
 /// Share of the diffuse light that a sample without a normal gets.
 pub(super) const EVEN_LIGHT: f32 = 0.6;
+
+/// Bisections of the step in which a ray enters matter.
+pub(super) const ENTRY_STEPS: u32 = 4;
 
 /// A visible sample before light.
 #[derive(Clone, Copy, Debug)]

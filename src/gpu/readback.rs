@@ -61,7 +61,8 @@ pub fn read_r32f(device: &wgpu::Device, queue: &wgpu::Queue, texture: &wgpu::Tex
     copy(device, queue, texture, through);
     mapped(device, through, |bytes| {
         let texels: &[f32] = bytemuck::try_cast_slice(bytes).map_err(|e| Error::Gpu(format!("reading back failed: {e}")))?;
-        let rows = texels.chunks_exact(row_bytes(texture) as usize / 4);
+        // The buffer may be larger than this picture.
+        let rows = texels.chunks_exact(row_bytes(texture) as usize / 4).take(texture.height() as usize);
         Ok(rows.flat_map(|row| &row[..texture.width() as usize]).copied().collect())
     })
 }
