@@ -298,7 +298,7 @@ def line_1(bench: Bench) -> None:
             "VTK FixedPoint": vtk_frame(vtk.Renderer(volume, case, on_gpu=False)),
             "VTK FixedPoint, coarsened": vtk_frame(vtk.Renderer(volume, case, on_gpu=False, best=True)),
         }
-        bench.compare(1, case.name, bench.alternate(ways), ["incise, CPU"], {"VTK FixedPoint": 1.0, "VTK FixedPoint, coarsened": None})
+        bench.compare(1, case.name, bench.alternate(ways), ["incise, CPU"], {"VTK FixedPoint": 2.0, "VTK FixedPoint, coarsened": None})
 
 
 def line_2(bench: Bench) -> None:
@@ -314,7 +314,9 @@ def line_2(bench: Bench) -> None:
             "VTK GPU": vtk_frame(theirs),
             "VTK GPU, coarsened": vtk_frame(vtk.Renderer(volume, case, on_gpu=True, best=True)),
         }
-        bench.compare(2, case.name, bench.alternate(ways), ["incise, GPU rays", "incise, GPU slices"], {"VTK GPU": 1.0, "VTK GPU, coarsened": None})
+        times = bench.alternate(ways)
+        for ours, bar in (("incise, GPU rays", 3.0), ("incise, GPU slices", 1.5)):
+            bench.compare(2, case.name, times, [ours], {"VTK GPU": bar, "VTK GPU, coarsened": None})
         bench.report.machine["VTK's OpenGL"] = theirs.driver()
 
 
@@ -364,7 +366,7 @@ def line_3(bench: Bench) -> None:
             ways[f"SimpleITK, {mapper}"] = resampled(from_itk, vtk.Renderer(volume, SURFACE, on_gpu))
     except Missing as missing:
         bench.report.note(f"left out: {missing}")
-    bars: dict[str, float | None] = {name: 1.0 for name in ways if name not in ours}
+    bars: dict[str, float | None] = {name: 8.0 for name in ways if name not in ours}
     bench.compare(3, "edit of a 64^3 field, CT 256^3", bench.alternate(ways), ours, bars)
 
 
@@ -377,7 +379,7 @@ def line_4(bench: Bench) -> None:
             times = bench.alternate(ways)
             for kind, what in (("twist", "64^3 map"), ("knife", "64^3 map with a cut")):
                 if times.get(kind) and times.get("undeformed"):
-                    bench.add(Row(4, f"{case.name}: incise, {name}, {what} over a third", times[kind], "undeformed", times["undeformed"], slower=True))
+                    bench.add(Row(4, f"{case.name}: incise, {name}, {what} over a third", times[kind], "undeformed", times["undeformed"], slower=True, bar=1.5))
 
 
 def line_5(bench: Bench) -> None:
@@ -402,7 +404,7 @@ def line_5(bench: Bench) -> None:
         verdict = "" if difference <= BAKED else ": THE VOLUMES DISAGREE, the comparison is void"
         bench.report.note(f"{name}: mean difference {difference:.3f} in a volume of {np.ptp(volume.voxels)}{verdict}")
         ways[name] = lambda turn, r=resampler: timed(lambda: r.array(1.0))
-    bench.compare(5, "bake 256^3 under a 64^3 field", bench.alternate(ways), ["incise"], {name: 1.0 for name in resamplers})
+    bench.compare(5, "bake 256^3 under a 64^3 field", bench.alternate(ways), ["incise"], {name: 3.0 for name in resamplers})
 
 
 def line_6(bench: Bench) -> None:
@@ -415,7 +417,7 @@ def line_6(bench: Bench) -> None:
         return timed(gradient.Update)
 
     ways: dict[str, Way] = {"incise": lambda turn: float(bench.worker.ask(do="gradient", volume="ct")["ms"]), "vtkImageGradient": theirs}
-    bench.compare(6, "gradient of 256^3", bench.alternate(ways), ["incise"], {"vtkImageGradient": 1.0})
+    bench.compare(6, "gradient of 256^3", bench.alternate(ways), ["incise"], {"vtkImageGradient": 3.0})
 
 
 def line_7(bench: Bench) -> None:
@@ -441,7 +443,7 @@ def line_7(bench: Bench) -> None:
     for name, (mean, high) in residuals.items():
         better = "".join(f"; {what} more exact than incise" for what, ours, it in zip(("on average", "in its tail"), residuals["incise"], (mean, high)) if it < ours)
         bench.report.note(f"{name}: residual mean {mean:.2e} mm, 99.9 % below {high:.2e} mm{better}")
-    bench.compare(7, "inverse of a 128^3 field", bench.alternate(ways), ["incise"], {name: 1.0 for name in theirs})
+    bench.compare(7, "inverse of a 128^3 field", bench.alternate(ways), ["incise"], {name: 5.0 for name in theirs})
 
 
 def line_8(bench: Bench) -> None:
@@ -451,11 +453,11 @@ def line_8(bench: Bench) -> None:
             small, large = (work.Case(transfer, f"ct{n}", transfer) for n in (128, 512))
             times = bench.alternate({"128^3": bench.ray(small, backend), "512^3": bench.ray(large, backend)})
             if times.get("512^3") and times.get("128^3"):
-                bench.add(Row(8, f"{transfer}: incise, {name}, 512^3 volume", times["512^3"], "128^3 volume", times["128^3"], slower=True))
+                bench.add(Row(8, f"{transfer}: incise, {name}, 512^3 volume", times["512^3"], "128^3 volume", times["128^3"], slower=True, bar=3.0))
             wide = work.Case(transfer, "ct", transfer, size=1024)
             times = bench.alternate({"512": bench.ray(work.Case(transfer, "ct", transfer), backend), "1024": bench.ray(wide, backend)})
             if times.get("1024") and times.get("512"):
-                bench.add(Row(8, f"{transfer}: incise, {name}, 1024 x 1024", times["1024"], "512 x 512", times["512"], slower=True))
+                bench.add(Row(8, f"{transfer}: incise, {name}, 1024 x 1024", times["1024"], "512 x 512", times["512"], slower=True, bar=4.2))
     bench.forget("ct128")
     bench.forget("ct512")
 
