@@ -423,9 +423,13 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         let mut turned = [Vec3x8::splat(simd, Vec3::X), Vec3x8::splat(simd, Vec3::Y), Vec3x8::splat(simd, Vec3::Z)];
         for n in lanes_of(touched.to_bitmask()) {
             let jet = scene.stack.jet(entry.deformed.lane(n));
-            let nearest = shading::nearest_cut(scene, &jet, entry.in_voxel.lane(n));
+            let (j, in_voxel) = (jet.d_source_d_deformed, entry.in_voxel.lane(n));
+            // No face of the volume's box is nearer than its distance in the source over the norm of J: mostly far enough to ask no further.
+            let norm = (j.x_axis.length_squared() + j.y_axis.length_squared() + j.z_axis.length_squared()).sqrt();
+            let (low, high) = (self.face * norm - 0.5, scene.frame.grid_size - 0.5 - self.face * norm);
+            let far = in_voxel.cmpgt(low).all() && in_voxel.cmplt(high).all();
+            let nearest = if far { jet.cut } else { shading::nearest_cut(scene, &jet, in_voxel) };
             cut.set(n, nearest.distance_mm < self.margin_mm);
-            let j = jet.d_source_d_deformed;
             (0..3).for_each(|a| turned[a].set(n, j.col(a)));
         }
         if !self.lit && !self.gradient_opacity {

@@ -77,17 +77,15 @@ fn gradients<T: Voxel>(grid: &Grid, voxels: &[T]) -> Vec<[f32; 3]> {
         let of = |j: usize, k: usize| &voxels[(k * ny + j) * nx..][..nx];
         let (own, below, above) = (of(j, k), of(j.saturating_sub(1), k), of((j + 1).min(ny - 1), k));
         let (front, behind) = (of(j, k.saturating_sub(1)), of(j, (k + 1).min(nz - 1)));
-        // What no bound has to be asked of is what vector registers can do.
-        for ((((g, below), above), front), behind) in out.iter_mut().zip(below).zip(above).zip(front).zip(behind) {
-            g[1] = (above.to_f32() - below.to_f32()) * half;
-            g[2] = (behind.to_f32() - front.to_f32()) * half;
-        }
-        for (g, three) in out[1.min(nx - 1)..].iter_mut().zip(own.windows(3)) {
-            g[0] = (three[2].to_f32() - three[0].to_f32()) * half;
-        }
-        if nx > 1 {
-            out[0][0] = (own[1].to_f32() - own[0].to_f32()) * half;
-            out[nx - 1][0] = (own[nx - 1].to_f32() - own[nx - 2].to_f32()) * half;
+        let last = nx - 1;
+        let mut at = |i: usize, before: usize, after: usize| {
+            out[i] = [own[after].to_f32() - own[before].to_f32(), above[i].to_f32() - below[i].to_f32(), behind[i].to_f32() - front[i].to_f32()]
+                .map(|d| d * half);
+        };
+        at(0, 0, 1.min(last));
+        (1..last).for_each(|i| at(i, i - 1, i + 1));
+        if last > 0 {
+            at(last, last - 1, last);
         }
     });
     all
