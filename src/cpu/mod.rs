@@ -24,8 +24,8 @@
 //! every operation ([`crate::math::lanes`]). Macrocells went from 70 to 20 ms by asking blocks of cells first, the bounds of the head's voxels from
 //! 105 to 20 to 40 ms by runs of voxels.
 //!
-//! What `--backend auto` takes where the only adapter is a software one was decided by the same scenes: rays by Mesa's llvmpipe take 137, 1510, 202
-//! and 1650 ms on the same two cores, so the CPU renderer is 2.3 to 3.4 times faster, and it is taken.
+//! What `--backend auto` takes where the only adapter is a software one was decided by the same scenes in one run of `benches/peers`: 52, 319, 86 and
+//! 542 ms here against 88, 844, 120 and 2400 ms for rays by Mesa's llvmpipe on the same two cores. The CPU renderer is taken.
 //!
 //! `shaders/raycast.wgsl` and `shaders/lib` say the same in the same words.
 
