@@ -12,14 +12,11 @@ if [ "${1:-}" = "--python" ]; then
 else
     venv=$root/target/peers/venv
     python=$venv/bin/python
-    if [ ! -x "$python" ]; then
-        python3 -m venv "$venv"
-        "$python" -m pip install --quiet --requirement "$here/requirements.txt"
-    fi
+    [ -x "$python" ] || python3 -m venv "$venv"
+    "$python" -m pip install --quiet --requirement "$here/requirements.txt"
 fi
 
-worker=$(cargo bench --no-run --bench peers --message-format=json-render-diagnostics |
-    sed -n 's/.*"executable":"\([^"]*peers-[^"]*\)".*/\1/p' | tail -n 1)
-[ -n "$worker" ] || exit 1
+built=$(cargo bench --no-run --bench peers --message-format=json-render-diagnostics)
+worker=$(echo "$built" | sed -n 's/.*"executable":"\([^"]*peers-[^"]*\)".*/\1/p' | tail -n 1)
 
 exec "$python" "$here/run.py" --worker "$worker" "$@"

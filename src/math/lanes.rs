@@ -130,7 +130,7 @@ impl<S: Simd> Vec3x8<S> {
     pub fn normalized(self) -> Self {
         let squared = self.dot(self);
         let usable = squared.simd_gt(1e-30) & squared.simd_lt(f32::INFINITY);
-        let zero = squared - squared;
+        let zero = f32x8::splat(squared.token(), 0.0);
         let factor = usable.select(f32x8::splat(squared.token(), 1.0) / squared.sqrt(), zero);
         Self { x: usable.select(self.x, zero), y: usable.select(self.y, zero), z: usable.select(self.z, zero) } * factor
     }
@@ -204,7 +204,7 @@ pub fn exp2<S: Simd>(x: f32x8<S>) -> f32x8<S> {
     let f = x - whole;
     // The series of e^(f ln 2) for |f| <= 1/2; the next term is below 6e-9.
     let mut p = f * 1.525_273_4e-5 + 1.540_353e-4;
-    for c in [1.333_355_8e-3, 9.618_129e-3, 5.550_411e-2, 2.402_265_1e-1, 6.931_472e-1, 1.0] {
+    for c in [1.333_355_8e-3, 9.618_129e-3, 5.550_411e-2, 2.402_265e-1, 6.931_472e-1, 1.0] {
         p = p * f + c;
     }
     let exponent: i32x8<S> = (whole.to_int::<i32x8<S>>() + 127) << 23;

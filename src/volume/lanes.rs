@@ -84,8 +84,8 @@ impl<T: Voxel> Sampler<'_, T> {
     pub fn sample_lanes<S: Simd>(&self, simd: S, p: Vec3x8<S>) -> f32x8<S> {
         if !self.is_at_least(2) {
             let mut values = [0.0; LANES];
-            for n in 0..LANES {
-                values[n] = self.sample(p.lane(n));
+            for (n, value) in values.iter_mut().enumerate() {
+                *value = self.sample(p.lane(n));
             }
             return f32x8::load_array(simd, values);
         }
