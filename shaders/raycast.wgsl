@@ -1,4 +1,4 @@
-// One fragment, one ray, front to back. Counterpart of march in src/cpu/mod.rs.
+// One fragment, one ray, front to back. Counterpart of march in src/cpu/packet.rs.
 
 @vertex
 fn vertex(@builtin(vertex_index) index: u32) -> @builtin(position) vec4<f32> {

@@ -1,4 +1,4 @@
-// A stretch of a ray, front to back. Counterpart of march in src/cpu/mod.rs; a ray is one stretch, a slab of slices a short one.
+// A stretch of a ray, front to back. Counterpart of march in src/cpu/packet.rs; a ray is one stretch, a slab of slices a short one.
 
 const OPAQUE: f32 = 1.0 / 512.0;
 
