@@ -28,7 +28,8 @@ fail() {
 # A display that nobody has.
 for n in $(seq 80 120); do
   [ -e "/tmp/.X11-unix/X$n" ] && continue
-  Xvfb ":$n" -screen 0 1280x800x24 >/dev/null 2>&1 &
+  # Without -noreset the display starts anew whenever its last client leaves, and the next one may meet it while it does.
+  Xvfb ":$n" -screen 0 1280x800x24 -noreset >/dev/null 2>&1 &
   server=$!
   export DISPLAY=:$n
   break
