@@ -10,7 +10,7 @@ use incise::deform::invert;
 use incise::deform::transform::{Context, Step, Transform, VectorField};
 use incise::export::bake;
 use incise::scene::{Assets, Deformed, Prepared, Rendered, Scene, Stages};
-use incise::volume::gradient_volume;
+use incise::volume::GradientVolume;
 use incise::volume::save::Format;
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
@@ -37,7 +37,7 @@ enum Request {
     Render { volume: String, backend: Backend, scene: String, picture: Option<PathBuf> },
     /// The deformed volume on the grid of its source, as a file's bytes in memory. `output` gets them.
     Bake { volume: String, scene: String, output: Option<PathBuf> },
-    /// The gradients of a volume's values at all voxels, normalised.
+    /// The gradients of a volume at all voxels, as stored values.
     Gradient { volume: String },
     /// The inverse of a field on its own grid. `output` gets it: three f32 a point.
     Invert { field: String, output: Option<PathBuf> },
@@ -132,8 +132,8 @@ impl Worker {
             Request::Gradient { volume } => {
                 let assets = find(&self.volumes, &volume)?;
                 let start = Instant::now();
-                let gradients = gradient_volume(assets.grid());
-                Ok(json!({ "ms": ms(start), "vectors": gradients.len() }))
+                let gradients = GradientVolume::new(assets.grid()).context("no gradient volume is made of these voxels")?;
+                Ok(json!({ "ms": ms(start), "vectors": gradients.texels.len() }))
             }
             Request::Invert { field, output } => self.invert(&field, output.as_deref()),
         }

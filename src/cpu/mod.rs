@@ -69,11 +69,12 @@ pub fn render_until(scene: &Prepared, watch: &Watch) -> Result<Rendered> {
 /// Rows after a stop stay empty.
 fn render_rows(scene: &Prepared, watch: &Watch) -> Rendered {
     let mut stages = Stages::default();
+    let gradients = stages.time("gradients", || scene.gradients());
     let (picture, stats) = stages.time("render", || match &scene.grid.voxels {
-        GridVoxels::U8(v) => rows(scene, &Sampler::new(scene.grid, v), watch),
-        GridVoxels::U16(v) => rows(scene, &Sampler::new(scene.grid, v), watch),
-        GridVoxels::I16(v) => rows(scene, &Sampler::new(scene.grid, v), watch),
-        GridVoxels::F32(v) => rows(scene, &Sampler::new(scene.grid, v), watch),
+        GridVoxels::U8(v) => rows(scene, &Sampler::new(scene.grid, v).with_gradients(gradients), watch),
+        GridVoxels::U16(v) => rows(scene, &Sampler::new(scene.grid, v).with_gradients(gradients), watch),
+        GridVoxels::I16(v) => rows(scene, &Sampler::new(scene.grid, v).with_gradients(gradients), watch),
+        GridVoxels::F32(v) => rows(scene, &Sampler::new(scene.grid, v).with_gradients(gradients), watch),
     });
     Rendered { picture: picture.reduced(scene.settings.antialias), stats: Some(stats), stages, notices: Vec::new() }
 }

@@ -9,7 +9,7 @@
 //! array): else it is compiled for the least, and every operation becomes a call. That cost a factor of ten.
 
 pub use fearless_simd::prelude::{Bytes, ExtractToken, Select, Simd, SimdBase, SimdFloat, SimdInt, SimdMask};
-pub use fearless_simd::{f32x8, i32x8, mask32x8};
+pub use fearless_simd::{f32x4, f32x8, i16x8, i32x8, mask32x8};
 
 use fearless_simd::Level;
 use glam::{Affine3A, Mat3, Vec3};

@@ -14,6 +14,7 @@ pub mod measure;
 pub mod objects;
 mod paths;
 mod prepared;
+mod sampled;
 pub mod surface;
 
 pub use camera::{Camera, Projection, View, ViewFrame};

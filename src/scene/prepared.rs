@@ -1,17 +1,17 @@
 //! A scene resolved for rendering, and the picture that comes out: the same types for every backend.
 
+use super::sampled::Sampled;
 use super::deformations::{self, Composition, Making};
 use super::objects::{Objects, Surfaces};
 use super::{CutFaces, Light, Macrocells, Mode, Normals, RenderSettings, Scene, ViewFrame, inside, macrocells::Contents};
 use crate::deform::compose::{self, Evaluate};
 use crate::deform::cut::Cuts;
 use crate::deform::{Library, PlacedMap, Stack, Storage};
-use crate::math::pyramid::Range;
-use crate::math::{Bounds, MinMaxPyramid, normalize_or, to_f32};
+use crate::math::{Bounds, normalize_or, to_f32};
 use crate::mesh::Mesh;
 use crate::transfer::{Blend, OWN_COLORS, Table, default_preset};
 use crate::volume::load::Choice;
-use crate::volume::{Colors, GradientFilter, Grid, GridVoxels, Volume, Voxel, load, phantom};
+use crate::volume::{Colors, GradientFilter, GradientVolume, Grid, Volume, load, phantom};
 use crate::{Error, Result, Watch};
 use glam::{Affine3A, DVec3, Vec3};
 use std::path::PathBuf;
@@ -46,14 +46,14 @@ impl Stages {
 pub struct Assets {
     /// The volume.
     pub volume: Arc<Volume>,
-    /// Its sampled form, and bounds of its normalised values.
-    plain: Arc<(Grid, MinMaxPyramid<1>)>,
+    /// Its sampled form.
+    plain: Arc<Sampled>,
     /// What the volume was loaded from.
     source: Option<(PathBuf, Choice)>,
     /// The label map that goes with the volume, if the scene names one.
     pub label_map: Option<Arc<Volume>>,
     /// A label map as colours, made when it is first shown so.
-    labels: OnceLock<Option<(Grid, MinMaxPyramid<1>)>>,
+    labels: OnceLock<Option<Sampled>>,
     /// What deformations read besides.
     pub library: Arc<Library>,
     /// Meshes and distance fields.
@@ -117,9 +117,7 @@ impl Assets {
         }
         if !assets.has_volume {
             let empty = Volume::empty_over(&assets.mesh_box);
-            let grid = Grid::new(&empty);
-            let pyramid = bounds_of(&grid);
-            assets.plain = Arc::new((grid, pyramid));
+            assets.plain = Arc::new(Sampled::new(Grid::new(&empty)));
             assets.volume = Arc::new(empty);
         }
         assets.stages = stages;
@@ -153,17 +151,12 @@ impl Assets {
 
     /// The volume's sampled form.
     pub fn grid(&self) -> &Grid {
-        &self.plain.0
+        &self.plain.grid
     }
 
     /// The grid that the label map shows as colours; none if the volume is no label map.
-    fn as_labels(&self) -> Option<&(Grid, MinMaxPyramid<1>)> {
-        let made = self.labels.get_or_init(|| {
-            let grid = Grid::of_labels(&self.volume)?;
-            let pyramid = bounds_of(&grid);
-            Some((grid, pyramid))
-        });
-        made.as_ref()
+    fn as_labels(&self) -> Option<&Sampled> {
+        self.labels.get_or_init(|| Grid::of_labels(&self.volume).map(Sampled::new)).as_ref()
     }
 
     /// The assets of a volume that is already in memory.
@@ -202,13 +195,13 @@ impl Assets {
 
     fn in_folder(volume: Volume, folder: std::path::PathBuf, mut stages: Stages) -> Self {
         let grid = stages.time("grid", || Grid::new(&volume));
-        let pyramid = stages.time("bricks", || bounds_of(&grid));
+        let plain = stages.time("bricks", || Sampled::new(grid));
         let volume = Arc::new(volume);
         let library = Arc::new(Library::new(volume.clone(), folder));
         Self {
             library,
             volume,
-            plain: Arc::new((grid, pyramid)),
+            plain: Arc::new(plain),
             source: None,
             label_map: None,
             labels: OnceLock::new(),
@@ -218,31 +211,6 @@ impl Assets {
             stages,
         }
     }
-}
-
-/// Bounds of the values of a grid.
-fn bounds_of(grid: &Grid) -> MinMaxPyramid<1> {
-    match &grid.voxels {
-        GridVoxels::U8(v) => bounds_of_voxels(grid, v),
-        GridVoxels::U16(v) => bounds_of_voxels(grid, v),
-        GridVoxels::I16(v) => bounds_of_voxels(grid, v),
-        GridVoxels::F32(v) => bounds_of_voxels(grid, v),
-    }
-}
-
-fn bounds_of_voxels<T: Voxel>(grid: &Grid, voxels: &[T]) -> MinMaxPyramid<1> {
-    let [nx, ny, _] = grid.size;
-    MinMaxPyramid::from_runs(grid.size, 2, |first, last, j, k| {
-        let row = (k * ny + j) * nx;
-        let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
-        for v in &voxels[row + first..=row + last] {
-            let v = v.to_f32();
-            (low, high) = (low.min(v), high.max(v));
-        }
-        let (a, b) = (low * grid.scale + grid.offset, high * grid.scale + grid.offset);
-        // A negative slope turns the range around.
-        Range { min: [a.min(b)], max: [a.max(b)] }
-    })
 }
 
 /// The constants of one picture.
@@ -347,6 +315,8 @@ fn blend_mm(step: f32, reference_mm: f32) -> [f32; 2] {
 pub struct Prepared<'a> {
     /// What is sampled.
     pub grid: &'a Grid,
+    /// The same with what is derived from it.
+    shown: &'a Sampled,
     /// The voxels' own colours, which take the place of the table's.
     pub colors: Option<&'a Colors>,
     /// Baked transfer function.
@@ -424,11 +394,11 @@ impl<'a> Prepared<'a> {
             if let Some(labels) = by_label.then(|| assets.as_labels()).flatten() {
                 let function = function.of_presence();
                 let table = Table::new(&function, [0.0, 1.0]);
-                return Ok((labels, labels.0.colors.as_ref(), function, table));
+                return Ok((labels, labels.grid.colors.as_ref(), function, table));
             }
             let table = Table::new(&function, volume.range);
             let own = transfer.own_colors.unwrap_or(transfer.preset.as_deref().is_none_or(|p| p == OWN_COLORS));
-            Ok((&*assets.plain, assets.plain.0.colors.as_ref().filter(|_| own), function, table))
+            Ok((&*assets.plain, assets.plain.grid.colors.as_ref().filter(|_| own), function, table))
         })?;
         let scene_box = assets.scene_box();
         let mut view = scene.camera.frame(&scene_box, settings.size)?;
@@ -440,7 +410,7 @@ impl<'a> Prepared<'a> {
         let normalised = |v: f64| ((v - volume.range[0]) / span) as f32;
         let iso = settings.iso.map(normalised);
         let grey_window = volume.window(scene.transfer.window, scene.transfer.level).map(normalised);
-        let grid_size = Vec3::from(shown.0.size.map(|n| n as f32));
+        let grid_size = Vec3::from(shown.grid.size.map(|n| n as f32));
         let voxel_from_world = to_f32(&volume.world_from_voxel.inverse());
         if !voxel_from_world.is_finite() {
             return Err(Error::value("volume", "its voxel axes are singular; the file's geometry cannot be used"));
@@ -463,7 +433,7 @@ impl<'a> Prepared<'a> {
                 grey_faces: settings.cut_faces == CutFaces::Grey,
                 voxel_from_world: &voxel_from_world,
                 voxel_box: Bounds::new(Vec3::splat(-0.5), grid_size - 0.5),
-                pyramid: &shown.1,
+                pyramid: &shown.bounds,
                 table: &table,
                 blend: function.blend,
             };
@@ -491,7 +461,8 @@ impl<'a> Prepared<'a> {
             blend_mm,
         };
         Ok(Self {
-            grid: &shown.0,
+            grid: &shown.grid,
+            shown,
             colors,
             table,
             blend: function.blend,
@@ -528,6 +499,12 @@ impl<'a> Prepared<'a> {
     /// Whether the gradient is needed before the opacity.
     pub fn uses_gradient_opacity(&self) -> bool {
         !self.table.gradient.is_empty() && self.blend == Blend::Composite
+    }
+
+    /// The gradients of all voxels, if they are wanted and kept.
+    pub fn gradients(&self) -> Option<&'a GradientVolume> {
+        let wanted = (self.is_lit() || self.uses_gradient_opacity()) && self.gradient_filter() == GradientFilter::Central;
+        wanted.then(|| self.shown.gradients()).flatten()
     }
 
     /// The gradient filter.

@@ -4,7 +4,7 @@
 //! an interpolated sample below 0 touches a hole and shows nothing. A hole thus reaches one voxel into its neighbours, to within a
 //! ten-thousandth of a voxel, in which values between theirs and 0 remain.
 
-use super::{Colors, Rescale, Volume, Voxels};
+use super::{Colors, GradientVolume, Rescale, Volume, Voxels};
 use crate::math::lanes::{LANES, Simd, f32x8};
 use glam::{Vec3, Vec4};
 use std::sync::Arc;
@@ -164,13 +164,22 @@ pub struct Sampler<'a, T> {
     pub(super) top: Vec3,
     pub(super) scale: f32,
     pub(super) offset: f32,
+    /// Values and differences at all voxels, if they are kept.
+    pub(super) differences: Option<&'a [[i16; 4]]>,
 }
 
 impl<'a, T: Voxel> Sampler<'a, T> {
     /// A sampler over the voxels of `grid`, which must be `grid`'s own.
     pub fn new(grid: &Grid, voxels: &'a [T]) -> Self {
         assert_eq!(voxels.len(), grid.size.iter().product::<usize>());
-        Self { voxels, size: grid.size, top: Vec3::from(grid.size.map(|n| (n - 1) as f32)), scale: grid.scale, offset: grid.offset }
+        let top = Vec3::from(grid.size.map(|n| (n - 1) as f32));
+        Self { voxels, size: grid.size, top, scale: grid.scale, offset: grid.offset, differences: None }
+    }
+
+    /// The sampler with a gradient volume of the same grid, which gradients are read from; they are the same to the bit.
+    pub fn with_gradients(self, gradients: Option<&'a GradientVolume>) -> Self {
+        let differences = gradients.map(|g| &*g.texels).filter(|texels| texels.len() == self.voxels.len());
+        Self { differences, ..self }
     }
 
     /// Normalised value at a position in voxels, clamped to the outermost voxel centres as a texture is.

@@ -2,6 +2,7 @@
 //!
 //! *Theory*: what a sample costs is its loads. The two voxels of a row lie beside each other and are loaded as one word; a gradient needs 32
 //! voxels of the 64 around a point, not the 48 of six samples: the differences to both sides are interpolated by the point's one fraction.
+//! Where differences are kept ([`GradientVolume`](super::GradientVolume)) it needs 8 of them.
 //!
 //! *How to call it*: as [`Sampler::sample`] and [`Sampler::gradient`], whose values these are to rounding.
 
@@ -26,12 +27,6 @@ fn mix<S: Simd>(a: f32x8<S>, b: f32x8<S>, t: f32x8<S>) -> f32x8<S> {
 fn mix_face<S: Simd>(corners: [[f32x8<S>; 2]; 2], s: f32x8<S>, t: f32x8<S>) -> f32x8<S> {
     let [[a, b], [c, d]] = corners;
     mix(mix(a, b, s), mix(c, d, s), t)
-}
-
-/// Of four neighbours along a row, twice the slope between the middle ones at t.
-#[inline(always)]
-fn slope<S: Simd>(row: [f32x8<S>; 4], t: f32x8<S>) -> f32x8<S> {
-    mix(row[2] - row[0], row[3] - row[1], t)
 }
 
 /// Cells along an axis and where in them, `margin` cells away from the ends.
@@ -104,19 +99,10 @@ impl<T: Voxel> Sampler<'_, T> {
         if filter == GradientFilter::Central && self.is_at_least(4) {
             let Cells { base, f } = self.cells(p, 1);
             let (up, on) = (self.size[0] as isize, (self.size[0] * self.size[1]) as isize);
-            // The four rows of the cell, from one voxel before it to one behind it.
-            let a = T::quads(simd, self.voxels, &moved(&base, -1));
-            let b = T::quads(simd, self.voxels, &moved(&base, up - 1));
-            let c = T::quads(simd, self.voxels, &moved(&base, on - 1));
-            let d = T::quads(simd, self.voxels, &moved(&base, on + up - 1));
-            all.x = mix_face([[slope(a, f.x), slope(b, f.x)], [slope(c, f.x), slope(d, f.x)]], f.y, f.z);
-            let (a, b, c, d) = (mix(a[1], a[2], f.x), mix(b[1], b[2], f.x), mix(c[1], c[2], f.x), mix(d[1], d[2], f.x));
-            let near = slope([self.row(simd, &base, -up, f.x), a, b, self.row(simd, &base, 2 * up, f.x)], f.y);
-            let far = slope([self.row(simd, &base, on - up, f.x), c, d, self.row(simd, &base, on + 2 * up, f.x)], f.y);
-            all.y = mix(near, far, f.z);
-            let low = slope([self.row(simd, &base, -on, f.x), a, c, self.row(simd, &base, 2 * on, f.x)], f.z);
-            let high = slope([self.row(simd, &base, up - on, f.x), b, d, self.row(simd, &base, up + 2 * on, f.x)], f.z);
-            all.z = mix(low, high, f.y);
+            all = match self.differences {
+                Some(differences) => mix_texels(simd, differences, &base, [up as usize, on as usize], f),
+                None => self.differences_between(simd, &base, [up, on], f),
+            };
             all = all * f32x8::splat(simd, 0.5 * self.scale);
             // Beside the grid's faces a difference is taken at the face, as a texture's edge is.
             let (x, y, z) = (beyond(p.x, self.top.x), beyond(p.y, self.top.y), beyond(p.z, self.top.z));
@@ -127,6 +113,72 @@ impl<T: Voxel> Sampler<'_, T> {
         }
         all
     }
+
+    /// Differences f(+1) - f(-1) of stored values in cells that have a voxel to every side. Taken at the corners, where those of integers are
+    /// exact, and then interpolated: by the same operations as differences that are kept.
+    #[inline(always)]
+    fn differences_between<S: Simd>(&self, simd: S, base: &[usize; LANES], [up, on]: [isize; 2], f: Vec3x8<S>) -> Vec3x8<S> {
+        // The four rows of the cell, from one voxel before it to one behind it; the rows around those.
+        let a = T::quads(simd, self.voxels, &moved(base, -1));
+        let b = T::quads(simd, self.voxels, &moved(base, up - 1));
+        let c = T::quads(simd, self.voxels, &moved(base, on - 1));
+        let d = T::quads(simd, self.voxels, &moved(base, on + up - 1));
+        let x = mix_rows([across(a), across(b), across(c), across(d)], f);
+        let (below, above) = (T::pairs(simd, self.voxels, &moved(base, -up)), T::pairs(simd, self.voxels, &moved(base, 2 * up)));
+        let (below_on, above_on) = (T::pairs(simd, self.voxels, &moved(base, on - up)), T::pairs(simd, self.voxels, &moved(base, on + 2 * up)));
+        let y = mix_rows([between(below, [b[1], b[2]]), between([a[1], a[2]], above), between(below_on, [d[1], d[2]]), between([c[1], c[2]], above_on)], f);
+        let (front, behind) = (T::pairs(simd, self.voxels, &moved(base, -on)), T::pairs(simd, self.voxels, &moved(base, 2 * on)));
+        let (front_up, behind_up) = (T::pairs(simd, self.voxels, &moved(base, up - on)), T::pairs(simd, self.voxels, &moved(base, up + 2 * on)));
+        let z = mix_rows([between(front, [c[1], c[2]]), between(front_up, [d[1], d[2]]), between([a[1], a[2]], behind), between([b[1], b[2]], behind_up)], f);
+        Vec3x8 { x, y, z }
+    }
+}
+
+/// Of four neighbours along a row, the differences at the two in the middle.
+#[inline(always)]
+fn across<S: Simd>(row: [f32x8<S>; 4]) -> [f32x8<S>; 2] {
+    [row[2] - row[0], row[3] - row[1]]
+}
+
+/// Differences between two rows.
+#[inline(always)]
+fn between<S: Simd>(before: [f32x8<S>; 2], after: [f32x8<S>; 2]) -> [f32x8<S>; 2] {
+    [after[0] - before[0], after[1] - before[1]]
+}
+
+/// The mix of the rows of a cell (near low, near high, far low, far high): the second axis first, the first last.
+#[inline(always)]
+fn mix_rows<S: Simd>([a, b, c, d]: [[f32x8<S>; 2]; 4], f: Vec3x8<S>) -> f32x8<S> {
+    let low = mix(mix(a[0], b[0], f.y), mix(c[0], d[0], f.y), f.z);
+    let high = mix(mix(a[1], b[1], f.y), mix(c[1], d[1], f.y), f.z);
+    mix(low, high, f.x)
+}
+
+/// The mix of the differences that are kept at the corners of eight cells. Two neighbours of a row fill one register: it is lanes that are
+/// taken one by one here, not corners.
+#[inline(always)]
+fn mix_texels<S: Simd>(simd: S, texels: &[[i16; 4]], base: &[usize; LANES], [up, on]: [usize; 2], f: Vec3x8<S>) -> Vec3x8<S> {
+    let mut mixed = [[0.0; 4]; LANES];
+    for n in 0..LANES {
+        let at = base[n];
+        let (y, z) = (f32x8::splat(simd, f.y[n]), f32x8::splat(simd, f.z[n]));
+        let near = mix(pair_of_texels(simd, texels, at), pair_of_texels(simd, texels, at + up), y);
+        let far = mix(pair_of_texels(simd, texels, at + on), pair_of_texels(simd, texels, at + on + up), y);
+        let (low, high) = simd.split_f32x8(mix(near, far, z));
+        mixed[n] = *(low + (high - low) * f32x4::splat(simd, f.x[n]));
+    }
+    let (mut x, mut y, mut z) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
+    for n in 0..LANES {
+        [_, x[n], y[n], z[n]] = mixed[n];
+    }
+    Vec3x8 { x: f32x8::load_array(simd, x), y: f32x8::load_array(simd, y), z: f32x8::load_array(simd, z) }
+}
+
+/// Two neighbouring texels as numbers.
+#[inline(always)]
+fn pair_of_texels<S: Simd>(simd: S, texels: &[[i16; 4]], at: usize) -> f32x8<S> {
+    let (low, high) = simd.widen_i16x8(i16x8::from_slice(simd, texels[at..at + 2].as_flattened()));
+    simd.combine_i32x4(low, high).to_float()
 }
 
 /// Whether one of the voxels to both sides of a coordinate lies beyond the grid.

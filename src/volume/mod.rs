@@ -14,7 +14,7 @@ pub mod save;
 mod voxels;
 
 pub use colors::{Colors, Label, straight};
-pub use gradient::{GradientFilter, gradient_volume};
+pub use gradient::{GradientFilter, GradientVolume};
 pub use grid::{Grid, GridVoxels, HOLE, Sampler, Voxel};
 pub use voxels::Voxels;
 
