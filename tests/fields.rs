@@ -291,7 +291,7 @@ pub fn long_stacks_are_composed() {
     let mut all = Prepared::new(&Scene { deformation: scene.deformation[..1].to_vec(), ..scene.clone() }, &assets).unwrap();
     // The CPU walks a stack of any length: the whole one in the place of the composed one.
     all.stack = whole;
-    all.macrocells = incise::scene::Macrocells::solid(prepared.frame.proxy);
+    all.macrocells = incise::scene::Macrocells::solid(prepared.frame.proxy).into();
     all.frame = prepared.frame.clone();
     let d = difference(&picture(&prepared), &picture(&all)).unwrap();
     println!("11 maps, 4 of them composed (99 % within {:.3} mm): mean {:.3}/255, PSNR {:.1} dB", composition.p99_mm, d.mean * 255.0, d.psnr);

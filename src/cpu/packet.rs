@@ -44,6 +44,8 @@ struct Looks<S: Simd> {
     front: f32x8<S>,
     /// Inside the cube of any map.
     inside: mask32x8<S>,
+    /// Differences of stored values, where those are kept.
+    differences: Vec3x8<S>,
 }
 
 /// A pixel's shift of its samples, in steps, -1/2 .. 1/2: a hash by multiplication and shifts, the same integers as in
@@ -136,12 +138,12 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         let top = self.scene.frame.grid_size - 0.5;
         let mut present =
             lanes & walk.alpha.simd_ge(0.5) & within(in_voxel.x, -0.5, top.x) & within(in_voxel.y, -0.5, top.y) & within(in_voxel.z, -0.5, top.z);
-        let value = self.sampler.sample_lanes(simd, in_voxel);
+        let (value, differences) = self.sampler.sample_with_differences(simd, in_voxel);
         if self.scene.grid.has_holes {
             present &= value.simd_ge(-1e-4);
         }
         let depth = present.select(self.scene.table.depth_lanes(simd, value), f32x8::splat(simd, 0.0));
-        Looks { in_voxel, value, present, alpha: walk.alpha, depth, front: value, inside: walk.inside }
+        Looks { in_voxel, value, present, alpha: walk.alpha, depth, front: value, inside: walk.inside, differences }
     }
 
     /// Which points lie near enough to the volume's faces for those to be seen as cuts.
@@ -166,6 +168,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             Mode::Slice => f32x8::splat(simd, frame.step_mm) / direction.dot(Vec3x8::splat(simd, frame.view.forward)),
         };
         let length = step * frame.reference_mm.recip();
+        let half = (Vec3x8::splat(simd, frame.to_light) - direction).normalized();
         let (mut i, mut end) = (zero, zero);
         for (n, ray) in rays.iter().enumerate() {
             if let Some((near, far)) = frame.proxy.intersect_ray(ray.origin, ray.direction).filter(|_| ray.until >= 0.0) {
@@ -185,7 +188,8 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         let nobody = last_present;
         while live.any_true() {
             let (mut looking, mut found) = (live, nobody);
-            let mut at = Looks { in_voxel: origin, value: zero, present: nobody, alpha: one, depth: zero, front: zero, inside: nobody };
+            let mut at =
+                Looks { in_voxel: origin, value: zero, present: nobody, alpha: one, depth: zero, front: zero, inside: nobody, differences: origin };
             let (mut sampled, mut before) = (origin, origin);
             let (mut share, mut near_shape) = (one, nobody);
             let (mut front_known, mut front_present, mut front_depth) = (nobody, nobody, zero);
@@ -276,6 +280,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                         depth: hit.select(depth, at.depth),
                         front: hit.select(look.front, at.front),
                         inside: (hit & look.inside) | (at.inside & !hit),
+                        differences: Vec3x8::select(hit, look.differences, at.differences),
                     };
                     sampled = Vec3x8::select(hit, p, sampled);
                     before = Vec3x8::select(hit, previous, before);
@@ -309,7 +314,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             let plain = seen & !single;
             if plain.any_true() {
                 let front = Front { before, known: front_known, present: front_present, depth: front_depth };
-                let (shaded, factor, cut) = self.shade(simd, &at, sampled, direction, step, plain, &front);
+                let (shaded, factor, cut) = self.shade(simd, &at, sampled, Rays { direction, half, step }, plain, &front);
                 rgb = shaded;
                 depth = at.depth * factor * share;
                 single |= cut;
@@ -388,23 +393,21 @@ impl<'a, T: Voxel> Marcher<'a, T> {
     /// Light on eight visible samples: colours, factors on their depths, and which of `lanes` turn out to lie beside a cut, so that what is said
     /// of them does not hold.
     #[inline(always)]
-    #[allow(clippy::too_many_arguments, reason = "what eight rays know of their samples")]
     fn shade<S: Simd>(
         &self,
         simd: S,
         at: &Looks<S>,
         sampled: Vec3x8<S>,
-        direction: Vec3x8<S>,
-        step: f32x8<S>,
+        rays: Rays<S>,
         lanes: mask32x8<S>,
         front: &Front<S>,
     ) -> (Vec3x8<S>, f32x8<S>, mask32x8<S>) {
         let scene = self.scene;
         let one = f32x8::splat(simd, 1.0);
-        let entry = self.entry(simd, at, sampled, direction, step, lanes, front);
+        let entry = self.entry(simd, at, sampled, rays, lanes, front);
         let (bits, mut cut) = (lanes.to_bitmask(), lanes & !lanes);
         let mut color = match &self.preintegrated {
-            None => scene.table.color_lanes(simd, entry.value, bits),
+            None => scene.table.color_lanes(simd, entry.value),
             Some(table) => {
                 let mut color = Vec3x8::splat(simd, Vec3::ZERO);
                 for n in lanes_of(bits) {
@@ -435,7 +438,12 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         if !self.lit && !self.gradient_opacity {
             return (color, one, cut);
         }
-        let gradient = self.sampler.gradient_lanes(simd, entry.in_voxel, scene.gradient_filter(), bits).mapped(&self.world_from_covector);
+        let gradient = if self.sampler.has_gradients() {
+            self.sampler.gradient_of(simd, entry.in_voxel, entry.differences, bits)
+        } else {
+            self.sampler.gradient_lanes(simd, entry.in_voxel, scene.gradient_filter(), bits)
+        };
+        let gradient = gradient.mapped(&self.world_from_covector);
         let magnitude = gradient.length();
         let mut factor = one;
         if self.gradient_opacity {
@@ -461,15 +469,15 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         let confidence = smoothstep(SURFACE[0], SURFACE[1], per_reference);
         let mut normal = -inward.normalized();
         if scene.light.two_sided {
-            let away = normal.dot(direction).simd_gt(0.0);
+            let away = normal.dot(rays.direction).simd_gt(0.0);
             normal = Vec3x8::select(away, -normal, normal);
         }
-        (self.light(simd, normal, confidence, direction, color), factor, cut)
+        (self.light(simd, normal, confidence, rays.half, color), factor, cut)
     }
 
     /// Blinn-Phong under one directional light.
     #[inline(always)]
-    fn light<S: Simd>(&self, simd: S, normal: Vec3x8<S>, confidence: f32x8<S>, direction: Vec3x8<S>, color: Vec3x8<S>) -> Vec3x8<S> {
+    fn light<S: Simd>(&self, simd: S, normal: Vec3x8<S>, confidence: f32x8<S>, half: Vec3x8<S>, color: Vec3x8<S>) -> Vec3x8<S> {
         let light = &self.scene.light;
         let to_light = Vec3x8::splat(simd, self.scene.frame.to_light);
         let zero = f32x8::splat(simd, 0.0);
@@ -478,7 +486,6 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         let diffuse = facing.max(0.0) * light.diffuse + light.ambient;
         let mut highlight = zero;
         if light.specular > 0.0 {
-            let half = (to_light - direction).normalized();
             let cosine = normal.dot(half);
             let shines = facing.simd_gt(0.0) & cosine.simd_gt(1e-6);
             if shines.any_true() {
@@ -495,19 +502,9 @@ impl<'a, T: Voxel> Marcher<'a, T> {
 
     /// Where rays that enter matter within their last step do, by bisection; else the samples themselves. See [`shading`].
     #[inline(always)]
-    #[allow(clippy::too_many_arguments, reason = "what eight rays know of their samples")]
-    fn entry<S: Simd>(
-        &self,
-        simd: S,
-        at: &Looks<S>,
-        sampled: Vec3x8<S>,
-        direction: Vec3x8<S>,
-        step: f32x8<S>,
-        lanes: mask32x8<S>,
-        front: &Front<S>,
-    ) -> Entry<S> {
+    fn entry<S: Simd>(&self, simd: S, at: &Looks<S>, sampled: Vec3x8<S>, rays: Rays<S>, lanes: mask32x8<S>, front: &Front<S>) -> Entry<S> {
         let enough = at.depth * 0.5;
-        let mut first = Entry { deformed: sampled, in_voxel: at.in_voxel, value: at.value, inside: at.inside };
+        let mut first = Entry { deformed: sampled, in_voxel: at.in_voxel, value: at.value, inside: at.inside, differences: at.differences };
         let mut enters = lanes & front.known & !(front.present & front.depth.simd_ge(enough));
         let unknown = lanes & !front.known;
         if unknown.any_true() {
@@ -515,10 +512,10 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             enters |= unknown & !(before.present & before.depth.simd_ge(enough));
         }
         if enters.any_true() {
-            let mut width = step;
+            let mut width = rays.step;
             for _ in 0..ENTRY_STEPS {
                 width *= 0.5;
-                let p = first.deformed - direction * width;
+                let p = first.deformed - rays.direction * width;
                 let look = self.look(simd, p, enters);
                 let dense = enters & look.present & look.depth.simd_ge(enough);
                 first = Entry {
@@ -526,11 +523,20 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                     in_voxel: Vec3x8::select(dense, look.in_voxel, first.in_voxel),
                     value: dense.select(look.value, first.value),
                     inside: first.inside | (dense & look.inside),
+                    differences: Vec3x8::select(dense, look.differences, first.differences),
                 };
             }
         }
         first
     }
+}
+
+/// Of eight rays, their directions, the vectors half-way between the light and the eye, and the distances of their samples, mm.
+#[derive(Clone, Copy)]
+struct Rays<S: Simd> {
+    direction: Vec3x8<S>,
+    half: Vec3x8<S>,
+    step: f32x8<S>,
 }
 
 /// What is known of the samples in front of eight.
@@ -550,6 +556,7 @@ struct Entry<S: Simd> {
     in_voxel: Vec3x8<S>,
     value: f32x8<S>,
     inside: mask32x8<S>,
+    differences: Vec3x8<S>,
 }
 
 /// What a sample beside a cut shows.

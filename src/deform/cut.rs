@@ -32,7 +32,7 @@ pub enum Shape {
 }
 
 /// A shape in its place.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Primitive {
     /// What it is.
     pub shape: Shape,
@@ -85,7 +85,7 @@ impl Primitive {
 }
 
 /// Shapes in groups; what any group removes is removed.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Cuts {
     primitives: Vec<Primitive>,
 }

@@ -1,5 +1,7 @@
 //! One displacement map: a grid of (D, alpha) over the unit cube, in one of four storage formats.
 
+use crate::math::cells::{Cells, mix_texels};
+use crate::math::lanes::*;
 use crate::math::{MinMaxPyramid, trilinear};
 use glam::{Mat3, Vec3, Vec4, Vec4Swizzles};
 use half::f16;
@@ -140,6 +142,24 @@ impl DisplacementMap {
     pub fn fetch(&self, x: Vec3) -> Vec4 {
         let top = Vec3::from(self.size.map(|n| (n - 1) as f32));
         trilinear(&self.texels, self.size, x * top)
+    }
+
+    /// [`Self::fetch`] at eight points.
+    #[inline(always)]
+    pub fn fetch_lanes<S: Simd>(&self, simd: S, x: Vec3x8<S>) -> (Vec3x8<S>, f32x8<S>) {
+        let [nx, ny, nz] = self.size;
+        if nx < 2 || ny < 2 || nz < 2 {
+            let (mut stored, mut alpha) = (Vec3x8::splat(simd, Vec3::ZERO), f32x8::splat(simd, 1.0));
+            for n in 0..LANES {
+                let t = self.fetch(x.lane(n));
+                stored.set(n, t.xyz());
+                alpha[n] = t.w;
+            }
+            return (stored, alpha);
+        }
+        let p = Vec3x8 { x: x.x * (nx - 1) as f32, y: x.y * (ny - 1) as f32, z: x.z * (nz - 1) as f32 };
+        let [x, y, z, alpha] = mix_texels(simd, &self.texels, self.size, &Cells::of(p, self.size, 0));
+        (Vec3x8 { x, y, z }, alpha)
     }
 
     /// D and alpha at map coordinates inside the unit cube.

@@ -32,8 +32,15 @@ pub struct PlacedMap {
     world_from_stored: Mat3,
 }
 
+impl PartialEq for PlacedMap {
+    /// Whether it is the very same map in the same place; another of the same content is another.
+    fn eq(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.map, &other.map) && (self.placement, self.added, self.reach) == (other.placement, other.added, other.reach)
+    }
+}
+
 /// Maps by order of application.
-#[derive(Clone, Default)]
+#[derive(Clone, Default, PartialEq)]
 pub struct Stack {
     maps: Vec<PlacedMap>,
 }
@@ -224,13 +231,8 @@ impl Stack {
                 & within(x.y, -map.reach.y, 1.0 + map.reach.y)
                 & within(x.z, -map.reach.z, 1.0 + map.reach.z);
             if inside.any_true() {
-                let mut stored = Vec3x8::splat(simd, Vec3::ZERO);
-                let mut alpha = f32x8::splat(simd, 1.0);
-                for n in lanes_of(inside.to_bitmask()) {
-                    let t = map.map.fetch(x.lane(n));
-                    stored.set(n, t.xyz());
-                    alpha[n] = t.w;
-                }
+                let (stored, alpha) = map.map.fetch_lanes(simd, x);
+                let alpha = inside.select(alpha, f32x8::splat(simd, 1.0));
                 walk.alpha = walk.alpha.min(alpha);
                 walk.inside |= inside;
                 live &= !alpha.simd_lt(0.5);

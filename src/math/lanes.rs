@@ -31,6 +31,13 @@ pub fn with_simd<F: OverSimd>(f: F) -> F::Output {
     let level = Level::new();
     // Two kinds of machine, not the six that `dispatch!` knows: each is a copy of the renderer for each type of voxel.
     #[cfg(target_arch = "x86_64")]
+    if let Some(simd) = level.as_avx512() {
+        return simd.vectorize(
+            #[inline(always)]
+            || f.run(simd),
+        );
+    }
+    #[cfg(target_arch = "x86_64")]
     if let Some(simd) = level.as_avx2() {
         return simd.vectorize(
             #[inline(always)]

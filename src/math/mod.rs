@@ -1,6 +1,7 @@
 //! Boxes and intervals in the spaces of the crate, and the min/max pyramid that bounds a grid's interpolated values.
 
 pub mod bounds;
+pub mod cells;
 pub mod distance;
 mod distance_grid;
 pub mod interpolate;

@@ -57,6 +57,31 @@ pub struct Contents<'a> {
     pub blend: Blend,
 }
 
+/// What a grid was classified by. What the voxels say is not among it: one is kept with each grid of voxels.
+#[derive(PartialEq)]
+pub struct Inputs {
+    bounds: Bounds,
+    voxel_mm: f32,
+    reach_mm: f32,
+    stack: Stack,
+    cuts: Cuts,
+    iso: Option<f32>,
+    grey_faces: bool,
+    blend: Blend,
+    depths: Vec<f32>,
+    of_values: [f32; 2],
+}
+
+impl Inputs {
+    /// Of a call of [`Macrocells::new`].
+    pub fn of(bounds: Bounds, voxel_mm: f32, reach_mm: f32, contents: &Contents) -> Self {
+        let Contents { stack, cuts, iso, grey_faces, table, blend, .. } = *contents;
+        let (stack, cuts) = (stack.clone(), cuts.clone());
+        let (depths, of_values) = (table.entries.iter().map(|e| e[3]).collect(), [table.scale, table.offset]);
+        Self { bounds, voxel_mm, reach_mm, stack, cuts, iso, grey_faces, blend, depths, of_values }
+    }
+}
+
 /// What a box of the deformed scene shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Seen {

@@ -1,8 +1,8 @@
 //! A scene resolved for rendering, and the picture that comes out: the same types for every backend.
 
-use super::sampled::Sampled;
 use super::deformations::{self, Composition, Making};
 use super::objects::{Objects, Surfaces};
+use super::sampled::Sampled;
 use super::{CutFaces, Light, Macrocells, Mode, Normals, RenderSettings, Scene, ViewFrame, inside, macrocells::Contents};
 use crate::deform::compose::{self, Evaluate};
 use crate::deform::cut::Cuts;
@@ -14,6 +14,7 @@ use crate::volume::load::Choice;
 use crate::volume::{Colors, GradientFilter, GradientVolume, Grid, Volume, load, phantom};
 use crate::{Error, Result, Watch};
 use glam::{Affine3A, DVec3, Vec3};
+use rayon::prelude::*;
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, OnceLock};
@@ -344,7 +345,7 @@ pub struct Prepared<'a> {
     /// Settings as the scene has them.
     pub settings: RenderSettings,
     /// Empty space.
-    pub macrocells: Macrocells,
+    pub macrocells: Arc<Macrocells>,
     /// Time that preparing took.
     pub stages: Stages,
 }
@@ -421,10 +422,10 @@ impl<'a> Prepared<'a> {
         let deformed = stack.deformed_bounds(&volume.bounds_in_world());
         let macrocells = stages.time("macrocells", || {
             if settings.mode == Mode::Surface || !assets.has_volume {
-                return Macrocells::solid(Bounds::EMPTY);
+                return Macrocells::solid(Bounds::EMPTY).into();
             }
             if !settings.empty_space_skipping {
-                return Macrocells::solid(deformed);
+                return Macrocells::solid(deformed).into();
             }
             let contents = Contents {
                 stack: &stack,
@@ -440,7 +441,7 @@ impl<'a> Prepared<'a> {
             let slant = scene.camera.slant(settings.size);
             let reach_mm = if stack.is_empty() && cuts.is_empty() && iso.is_none() && !settings.preintegrated { 0.0 } else { 1.01 * step_mm * slant };
             // What looks back a step may lie beyond the box of the scene itself.
-            Macrocells::new(deformed.grown(reach_mm), reference_mm, reach_mm, &contents)
+            shown.macrocells(deformed.grown(reach_mm), reference_mm, reach_mm, &contents)
         });
         let light = scene.light.clone();
         let d = Vec3::from(light.direction);
@@ -607,13 +608,13 @@ impl Picture {
     pub fn over(&self, background: [f32; 4]) -> Vec<u8> {
         let [r, g, b, back_alpha] = background;
         let behind = [r * back_alpha, g * back_alpha, b * back_alpha, back_alpha];
-        let mut bytes = Vec::with_capacity(self.pixels.len() * 4);
-        for p in &self.pixels {
+        let mut bytes = vec![[0; 4]; self.pixels.len()];
+        bytes.par_iter_mut().zip(&self.pixels).with_min_len(1 << 14).for_each(|(byte, p)| {
             let clear = 1.0 - p[3];
             let all: [f32; 4] = std::array::from_fn(|c| p[c] + behind[c] * clear);
             let alpha = all[3].max(1e-6);
-            bytes.extend([all[0] / alpha, all[1] / alpha, all[2] / alpha, all[3]].map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8));
-        }
-        bytes
+            *byte = [all[0] / alpha, all[1] / alpha, all[2] / alpha, all[3]].map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8);
+        });
+        bytes.into_flattened()
     }
 }

@@ -1,10 +1,11 @@
 //! A grid, and what is derived from its voxels alone and kept between pictures.
 
-use crate::math::MinMaxPyramid;
+use super::macrocells::{Contents, Inputs, Macrocells};
 use crate::math::pyramid::Range;
+use crate::math::{Bounds, MinMaxPyramid};
 use crate::volume::{GradientVolume, Grid, GridVoxels, Voxel};
-use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 /// A grid ready for rendering.
 pub struct Sampled {
@@ -14,13 +15,43 @@ pub struct Sampled {
     pub bounds: MinMaxPyramid<1>,
     gradients: OnceLock<Option<GradientVolume>>,
     asked_before: AtomicBool,
+    /// The most recently used last.
+    macrocells: Mutex<Vec<(Inputs, Arc<Macrocells>)>>,
 }
+
+/// Macrocells that are kept: a window shows one scene in several views.
+const KEPT_MACROCELLS: usize = 4;
 
 impl Sampled {
     /// Derives what every picture needs.
     pub fn new(grid: Grid) -> Self {
         let bounds = bounds_of(&grid);
-        Self { grid, bounds, gradients: OnceLock::new(), asked_before: AtomicBool::new(false) }
+        Self { grid, bounds, gradients: OnceLock::new(), asked_before: AtomicBool::new(false), macrocells: Mutex::default() }
+    }
+
+    /// [`Macrocells::new`], or those that are kept of the same inputs: a camera or a light changes nothing about empty space.
+    pub fn macrocells(&self, bounds: Bounds, voxel_mm: f32, reach_mm: f32, contents: &Contents) -> Arc<Macrocells> {
+        let inputs = Inputs::of(bounds, voxel_mm, reach_mm, contents);
+        // Entries are only ever added whole.
+        let lock = || self.macrocells.lock().unwrap_or_else(PoisonError::into_inner);
+        let found = {
+            let mut kept = lock();
+            kept.iter().position(|(of, _)| *of == inputs).map(|at| {
+                let entry = kept.remove(at);
+                let cells = entry.1.clone();
+                kept.push(entry);
+                cells
+            })
+        };
+        found.unwrap_or_else(|| {
+            let cells = Arc::new(Macrocells::new(bounds, voxel_mm, reach_mm, contents));
+            let mut kept = lock();
+            if kept.len() == KEPT_MACROCELLS {
+                kept.remove(0);
+            }
+            kept.push((inputs, cells.clone()));
+            cells
+        })
     }
 
     /// The gradients of all voxels, if there is a volume of them: it is made when a second picture asks, since one picture alone costs less

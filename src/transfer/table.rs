@@ -6,9 +6,9 @@
 //! opacity within a range of values is, which is what empty-space skipping asks.
 
 use super::TransferFunction;
+use crate::math::cells::columns;
 use crate::math::lanes::*;
 use crate::volume::Voxel;
-use glam::Vec4;
 
 /// Entries over the curve's domain.
 pub const TABLE_ENTRIES: usize = 4096;
@@ -128,16 +128,17 @@ impl Table {
         a + (b - a) * t
     }
 
-    /// Colours of eight normalised values; those of `lanes` (a bit each) are wanted.
+    /// Colours of eight normalised values.
     #[inline(always)]
-    pub fn color_lanes<S: Simd>(&self, simd: S, value: f32x8<S>, lanes: u64) -> Vec3x8<S> {
+    pub fn color_lanes<S: Simd>(&self, simd: S, value: f32x8<S>) -> Vec3x8<S> {
         let (entry, t) = self.places(value);
-        let mut colors = Vec3x8::splat(simd, glam::Vec3::ZERO);
-        for n in lanes_of(lanes) {
-            let (a, b) = (Vec4::from(self.entries[entry[n]]), Vec4::from(self.entries[entry[n] + 1]));
-            colors.set(n, (a + (b - a) * t[n]).truncate());
+        let mut mixed = [[0.0; 4]; LANES];
+        for n in 0..LANES {
+            let (a, b) = (f32x4::load_array(simd, self.entries[entry[n]]), f32x4::load_array(simd, self.entries[entry[n] + 1]));
+            mixed[n] = *(a + (b - a) * f32x4::splat(simd, t[n]));
         }
-        colors
+        let [x, y, z, _] = columns(simd, &mixed);
+        Vec3x8 { x, y, z }
     }
 
     /// 1 where opacity rises with the value, -1 where it falls: the side of a surface on which its matter lies.

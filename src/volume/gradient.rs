@@ -63,55 +63,59 @@ const MOST_BYTES: usize = 1 << 30;
 /// The central differences of a volume of integers at all voxels, kept beside their values: what would be gathered from 32 voxels for each
 /// sample is then gathered from 8. Exact: 16 bits hold every difference.
 pub struct GradientVolume {
-    /// For each voxel, i fastest: the value less [`Self::lowest`], and f(+1) - f(-1) along i, j, k as stored values; at the grid's faces f(0)
-    /// stands for what lies beyond them.
+    /// For each voxel, i fastest: its stored value, and f(+1) - f(-1) along i, j, k; at the grid's faces f(0) stands for what lies beyond them.
     pub texels: Vec<[i16; 4]>,
-    /// The stored value that 0 stands for.
-    pub lowest: f32,
 }
 
 impl GradientVolume {
-    /// Takes the differences; none for floating-point voxels, for integers whose range needs more than 15 bits, and where more than 1 GiB
-    /// would be needed.
+    /// Takes the differences; none for floating-point voxels, for integers that 16 bits with a sign do not hold or whose range needs more than 15,
+    /// and where more than 1 GiB would be needed.
     pub fn new(grid: &Grid) -> Option<Self> {
+        if grid.size.iter().product::<usize>() > MOST_BYTES / size_of::<[i16; 4]>() {
+            return None;
+        }
         match &grid.voxels {
-            GridVoxels::U8(v) => Self::of(grid, v, 0, |x| i16::from(x)),
-            // What wraps around comes out right as a difference, if that fits.
-            GridVoxels::U16(v) => Self::of(grid, v, lowest(v)?, |x| x as i16),
-            GridVoxels::I16(v) => Self::of(grid, v, lowest(v)?, |x| x),
+            GridVoxels::U8(v) => Some(Self::of(grid, v, i16::from)),
+            GridVoxels::U16(v) => (span(v)?.1 <= i16::MAX as u16).then(|| Self::of(grid, v, |x| x as i16)),
+            GridVoxels::I16(v) => span(v).is_some_and(|(low, high)| high.checked_sub(low).is_some()).then(|| Self::of(grid, v, |x| x)),
             GridVoxels::F32(_) => None,
         }
     }
 
-    fn of<T: Voxel>(grid: &Grid, voxels: &[T], lowest: T, bits: impl Fn(T) -> i16 + Copy + Sync) -> Option<Self> {
+    fn of<T: Voxel>(grid: &Grid, voxels: &[T], value: impl Fn(T) -> i16 + Copy + Sync) -> Self {
         let [nx, ny, nz] = grid.size;
-        if voxels.len() > MOST_BYTES / size_of::<[i16; 4]>() {
-            return None;
-        }
         let mut texels = vec![[0; 4]; voxels.len()];
-        let zero = bits(lowest);
         texels.par_chunks_mut(nx).enumerate().for_each(|(row, out)| {
             let (j, k) = (row % ny, row / ny);
             let of = |j: usize, k: usize| &voxels[(k * ny + j) * nx..][..nx];
             let (own, below, above) = (of(j, k), of(j.saturating_sub(1), k), of((j + 1).min(ny - 1), k));
             let (front, behind) = (of(j, k.saturating_sub(1)), of(j, (k + 1).min(nz - 1)));
-            for (i, texel) in out.iter_mut().enumerate() {
-                let across = |before: T, after: T| bits(after).wrapping_sub(bits(before));
-                let of_row = if i == 0 || i + 1 == nx { across(own[i.saturating_sub(1)], own[(i + 1).min(nx - 1)]) } else { across(own[i - 1], own[i + 1]) };
-                *texel = [bits(own[i]).wrapping_sub(zero), of_row, across(below[i], above[i]), across(front[i], behind[i])];
+            let texel = |own: T, before: T, after: T, below: T, above: T, front: T, behind: T| {
+                let across = |before: T, after: T| value(after) - value(before);
+                [value(own), across(before, after), across(below, above), across(front, behind)]
+            };
+            let at_end = |i: usize, before: usize, after: usize| texel(own[i], own[before], own[after], below[i], above[i], front[i], behind[i]);
+            let last = nx - 1;
+            out[0] = at_end(0, 0, 1.min(last));
+            out[last] = at_end(last, last.saturating_sub(1), last);
+            if nx > 2 {
+                let neighbours = own.iter().zip(&own[1..]).zip(&own[2..]);
+                let others = below[1..].iter().zip(&above[1..]).zip(front[1..].iter().zip(&behind[1..]));
+                for ((out, ((before, own), after)), ((below, above), (front, behind))) in out[1..last].iter_mut().zip(neighbours).zip(others) {
+                    *out = texel(*own, *before, *after, *below, *above, *front, *behind);
+                }
             }
         });
-        Some(Self { texels, lowest: lowest.to_f32() })
+        Self { texels }
     }
 }
 
-/// The lowest of integers whose range fits 15 bits.
-fn lowest<T: Voxel + Ord>(voxels: &[T]) -> Option<T> {
-    let (low, high) = voxels
+/// The lowest and the highest of integers.
+fn span<T: Copy + Ord + Send + Sync>(voxels: &[T]) -> Option<(T, T)> {
+    voxels
         .par_chunks(1 << 16)
         .map(|part| part.iter().fold((part[0], part[0]), |(low, high), &x| (low.min(x), high.max(x))))
-        .reduce_with(|a, b| (a.0.min(b.0), a.1.max(b.1)))?;
-    (high.to_f32() - low.to_f32() <= f32::from(i16::MAX)).then_some(low)
+        .reduce_with(|a, b| (a.0.min(b.0), a.1.max(b.1)))
 }
 
 #[cfg(test)]
@@ -145,8 +149,13 @@ mod tests {
             #[inline(always)]
             fn run<S: Simd>(self, simd: S) -> Self::Output {
                 let p = Vec3x8::from_lanes(simd, &self.1);
-                let g = self.0.gradient_lanes(simd, p, GradientFilter::Central, 255);
-                (self.0.sample_lanes(simd, p).to_array(), std::array::from_fn(|n| g.lane(n)))
+                let (value, differences) = self.0.sample_with_differences(simd, p);
+                let g = if self.0.has_gradients() {
+                    self.0.gradient_of(simd, p, differences, 255)
+                } else {
+                    self.0.gradient_lanes(simd, p, GradientFilter::Central, 255)
+                };
+                (value.to_array(), std::array::from_fn(|n| g.lane(n)))
             }
         }
         fn check<T: Voxel>(grid: &Grid, voxels: &[T], note: &str) {
@@ -159,13 +168,13 @@ mod tests {
                 let at = Vec3::new((n % size[0]) as f32, (n / size[0] % size[1]) as f32, (n / (size[0] * size[1])) as f32);
                 if let Some(kept) = &kept {
                     let [value, d @ ..] = kept.texels[n].map(f32::from);
-                    assert_eq!(value + kept.lowest, voxels[n].to_f32(), "{note} {size:?} {n}");
+                    assert_eq!(value, voxels[n].to_f32(), "{note} {size:?} {n}");
                     let (got, want) = (Vec3::from(d) * 0.5 * grid.scale, s.gradient(at, GradientFilter::Central));
                     assert!(got.abs_diff_eq(want, 1e-6), "{note} {size:?} {n}: {got} for {want}");
                 }
                 let points = std::array::from_fn(|lane| at + Vec3::new(0.31, -0.47, 0.83) * (lane as f32 - 3.0) * 0.7);
                 let (values, gradients) = with_simd(Lanes(&s, points));
-                assert_eq!(with_simd(Lanes(&with, points)).1, gradients, "{note} {size:?} {n}");
+                assert_eq!(with_simd(Lanes(&with, points)), (values, gradients), "{note} {size:?} {n}");
                 for (lane, p) in points.into_iter().enumerate() {
                     let (want, got) = (s.gradient(p, GradientFilter::Central), gradients[lane]);
                     assert!((values[lane] - s.sample(p)).abs() < 2e-6 && got.abs_diff_eq(want, 4e-6), "{note} {size:?} {p}: {got} for {want}");
@@ -177,16 +186,14 @@ mod tests {
             let grid = |voxels: crate::volume::Voxels| Grid::new(&Volume::new(voxels, size, Rescale::NONE, DAffine3::IDENTITY));
             let u8s: Vec<u8> = hashes.iter().map(|h| *h as u8).collect();
             check(&grid(u8s.clone().into()), &u8s, "u8");
-            for (offset, note) in [(0u16, "u16"), (32_700, "u16, half of it beyond i16")] {
-                let u16s: Vec<u16> = hashes.iter().map(|h| *h as u16 + offset).collect();
-                check(&grid(u16s.clone().into()), &u16s, note);
-            }
+            let u16s: Vec<u16> = hashes.iter().map(|h| *h as u16).collect();
+            check(&grid(u16s.clone().into()), &u16s, "u16");
             let i16s: Vec<i16> = hashes.iter().map(|h| (*h as i32 - 20_000) as i16).collect();
             check(&grid(i16s.clone().into()), &i16s, "i16");
             let f32s: Vec<f32> = hashes.iter().map(|h| *h as f32 * 0.37).collect();
             check(&grid(f32s.clone().into()), &f32s, "none");
             let mut wide: Vec<u16> = hashes.iter().map(|h| 2 * *h as u16).collect();
-            (wide[0], wide[1]) = (0, 65_000);
+            (wide[0], wide[1]) = (0, 32_768);
             check(&grid(wide.clone().into()), &wide, "none");
         }
     }

@@ -164,8 +164,8 @@ pub struct Sampler<'a, T> {
     pub(super) top: Vec3,
     pub(super) scale: f32,
     pub(super) offset: f32,
-    /// Values and differences at all voxels, if they are kept.
-    pub(super) differences: Option<&'a [[i16; 4]]>,
+    /// A gradient volume's.
+    pub(super) texels: Option<&'a [[i16; 4]]>,
 }
 
 impl<'a, T: Voxel> Sampler<'a, T> {
@@ -173,13 +173,18 @@ impl<'a, T: Voxel> Sampler<'a, T> {
     pub fn new(grid: &Grid, voxels: &'a [T]) -> Self {
         assert_eq!(voxels.len(), grid.size.iter().product::<usize>());
         let top = Vec3::from(grid.size.map(|n| (n - 1) as f32));
-        Self { voxels, size: grid.size, top, scale: grid.scale, offset: grid.offset, differences: None }
+        Self { voxels, size: grid.size, top, scale: grid.scale, offset: grid.offset, texels: None }
     }
 
-    /// The sampler with a gradient volume of the same grid, which gradients are read from; they are the same to the bit.
+    /// The sampler with a gradient volume of the same grid, by which eight samples at once come with their differences; the same to the bit.
     pub fn with_gradients(self, gradients: Option<&'a GradientVolume>) -> Self {
-        let differences = gradients.map(|g| &*g.texels).filter(|texels| texels.len() == self.voxels.len());
-        Self { differences, ..self }
+        Self { texels: gradients.map(|g| &*g.texels).filter(|texels| texels.len() == self.voxels.len()), ..self }
+    }
+
+    /// Whether samples come with differences.
+    #[inline(always)]
+    pub fn has_gradients(&self) -> bool {
+        self.texels.is_some() && self.size.iter().all(|&n| n >= 4)
     }
 
     /// Normalised value at a position in voxels, clamped to the outermost voxel centres as a texture is.

@@ -7,36 +7,8 @@
 //! *How to call it*: as [`Sampler::sample`] and [`Sampler::gradient`], whose values these are to rounding.
 
 use super::{GradientFilter, Sampler, Voxel};
+use crate::math::cells::{Cells, mix_rows, mix_texels};
 use crate::math::lanes::*;
-
-/// Cells that eight points lie in.
-struct Cells<S: Simd> {
-    /// Flat index of each cell's lowest voxel.
-    base: [usize; LANES],
-    /// Where in the cell.
-    f: Vec3x8<S>,
-}
-
-#[inline(always)]
-fn mix<S: Simd>(a: f32x8<S>, b: f32x8<S>, t: f32x8<S>) -> f32x8<S> {
-    a + (b - a) * t
-}
-
-/// The mix of four corners of a face.
-#[inline(always)]
-fn mix_face<S: Simd>(corners: [[f32x8<S>; 2]; 2], s: f32x8<S>, t: f32x8<S>) -> f32x8<S> {
-    let [[a, b], [c, d]] = corners;
-    mix(mix(a, b, s), mix(c, d, s), t)
-}
-
-/// Cells along an axis and where in them, `margin` cells away from the ends.
-#[inline(always)]
-fn along<S: Simd>(x: f32x8<S>, voxels: usize, margin: i32) -> (i32x8<S>, f32x8<S>) {
-    let x = x.max(0.0).min((voxels - 1) as f32);
-    // x is not negative: truncation is floor. A coordinate that is no number must not leave the grid either.
-    let cell = x.to_int::<i32x8<S>>().max(margin).min(voxels as i32 - 2 - margin);
-    (cell, x - cell.to_float::<f32x8<S>>())
-}
 
 /// Indices moved by an offset.
 #[inline(always)]
@@ -55,25 +27,6 @@ impl<T: Voxel> Sampler<'_, T> {
         self.size.iter().all(|&m| m >= n)
     }
 
-    /// The cells of points, kept `margin` cells away from the grid's faces; points beyond the outermost voxel centres are moved onto them.
-    #[inline(always)]
-    fn cells<S: Simd>(&self, p: Vec3x8<S>, margin: i32) -> Cells<S> {
-        let [nx, ny, nz] = self.size;
-        let ((i, x), (j, y), (k, z)) = (along(p.x, nx, margin), along(p.y, ny, margin), along(p.z, nz, margin));
-        let mut base = [0; LANES];
-        for n in 0..LANES {
-            base[n] = (k[n] as usize * ny + j[n] as usize) * nx + i[n] as usize;
-        }
-        Cells { base, f: Vec3x8 { x, y, z } }
-    }
-
-    /// Values at points along the first axis of cells, `offset` voxels on.
-    #[inline(always)]
-    fn row<S: Simd>(&self, simd: S, base: &[usize; LANES], offset: isize, x: f32x8<S>) -> f32x8<S> {
-        let [a, b] = T::pairs(simd, self.voxels, &moved(base, offset));
-        mix(a, b, x)
-    }
-
     /// Normalised values at eight positions in voxels.
     #[inline(always)]
     pub fn sample_lanes<S: Simd>(&self, simd: S, p: Vec3x8<S>) -> f32x8<S> {
@@ -84,32 +37,53 @@ impl<T: Voxel> Sampler<'_, T> {
             }
             return f32x8::load_array(simd, values);
         }
-        let Cells { base, f } = self.cells(p, 0);
+        let Cells { base, f } = Cells::of(p, self.size, 0);
         let (up, on) = (self.size[0] as isize, (self.size[0] * self.size[1]) as isize);
-        let near = [self.row(simd, &base, 0, f.x), self.row(simd, &base, up, f.x)];
-        let far = [self.row(simd, &base, on, f.x), self.row(simd, &base, on + up, f.x)];
-        mix_face([near, far], f.y, f.z) * self.scale + self.offset
+        let rows = [
+            T::pairs(simd, self.voxels, &base),
+            T::pairs(simd, self.voxels, &moved(&base, up)),
+            T::pairs(simd, self.voxels, &moved(&base, on)),
+            T::pairs(simd, self.voxels, &moved(&base, on + up)),
+        ];
+        mix_rows(rows, f) * self.scale + self.offset
+    }
+
+    /// Normalised values at eight positions in voxels, and the differences f(+1) - f(-1) of stored values if those are kept: what
+    /// [`Self::gradient_of`] makes gradients of.
+    #[inline(always)]
+    pub fn sample_with_differences<S: Simd>(&self, simd: S, p: Vec3x8<S>) -> (f32x8<S>, Vec3x8<S>) {
+        match self.texels {
+            Some(texels) if self.is_at_least(2) => {
+                let [value, x, y, z] = mix_texels(simd, texels, self.size, &Cells::of(p, self.size, 0));
+                (value * self.scale + self.offset, Vec3x8 { x, y, z })
+            }
+            _ => (self.sample_lanes(simd, p), Vec3x8::splat(simd, glam::Vec3::ZERO)),
+        }
     }
 
     /// Gradients of the normalised value per voxel along i, j, k at eight positions in voxels; those of `lanes` (a bit each) are wanted.
     #[inline(always)]
     pub fn gradient_lanes<S: Simd>(&self, simd: S, p: Vec3x8<S>, filter: GradientFilter, lanes: u64) -> Vec3x8<S> {
-        let mut all = Vec3x8::splat(simd, glam::Vec3::ZERO);
-        let mut single = lanes;
         if filter == GradientFilter::Central && self.is_at_least(4) {
-            let Cells { base, f } = self.cells(p, 1);
-            let (up, on) = (self.size[0] as isize, (self.size[0] * self.size[1]) as isize);
-            all = match self.differences {
-                Some(differences) => mix_texels(simd, differences, &base, [up as usize, on as usize], f),
-                None => self.differences_between(simd, &base, [up, on], f),
-            };
-            all = all * f32x8::splat(simd, 0.5 * self.scale);
-            // Beside the grid's faces a difference is taken at the face, as a texture's edge is.
-            let (x, y, z) = (beyond(p.x, self.top.x), beyond(p.y, self.top.y), beyond(p.z, self.top.z));
-            single &= (x | y | z).to_bitmask();
+            let Cells { base, f } = Cells::of(p, self.size, 1);
+            let steps = [self.size[0] as isize, (self.size[0] * self.size[1]) as isize];
+            return self.gradient_of(simd, p, self.differences_between(simd, &base, steps, f), lanes);
         }
-        for n in lanes_of(single) {
+        let mut all = Vec3x8::splat(simd, glam::Vec3::ZERO);
+        for n in lanes_of(lanes) {
             all.set(n, self.gradient(p.lane(n), filter));
+        }
+        all
+    }
+
+    /// Gradients by central differences, as [`Self::gradient_lanes`], of what [`Self::sample_with_differences`] gave.
+    #[inline(always)]
+    pub fn gradient_of<S: Simd>(&self, simd: S, p: Vec3x8<S>, differences: Vec3x8<S>, lanes: u64) -> Vec3x8<S> {
+        let mut all = differences * f32x8::splat(simd, 0.5 * self.scale);
+        // Beside the grid's faces a difference is taken at the face, as a texture's edge is.
+        let (x, y, z) = (beyond(p.x, self.top.x), beyond(p.y, self.top.y), beyond(p.z, self.top.z));
+        for n in lanes_of(lanes & (x | y | z).to_bitmask()) {
+            all.set(n, self.gradient(p.lane(n), GradientFilter::Central));
         }
         all
     }
@@ -126,10 +100,16 @@ impl<T: Voxel> Sampler<'_, T> {
         let x = mix_rows([across(a), across(b), across(c), across(d)], f);
         let (below, above) = (T::pairs(simd, self.voxels, &moved(base, -up)), T::pairs(simd, self.voxels, &moved(base, 2 * up)));
         let (below_on, above_on) = (T::pairs(simd, self.voxels, &moved(base, on - up)), T::pairs(simd, self.voxels, &moved(base, on + 2 * up)));
-        let y = mix_rows([between(below, [b[1], b[2]]), between([a[1], a[2]], above), between(below_on, [d[1], d[2]]), between([c[1], c[2]], above_on)], f);
+        let y = mix_rows(
+            [between(below, [b[1], b[2]]), between([a[1], a[2]], above), between(below_on, [d[1], d[2]]), between([c[1], c[2]], above_on)],
+            f,
+        );
         let (front, behind) = (T::pairs(simd, self.voxels, &moved(base, -on)), T::pairs(simd, self.voxels, &moved(base, 2 * on)));
         let (front_up, behind_up) = (T::pairs(simd, self.voxels, &moved(base, up - on)), T::pairs(simd, self.voxels, &moved(base, up + 2 * on)));
-        let z = mix_rows([between(front, [c[1], c[2]]), between(front_up, [d[1], d[2]]), between([a[1], a[2]], behind), between([b[1], b[2]], behind_up)], f);
+        let z = mix_rows(
+            [between(front, [c[1], c[2]]), between(front_up, [d[1], d[2]]), between([a[1], a[2]], behind), between([b[1], b[2]], behind_up)],
+            f,
+        );
         Vec3x8 { x, y, z }
     }
 }
@@ -146,45 +126,10 @@ fn between<S: Simd>(before: [f32x8<S>; 2], after: [f32x8<S>; 2]) -> [f32x8<S>; 2
     [after[0] - before[0], after[1] - before[1]]
 }
 
-/// The mix of the rows of a cell (near low, near high, far low, far high): the second axis first, the first last.
-#[inline(always)]
-fn mix_rows<S: Simd>([a, b, c, d]: [[f32x8<S>; 2]; 4], f: Vec3x8<S>) -> f32x8<S> {
-    let low = mix(mix(a[0], b[0], f.y), mix(c[0], d[0], f.y), f.z);
-    let high = mix(mix(a[1], b[1], f.y), mix(c[1], d[1], f.y), f.z);
-    mix(low, high, f.x)
-}
-
-/// The mix of the differences that are kept at the corners of eight cells. Two neighbours of a row fill one register: it is lanes that are
-/// taken one by one here, not corners.
-#[inline(always)]
-fn mix_texels<S: Simd>(simd: S, texels: &[[i16; 4]], base: &[usize; LANES], [up, on]: [usize; 2], f: Vec3x8<S>) -> Vec3x8<S> {
-    let mut mixed = [[0.0; 4]; LANES];
-    for n in 0..LANES {
-        let at = base[n];
-        let (y, z) = (f32x8::splat(simd, f.y[n]), f32x8::splat(simd, f.z[n]));
-        let near = mix(pair_of_texels(simd, texels, at), pair_of_texels(simd, texels, at + up), y);
-        let far = mix(pair_of_texels(simd, texels, at + on), pair_of_texels(simd, texels, at + on + up), y);
-        let (low, high) = simd.split_f32x8(mix(near, far, z));
-        mixed[n] = *(low + (high - low) * f32x4::splat(simd, f.x[n]));
-    }
-    let (mut x, mut y, mut z) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
-    for n in 0..LANES {
-        [_, x[n], y[n], z[n]] = mixed[n];
-    }
-    Vec3x8 { x: f32x8::load_array(simd, x), y: f32x8::load_array(simd, y), z: f32x8::load_array(simd, z) }
-}
-
-/// Two neighbouring texels as numbers.
-#[inline(always)]
-fn pair_of_texels<S: Simd>(simd: S, texels: &[[i16; 4]], at: usize) -> f32x8<S> {
-    let (low, high) = simd.widen_i16x8(i16x8::from_slice(simd, texels[at..at + 2].as_flattened()));
-    simd.combine_i32x4(low, high).to_float()
-}
-
-/// Whether one of the voxels to both sides of a coordinate lies beyond the grid.
+/// Whether one of the voxels to both sides of a coordinate's cell lies beyond the grid.
 #[inline(always)]
 fn beyond<S: Simd>(x: f32x8<S>, top: f32) -> mask32x8<S> {
-    x.simd_lt(1.0) | x.simd_gt(top - 1.0)
+    x.simd_lt(1.0) | x.simd_ge(top - 1.0)
 }
 
 /// Integers of 16 bits, the lower one first, as the two halves of a word.

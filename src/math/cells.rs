@@ -1,0 +1,109 @@
+//! Trilinear interpolation of texels of four numbers, at eight points at once.
+//!
+//! *Theory*: two neighbouring texels of a row fill one register. A cell is four such rows, mixed along the second and third axis as they are
+//! loaded and along the first at the end, all four numbers together; only then are the eight points' results turned into lanes. Gathering
+//! corner by corner would take as many loads for one number as this takes for four.
+
+use super::lanes::*;
+use glam::Vec4;
+
+/// Cells that eight points lie in.
+#[derive(Clone, Copy)]
+pub struct Cells<S: Simd> {
+    /// Flat index of each cell's lowest corner.
+    pub base: [usize; LANES],
+    /// Where in the cell.
+    pub f: Vec3x8<S>,
+}
+
+/// Cells along an axis and where in them, `margin` cells away from the ends.
+#[inline(always)]
+fn along<S: Simd>(x: f32x8<S>, points: usize, margin: i32) -> (i32x8<S>, f32x8<S>) {
+    let x = x.max(0.0).min((points - 1) as f32);
+    // x is not negative: truncation is floor. A coordinate that is no number must not leave the grid either.
+    let cell = x.to_int::<i32x8<S>>().max(margin).min(points as i32 - 2 - margin);
+    (cell, x - cell.to_float::<f32x8<S>>())
+}
+
+impl<S: Simd> Cells<S> {
+    /// The cells of points of a grid of at least 2 + 2 `margin` points along every axis, kept `margin` cells away from its faces; points beyond the
+    /// outermost are moved onto them.
+    #[inline(always)]
+    pub fn of(p: Vec3x8<S>, [nx, ny, nz]: [usize; 3], margin: i32) -> Self {
+        let ((i, x), (j, y), (k, z)) = (along(p.x, nx, margin), along(p.y, ny, margin), along(p.z, nz, margin));
+        let mut base = [0; LANES];
+        for n in 0..LANES {
+            base[n] = (k[n] as usize * ny + j[n] as usize) * nx + i[n] as usize;
+        }
+        Self { base, f: Vec3x8 { x, y, z } }
+    }
+}
+
+/// `a` at 0, `b` at 1.
+#[inline(always)]
+pub fn mix<S: Simd>(a: f32x8<S>, b: f32x8<S>, t: f32x8<S>) -> f32x8<S> {
+    a + (b - a) * t
+}
+
+/// The mix of the rows of a cell (near low, near high, far low, far high) in the order of [`mix_texels`]: the second axis, the third, the first.
+#[inline(always)]
+pub fn mix_rows<S: Simd>([a, b, c, d]: [[f32x8<S>; 2]; 4], f: Vec3x8<S>) -> f32x8<S> {
+    let low = mix(mix(a[0], b[0], f.y), mix(c[0], d[0], f.y), f.z);
+    let high = mix(mix(a[1], b[1], f.y), mix(c[1], d[1], f.y), f.z);
+    mix(low, high, f.x)
+}
+
+/// Texels of four numbers.
+pub trait Texel: Copy {
+    /// Two texels as numbers.
+    fn pair<S: Simd>(simd: S, texels: [Self; 2]) -> f32x8<S>;
+}
+
+impl Texel for [i16; 4] {
+    #[inline(always)]
+    fn pair<S: Simd>(simd: S, [[a, b, c, d], [e, f, g, h]]: [Self; 2]) -> f32x8<S> {
+        let (low, high) = simd.widen_i16x8(i16x8::load_array(simd, [a, b, c, d, e, f, g, h]));
+        simd.combine_i32x4(low, high).to_float()
+    }
+}
+
+impl Texel for Vec4 {
+    #[inline(always)]
+    fn pair<S: Simd>(simd: S, [low, high]: [Self; 2]) -> f32x8<S> {
+        simd.combine_f32x4(f32x4::load_array(simd, low.to_array()), f32x4::load_array(simd, high.to_array()))
+    }
+}
+
+/// The four numbers in eight cells of a grid of texels, x fastest.
+#[inline(always)]
+pub fn mix_texels<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3], cells: &Cells<S>) -> [f32x8<S>; 4] {
+    let (up, on) = (size[0], size[0] * size[1]);
+    let mut mixed = [[0.0; 4]; LANES];
+    for n in 0..LANES {
+        let at = cells.base[n];
+        let (y, z) = (f32x8::splat(simd, cells.f.y[n]), f32x8::splat(simd, cells.f.z[n]));
+        let near = mix(T::pair(simd, [texels[at], texels[at + 1]]), T::pair(simd, [texels[at + up], texels[at + up + 1]]), y);
+        let (far, beyond) = (at + on, at + on + up);
+        let far = mix(T::pair(simd, [texels[far], texels[far + 1]]), T::pair(simd, [texels[beyond], texels[beyond + 1]]), y);
+        let (low, high) = simd.split_f32x8(mix(near, far, z));
+        mixed[n] = *(low + (high - low) * f32x4::splat(simd, cells.f.x[n]));
+    }
+    columns(simd, &mixed)
+}
+
+/// The columns of a matrix of eight rows.
+#[inline(always)]
+pub fn columns<S: Simd>(simd: S, rows: &[[f32; 4]; LANES]) -> [f32x8<S>; 4] {
+    let [a0, a1, a2, a3] = columns_of_four(simd, [rows[0], rows[1], rows[2], rows[3]]);
+    let [b0, b1, b2, b3] = columns_of_four(simd, [rows[4], rows[5], rows[6], rows[7]]);
+    [simd.combine_f32x4(a0, b0), simd.combine_f32x4(a1, b1), simd.combine_f32x4(a2, b2), simd.combine_f32x4(a3, b3)]
+}
+
+/// The columns of a matrix of four rows.
+#[inline(always)]
+fn columns_of_four<S: Simd>(simd: S, [a, b, c, d]: [[f32; 4]; 4]) -> [f32x4<S>; 4] {
+    let (a, b, c, d) = (f32x4::load_array(simd, a), f32x4::load_array(simd, b), f32x4::load_array(simd, c), f32x4::load_array(simd, d));
+    let (ac, ac_high) = (simd.zip_low_f32x4(a, c), simd.zip_high_f32x4(a, c));
+    let (bd, bd_high) = (simd.zip_low_f32x4(b, d), simd.zip_high_f32x4(b, d));
+    [simd.zip_low_f32x4(ac, bd), simd.zip_high_f32x4(ac, bd), simd.zip_low_f32x4(ac_high, bd_high), simd.zip_high_f32x4(ac_high, bd_high)]
+}
