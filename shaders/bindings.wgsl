@@ -27,6 +27,9 @@
 // Colour and optical depth of segments: front values down, back values across.
 @group(0) @binding(18) var preintegrated: texture_2d<f32>;
 
+// The volume's central differences; see src/volume/gradient.rs.
+@group(0) @binding(19) var gradients: texture_3d<f32>;
+
 // No surface.
 const FAR_AWAY: f32 = 1e30;
 
@@ -56,6 +59,11 @@ override SLAB: u32 = 1u;
 // Normalised value at a position in voxels.
 fn sample_volume(p: vec3<f32>) -> f32 {
     return textureSampleLevel(volume, linear_clamp, (p + 0.5) / frame.texture_size, 0.0).r * frame.value_scale + frame.value_offset;
+}
+
+// f(+1) - f(-1) along i, j, k of stored values, as shares of 32767.
+fn sample_gradients(p: vec3<f32>) -> vec3<f32> {
+    return textureSampleLevel(gradients, linear_clamp, (p + 0.5) / frame.texture_size, 0.0).gba;
 }
 
 fn sample_colors(p: vec3<f32>) -> vec4<f32> {

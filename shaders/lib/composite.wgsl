@@ -45,6 +45,9 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Str
     // The last sample that had matter, and its number.
     var before = 0.0;
     var before_at = -2;
+    // What a Front says of the last sample that was looked at, and the number of the one behind it.
+    var last_depth = 0.0;
+    var last_at = -2;
     while i < end {
         // Two loops instead of a branch: neighbouring rays run in lockstep, and shading costs far more than looking. This way the rays of a
         // group look until each has something to shade, then shade together.
@@ -52,6 +55,7 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Str
         var found: Sample;
         var at: Look;
         var share = 1.0;
+        var front: Front;
         while i < end && !stop {
             let deformed = ray.origin + ray.direction * ((f32(i) + 0.5) * step);
             let t = empty_until(deformed, ray.origin, inverse_direction);
@@ -70,6 +74,12 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Str
             share = part.share;
             let sampled = ray.origin + ray.direction * part.t;
             at = look(sampled);
+            // The same point, to the bit, whether or not it was looked at.
+            front = Front(sampled - ray.direction * step, -3.0);
+            if share == 1.0 {
+                front.point = ray.origin + ray.direction * ((f32(i) - 1.5) * step);
+                front.depth = select(-3.0, last_depth, last_at == i - 1);
+            }
             if BLEND != 0u {
                 if at.present {
                     matter += 1.0;
@@ -83,6 +93,10 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Str
             }
             if PREINTEGRATED == 0u {
                 found = visible(at, sampled);
+                if share == 1.0 {
+                    last_depth = select(-2.0, found.depth, at.present);
+                    last_at = i;
+                }
             } else {
                 var front = at.value;
                 if at.present {
@@ -113,7 +127,7 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Str
             if ISO != 0u {
                 continue;
             }
-            color += shaded_sample(at, found, ray.direction, step, length * share) * (1.0 - color.a);
+            color += shaded_sample(at, found, front, ray.direction, step, length * share) * (1.0 - color.a);
             if 1.0 - color.a < OPAQUE && frame.early_termination != 0u {
                 terminated += u32(max(end - i, 0));
                 break;

@@ -36,11 +36,11 @@ fn empty_until(p: vec3<f32>, origin: vec3<f32>, inverse_direction: vec3<f32>) ->
 
 // Colour of a sample after light, premultiplied by its opacity over `length` reference lengths. `depth` is its own optical depth, if it
 // shows anything; if not, it is near a cut, and what lies between the cut and it is looked for.
-fn shaded_sample(at: Look, s: Sample, direction: vec3<f32>, step: f32, length: f32) -> vec4<f32> {
+fn shaded_sample(at: Look, s: Sample, front: Front, direction: vec3<f32>, step: f32, length: f32) -> vec4<f32> {
     var depth = s.depth;
     var seen: Seen;
     if depth > 0.0 {
-        seen = seen_sample(s, direction, step);
+        seen = seen_sample(s, front, direction, step);
     } else {
         seen = sliver(s.deformed, at.present, direction, step);
         depth = seen.s.depth;

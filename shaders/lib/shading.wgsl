@@ -76,10 +76,20 @@ struct Entry {
     through_cut: bool,
 }
 
+// What is known of the point one step in front of a sample.
+struct Front {
+    point: vec3<f32>,
+    // Its optical depth; -2 if nothing is there, -3 if it has not been looked at.
+    depth: f32,
+}
+
 // Where the ray entered the matter that a sample lies in, if it did so within the last step.
-fn entry(s: Sample, direction: vec3<f32>, step_mm: f32) -> Entry {
-    let before = dense(s.deformed - direction * step_mm, s.depth).depth;
-    if before >= 0.0 {
+fn entry(s: Sample, front: Front, direction: vec3<f32>, step_mm: f32) -> Entry {
+    var before = front.depth;
+    if before < -2.5 {
+        before = dense(front.point, s.depth).depth;
+    }
+    if before >= 0.5 * s.depth {
         return Entry(s, false, false);
     }
     var through_cut = before < -1.5;
@@ -284,6 +294,8 @@ fn iso_surface(deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> vec3<
 // One call of shade_with serves samples, entries and slivers: what differs is prepared before it.
 struct Seen {
     s: Sample,
+    // There, if the ray has not entered matter elsewhere.
+    j: Jet,
     entered: bool,
     through_cut: bool,
     share: f32,
@@ -291,9 +303,12 @@ struct Seen {
 
 // Shades what is seen.
 fn shade_seen(e: Seen, direction: vec3<f32>) -> Shaded {
-    let j = jet(e.s.deformed);
+    var j = e.j;
+    if e.entered {
+        j = jet(e.s.deformed);
+    }
     var cut = NO_CUT;
-    if !e.entered || e.through_cut {
+    if (!e.entered || e.through_cut) && !far_from_cuts(e.s.in_voxel) {
         cut = or_shape(nearest_cut(j, e.s.in_voxel), e.s.deformed);
     }
     let shaded = shade_with(e.s, j, cut, direction);
@@ -301,16 +316,24 @@ fn shade_seen(e: Seen, direction: vec3<f32>) -> Shaded {
 }
 
 // A visible sample.
-fn seen_sample(s: Sample, direction: vec3<f32>, step_mm: f32) -> Seen {
-    let cut = nearest_cut(jet(s.deformed), s.in_voxel);
-    let share = path_share(cut, s.deformed, direction, step_mm);
-    let e = entry(s, direction, step_mm);
-    return Seen(e.first, e.entered, e.through_cut, share);
+fn seen_sample(s: Sample, front: Front, direction: vec3<f32>, step_mm: f32) -> Seen {
+    let j = jet(s.deformed);
+    var share = 1.0;
+    if !far_from_cuts(s.in_voxel) {
+        share = path_share(nearest_cut(j, s.in_voxel), s.deformed, direction, step_mm);
+    }
+    let e = entry(s, front, direction, step_mm);
+    return Seen(e.first, j, e.entered, e.through_cut, share);
+}
+
+// Whether no cut can be near, the volume's faces among them, so that none has to be asked.
+fn far_from_cuts(in_voxel: vec3<f32>) -> bool {
+    return MAPS == 0u && CUTS == 0u && all(in_voxel > frame.face - 0.5) && all(in_voxel < frame.grid_size - 0.5 - frame.face);
 }
 
 // Matter between a cut and a sample that shows nothing, thinner than a step; depth 0 if there is none.
 fn sliver(deformed: vec3<f32>, present: bool, direction: vec3<f32>, step_mm: f32) -> Seen {
-    var found = Seen(Sample(deformed, vec3<f32>(0.0), vec3<f32>(0.0), 0.0, 0.0), true, present, 0.0);
+    var found = Seen(Sample(deformed, vec3<f32>(0.0), vec3<f32>(0.0), 0.0, 0.0), undisplaced(deformed), true, present, 0.0);
     let before = deformed - direction * step_mm;
     let at_before = look(before);
     if at_before.present == present || visible(at_before, before).depth > 0.0 {

@@ -71,8 +71,13 @@ fn walk_through(deformed: vec3<f32>) -> vec4<f32> {
     return p;
 }
 
+// The jet outside all maps.
+fn undisplaced(deformed: vec3<f32>) -> Jet {
+    return Jet(deformed, 1.0, mat3x3<f32>(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), NO_CUT);
+}
+
 fn jet(deformed: vec3<f32>) -> Jet {
-    var j = Jet(deformed, 1.0, mat3x3<f32>(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), NO_CUT);
+    var j = undisplaced(deformed);
     var here = deformed;
     var d_here = j.d_source_d_deformed;
     for (var n = MAPS; n > 0u; n -= 1u) {

@@ -37,6 +37,10 @@ fn central(p: vec3<f32>) -> vec3<f32> {
 // Gradient of the normalised value per voxel along i, j, k.
 fn gradient(p: vec3<f32>) -> vec3<f32> {
     if GRADIENT == 0u {
+        // Beside the volume's faces a difference is taken at the face.
+        if frame.gradient_scale != 0.0 && all(p >= vec3<f32>(0.0)) && all(p <= frame.grid_size - 1.0) {
+            return sample_gradients(p) * frame.gradient_scale;
+        }
         return central(p);
     }
     var g = vec3<f32>(0.0);

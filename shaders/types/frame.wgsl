@@ -47,6 +47,10 @@ struct Frame {
     jitter: u32,
     // Voxels that the volume's texture spans: the grid's size, or a little more where it was reduced.
     texture_size: vec3<f32>,
+    // Gradient of the normalised value per voxel = gradient_scale * texel of the gradient volume; 0: there is none.
+    gradient_scale: f32,
+    // Voxels along each axis nearer to the volume's faces than which those may be seen as cuts.
+    face: vec3<f32>,
     padding_2: f32,
 }
 

@@ -104,17 +104,11 @@ impl<'a, T: Voxel> Marcher<'a, T> {
     /// Prepares what does not depend on the ray.
     pub fn new(scene: &'a Prepared, sampler: &'a Sampler<'a, T>) -> Self {
         let world_from_covector = Mat3::from(scene.frame.voxel_from_world.matrix3).transpose();
-        // Slices are met at a slant: their step along a ray is longer than their distance.
-        let slant = match scene.settings.mode {
-            Mode::Slice => scene.frame.view.longest_slant(),
-            _ => 1.0,
-        };
-        let margin_mm = scene.frame.blend_mm[1] + 2.2 * scene.frame.step_mm * slant;
         Self {
             scene,
             sampler,
-            face: Vec3::from([0, 1, 2].map(|a| margin_mm * (world_from_covector * Vec3::AXES[a]).length())),
-            margin_mm,
+            face: scene.voxels_beside_faces(),
+            margin_mm: scene.cut_margin_mm(),
             world_from_covector,
             composite: scene.blend == Blend::Composite,
             grey_faces: scene.grey_faces(),

@@ -1,12 +1,14 @@
 //! Baking: the deformed scene resampled into a volume, or the composed displacement into a field (\[RVD01\] section 5), slab by slab, so that
 //! nothing but the source and one slab is in memory.
 
+use super::rows::Row;
 use crate::deform::Stack;
 use crate::deform::cut::Cuts;
 use crate::math::Bounds;
+use crate::math::lanes::with_simd;
 use crate::volume::load::ScalarType;
 use crate::volume::save::{Content, Format, Writer};
-use crate::volume::{GridGeometry, Rescale, Volume, Voxels};
+use crate::volume::{GridGeometry, Rescale, Volume, Voxel, Voxels};
 use crate::{Error, Result};
 use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
@@ -67,14 +69,15 @@ fn scalar_of(voxels: &Voxels) -> ScalarType {
 
 /// Appends a value in a type's bytes, rounded and held to its range.
 fn put(out: &mut Vec<u8>, scalar: ScalarType, v: f64) {
-    // `as` saturates, and takes NaN to 0.
+    // `as` cuts off what is behind the point, saturates, and takes NaN to 0.
+    let whole = v + 0.5f64.copysign(v);
     match scalar {
-        ScalarType::U8 => out.push(v.round() as u8),
-        ScalarType::I8 => out.extend((v.round() as i8).to_le_bytes()),
-        ScalarType::U16 => out.extend((v.round() as u16).to_le_bytes()),
-        ScalarType::I16 => out.extend((v.round() as i16).to_le_bytes()),
-        ScalarType::U32 => out.extend((v.round() as u32).to_le_bytes()),
-        ScalarType::I32 => out.extend((v.round() as i32).to_le_bytes()),
+        ScalarType::U8 => out.push(whole as u8),
+        ScalarType::I8 => out.extend((whole as i8).to_le_bytes()),
+        ScalarType::U16 => out.extend((whole as u16).to_le_bytes()),
+        ScalarType::I16 => out.extend((whole as i16).to_le_bytes()),
+        ScalarType::U32 => out.extend((whole as u32).to_le_bytes()),
+        ScalarType::I32 => out.extend((whole as i32).to_le_bytes()),
         ScalarType::U64 => out.extend((v.round() as u64).to_le_bytes()),
         ScalarType::I64 => out.extend((v.round() as i64).to_le_bytes()),
         ScalarType::F32 => out.extend((v as f32).to_le_bytes()),
@@ -116,6 +119,31 @@ impl Stored<'_> {
             Interpolation::Linear => self.weighted(c, 0, &[[1.0 - f.x, f.x], [1.0 - f.y, f.y], [1.0 - f.z, f.z]]),
             Interpolation::Cubic => self.weighted(c, -1, &[keys(f.x), keys(f.y), keys(f.z)]),
         })
+    }
+
+    /// Stored values of a row of the deformed scene from a point on, with NaN where nothing is; none if [`Self::sample`] is to be asked instead.
+    fn row(&self, deformation: &Deformation, voxel_from_world: &DAffine3, first: DVec3, step: DVec3, count: usize) -> Option<Vec<f32>> {
+        fn baked<T: Voxel>(
+            voxels: &[T],
+            size: [usize; 3],
+            d: &Deformation,
+            m: &DAffine3,
+            [first, step]: [DVec3; 2],
+            count: usize,
+        ) -> Option<Vec<f32>> {
+            Some(with_simd(Row { voxels, size, deformation: *d, voxel_from_world: m, first, step, count }))
+        }
+        let size = self.volume.size;
+        if self.interpolation != Interpolation::Linear || size.iter().any(|&n| n < 2) {
+            return None;
+        }
+        let way = [first, step];
+        match &self.volume.voxels {
+            Voxels::U8(v) => baked(v, size, deformation, voxel_from_world, way, count),
+            Voxels::U16(v) => baked(v, size, deformation, voxel_from_world, way, count),
+            Voxels::I16(v) => baked(v, size, deformation, voxel_from_world, way, count),
+            _ => None,
+        }
     }
 
     fn weighted<const N: usize>(&self, c: [i64; 3], first: i64, w: &[[f64; N]; 3]) -> f64 {
@@ -218,6 +246,13 @@ pub fn volume(
     let fill = (fill - volume.rescale.intercept) / volume.rescale.slope;
     let row = |j: usize, k: usize, bytes: &mut Vec<u8>| {
         let at = |i: usize| grid.world_from_voxel.transform_point3(DVec3::new(i as f64, j as f64, k as f64));
+        if let Some(values) = stored.row(deformation, &voxel_from_world, at(0), grid.world_from_voxel.matrix3.x_axis, grid.size[0]) {
+            for v in values {
+                let v = if v.is_nan() { fill } else { f64::from(v) };
+                put(bytes, scalar, v * in_data.slope + in_data.intercept);
+            }
+            return;
+        }
         let deformed: Vec<Vec3> = (0..grid.size[0]).map(|i| at(i).as_vec3()).collect();
         for (i, (source, alpha)) in deformation.stack.walk_many(&deformed).into_iter().enumerate() {
             let seen = alpha >= 0.5 && deformation.cuts.kept(deformed[i]) >= 0.0;

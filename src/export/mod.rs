@@ -2,6 +2,7 @@
 
 pub mod bake;
 pub mod clip;
+mod rows;
 
 use crate::scene::Picture;
 use crate::volume::load;

@@ -5,7 +5,7 @@
 //! corner by corner would take as many loads for one number as this takes for four.
 
 use super::lanes::*;
-use glam::Vec4;
+use glam::{Vec3, Vec4};
 
 /// Cells that eight points lie in.
 #[derive(Clone, Copy)]
@@ -57,6 +57,14 @@ pub fn mix_rows<S: Simd>([a, b, c, d]: [[f32x8<S>; 2]; 4], f: Vec3x8<S>) -> f32x
 pub trait Texel: Copy {
     /// Two texels as numbers.
     fn pair<S: Simd>(simd: S, texels: [Self; 2]) -> f32x8<S>;
+
+    /// A texel and the next one as numbers.
+    #[inline(always)]
+    fn pair_at<S: Simd>(simd: S, texels: &[Self], at: usize) -> f32x8<S> {
+        // One check, and one load of both.
+        let pair = &texels[at..at + 2];
+        Self::pair(simd, [pair[0], pair[1]])
+    }
 }
 
 impl Texel for [i16; 4] {
@@ -64,6 +72,13 @@ impl Texel for [i16; 4] {
     fn pair<S: Simd>(simd: S, [[a, b, c, d], [e, f, g, h]]: [Self; 2]) -> f32x8<S> {
         let (low, high) = simd.widen_i16x8(i16x8::load_array(simd, [a, b, c, d, e, f, g, h]));
         simd.combine_i32x4(low, high).to_float()
+    }
+}
+
+impl Texel for Vec3 {
+    #[inline(always)]
+    fn pair<S: Simd>(simd: S, [a, b]: [Self; 2]) -> f32x8<S> {
+        f32x8::load_array(simd, [a.x, a.y, a.z, 0.0, b.x, b.y, b.z, 0.0])
     }
 }
 
@@ -82,13 +97,48 @@ pub fn mix_texels<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3], ce
     for n in 0..LANES {
         let at = cells.base[n];
         let (y, z) = (f32x8::splat(simd, cells.f.y[n]), f32x8::splat(simd, cells.f.z[n]));
-        let near = mix(T::pair(simd, [texels[at], texels[at + 1]]), T::pair(simd, [texels[at + up], texels[at + up + 1]]), y);
+        let near = mix(T::pair_at(simd, texels, at), T::pair_at(simd, texels, at + up), y);
         let (far, beyond) = (at + on, at + on + up);
-        let far = mix(T::pair(simd, [texels[far], texels[far + 1]]), T::pair(simd, [texels[beyond], texels[beyond + 1]]), y);
+        let far = mix(T::pair_at(simd, texels, far), T::pair_at(simd, texels, beyond), y);
         let (low, high) = simd.split_f32x8(mix(near, far, z));
         mixed[n] = *(low + (high - low) * f32x4::splat(simd, cells.f.x[n]));
     }
     columns(simd, &mixed)
+}
+
+/// The first three of [`mix_texels`]'s numbers as vectors, and their derivatives along the three axes, per cell.
+#[inline(always)]
+pub fn mix_with_slopes<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3], cells: &Cells<S>) -> (Vec3x8<S>, [Vec3x8<S>; 3]) {
+    let (up, on) = (size[0], size[0] * size[1]);
+    let mut value = [[0.0; 4]; LANES];
+    let (mut dx, mut dy, mut dz) = (value, value, value);
+    for n in 0..LANES {
+        let at = cells.base[n];
+        let (y, z) = (f32x8::splat(simd, cells.f.y[n]), f32x8::splat(simd, cells.f.z[n]));
+        let x = f32x4::splat(simd, cells.f.x[n]);
+        let (far, beyond) = (at + on, at + on + up);
+        let near = T::pair_at(simd, texels, at);
+        let near_slope = T::pair_at(simd, texels, at + up) - near;
+        let far = T::pair_at(simd, texels, far);
+        let far_slope = T::pair_at(simd, texels, beyond) - far;
+        let near = near + near_slope * y;
+        let along_z = far + far_slope * y - near;
+        let (low, high) = simd.split_f32x8(near + along_z * z);
+        value[n] = *(low + (high - low) * x);
+        dx[n] = *(high - low);
+        let (low, high) = simd.split_f32x8(mix(near_slope, far_slope, z));
+        dy[n] = *(low + (high - low) * x);
+        let (low, high) = simd.split_f32x8(along_z);
+        dz[n] = *(low + (high - low) * x);
+    }
+    (vectors(simd, &value), [vectors(simd, &dx), vectors(simd, &dy), vectors(simd, &dz)])
+}
+
+/// The first three columns of a matrix of eight rows.
+#[inline(always)]
+fn vectors<S: Simd>(simd: S, rows: &[[f32; 4]; LANES]) -> Vec3x8<S> {
+    let [x, y, z, _] = columns(simd, rows);
+    Vec3x8 { x, y, z }
 }
 
 /// The columns of a matrix of eight rows.

@@ -120,6 +120,12 @@ impl<S: Simd> Vec3x8<S> {
         self.x * v.x + self.y * v.y + self.z * v.z
     }
 
+    /// Vector products.
+    #[inline(always)]
+    pub fn cross(self, v: Self) -> Self {
+        Self { x: self.y * v.z - self.z * v.y, y: self.z * v.x - self.x * v.z, z: self.x * v.y - self.y * v.x }
+    }
+
     /// Lengths.
     #[inline(always)]
     pub fn length(self) -> f32x8<S> {

@@ -229,7 +229,7 @@ impl Renderer {
     /// Uploads what of the shared shader functions' inputs has changed.
     pub(super) fn shared(&mut self, scene: &Prepared) -> Result<Shared> {
         let volume = self.volume.as_ref().ok_or_else(|| Error::Gpu("no volume was uploaded".into()))?;
-        let frame = FrameUniform::new(scene, volume.scale, volume.offset, volume.spanned);
+        let frame = FrameUniform::new(scene, [volume.scale, volume.offset, volume.gradient_scale(scene)], volume.spanned);
         let mut placed = [bytemuck::Zeroable::zeroed(); MAX_MAPS];
         for (uniform, map) in placed.iter_mut().zip(scene.stack.maps()) {
             *uniform = PlacedMapUniform::new(map);
@@ -373,10 +373,17 @@ impl Renderer {
     pub(super) fn group(&mut self, shared: &Shared, behind: Option<&Layer>) -> wgpu::BindGroup {
         let volume = self.volume.as_ref().map_or(&shared.maps[0], |v| &v.view);
         let colors = self.volume.as_ref().and_then(|v| v.colors.as_ref()).unwrap_or(&shared.maps[0]);
+        let gradients = self.volume.as_ref().and_then(|v| v.gradients.as_ref()).unwrap_or(&shared.maps[0]);
         let [color, distance] = behind.unwrap_or(&shared.nothing).views();
         // By number of binding.
         let mut views = vec![(2, volume.clone()), (4, shared.table.clone()), (5, shared.cells.clone())];
-        views.extend([(15, color.clone()), (16, distance.clone()), (17, colors.clone()), (18, shared.preintegrated.clone())]);
+        views.extend([
+            (15, color.clone()),
+            (16, distance.clone()),
+            (17, colors.clone()),
+            (18, shared.preintegrated.clone()),
+            (19, gradients.clone()),
+        ]);
         views.extend(shared.maps.iter().enumerate().map(|(k, view)| (6 + k as u32, view.clone())));
         let sampler = (3, wgpu::BindingResource::Sampler(&self.sampler));
         let buffers = [0, 1, 14].into_iter().zip(&shared.uniforms).map(|(n, b)| (n, b.as_entire_binding()));

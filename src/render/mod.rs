@@ -164,6 +164,7 @@ impl Renderer {
         }
         stages.time("upload", || -> Result<()> {
             self.upload_volume(scene.grid, scene.colors)?;
+            self.upload_gradients(scene)?;
             wait(&self.device.device)
         })?;
         let notices: Vec<String> = self.volume.as_ref().and_then(|v| v.notice.clone()).filter(|_| shows_volume).into_iter().collect();
@@ -386,6 +387,7 @@ fn shared_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     entries.push(entry(14, uniform));
     entries.push(entry(17, texture(filtered, wgpu::TextureViewDimension::D3)));
     entries.push(entry(18, texture(filtered, wgpu::TextureViewDimension::D2)));
+    entries.push(entry(19, texture(filtered, wgpu::TextureViewDimension::D3)));
     let unfiltered = wgpu::TextureSampleType::Float { filterable: false };
     entries.extend([15, 16].map(|n| entry(n, texture(unfiltered, wgpu::TextureViewDimension::D2))));
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some("scene"), entries: &entries })

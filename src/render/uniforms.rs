@@ -52,6 +52,8 @@ pub struct FrameUniform {
     pub iso: f32,
     pub jitter: u32,
     pub texture_size: [f32; 3],
+    pub gradient_scale: f32,
+    pub face: [f32; 3],
     pub padding_2: f32,
 }
 
@@ -102,8 +104,9 @@ fn affine(m: &Affine3A) -> [f32; 16] {
 }
 
 impl FrameUniform {
-    /// The constants of a scene; texels become normalised values by `value_scale` and `value_offset`, and span `texture_size` voxels.
-    pub fn new(scene: &Prepared, value_scale: f32, value_offset: f32, texture_size: [f32; 3]) -> Self {
+    /// The constants of a scene; texels become normalised values by `value_scale` and `value_offset`, and gradients by `gradient_scale`; they span
+    /// `texture_size` voxels.
+    pub fn new(scene: &Prepared, [value_scale, value_offset, gradient_scale]: [f32; 3], texture_size: [f32; 3]) -> Self {
         let frame = &scene.frame;
         let light = &scene.light;
         let cells = &scene.macrocells;
@@ -144,6 +147,8 @@ impl FrameUniform {
             iso: scene.iso.unwrap_or(0.0),
             jitter: u32::from(scene.settings.jitter),
             texture_size,
+            gradient_scale,
+            face: scene.voxels_beside_faces().into(),
             padding_2: 0.0,
         }
     }

@@ -6,6 +6,7 @@
 use super::work::Made;
 use super::{Renderer, extent};
 use crate::gpu::wait;
+use crate::scene::Prepared;
 use crate::volume::{Colors, Grid, GridVoxels};
 use crate::{Error, Result};
 use half::f16;
@@ -23,12 +24,21 @@ pub(super) struct VolumeTexture {
     _voxels: GridVoxels,
     pub view: wgpu::TextureView,
     pub colors: Option<wgpu::TextureView>,
+    /// Central differences of stored values, as shares of 32767.
+    pub gradients: Option<wgpu::TextureView>,
     pub scale: f32,
     pub offset: f32,
     /// Voxels that the texture spans.
     pub spanned: [f32; 3],
     /// What the user should be told.
     pub notice: Option<String>,
+}
+
+impl VolumeTexture {
+    /// Gradient of the normalised value per voxel by a texel of the gradient volume; 0 if there is none.
+    pub fn gradient_scale(&self, scene: &Prepared) -> f32 {
+        if self.gradients.is_some() { 0.5 * f32::from(i16::MAX) * scene.grid.scale } else { 0.0 }
+    }
 }
 
 impl GridVoxels {
@@ -108,7 +118,30 @@ impl Renderer {
         };
         let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
         let spanned = std::array::from_fn(|a| (shown.size[a] * factors[a]) as f32);
-        self.volume = Some(VolumeTexture { identity, _voxels: grid.voxels.clone(), view, colors, scale, offset, spanned, notice });
+        self.volume = Some(VolumeTexture { identity, _voxels: grid.voxels.clone(), view, colors, gradients: None, scale, offset, spanned, notice });
+        Ok(())
+    }
+
+    /// Puts the scene's gradient volume beside the volume, where there is one, the volume is shown whole, and the device can filter it.
+    pub(super) fn upload_gradients(&mut self, scene: &Prepared) -> Result<()> {
+        let size = scene.grid.size;
+        let fits = |v: &VolumeTexture| v.gradients.is_none() && v.notice.is_none();
+        let limits = self.device.device.limits();
+        let bytes = size.iter().map(|&n| n as u64).product::<u64>() * 8;
+        if !self.volume.as_ref().is_some_and(fits)
+            || !self.device.device.features().contains(Features::TEXTURE_FORMAT_16BIT_NORM)
+            || bytes > self.most.map_or(u64::MAX, |(_, bytes)| bytes).min(limits.max_buffer_size)
+        {
+            return Ok(());
+        }
+        let Some(gradients) = scene.gradients() else { return Ok(()) };
+        let texture = self.texture_3d("gradient volume", size, TextureFormat::Rgba16Snorm)?;
+        self.in_pieces(&texture, size, |range| bytemuck::cast_slice(&gradients.texels[range]).to_vec())?;
+        self.tally.count(Made::Volume);
+        self.kept.forget_groups();
+        if let Some(volume) = &mut self.volume {
+            volume.gradients = Some(texture.create_view(&wgpu::TextureViewDescriptor::default()));
+        }
         Ok(())
     }
 

@@ -502,6 +502,22 @@ impl<'a> Prepared<'a> {
         !self.table.gradient.is_empty() && self.blend == Blend::Composite
     }
 
+    /// Distance from a cut beyond which it changes nothing about a sample, mm.
+    pub fn cut_margin_mm(&self) -> f32 {
+        // Slices are met at a slant: their step along a ray is longer than their distance.
+        let slant = match self.settings.mode {
+            Mode::Slice => self.frame.view.longest_slant(),
+            _ => 1.0,
+        };
+        self.frame.blend_mm[1] + 2.2 * self.frame.step_mm * slant
+    }
+
+    /// The same for the volume's faces, in voxels along each axis.
+    pub fn voxels_beside_faces(&self) -> Vec3 {
+        let world_from_covector = glam::Mat3::from(self.frame.voxel_from_world.matrix3).transpose();
+        Vec3::from([0, 1, 2].map(|a| self.cut_margin_mm() * (world_from_covector * Vec3::AXES[a]).length()))
+    }
+
     /// The gradients of all voxels, if they are wanted and kept.
     pub fn gradients(&self) -> Option<&'a GradientVolume> {
         let wanted = (self.is_lit() || self.uses_gradient_opacity()) && self.gradient_filter() == GradientFilter::Central;
