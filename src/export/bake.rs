@@ -1,14 +1,14 @@
 //! Baking: the deformed scene resampled into a volume, or the composed displacement into a field (\[RVD01\] section 5), slab by slab, so that
 //! nothing but the source and one slab is in memory.
 
-use super::rows::Row;
+use super::rows::{Row, Rows};
 use crate::deform::Stack;
 use crate::deform::cut::Cuts;
 use crate::math::Bounds;
 use crate::math::lanes::with_simd;
 use crate::volume::load::ScalarType;
 use crate::volume::save::{Content, Format, Writer};
-use crate::volume::{GridGeometry, Rescale, Volume, Voxel, Voxels};
+use crate::volume::{GridGeometry, Rescale, Volume, Voxels};
 use crate::{Error, Result};
 use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
@@ -85,6 +85,24 @@ fn put(out: &mut Vec<u8>, scalar: ScalarType, v: f64) {
     }
 }
 
+/// Appends whole numbers of a type of 8 or 16 bits; `fill` for what is none.
+fn put_whole(out: &mut Vec<u8>, scalar: ScalarType, values: &[f32], fill: f32) {
+    let filled = |v: &f32| if v.is_nan() { fill } else { *v };
+    match scalar {
+        ScalarType::U8 => out.extend(values.iter().map(|v| filled(v) as u8)),
+        ScalarType::U16 => pairs(out, values.iter().map(|v| (filled(v) as u16).to_le_bytes())),
+        _ => pairs(out, values.iter().map(|v| (filled(v) as i16).to_le_bytes())),
+    }
+}
+
+fn pairs(out: &mut Vec<u8>, all: impl ExactSizeIterator<Item = [u8; 2]>) {
+    let start = out.len();
+    out.resize(start + 2 * all.len(), 0);
+    for (to, pair) in out[start..].chunks_exact_mut(2).zip(all) {
+        to.copy_from_slice(&pair);
+    }
+}
+
 /// Stored values of a volume between its voxels; the outermost ones reach half a voxel out.
 struct Stored<'a> {
     volume: &'a Volume,
@@ -121,27 +139,18 @@ impl Stored<'_> {
         })
     }
 
-    /// Stored values of a row of the deformed scene from a point on, with NaN where nothing is; none if [`Self::sample`] is to be asked instead.
-    fn row(&self, deformation: &Deformation, voxel_from_world: &DAffine3, first: DVec3, step: DVec3, count: usize) -> Option<Vec<f32>> {
-        fn baked<T: Voxel>(
-            voxels: &[T],
-            size: [usize; 3],
-            d: &Deformation,
-            m: &DAffine3,
-            [first, step]: [DVec3; 2],
-            count: usize,
-        ) -> Option<Vec<f32>> {
-            Some(with_simd(Row { voxels, size, deformation: *d, voxel_from_world: m, first, step, count }))
-        }
+    /// Stored values, rounded if `whole`, of a row of the deformed scene, with NaN where nothing is; none if [`Self::sample`] is to be asked instead.
+    /// `m` is world to voxels of the source; the row has its first voxel and the next ones by a step, mm.
+    fn row(&self, deformation: &Deformation, m: &DAffine3, [first, step]: [DVec3; 2], count: usize, whole: bool) -> Option<Vec<f32>> {
         let size = self.volume.size;
         if self.interpolation != Interpolation::Linear || size.iter().any(|&n| n < 2) {
             return None;
         }
-        let way = [first, step];
+        let rows = Rows { size, deformation: *deformation, voxel_from_world: m, first, step, count, whole };
         match &self.volume.voxels {
-            Voxels::U8(v) => baked(v, size, deformation, voxel_from_world, way, count),
-            Voxels::U16(v) => baked(v, size, deformation, voxel_from_world, way, count),
-            Voxels::I16(v) => baked(v, size, deformation, voxel_from_world, way, count),
+            Voxels::U8(v) => Some(with_simd(Row { voxels: v, rows })),
+            Voxels::U16(v) => Some(with_simd(Row { voxels: v, rows })),
+            Voxels::I16(v) => Some(with_simd(Row { voxels: v, rows })),
             _ => None,
         }
     }
@@ -246,10 +255,16 @@ pub fn volume(
     let fill = (fill - volume.rescale.intercept) / volume.rescale.slope;
     let row = |j: usize, k: usize, bytes: &mut Vec<u8>| {
         let at = |i: usize| grid.world_from_voxel.transform_point3(DVec3::new(i as f64, j as f64, k as f64));
-        if let Some(values) = stored.row(deformation, &voxel_from_world, at(0), grid.world_from_voxel.matrix3.x_axis, grid.size[0]) {
-            for v in values {
-                let v = if v.is_nan() { fill } else { f64::from(v) };
-                put(bytes, scalar, v * in_data.slope + in_data.intercept);
+        let [first, step] = [at(0), grid.world_from_voxel.matrix3.x_axis];
+        let as_stored = in_data == Rescale::NONE && scalar == scalar_of(&volume.voxels);
+        if let Some(values) = stored.row(deformation, &voxel_from_world, [first, step], grid.size[0], as_stored) {
+            if as_stored {
+                put_whole(bytes, scalar, &values, fill.round() as f32);
+            } else {
+                for v in values {
+                    let v = if v.is_nan() { fill } else { f64::from(v) };
+                    put(bytes, scalar, v * in_data.slope + in_data.intercept);
+                }
             }
             return;
         }

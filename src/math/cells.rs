@@ -31,12 +31,25 @@ impl<S: Simd> Cells<S> {
     #[inline(always)]
     pub fn of(p: Vec3x8<S>, [nx, ny, nz]: [usize; 3], margin: i32) -> Self {
         let ((i, x), (j, y), (k, z)) = (along(p.x, nx, margin), along(p.y, ny, margin), along(p.z, nz, margin));
-        let mut base = [0; LANES];
-        for n in 0..LANES {
-            base[n] = (k[n] as usize * ny + j[n] as usize) * nx + i[n] as usize;
-        }
-        Self { base, f: Vec3x8 { x, y, z } }
+        Self { base: flat(i, j, k, [nx, ny, nz]), f: Vec3x8 { x, y, z } }
     }
+}
+
+/// Flat indices of points of a grid, x fastest.
+#[inline(always)]
+pub fn flat<S: Simd>(i: i32x8<S>, j: i32x8<S>, k: i32x8<S>, [nx, ny, nz]: [usize; 3]) -> [usize; LANES] {
+    let mut all = [0; LANES];
+    if nx * ny * nz <= i32::MAX as usize {
+        let index = (k * ny as i32 + j) * nx as i32 + i;
+        for n in 0..LANES {
+            all[n] = index[n] as usize;
+        }
+    } else {
+        for n in 0..LANES {
+            all[n] = (k[n] as usize * ny + j[n] as usize) * nx + i[n] as usize;
+        }
+    }
+    all
 }
 
 /// `a` at 0, `b` at 1.
