@@ -53,6 +53,9 @@ pub fn edits_upload_what_changed() {
         let mut scene = scene(mode);
         let assets = scenes::assets(&scene);
         work_of(&mut renderer, &scene, &assets);
+        // The second picture of a volume brings its gradients.
+        let work = work_of(&mut renderer, &scene, &assets);
+        assert_eq!(work, Work { volume_uploads: 1, textures_created: 1, bind_groups_created: 1, ..nothing }, "{mode:?}");
         for (name, edit, allowed) in &edits {
             edit(&mut scene);
             let mut work = work_of(&mut renderer, &scene, &assets);

@@ -14,9 +14,9 @@
 //!
 //! *How to call it*: a [`Plan`], [`Assets`] loaded for [`Plan::loading`], [`Gpu::open`] if there is to be one, [`run`].
 
+use super::Times;
 use super::metrics::difference;
 use super::report::{Protocol, Report, Run, Shown, mode_name};
-use super::{Memory, Times, owned};
 use crate::scene::{Assets, Camera, MAX_PICTURE_EDGE, Mode, Prepared, Rendered, Scene};
 use crate::{Error, Result, Watch};
 use std::collections::BTreeSet;
@@ -179,7 +179,9 @@ impl Gpu {
     /// There is none, or it cannot be opened.
     pub fn open() -> Result<Self> {
         let device = crate::gpu::Device::open(crate::gpu::Want::Any)?;
-        Ok(Self { renderer: crate::render::Renderer::new(device) })
+        let mut renderer = crate::render::Renderer::new(device);
+        renderer.time_passes(true);
+        Ok(Self { renderer })
     }
 
     /// What it is, for people.
@@ -244,6 +246,8 @@ pub fn run(plan: &Plan, assets: &Assets, mut gpu: Option<Gpu>, title: &str, tell
                 for &step in &plan.steps {
                     let scene = plan.at(mode, step, size, camera);
                     let repetition = area(size) / step;
+                    // What a live view has from its second picture on is not made within a time.
+                    Prepared::new(&scene, assets)?.keep_gradients();
                     if plan.on_cpu {
                         let part = progress.part(mode_name(mode), repetition * plan.repeat as f32);
                         let measured = on_cpu(plan, &scene, assets, &part)?;
@@ -371,24 +375,9 @@ fn on_gpu(plan: &Plan, scene: &Scene, assets: &Assets, gpu: &mut Gpu, part: &Par
         let before = start.elapsed().as_secs_f64() * 1e3;
         let rendered = gpu.render(&prepared, counting, &Watch::telling(&share))?;
         let all = start.elapsed().as_secs_f64() * 1e3;
-        let run = Run {
-            name: name.clone(),
-            shown: Shown::of(scene),
-            mode: scene.render.mode,
-            backend: "gpu".to_owned(),
-            step: scene.render.step,
-            milliseconds: Times::of(&[all]),
-            rendering: Times::of(&[all - before]),
-            repetitions: 1,
-            warm_up: None,
-            stages: owned(&[&prepared.stages, &rendered.stages]),
-            stats: rendered.stats,
-            memory: Memory::of(&prepared),
-            error: None,
-            is_reference: false,
-            picture: rendered.picture,
-        };
-        Ok((run, rendered.notices))
+        let notices = rendered.notices.clone();
+        let run = Run { name: name.clone(), backend: "gpu".to_owned(), ..super::once(scene, &prepared, rendered, [before, all]) };
+        Ok((run, notices))
     };
     let (first, told) = once(0, false)?;
     let timed = (0..plan.repeat).map(|n| once(n + 1, false).map(|r| r.0)).collect::<Result<_>>()?;

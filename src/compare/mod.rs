@@ -19,7 +19,7 @@ mod report;
 pub use metrics::{Difference, difference, difference_picture};
 pub use report::{Pair, Protocol, Report, Run, Shown, write_files};
 
-use crate::scene::{Assets, Prepared, Scene, Stages};
+use crate::scene::{Assets, Prepared, Rendered, Scene, Stages};
 use crate::volume::GridVoxels;
 use crate::{Result, Watch, cpu};
 use std::time::Instant;
@@ -100,11 +100,16 @@ pub fn run_on_cpu(scene: &Scene, assets: &Assets, name: &str, watch: &Watch) -> 
     let before = start.elapsed().as_secs_f64() * 1e3;
     let rendered = cpu::render_until(&prepared, watch)?;
     let all = start.elapsed().as_secs_f64() * 1e3;
-    Ok(Run {
-        name: name.to_owned(),
+    Ok(Run { name: name.to_owned(), backend: "cpu".to_owned(), ..once(scene, &prepared, rendered, [before, all]) })
+}
+
+/// One timed picture, nameless: the times from the start to the prepared scene, and to the picture.
+fn once(scene: &Scene, prepared: &Prepared, rendered: Rendered, [before, all]: [f64; 2]) -> Run {
+    Run {
+        name: String::new(),
         shown: Shown::of(scene),
         mode: scene.render.mode,
-        backend: "cpu".to_owned(),
+        backend: String::new(),
         step: scene.render.step,
         milliseconds: Times::of(&[all]),
         rendering: Times::of(&[all - before]),
@@ -112,11 +117,11 @@ pub fn run_on_cpu(scene: &Scene, assets: &Assets, name: &str, watch: &Watch) -> 
         warm_up: None,
         stages: owned(&[&prepared.stages, &rendered.stages]),
         stats: rendered.stats,
-        memory: Memory::of(&prepared),
+        memory: Memory::of(prepared),
         error: None,
         is_reference: false,
         picture: rendered.picture,
-    })
+    }
 }
 
 #[cfg(test)]

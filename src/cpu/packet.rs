@@ -4,7 +4,8 @@
 //! ([`crate::math::lanes`]). As in `shaders/raycast.wgsl` there are two loops: lanes look until each has found something to shade or is
 //! through, then those that have found something shade together. A ray thus waits for its neighbours, never for their shading.
 //!
-//! Most samples are *plain*: farther from every cut than anything that a cut does to light. What lanes do for those is what [`shading`] does
+//! Most samples are *plain*: farther from every cut than anything that a cut does to light, or, beside a face of the volume's own box, than what it
+//! does to anything but normals. What lanes do for those is what [`shading`] does
 //! for one sample, less what is known to change nothing. The others, beside a cut, are handed to [`shading`] one by one; there are few, since
 //! a cut is a surface.
 //!
@@ -140,11 +141,24 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         Looks { in_voxel, value, present, alpha: walk.alpha, depth, front: value, inside: walk.inside, differences }
     }
 
-    /// Which points lie near enough to the volume's faces for those to be seen as cuts.
+    /// The nearest of the volume's faces outside of all maps: distances, mm, and normals out of the volume.
     #[inline(always)]
-    fn beside_face<S: Simd>(&self, in_voxel: Vec3x8<S>) -> mask32x8<S> {
-        let (low, high) = (self.face - 0.5, self.scene.frame.grid_size - 0.5 - self.face);
-        !(within(in_voxel.x, low.x, high.x) & within(in_voxel.y, low.y, high.y) & within(in_voxel.z, low.z, high.z))
+    fn nearest_face<S: Simd>(&self, simd: S, in_voxel: Vec3x8<S>) -> (f32x8<S>, Vec3x8<S>) {
+        let none = (f32x8::splat(simd, f32::INFINITY), Vec3x8::splat(simd, Vec3::ZERO));
+        let nearest = self.nearer_face(simd, in_voxel.x, 0, none);
+        let nearest = self.nearer_face(simd, in_voxel.y, 1, nearest);
+        self.nearer_face(simd, in_voxel.z, 2, nearest)
+    }
+
+    /// The nearer of some faces and the two across an axis.
+    #[inline(always)]
+    fn nearer_face<S: Simd>(&self, simd: S, x: f32x8<S>, axis: usize, (nearest, normal): (f32x8<S>, Vec3x8<S>)) -> (f32x8<S>, Vec3x8<S>) {
+        let (low, high) = (x + 0.5, -x + (self.scene.frame.grid_size[axis] - 0.5));
+        let covector = self.world_from_covector.col(axis);
+        let (inside, slope) = (low.min(high), covector.length());
+        let nearer = inside.simd_lt(nearest * slope);
+        let outward = Vec3x8::splat(simd, covector / -slope);
+        (nearer.select(inside / slope, nearest), Vec3x8::select(nearer, Vec3x8::select(low.simd_lt(high), outward, -outward), normal))
     }
 
     /// The volume along eight rays: premultiplied colours.
@@ -302,7 +316,9 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             if self.grey_faces || scene.iso.is_some() {
                 single = found;
             } else {
-                single |= found & !at.inside & self.beside_face(at.in_voxel);
+                // Farther than a step from the volume's faces those change the normal alone, unless there are holes.
+                let near = if scene.grid.has_holes { f32x8::splat(simd, self.margin_mm) } else { step * 1.1 };
+                single |= found & !at.inside & self.nearest_face(simd, at.in_voxel).0.simd_lt(near);
                 single |= found & !seen;
             }
             let plain = seen & !single;
@@ -398,7 +414,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
     ) -> (Vec3x8<S>, f32x8<S>, mask32x8<S>) {
         let scene = self.scene;
         let one = f32x8::splat(simd, 1.0);
-        let entry = self.entry(simd, at, sampled, rays, lanes, front);
+        let (entry, entered) = self.entry(simd, at, sampled, rays, lanes, front);
         let (bits, mut cut) = (lanes.to_bitmask(), lanes & !lanes);
         let mut color = match &self.preintegrated {
             None => scene.table.color_lanes(simd, entry.value),
@@ -460,11 +476,24 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             inward = Vec3x8 { x: turned[0].dot(inward), y: turned[1].dot(inward), z: turned[2].dot(inward) };
         }
         let per_reference = magnitude * (scene.table.scale.abs() * scene.frame.reference_mm);
-        let confidence = smoothstep(SURFACE[0], SURFACE[1], per_reference);
+        let mut confidence = smoothstep(SURFACE[0], SURFACE[1], per_reference);
         let mut normal = -inward.normalized();
         if scene.light.two_sided {
             let away = normal.dot(rays.direction).simd_gt(0.0);
             normal = Vec3x8::select(away, -normal, normal);
+        }
+        // What entered through a surface of the volume's own shows that surface.
+        let beside = lanes & !touched & !entered;
+        if scene.settings.normals == Normals::Blended && beside.any_true() {
+            let (distance, outward) = self.nearest_face(simd, at.in_voxel);
+            let own = smoothstep(scene.frame.blend_mm[0], scene.frame.blend_mm[1], distance);
+            let beside = beside & own.simd_lt(1.0);
+            if beside.any_true() {
+                let of_face = one - own;
+                let blended = (normal * (own * confidence) + outward * of_face).normalized();
+                normal = Vec3x8::select(beside, blended, normal);
+                confidence = beside.select((own * confidence).max(of_face), confidence);
+            }
         }
         (self.light(simd, normal, confidence, rays.half, color), factor, cut)
     }
@@ -494,9 +523,17 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         }
     }
 
-    /// Where rays that enter matter within their last step do, by bisection; else the samples themselves. See [`shading`].
+    /// Where rays that enter matter within their last step do, by bisection, else the samples themselves; and which rays do. See [`shading`].
     #[inline(always)]
-    fn entry<S: Simd>(&self, simd: S, at: &Looks<S>, sampled: Vec3x8<S>, rays: Rays<S>, lanes: mask32x8<S>, front: &Front<S>) -> Entry<S> {
+    fn entry<S: Simd>(
+        &self,
+        simd: S,
+        at: &Looks<S>,
+        sampled: Vec3x8<S>,
+        rays: Rays<S>,
+        lanes: mask32x8<S>,
+        front: &Front<S>,
+    ) -> (Entry<S>, mask32x8<S>) {
         let enough = at.depth * 0.5;
         let mut first = Entry { deformed: sampled, in_voxel: at.in_voxel, value: at.value, inside: at.inside, differences: at.differences };
         let mut enters = lanes & front.known & !(front.present & front.depth.simd_ge(enough));
@@ -521,7 +558,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                 };
             }
         }
-        first
+        (first, enters)
     }
 }
 

@@ -28,7 +28,8 @@ pub struct Device {
 }
 
 /// Used where the adapter has them; each has a fallback.
-const WISHES: [Features; 3] = [Features::TEXTURE_FORMAT_16BIT_NORM, Features::FLOAT32_FILTERABLE, Features::FLOAT32_BLENDABLE];
+const WISHES: [Features; 4] =
+    [Features::TEXTURE_FORMAT_16BIT_NORM, Features::FLOAT32_FILTERABLE, Features::FLOAT32_BLENDABLE, Features::TIMESTAMP_QUERY];
 
 impl Device {
     /// Opens the best adapter: discrete, then integrated, then others, then (if wanted) a software one; Vulkan, Metal and DirectX before

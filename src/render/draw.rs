@@ -1,5 +1,6 @@
 //! Submissions: bands of rays, slabs of slices. Two are under way at a time, so that the device need not wait for the next one to be recorded.
 
+use super::clock::Clock;
 use super::slices::{self, SLICES_PER_SLAB};
 use super::surfaces::Layer;
 use super::{Counter, GATHERED, Renderer, Variant};
@@ -29,6 +30,8 @@ pub(super) struct Draw<'a> {
     pub counter: Option<&'a Counter>,
     pub target: &'a wgpu::TextureView,
     pub watch: &'a Watch<'a>,
+    /// What times the passes, if anything does.
+    pub clock: Option<&'a Clock>,
 }
 
 impl Draw<'_> {
@@ -56,7 +59,7 @@ impl<'a> Canvas<'a> {
         Self { color: Some((color, load)), depth: None }
     }
 
-    fn pass(&self, encoder: &mut wgpu::CommandEncoder, record: impl FnOnce(&mut wgpu::RenderPass)) {
+    fn pass(&self, clock: Option<&Clock>, encoder: &mut wgpu::CommandEncoder, record: impl FnOnce(&mut wgpu::RenderPass)) {
         let color = self.color.map(|(view, load)| wgpu::RenderPassColorAttachment {
             view,
             depth_slice: None,
@@ -72,7 +75,7 @@ impl<'a> Canvas<'a> {
             label: None,
             color_attachments: if color.is_some() { std::slice::from_ref(&color) } else { &[] },
             depth_stencil_attachment: depth,
-            timestamp_writes: None,
+            timestamp_writes: clock.and_then(Clock::next),
             occlusion_query_set: None,
             multiview_mask: None,
         });
@@ -110,7 +113,7 @@ impl Renderer {
         for top in (0..height).step_by(rows as usize) {
             let load = if top == 0 { wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT) } else { wgpu::LoadOp::Load };
             let mut encoder = self.encoder();
-            Canvas::of(draw.target, load).pass(&mut encoder, |pass| {
+            Canvas::of(draw.target, load).pass(draw.clock, &mut encoder, |pass| {
                 pass.set_scissor_rect(0, top, width, rows.min(height - top));
                 pass.set_pipeline(pipeline);
                 draw.bind(pass);
@@ -142,13 +145,13 @@ impl Renderer {
         let mut under_way = UnderWay::default();
         let mut encoder = self.encoder();
         let depth = |load| mask.as_ref().map(|m| (&m.view, load));
-        Canvas { color: Some((canvas, wgpu::LoadOp::Clear(empty))), depth: depth(wgpu::LoadOp::Clear(1.0)) }.pass(&mut encoder, |_| {});
+        Canvas { color: Some((canvas, wgpu::LoadOp::Clear(empty))), depth: depth(wgpu::LoadOp::Clear(1.0)) }.pass(draw.clock, &mut encoder, |_| {});
         let samples_per_slab = u64::from(width) * u64::from(height) * if scene.proxy_mesh.is_some() { 1 } else { SLICES_PER_SLAB as u64 };
         let (count, mut samples) = (polygons.slabs.len(), 0);
         let slabs_at_once = if scene.proxy_mesh.is_some() { SLABS_PER_MASK * SLICES_PER_SLAB as usize } else { SLABS_PER_MASK };
         let mut parts = polygons.slabs.chunks(slabs_at_once).map(|p| (p.len() as u64, p[0].start..p[p.len() - 1].end)).enumerate().peekable();
         while let Some((n, (slabs, corners))) = parts.next() {
-            Canvas { color: Some((canvas, wgpu::LoadOp::Load)), depth: depth(wgpu::LoadOp::Load) }.pass(&mut encoder, |pass| {
+            Canvas { color: Some((canvas, wgpu::LoadOp::Load)), depth: depth(wgpu::LoadOp::Load) }.pass(draw.clock, &mut encoder, |pass| {
                 pass.set_pipeline(pipeline);
                 draw.bind(pass);
                 pass.set_vertex_buffer(0, vertices.slice(..));
@@ -156,7 +159,7 @@ impl Renderer {
             });
             // Only where the next slabs come.
             if let (Some(seen), Some((_, (_, next)))) = (&seen, parts.peek()) {
-                Canvas { color: None, depth: depth(wgpu::LoadOp::Load) }.pass(&mut encoder, |pass| {
+                Canvas { color: None, depth: depth(wgpu::LoadOp::Load) }.pass(draw.clock, &mut encoder, |pass| {
                     pass.set_pipeline(&self.pipelines[&draw.variant(Program::Opaque)]);
                     pass.set_bind_group(0, draw.bindings, &[]);
                     pass.set_bind_group(1, seen, &[]);
@@ -173,7 +176,7 @@ impl Renderer {
         }
         if composite {
             if draw.behind.is_some() {
-                Canvas::of(canvas, wgpu::LoadOp::Load).pass(&mut encoder, |pass| {
+                Canvas::of(canvas, wgpu::LoadOp::Load).pass(draw.clock, &mut encoder, |pass| {
                     pass.set_pipeline(&self.pipelines[&draw.variant(Program::Under)]);
                     pass.set_bind_group(0, draw.bindings, &[]);
                     pass.draw(0..3, 0..1);
@@ -181,7 +184,7 @@ impl Renderer {
             }
         } else {
             let group = self.gathered_group(canvas);
-            Canvas::of(draw.target, wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT)).pass(&mut encoder, |pass| {
+            Canvas::of(draw.target, wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT)).pass(draw.clock, &mut encoder, |pass| {
                 pass.set_pipeline(&self.pipelines[&draw.variant(Program::Resolve)]);
                 pass.set_bind_group(0, draw.bindings, &[]);
                 pass.set_bind_group(1, &group, &[]);

@@ -17,11 +17,13 @@
 //! | a map's parameter | that map, macrocells | the map's texture, a bind group |
 //! | transfer function | table, macrocells | nothing |
 //! | volume | the volume, and what depends on it | its texture, a bind group |
+//! | none: the second picture of a volume | its gradients, if it is lit by them | their texture, a bind group |
 //! | size of the picture | none | targets, for the first time; two sizes are kept |
 //!
 //! Large pictures are drawn in bands and many slabs in batches, each its own submission: a driver that watches for hung commands must
 //! not take a long one for it. The next submission is recorded while one is under way.
 
+mod clock;
 mod draw;
 mod evaluate;
 mod kept;
@@ -40,9 +42,11 @@ use crate::scene::{IsoLight, Mode, Normals, Picture, Prepared, RenderStats, Rend
 use crate::transfer::Blend;
 use crate::volume::GradientFilter;
 use crate::{Error, Result, Watch};
+use clock::Clock;
 use draw::Draw;
 use kept::Kept;
 use std::collections::HashMap;
+use std::sync::Arc;
 use volume::VolumeTexture;
 use wgpu::{BufferUsages, Features, TextureFormat};
 use work::{Made, Tally};
@@ -79,6 +83,7 @@ pub struct Renderer {
     volume: Option<VolumeTexture>,
     kept: Kept,
     counter: Option<Counter>,
+    clock: Option<Arc<Clock>>,
     tally: Tally,
     /// Smaller limits on the volume than the device's: voxels along an axis, and bytes.
     most: Option<(usize, u64)>,
@@ -102,6 +107,7 @@ impl Renderer {
             volume: None,
             kept: Kept::default(),
             counter: None,
+            clock: None,
             tally: Tally::default(),
             most: None,
         }
@@ -110,6 +116,11 @@ impl Renderer {
     /// The device.
     pub fn device(&self) -> &Device {
         &self.device
+    }
+
+    /// Whether pictures tell how long the GPU drew, by its own clock, where it has one: as a stage of its own, taken out of the one that draws.
+    pub fn time_passes(&mut self, on: bool) {
+        self.clock = if on { Clock::new(&self.device.device, &self.tally).map(Arc::new) } else { None };
     }
 
     /// What was made and uploaded since the renderer was made.
@@ -181,12 +192,29 @@ impl Renderer {
             let bindings = self.group(&shared, behind.as_ref());
             let target = self.target("picture", width, height, TextureFormat::Rgba16Float);
             stages.time("pipelines", || self.compile(scene, counting));
-            let draw = Draw { scene, bindings: &bindings, behind: behind.as_ref(), counter: counter.as_ref(), target: &target.view, watch };
+            let clock = self.clock.clone();
+            let draw = Draw {
+                scene,
+                bindings: &bindings,
+                behind: behind.as_ref(),
+                counter: counter.as_ref(),
+                target: &target.view,
+                watch,
+                clock: clock.as_deref(),
+            };
+            if let Some(clock) = &clock {
+                clock.restart();
+            }
             stages.time("draw", || match scene.settings.mode {
                 Mode::Raycast => self.draw_rays(&draw),
                 Mode::Slice => self.draw_slices(&draw),
                 Mode::Surface => Ok(()),
             })?;
+            if let Some(clock) = &clock
+                && let Some(drawing) = clock.milliseconds(self)?
+            {
+                stages.divide("draw", "draw, by the GPU's clock", drawing);
+            }
             target.texture
         };
         let pixels = stages.time("readback", || {

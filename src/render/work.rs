@@ -13,7 +13,7 @@ pub struct Work {
     pub buffers_created: u32,
     /// Bind groups created.
     pub bind_groups_created: u32,
-    /// Volumes written to a texture.
+    /// Volumes, and gradient volumes, written to a texture.
     pub volume_uploads: u32,
     /// Displacement maps written to a texture.
     pub map_uploads: u32,

@@ -41,6 +41,16 @@ impl Stages {
         self.0.push((name, start.elapsed().as_secs_f64() * 1e3));
         result
     }
+
+    /// Makes a part of the last stage, if that has this name, a stage of its own.
+    pub fn divide(&mut self, name: &str, part: &'static str, milliseconds: f64) {
+        if let Some((last, all)) = self.0.last_mut()
+            && *last == name
+        {
+            *all = (*all - milliseconds).max(0.0);
+            self.0.push((part, milliseconds));
+        }
+    }
 }
 
 /// What a scene refers to, loaded once and shared by any number of pictures.
@@ -522,6 +532,13 @@ impl<'a> Prepared<'a> {
     pub fn gradients(&self) -> Option<&'a GradientVolume> {
         let wanted = (self.is_lit() || self.uses_gradient_opacity()) && self.gradient_filter() == GradientFilter::Central;
         wanted.then(|| self.shown.gradients()).flatten()
+    }
+
+    /// Makes the gradients of all voxels now, if they are wanted, rather than for the second picture.
+    pub fn keep_gradients(&self) {
+        // Asked twice, they are.
+        self.gradients();
+        self.gradients();
     }
 
     /// The gradient filter.

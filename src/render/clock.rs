@@ -1,0 +1,69 @@
+//! Time by the GPU's own clock: each pass of a picture writes when it began and when it ended.
+
+use super::Renderer;
+use super::work::{Made, Tally};
+use crate::Result;
+use crate::gpu::read_buffer;
+use std::sync::atomic::{AtomicU32, Ordering};
+use wgpu::{BufferUsages, Features};
+
+/// Passes of a picture that are timed at most.
+const MOST_PASSES: u32 = 1024;
+
+/// Timestamps of one picture's passes.
+pub(super) struct Clock {
+    set: wgpu::QuerySet,
+    resolved: wgpu::Buffer,
+    back: wgpu::Buffer,
+    passes: AtomicU32,
+}
+
+impl Clock {
+    /// None if the device has no timestamps.
+    pub fn new(device: &wgpu::Device, tally: &Tally) -> Option<Self> {
+        if !device.features().contains(Features::TIMESTAMP_QUERY) {
+            return None;
+        }
+        let buffer = |label, usage| {
+            tally.count(Made::Buffer);
+            device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size: u64::from(MOST_PASSES) * 16, usage, mapped_at_creation: false })
+        };
+        Some(Self {
+            set: device.create_query_set(&wgpu::QuerySetDescriptor { label: Some("passes"), ty: wgpu::QueryType::Timestamp, count: 2 * MOST_PASSES }),
+            resolved: buffer("timestamps", BufferUsages::QUERY_RESOLVE | BufferUsages::COPY_SRC),
+            back: buffer("timestamps, to read", BufferUsages::MAP_READ | BufferUsages::COPY_DST),
+            passes: AtomicU32::new(0),
+        })
+    }
+
+    /// Starts a picture.
+    pub fn restart(&self) {
+        self.passes.store(0, Ordering::Relaxed);
+    }
+
+    /// What the next pass writes; nothing if there have been too many.
+    pub fn next(&self) -> Option<wgpu::RenderPassTimestampWrites<'_>> {
+        let pass = self.passes.fetch_add(1, Ordering::Relaxed);
+        (pass < MOST_PASSES).then(|| wgpu::RenderPassTimestampWrites {
+            query_set: &self.set,
+            beginning_of_pass_write_index: Some(2 * pass),
+            end_of_pass_write_index: Some(2 * pass + 1),
+        })
+    }
+
+    /// Time of all passes since the restart, milliseconds; none if there were too many, or none.
+    pub fn milliseconds(&self, renderer: &Renderer) -> Result<Option<f64>> {
+        let passes = self.passes.load(Ordering::Relaxed);
+        if !(1..=MOST_PASSES).contains(&passes) {
+            return Ok(None);
+        }
+        let (device, queue) = (&renderer.device.device, &renderer.device.queue);
+        let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        encoder.resolve_query_set(&self.set, 0..2 * passes, &self.resolved, 0);
+        encoder.copy_buffer_to_buffer(&self.resolved, 0, &self.back, 0, self.back.size());
+        queue.submit([encoder.finish()]);
+        let stamps: Vec<u64> = bytemuck::pod_collect_to_vec(&read_buffer(device, &self.back)?);
+        let ticks: u64 = stamps.chunks_exact(2).take(passes as usize).map(|pass| pass[1].saturating_sub(pass[0])).sum();
+        Ok(Some(ticks as f64 * f64::from(queue.get_timestamp_period()) * 1e-6))
+    }
+}
