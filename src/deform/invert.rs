@@ -371,6 +371,31 @@ mod tests {
         }
     }
 
+    /// Eight points at once and one by one, on a grid that is neither cubic nor straight: the same inverse, and few points left to the slow way.
+    #[test]
+    fn lanes_invert_alike() {
+        let axes = DMat3::from_cols(DVec3::new(1.3, 0.2, 0.0), DVec3::new(-0.3, 1.1, 0.1), DVec3::new(0.1, 0.0, 2.0));
+        let size = [29, 23, 19];
+        let grid = GridGeometry { size, world_from_voxel: DAffine3 { matrix3: axes, translation: DVec3::new(-20.0, 5.0, 7.0) } };
+        let wave = |n: usize| {
+            let [x, y, z] = [n % 29, n / 29 % 23, n / 667].map(|i| i as f32);
+            let window = (x / 28.0 * std::f32::consts::PI).sin() * (y / 22.0 * std::f32::consts::PI).sin() * (z / 18.0 * std::f32::consts::PI).sin();
+            Vec3::new((0.3 * y).sin(), (0.2 * z).cos(), (0.25 * x).sin()) * (2.5 * window)
+        };
+        let field = VectorField::new(grid, (0..29 * 23 * 19).map(wave).collect());
+        let forward = |x: DVec3| x + field.at_voxel(field.voxel_from_world(x)).as_dvec3();
+        let (fast, slow) = (super::field(&field), function(&forward, &grid));
+        assert_eq!(fast.found, slow.found);
+        assert!(fast.report.not_found == 0 && fast.report.max_mm <= TOLERANCE_VOXELS * voxel_mm(&grid), "{:?}", fast.report);
+        for (n, (a, b)) in fast.field.vectors.iter().zip(&slow.field.vectors).enumerate() {
+            assert!(a.distance(*b) < 5e-4, "{n}: {a} for {b}");
+            let y = grid.world_from_voxel.transform_point3(DVec3::new((n % 29) as f64, (n / 29 % 23) as f64, (n / 667) as f64));
+            assert!(forward(y + a.as_dvec3()).distance(y) < 1.5 * TOLERANCE_VOXELS * voxel_mm(&grid), "{n}");
+        }
+        let settled: usize = (0..23 * 19).map(|row| with_simd(Newton { field: &field, row }).iter().flatten().count()).sum();
+        assert!(10 * settled > 9 * field.vectors.len(), "{settled}");
+    }
+
     #[test]
     fn folds_are_not_found() {
         // Turned inside out along x: every point is folded.

@@ -1,8 +1,9 @@
 //! Gradients of the scalar field, in voxel space; [`crate::cpu`] and the shaders turn them into world millimetres with the inverse
 //! transpose of the voxel axes, which is what makes them right on anisotropic and oblique grids.
 //!
-//! Both filters are sums of trilinear samples, so the CPU and the shaders state them alike and need no gradient volume. A central
-//! difference of trilinear samples one voxel apart equals the trilinear interpolation of the central differences at the voxels.
+//! Both filters are sums of trilinear samples, so the CPU and the shaders state them alike. A central difference of trilinear samples one
+//! voxel apart equals the trilinear interpolation of the central differences at the voxels: those may be kept ([`GradientVolume`]), and
+//! where there is no room for them they are taken as they are needed.
 
 use super::{Grid, GridVoxels, Sampler, Voxel};
 use glam::Vec3;
