@@ -150,6 +150,13 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         self.nearer_face(simd, in_voxel.z, 2, nearest)
     }
 
+    /// Which points are farther from the volume's two faces across an axis than those matter, by the norm of d source / d deformed.
+    #[inline(always)]
+    fn far_along<S: Simd>(&self, x: f32x8<S>, norm: f32x8<S>, axis: usize) -> mask32x8<S> {
+        let face = norm * self.face[axis];
+        x.simd_gt(face - 0.5) & x.simd_lt(-face + (self.scene.frame.grid_size[axis] - 0.5))
+    }
+
     /// The nearer of some faces and the two across an axis.
     #[inline(always)]
     fn nearer_face<S: Simd>(&self, simd: S, x: f32x8<S>, axis: usize, (nearest, normal): (f32x8<S>, Vec3x8<S>)) -> (f32x8<S>, Vec3x8<S>) {
@@ -434,16 +441,21 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         }
         let touched = lanes & (at.inside | entry.inside);
         let mut turned = [Vec3x8::splat(simd, Vec3::X), Vec3x8::splat(simd, Vec3::Y), Vec3x8::splat(simd, Vec3::Z)];
-        for n in lanes_of(touched.to_bitmask()) {
-            let jet = scene.stack.jet(entry.deformed.lane(n));
-            let (j, in_voxel) = (jet.d_source_d_deformed, entry.in_voxel.lane(n));
+        if touched.any_true() {
+            let jets = scene.stack.jets_lanes(simd, entry.deformed, touched);
+            turned = jets.columns;
             // No face of the volume's box is nearer than its distance in the source over the norm of J: mostly far enough to ask no further.
-            let norm = (j.x_axis.length_squared() + j.y_axis.length_squared() + j.z_axis.length_squared()).sqrt();
-            let (low, high) = (self.face * norm - 0.5, scene.frame.grid_size - 0.5 - self.face * norm);
-            let far = in_voxel.cmpgt(low).all() && in_voxel.cmplt(high).all();
-            let nearest = if far { jet.cut } else { shading::nearest_cut(scene, &jet, in_voxel) };
-            cut.set(n, nearest.distance_mm < self.margin_mm);
-            (0..3).for_each(|a| turned[a].set(n, j.col(a)));
+            let [x, y, z] = jets.columns;
+            let norm = (x.dot(x) + y.dot(y) + z.dot(z)).sqrt();
+            let far =
+                self.far_along(entry.in_voxel.x, norm, 0) & self.far_along(entry.in_voxel.y, norm, 1) & self.far_along(entry.in_voxel.z, norm, 2);
+            cut |= touched & jets.cut_mm.simd_lt(self.margin_mm);
+            for n in lanes_of((touched & !(jets.holds & far)).to_bitmask()) {
+                let jet = scene.stack.jet(entry.deformed.lane(n));
+                let nearest = shading::nearest_cut(scene, &jet, entry.in_voxel.lane(n));
+                cut.set(n, nearest.distance_mm < self.margin_mm);
+                (0..3).for_each(|a| turned[a].set(n, jet.d_source_d_deformed.col(a)));
+            }
         }
         if !self.lit && !self.gradient_opacity {
             return (color, one, cut);

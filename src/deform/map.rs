@@ -1,6 +1,6 @@
 //! One displacement map: a grid of (D, alpha) over the unit cube, in one of four storage formats.
 
-use crate::math::cells::{Cells, mix_texels};
+use crate::math::cells::{Cells, mix_texels, mix_with_differences};
 use crate::math::lanes::*;
 use crate::math::{MinMaxPyramid, trilinear};
 use glam::{Mat3, Vec3, Vec4, Vec4Swizzles};
@@ -162,6 +162,22 @@ impl DisplacementMap {
         (Vec3x8 { x, y, z }, alpha)
     }
 
+    /// At eight points, stored (D / scale, alpha) and what it changes by along the three map axes, as [`Self::derivatives`]; and where that holds:
+    /// where a texel lies to each side.
+    #[inline(always)]
+    pub fn derivatives_lanes<S: Simd>(&self, simd: S, x: Vec3x8<S>) -> ([f32x8<S>; 4], [[f32x8<S>; 4]; 3], mask32x8<S>) {
+        let zero = f32x8::splat(simd, 0.0);
+        if self.size.iter().any(|&n| n < 4) {
+            return ([zero; 4], [[zero; 4]; 3], mask32x8::splat(simd, false));
+        }
+        let [nx, ny, nz] = self.size.map(|n| (n - 1) as f32);
+        let p = Vec3x8 { x: x.x * nx, y: x.y * ny, z: x.z * nz };
+        let holds = within(p.x, 1.0, nx - 1.0) & within(p.y, 1.0, ny - 1.0) & within(p.z, 1.0, nz - 1.0);
+        let [value, dx, dy, dz] = mix_with_differences(simd, &self.texels, self.size, &Cells::of(p, self.size, 1));
+        // Over two texels.
+        (value, [scaled(dx, 0.5 * nx), scaled(dy, 0.5 * ny), scaled(dz, 0.5 * nz)], holds)
+    }
+
     /// D and alpha at map coordinates inside the unit cube.
     #[inline(always)]
     pub fn sample(&self, x: Vec3) -> TexelSample {
@@ -236,6 +252,11 @@ impl DisplacementMap {
     pub fn gpu_bytes(&self) -> usize {
         self.texels.len() * self.storage.bytes()
     }
+}
+
+#[inline(always)]
+fn scaled<S: Simd>([a, b, c, d]: [f32x8<S>; 4], by: f32) -> [f32x8<S>; 4] {
+    [a * by, b * by, c * by, d * by]
 }
 
 #[cfg(test)]

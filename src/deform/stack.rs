@@ -65,6 +65,17 @@ pub struct Walks<S: Simd> {
     pub inside: mask32x8<S>,
 }
 
+/// What shading needs to know of the deformation at eight points.
+#[derive(Clone, Copy)]
+pub struct Jets<S: Simd> {
+    /// Columns of d source / d deformed.
+    pub columns: [Vec3x8<S>; 3],
+    /// Distances of the nearest cuts, mm, to first order.
+    pub cut_mm: f32x8<S>,
+    /// Where all of this holds: not beside the faces of a map's cube, where differences are one-sided.
+    pub holds: mask32x8<S>,
+}
+
 /// Everything that shading needs to know of the deformation at a point.
 #[derive(Clone, Copy, Debug)]
 pub struct Jet {
@@ -116,6 +127,13 @@ impl PlacedMap {
     /// Where the map acts, in map units.
     fn domain(&self) -> Bounds {
         Bounds::new(-self.reach, Vec3::ONE + self.reach)
+    }
+
+    /// Which of eight points, in map coordinates, lie in the cube or within its reach.
+    #[inline(always)]
+    fn holds_lanes<S: Simd>(&self, x: Vec3x8<S>) -> mask32x8<S> {
+        let reach = self.reach;
+        within(x.x, -reach.x, 1.0 + reach.x) & within(x.y, -reach.y, 1.0 + reach.y) & within(x.z, -reach.z, 1.0 + reach.z)
     }
 
     /// Displacement, mm, and mask at a point.
@@ -226,10 +244,7 @@ impl Stack {
         let mut live = lanes;
         for map in self.maps.iter().rev() {
             let x = at.transformed(&map.placement.map_from_world);
-            let inside = live
-                & within(x.x, -map.reach.x, 1.0 + map.reach.x)
-                & within(x.y, -map.reach.y, 1.0 + map.reach.y)
-                & within(x.z, -map.reach.z, 1.0 + map.reach.z);
+            let inside = live & map.holds_lanes(x);
             if inside.any_true() {
                 let (stored, alpha) = map.map.fetch_lanes(simd, x);
                 let alpha = inside.select(alpha, f32x8::splat(simd, 1.0));
@@ -286,6 +301,41 @@ impl Stack {
         jet
     }
 
+    /// [`Self::jet`] at eight points, of which those in `lanes` are wanted.
+    #[inline(always)]
+    pub fn jets_lanes<S: Simd>(&self, simd: S, deformed: Vec3x8<S>, lanes: mask32x8<S>) -> Jets<S> {
+        let [x, y, z] = [Vec3x8::splat(simd, Vec3::X), Vec3x8::splat(simd, Vec3::Y), Vec3x8::splat(simd, Vec3::Z)];
+        let (mut jx, mut jy, mut jz) = (x, y, z);
+        let (mut source, mut at) = (deformed, deformed);
+        let (mut at_x, mut at_y, mut at_z) = (x, y, z);
+        let mut cut_mm = f32x8::splat(simd, f32::INFINITY);
+        let mut holds = lanes;
+        for map in self.maps.iter().rev() {
+            let x = at.transformed(&map.placement.map_from_world);
+            let inside = lanes & map.holds_lanes(x);
+            if inside.any_true() {
+                let ([sx, sy, sz, alpha], [dx, dy, dz], known) = map.map.derivatives_lanes(simd, x);
+                holds &= known | !inside;
+                let stored = Vec3x8 { x: sx, y: sy, z: sz }.mapped(&map.world_from_stored);
+                let d = [of_displacement(dx, map), of_displacement(dy, map), of_displacement(dz, map)];
+                let slope = Vec3x8 { x: dx[3], y: dy[3], z: dz[3] };
+                let map_from_world = Mat3::from(map.placement.map_from_world.matrix3);
+                let (mx, my, mz) = (at_x.mapped(&map_from_world), at_y.mapped(&map_from_world), at_z.mapped(&map_from_world));
+                let gradient = Vec3x8 { x: slope.dot(mx), y: slope.dot(my), z: slope.dot(mz) }.length();
+                let nearer = inside & gradient.simd_ge(1e-12) & (alpha - 0.5).simd_lt(cut_mm * gradient);
+                cut_mm = nearer.select((alpha - 0.5) / gradient, cut_mm);
+                jx = Vec3x8::select(inside, jx + along(d, mx), jx);
+                jy = Vec3x8::select(inside, jy + along(d, my), jy);
+                jz = Vec3x8::select(inside, jz + along(d, mz), jz);
+                source = Vec3x8::select(inside, source + stored, source);
+            }
+            if !map.added {
+                (at, at_x, at_y, at_z) = (source, jx, jy, jz);
+            }
+        }
+        Jets { columns: [jx, jy, jz], cut_mm, holds }
+    }
+
     /// Carries a box of deformed points back to the source: a box that holds all their source points, and the highest value that the
     /// smallest mask can have (below 1/2: everything in the box is cut away).
     pub fn source_bounds(&self, deformed: &Bounds) -> (Bounds, f32) {
@@ -322,6 +372,18 @@ impl Stack {
         }
         all
     }
+}
+
+/// Of what a map's texels change by along one of its axes, the displacement, mm.
+#[inline(always)]
+fn of_displacement<S: Simd>([x, y, z, _]: [f32x8<S>; 4], map: &PlacedMap) -> Vec3x8<S> {
+    Vec3x8 { x, y, z }.mapped(&map.world_from_stored)
+}
+
+/// Columns times a vector.
+#[inline(always)]
+fn along<S: Simd>([x, y, z]: [Vec3x8<S>; 3], v: Vec3x8<S>) -> Vec3x8<S> {
+    x * v.x + y * v.y + z * v.z
 }
 
 struct WalkMany<'a> {
@@ -402,6 +464,40 @@ mod tests {
             for (p, got) in points.iter().zip(many) {
                 assert_eq!(got, s.walk(*p), "{p}");
             }
+        }
+    }
+
+    /// Jacobians and distances to cuts of eight points at once are those of each, wherever they are said to hold, which is nearly everywhere.
+    #[test]
+    fn eight_jets_are_single_jets() {
+        struct Eight<'a>(&'a Stack, [Vec3; LANES]);
+        impl OverSimd for Eight<'_> {
+            type Output = [Option<(Mat3, f32)>; LANES];
+            #[inline(always)]
+            fn run<S: Simd>(self, simd: S) -> Self::Output {
+                let jets = self.0.jets_lanes(simd, Vec3x8::from_lanes(simd, &self.1), mask32x8::splat(simd, true));
+                let [x, y, z] = jets.columns;
+                std::array::from_fn(|n| jets.holds.test(n).then(|| (Mat3::from_cols(x.lane(n), y.lane(n), z.lane(n)), jets.cut_mm[n])))
+            }
+        }
+        let mut s = stack();
+        for added in [false, true] {
+            s.maps[1].added = added;
+            let points: Vec<Vec3> = (0..5000).map(|n| Vec3::new((n % 23) as f32, (n / 23 % 19) as f32, (n / 437) as f32) * 4.3 - 45.0).collect();
+            let (mut held, mut turned, mut near) = (0, 0, 0);
+            for eight in points.as_chunks::<LANES>().0 {
+                for (p, got) in eight.iter().zip(with_simd(Eight(&s, *eight))) {
+                    let Some((j, cut_mm)) = got else { continue };
+                    let want = s.jet(*p);
+                    assert!(j.abs_diff_eq(want.d_source_d_deformed, 2e-4), "{p}: {j} for {}", want.d_source_d_deformed);
+                    let same = cut_mm == want.cut.distance_mm || (cut_mm - want.cut.distance_mm).abs() < 1e-3 * (1.0 + want.cut.distance_mm.abs());
+                    assert!(same, "{p}: {cut_mm} mm for {}", want.cut.distance_mm);
+                    held += 1;
+                    turned += u32::from(!j.abs_diff_eq(Mat3::IDENTITY, 1e-3));
+                    near += u32::from(cut_mm.abs() < 5.0);
+                }
+            }
+            assert!(held > 3500 && turned > 300 && near > 20, "{held} {turned} {near}");
         }
     }
 

@@ -147,6 +147,52 @@ pub fn mix_with_slopes<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3
     (vectors(simd, &value), [vectors(simd, &dx), vectors(simd, &dy), vectors(simd, &dz)])
 }
 
+/// [`mix_texels`], and the central differences f(+1) - f(-1) along the three axes: those at the cells' corners, interpolated as the values are. All
+/// cells must have a texel to every side.
+#[inline(always)]
+pub fn mix_with_differences<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3], cells: &Cells<S>) -> [[f32x8<S>; 4]; 4] {
+    let (up, on) = (size[0], size[0] * size[1]);
+    let (mut value, mut dx) = ([[0.0; 4]; LANES], [[0.0; 4]; LANES]);
+    let (mut dy, mut dz) = (value, value);
+    for n in 0..LANES {
+        let a = cells.base[n];
+        let (b, c, d) = (a + up, a + on, a + on + up);
+        let (y, z) = (f32x8::splat(simd, cells.f.y[n]), f32x8::splat(simd, cells.f.z[n]));
+        let x = f32x4::splat(simd, cells.f.x[n]);
+        let corners = [T::pair_at(simd, texels, a), T::pair_at(simd, texels, b), T::pair_at(simd, texels, c), T::pair_at(simd, texels, d)];
+        value[n] = mix_cell(simd, corners, x, y, z);
+        let across = [
+            T::pair_at(simd, texels, a + 1) - T::pair_at(simd, texels, a - 1),
+            T::pair_at(simd, texels, b + 1) - T::pair_at(simd, texels, b - 1),
+            T::pair_at(simd, texels, c + 1) - T::pair_at(simd, texels, c - 1),
+            T::pair_at(simd, texels, d + 1) - T::pair_at(simd, texels, d - 1),
+        ];
+        dx[n] = mix_cell(simd, across, x, y, z);
+        let upwards = [
+            corners[1] - T::pair_at(simd, texels, a - up),
+            T::pair_at(simd, texels, b + up) - corners[0],
+            corners[3] - T::pair_at(simd, texels, c - up),
+            T::pair_at(simd, texels, d + up) - corners[2],
+        ];
+        dy[n] = mix_cell(simd, upwards, x, y, z);
+        let onwards = [
+            corners[2] - T::pair_at(simd, texels, a - on),
+            corners[3] - T::pair_at(simd, texels, b - on),
+            T::pair_at(simd, texels, c + on) - corners[0],
+            T::pair_at(simd, texels, d + on) - corners[1],
+        ];
+        dz[n] = mix_cell(simd, onwards, x, y, z);
+    }
+    [columns(simd, &value), columns(simd, &dx), columns(simd, &dy), columns(simd, &dz)]
+}
+
+/// The mix of one cell, of whose corners two each fill a register.
+#[inline(always)]
+fn mix_cell<S: Simd>(simd: S, [a, b, c, d]: [f32x8<S>; 4], x: f32x4<S>, y: f32x8<S>, z: f32x8<S>) -> [f32; 4] {
+    let (low, high) = simd.split_f32x8(mix(mix(a, b, y), mix(c, d, y), z));
+    *(low + (high - low) * x)
+}
+
 /// The first three columns of a matrix of eight rows.
 #[inline(always)]
 fn vectors<S: Simd>(simd: S, rows: &[[f32; 4]; LANES]) -> Vec3x8<S> {

@@ -16,6 +16,7 @@ pub fn trilinear<T: Copy + Add<Output = T> + Sub<Output = T> + Mul<f32, Output =
     let dk = if k + 1 < nz { nx * ny } else { 0 };
     let base = (k * ny + j) * nx + i;
     let mix = |a: T, b: T, t: f32| a + (b - a) * t;
-    let row = |offset: usize| mix(values[base + offset], values[base + offset + di], f.x);
-    mix(mix(row(0), row(dj), f.y), mix(row(dk), row(dk + dj), f.y), f.z)
+    // The order of `cells::mix_texels`, so that eight points at once get the same bits.
+    let face = |at: usize| mix(mix(values[at], values[at + dj], f.y), mix(values[at + dk], values[at + dk + dj], f.y), f.z);
+    mix(face(base), face(base + di), f.x)
 }
