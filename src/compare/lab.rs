@@ -551,7 +551,7 @@ mod tests {
             warm_up: None,
             stages: Vec::new(),
             stats: None,
-            memory: Memory::default(),
+            memory: crate::compare::Memory::default(),
             error: (error > 0.0).then(|| d(error)),
             is_reference: error == 0.0,
         }
