@@ -20,6 +20,9 @@
 //! | none: the second picture of a volume | its gradients, if it is lit by them | their texture, a bind group |
 //! | size of the picture | none | targets, for the first time; two sizes are kept |
 //!
+//! The gradient volume takes the place of six fetches at each sample that is lit by one; without room for it, or a format that holds it, those are
+//! made. On request passes are timed by the GPU's own clock ([`Renderer::time_passes`]).
+//!
 //! Large pictures are drawn in bands and many slabs in batches, each its own submission: a driver that watches for hung commands must
 //! not take a long one for it. The next submission is recorded while one is under way.
 
