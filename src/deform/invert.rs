@@ -176,7 +176,7 @@ type Found = (Vec3, f64, bool);
 
 fn by_rows(grid: &GridGeometry, row: impl Fn(usize) -> Vec<Found> + Sync) -> Inverse {
     let [_, ny, nz] = grid.size;
-    let solutions: Vec<Found> = (0..ny * nz).into_par_iter().flat_map_iter(|n| row(n)).collect();
+    let solutions: Vec<Found> = (0..ny * nz).into_par_iter().flat_map_iter(&row).collect();
     let found: Vec<bool> = solutions.iter().map(|s| s.2).collect();
     let residuals: Vec<f64> = solutions.iter().map(|s| s.1).collect();
     let report = Report::of(&residuals, &found);
@@ -269,8 +269,8 @@ impl OverSimd for Newton<'_> {
         let mut way = Vec3x8::splat(simd, Vec3::ZERO);
         for first in (0..nx).step_by(LANES) {
             let mut x = [0.0; LANES];
-            for n in 0..LANES {
-                x[n] = (first + n) as f32;
+            for (n, x) in x.iter_mut().enumerate() {
+                *x = (first + n) as f32;
             }
             let here = Vec3x8 { x: f32x8::load_array(simd, x), y, z };
             let mut settled = here.x.simd_lt(-1.0);

@@ -1,6 +1,6 @@
 //! One displacement map: a grid of (D, alpha) over the unit cube, in one of four storage formats.
 
-use crate::math::cells::{Cells, mix_texels, mix_with_differences};
+use crate::math::cells::{Cells, Fours, mix_texels, mix_with_differences};
 use crate::math::lanes::*;
 use crate::math::{MinMaxPyramid, trilinear};
 use glam::{Mat3, Vec3, Vec4, Vec4Swizzles};
@@ -165,7 +165,7 @@ impl DisplacementMap {
     /// At eight points, stored (D / scale, alpha) and what it changes by along the three map axes, as [`Self::derivatives`]; and where that holds:
     /// where a texel lies to each side.
     #[inline(always)]
-    pub fn derivatives_lanes<S: Simd>(&self, simd: S, x: Vec3x8<S>) -> ([f32x8<S>; 4], [[f32x8<S>; 4]; 3], mask32x8<S>) {
+    pub fn derivatives_lanes<S: Simd>(&self, simd: S, x: Vec3x8<S>) -> (Fours<S>, [Fours<S>; 3], mask32x8<S>) {
         let zero = f32x8::splat(simd, 0.0);
         if self.size.iter().any(|&n| n < 4) {
             return ([zero; 4], [[zero; 4]; 3], mask32x8::splat(simd, false));
@@ -255,7 +255,7 @@ impl DisplacementMap {
 }
 
 #[inline(always)]
-fn scaled<S: Simd>([a, b, c, d]: [f32x8<S>; 4], by: f32) -> [f32x8<S>; 4] {
+fn scaled<S: Simd>([a, b, c, d]: Fours<S>, by: f32) -> Fours<S> {
     [a * by, b * by, c * by, d * by]
 }
 

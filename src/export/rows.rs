@@ -44,8 +44,8 @@ impl Along {
     fn new(start: f64, step: f64) -> Self {
         let fixed = |v: f64| (v * 4_294_967_296.0).round() as i64;
         let mut at = [0; LANES];
-        for n in 0..LANES {
-            at[n] = fixed(start + step * n as f64);
+        for (n, at) in at.iter_mut().enumerate() {
+            *at = fixed(start + step * n as f64);
         }
         Self { at, eight: fixed(step * LANES as f64) }
     }
@@ -87,8 +87,8 @@ impl<T: Voxel> OverSimd for Row<'_, T> {
         let (mut along_x, mut along_y, mut along_z) = (Along::new(start.x, along.x), Along::new(start.y, along.y), Along::new(start.z, along.z));
         let (origin, step) = (Vec3x8::splat(simd, rows.first.as_vec3()), Vec3x8::splat(simd, rows.step.as_vec3()));
         let mut number = [0.0; LANES];
-        for n in 0..LANES {
-            number[n] = n as f32;
+        for (n, number) in number.iter_mut().enumerate() {
+            *number = n as f32;
         }
         let mut number = f32x8::load_array(simd, number);
         let mut values = Vec::with_capacity(rows.count + LANES);

@@ -66,6 +66,9 @@ pub fn mix_rows<S: Simd>([a, b, c, d]: [[f32x8<S>; 2]; 4], f: Vec3x8<S>) -> f32x
     mix(low, high, f.x)
 }
 
+/// Four numbers at eight points.
+pub type Fours<S> = [f32x8<S>; 4];
+
 /// Texels of four numbers.
 pub trait Texel: Copy {
     /// Two texels as numbers.
@@ -104,7 +107,8 @@ impl Texel for Vec4 {
 
 /// The four numbers in eight cells of a grid of texels, x fastest.
 #[inline(always)]
-pub fn mix_texels<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3], cells: &Cells<S>) -> [f32x8<S>; 4] {
+#[allow(clippy::needless_range_loop, reason = "lanes have numbers")]
+pub fn mix_texels<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3], cells: &Cells<S>) -> Fours<S> {
     let (up, on) = (size[0], size[0] * size[1]);
     let mut mixed = [[0.0; 4]; LANES];
     for n in 0..LANES {
@@ -150,7 +154,7 @@ pub fn mix_with_slopes<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3
 /// [`mix_texels`], and the central differences f(+1) - f(-1) along the three axes: those at the cells' corners, interpolated as the values are. All
 /// cells must have a texel to every side.
 #[inline(always)]
-pub fn mix_with_differences<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3], cells: &Cells<S>) -> [[f32x8<S>; 4]; 4] {
+pub fn mix_with_differences<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3], cells: &Cells<S>) -> [Fours<S>; 4] {
     let (up, on) = (size[0], size[0] * size[1]);
     let (mut value, mut dx) = ([[0.0; 4]; LANES], [[0.0; 4]; LANES]);
     let (mut dy, mut dz) = (value, value);

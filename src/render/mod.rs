@@ -17,7 +17,7 @@
 //! | a map's parameter | that map, macrocells | the map's texture, a bind group |
 //! | transfer function | table, macrocells | nothing |
 //! | volume | the volume, and what depends on it | its texture, a bind group |
-//! | none: the second picture of a volume | its gradients, if it is lit by them | their texture, a bind group |
+//! | none: the second picture of a volume | its gradients, if it is lit by them | their texture, bind groups |
 //! | size of the picture | none | targets, for the first time; two sizes are kept |
 //!
 //! The gradient volume takes the place of six fetches at each sample that is lit by one; without room for it, or a format that holds it, those are

@@ -165,11 +165,11 @@ mod tests {
             assert_eq!(kept.is_none(), note == "none", "{note}");
             let with = Sampler::new(grid, voxels).with_gradients(kept.as_ref());
             let size = grid.size;
-            for n in 0..voxels.len() {
+            for (n, voxel) in voxels.iter().enumerate() {
                 let at = Vec3::new((n % size[0]) as f32, (n / size[0] % size[1]) as f32, (n / (size[0] * size[1])) as f32);
                 if let Some(kept) = &kept {
                     let [value, d @ ..] = kept.texels[n].map(f32::from);
-                    assert_eq!(value, voxels[n].to_f32(), "{note} {size:?} {n}");
+                    assert_eq!(value, voxel.to_f32(), "{note} {size:?} {n}");
                     let (got, want) = (Vec3::from(d) * 0.5 * grid.scale, s.gradient(at, GradientFilter::Central));
                     assert!(got.abs_diff_eq(want, 1e-6), "{note} {size:?} {n}: {got} for {want}");
                 }
