@@ -248,6 +248,15 @@ fn a_gpu_is_compared_with_the_cpu() {
     assert_eq!(names, ["slice cpu", "slice gpu", "raycast cpu", "raycast gpu"]);
     assert!(report["protocol"]["gpu"].as_str().is_some_and(|n| !n.is_empty()));
     assert!(runs.iter().all(|r| (r["backend"] == "gpu") == r["warm_up_milliseconds"].is_f64()), "{runs:#?}");
+    // Where the device has a clock, most of a GPU's time passes on it.
+    let device = incise::gpu::Device::open(incise::gpu::Want::Any).unwrap();
+    let has_clock = device.device.features().contains(wgpu::Features::TIMESTAMP_QUERY);
+    for run in runs.iter().filter(|r| r["backend"] == "gpu") {
+        let stages = run["stages"].as_array().unwrap();
+        let of = |name: &str| stages.iter().find(|s| s["name"] == name).map(|s| s["milliseconds"].as_f64().unwrap());
+        assert_eq!(of("draw, by the GPU's clock").is_some_and(|ms| ms > 0.0), has_clock, "{run:#}");
+        assert!(!(has_clock && device.is_software()) || of("draw, by the GPU's clock") > of("draw"), "{run:#}");
+    }
     // Six pairs of renderers, and four with the reference.
     let pairs = report["pairs"].as_array().unwrap();
     assert_eq!(pairs.len(), 6 + 4);

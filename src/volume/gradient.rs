@@ -58,8 +58,16 @@ impl<T: Voxel> Sampler<'_, T> {
     }
 }
 
-/// Most bytes that a [`GradientVolume`] may take.
+/// Most bytes that a [`GradientVolume`] may take; and of the free memory one part in so many.
 const MOST_BYTES: usize = 1 << 30;
+const OF_FREE_MEMORY: usize = 4;
+
+/// Memory that can be had, bytes, where the system tells (Linux).
+fn free_memory() -> Option<usize> {
+    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
+    let line = text.lines().find(|l| l.starts_with("MemAvailable:"))?;
+    line.split_whitespace().nth(1)?.parse::<usize>().ok()?.checked_mul(1024)
+}
 
 /// The central differences of a volume of integers at all voxels, kept beside their values: what would be gathered from 32 voxels for each
 /// sample is then gathered from 8. Exact: 16 bits hold every difference.
@@ -70,9 +78,10 @@ pub struct GradientVolume {
 
 impl GradientVolume {
     /// Takes the differences; none for floating-point voxels, for integers that 16 bits with a sign do not hold or whose range needs more than 15,
-    /// and where more than 1 GiB would be needed.
+    /// and where more than 1 GiB or a quarter of the free memory would be needed.
     pub fn new(grid: &Grid) -> Option<Self> {
-        if grid.size.iter().product::<usize>() > MOST_BYTES / size_of::<[i16; 4]>() {
+        let bytes = grid.size.iter().product::<usize>().saturating_mul(size_of::<[i16; 4]>());
+        if bytes > free_memory().map_or(MOST_BYTES, |free| MOST_BYTES.min(free / OF_FREE_MEMORY)) {
             return None;
         }
         match &grid.voxels {
