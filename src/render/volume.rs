@@ -14,6 +14,9 @@ use rayon::prelude::*;
 use std::sync::Arc;
 use wgpu::{Features, TextureFormat};
 
+/// Bytes of a gradient volume on a GPU of its own memory, which cannot be asked how much there is: a picture must not fail for what it can do
+/// without.
+const MOST_GRADIENT_BYTES: u64 = 512 << 20;
 /// Bytes that are copied at once.
 const PIECE: usize = 16 << 20;
 
@@ -131,6 +134,7 @@ impl Renderer {
         if !self.volume.as_ref().is_some_and(fits)
             || !self.device.device.features().contains(Features::TEXTURE_FORMAT_16BIT_NORM)
             || bytes > self.most.map_or(u64::MAX, |(_, bytes)| bytes).min(limits.max_buffer_size)
+            || (bytes > MOST_GRADIENT_BYTES && !self.device.is_software())
         {
             return Ok(());
         }
