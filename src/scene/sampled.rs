@@ -1,4 +1,4 @@
-//! A grid, and what is derived from its voxels alone and kept between pictures.
+//! A grid, and what is derived from its voxels and kept between pictures.
 
 use super::macrocells::{Contents, Inputs, Macrocells};
 use crate::math::pyramid::Range;
