@@ -74,6 +74,10 @@ fn sample_colors(p: vec3<f32>) -> vec4<f32> {
 fn fetch(k: u32, x: vec3<f32>) -> vec4<f32> {
     let size = maps[k].size;
     let c = (x * (size - 1.0) + 0.5) / size;
+    // Nothing is chosen while the shader runs where there is no choice.
+    if MAPS == 1u {
+        return textureSampleLevel(map_0, linear_clamp, c, 0.0);
+    }
     switch k {
         case 0u: { return textureSampleLevel(map_0, linear_clamp, c, 0.0); }
         case 1u: { return textureSampleLevel(map_1, linear_clamp, c, 0.0); }

@@ -35,16 +35,17 @@ fn voxel_covector(per_voxel: vec3<f32>) -> vec3<f32> {
     return transpose(linear_part(frame.voxel_from_world)) * per_voxel;
 }
 
+// The nearer of a cut and the volume's two faces across an axis.
+fn or_face(cut: Cut, j: Jet, in_voxel: vec3<f32>, axis: vec3<f32>) -> Cut {
+    let at = dot(in_voxel, axis) + 0.5;
+    let beyond = dot(frame.grid_size, axis) - at;
+    return or_nearer(cut, min(at, beyond), transpose(j.d_source_d_deformed) * voxel_covector(axis * select(-1.0, 1.0, at < beyond)));
+}
+
 fn nearest_cut(j: Jet, in_voxel: vec3<f32>) -> Cut {
-    let low = in_voxel + 0.5;
-    let high = frame.grid_size - 0.5 - in_voxel;
-    var cut = j.cut;
-    for (var axis = 0; axis < 3; axis += 1) {
-        var inward = vec3<f32>(0.0);
-        inward[axis] = select(-1.0, 1.0, low[axis] < high[axis]);
-        cut = or_nearer(cut, min(low[axis], high[axis]), transpose(j.d_source_d_deformed) * voxel_covector(inward));
-    }
-    return cut;
+    let x = or_face(j.cut, j, in_voxel, vec3<f32>(1.0, 0.0, 0.0));
+    let y = or_face(x, j, in_voxel, vec3<f32>(0.0, 1.0, 0.0));
+    return or_face(y, j, in_voxel, vec3<f32>(0.0, 0.0, 1.0));
 }
 
 fn path_share(cut: Cut, deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> f32 {
@@ -294,9 +295,10 @@ fn iso_surface(deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> vec3<
 // One call of shade_with serves samples, entries and slivers: what differs is prepared before it.
 struct Seen {
     s: Sample,
-    // There, if the ray has not entered matter elsewhere.
-    j: Jet,
     entered: bool,
+    // There, if it is known.
+    j: Jet,
+    known: bool,
     through_cut: bool,
     share: f32,
 }
@@ -304,7 +306,7 @@ struct Seen {
 // Shades what is seen.
 fn shade_seen(e: Seen, direction: vec3<f32>) -> Shaded {
     var j = e.j;
-    if e.entered {
+    if !e.known {
         j = jet(e.s.deformed);
     }
     var cut = NO_CUT;
@@ -317,23 +319,25 @@ fn shade_seen(e: Seen, direction: vec3<f32>) -> Shaded {
 
 // A visible sample.
 fn seen_sample(s: Sample, front: Front, direction: vec3<f32>, step_mm: f32) -> Seen {
-    let j = jet(s.deformed);
+    var j = undisplaced(s.deformed);
     var share = 1.0;
-    if !far_from_cuts(s.in_voxel) {
+    let near = !far_from_cuts(s.in_voxel);
+    if near {
+        j = jet(s.deformed);
         share = path_share(nearest_cut(j, s.in_voxel), s.deformed, direction, step_mm);
     }
     let e = entry(s, front, direction, step_mm);
-    return Seen(e.first, j, e.entered, e.through_cut, share);
+    return Seen(e.first, e.entered, j, near && !e.entered, e.through_cut, share);
 }
 
 // Whether no cut can be near, the volume's faces among them, so that none has to be asked.
 fn far_from_cuts(in_voxel: vec3<f32>) -> bool {
-    return MAPS == 0u && CUTS == 0u && all(in_voxel > frame.face - 0.5) && all(in_voxel < frame.grid_size - 0.5 - frame.face);
+    return all(in_voxel > frame.face - 0.5) && all(in_voxel < frame.grid_size - 0.5 - frame.face);
 }
 
 // Matter between a cut and a sample that shows nothing, thinner than a step; depth 0 if there is none.
 fn sliver(deformed: vec3<f32>, present: bool, direction: vec3<f32>, step_mm: f32) -> Seen {
-    var found = Seen(Sample(deformed, vec3<f32>(0.0), vec3<f32>(0.0), 0.0, 0.0), undisplaced(deformed), true, present, 0.0);
+    var found = Seen(Sample(deformed, vec3<f32>(0.0), vec3<f32>(0.0), 0.0, 0.0), true, undisplaced(deformed), false, present, 0.0);
     let before = deformed - direction * step_mm;
     let at_before = look(before);
     if at_before.present == present || visible(at_before, before).depth > 0.0 {

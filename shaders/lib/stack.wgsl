@@ -76,6 +76,20 @@ fn undisplaced(deformed: vec3<f32>) -> Jet {
     return Jet(deformed, 1.0, mat3x3<f32>(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), NO_CUT);
 }
 
+// What map k changes by along one of its axes, per map unit: a difference over one texel to each side, shortened at the cube's faces.
+fn difference(k: u32, x: vec3<f32>, axis: vec3<f32>) -> vec4<f32> {
+    let points = dot(maps[k].size, axis);
+    if points < 1.5 {
+        return vec4<f32>(0.0);
+    }
+    let step = 1.0 / (points - 1.0);
+    let at = dot(x, axis);
+    let low = clamp(at - step, 0.0, 1.0 - step);
+    let high = clamp(at + step, step, 1.0);
+    let across = x * (1.0 - axis);
+    return (fetch(k, across + axis * high) - fetch(k, across + axis * low)) / (high - low);
+}
+
 fn jet(deformed: vec3<f32>) -> Jet {
     var j = undisplaced(deformed);
     var here = deformed;
@@ -85,27 +99,14 @@ fn jet(deformed: vec3<f32>) -> Jet {
         let moved = displacement(k, here);
         let x = transform_point(maps[k].map_from_world, here);
         if !outside(k, x) {
-            // Differences over one texel to each side, shortened at the cube's faces; columns are d stored / d map axis.
-            let size = maps[k].size;
-            var columns = array<vec3<f32>, 3>(vec3<f32>(0.0), vec3<f32>(0.0), vec3<f32>(0.0));
-            var slope = vec3<f32>(0.0);
-            for (var axis = 0; axis < 3; axis += 1) {
-                if size[axis] < 1.5 {
-                    continue;
-                }
-                let step = 1.0 / (size[axis] - 1.0);
-                var low = x;
-                var high = x;
-                low[axis] = clamp(x[axis] - step, 0.0, 1.0 - step);
-                high[axis] = clamp(x[axis] + step, step, 1.0);
-                let d = (fetch(k, high) - fetch(k, low)) / (high[axis] - low[axis]);
-                columns[axis] = d.xyz;
-                slope[axis] = d.w;
-            }
+            let dx = difference(k, x, vec3<f32>(1.0, 0.0, 0.0));
+            let dy = difference(k, x, vec3<f32>(0.0, 1.0, 0.0));
+            let dz = difference(k, x, vec3<f32>(0.0, 0.0, 1.0));
+            let slope = vec3<f32>(dx.w, dy.w, dz.w);
             let inverse = linear_part(maps[k].map_from_world);
             j.cut = or_nearer(j.cut, moved.w - 0.5, transpose(d_here) * (transpose(inverse) * slope));
             // J_G = I + A J_D / A.
-            let j_d = linear_part(maps[k].world_from_stored) * mat3x3<f32>(columns[0], columns[1], columns[2]) * inverse;
+            let j_d = linear_part(maps[k].world_from_stored) * mat3x3<f32>(dx.xyz, dy.xyz, dz.xyz) * inverse;
             j.d_source_d_deformed = j.d_source_d_deformed + j_d * d_here;
         }
         j.alpha = min(j.alpha, moved.w);

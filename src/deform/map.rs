@@ -1,7 +1,8 @@
 //! One displacement map: a grid of (D, alpha) over the unit cube, in one of four storage formats.
 
-use crate::math::cells::{Cells, Fours, mix_texels, mix_with_differences};
+use crate::math::cells::{Cells, Fours, across, mix_line, mix_texels, mix_with_differences};
 use crate::math::lanes::*;
+use crate::math::pyramid::Range;
 use crate::math::{MinMaxPyramid, trilinear};
 use glam::{Mat3, Vec3, Vec4, Vec4Swizzles};
 use half::f16;
@@ -65,6 +66,8 @@ pub struct DisplacementMap {
     /// (D / scale, alpha), x fastest.
     texels: Vec<Vec4>,
     pyramid: MinMaxPyramid<4>,
+    /// At each grid point, what stored D changes by to the next one along x, along y and along z, per map unit.
+    slopes: MinMaxPyramid<9>,
 }
 
 impl DisplacementMap {
@@ -100,8 +103,14 @@ impl DisplacementMap {
                 Vec4::from_array(stored.to_array().map(|v| storage.quantise(v)))
             })
             .collect();
-        let pyramid = MinMaxPyramid::new(size, 1, |i, j, k| texels[(k * size[1] + j) * size[0] + i].to_array());
-        Self { size, storage, scale, texels, pyramid }
+        let pyramid = MinMaxPyramid::from_runs(size, 1, |first, last, j, k| {
+            let row = (k * size[1] + j) * size[0];
+            let (low, high) = extremes(&texels[row + first..=row + last]);
+            Range { min: low.to_array(), max: high.to_array() }
+        });
+        // They vary less than what they are slopes of, and only say how far a bound is from a better one.
+        let slopes = MinMaxPyramid::from_runs(size, 2, |first, last, j, k| slopes_of(&texels, size, [first, last], [j, k]));
+        Self { size, storage, scale, texels, pyramid, slopes }
     }
 
     /// Stored (D / scale, alpha) of a grid point.
@@ -115,15 +124,35 @@ impl DisplacementMap {
     }
 
     /// Bounds of (D / scale, alpha) over a box in map coordinates.
-    pub fn bounds(&self, low: Vec3, high: Vec3) -> crate::math::pyramid::Range<4> {
+    pub fn bounds(&self, low: Vec3, high: Vec3) -> Range<4> {
         let top = Vec3::from(self.size.map(|n| (n - 1) as f32));
         self.pyramid.query(low * top, high * top)
+    }
+
+    /// Bounds of the columns of stored D's Jacobian, d (D / scale) / d x, over a box in map coordinates; a face of a cell counts to both sides.
+    ///
+    /// Within a cell each column is a mixture of the differences along four of its edges, so that these bound it.
+    pub fn slope_bounds(&self, low: Vec3, high: Vec3) -> [(Vec3, Vec3); 3] {
+        let top = Vec3::from(self.size.map(|n| (n - 1) as f32));
+        let range = self.slopes.query(low * top, high * top);
+        let flat = low.cmplt(Vec3::ZERO).any() || high.cmpgt(Vec3::ONE).any();
+        std::array::from_fn(|axis| {
+            let of = |v: &[f32; 9]| Vec3::from_slice(&v[3 * axis..3 * axis + 3]);
+            let (low, high) = (of(&range.min), of(&range.max));
+            // Beyond the cube its outermost texels go on.
+            if flat { (low.min(Vec3::ZERO), high.max(Vec3::ZERO)) } else { (low, high) }
+        })
     }
 
     /// Whether D is anywhere but zero; a map that only cuts brings matter nowhere.
     pub fn moves_matter(&self) -> bool {
         let range = self.pyramid.whole();
         (0..3).any(|c| range.min[c] != 0.0 || range.max[c] != 0.0)
+    }
+
+    /// Whether the mask takes anything away.
+    pub fn cuts(&self) -> bool {
+        self.pyramid.whole().min[3] < 1.0
     }
 
     /// The texels as the GPU takes them: in the map's own format, or in another where a device lacks it.
@@ -159,6 +188,19 @@ impl DisplacementMap {
         }
         let p = Vec3x8 { x: x.x * (nx - 1) as f32, y: x.y * (ny - 1) as f32, z: x.z * (nz - 1) as f32 };
         let [x, y, z, alpha] = mix_texels(simd, &self.texels, self.size, &Cells::of(p, self.size, 0));
+        (Vec3x8 { x, y, z }, alpha)
+    }
+
+    /// The texels of a line along the map's x axis at map coordinates across it, for [`Self::fetch_line`]; none of a map that is flat.
+    pub(super) fn line(&self, y: f32, z: f32) -> Option<Vec<Vec4>> {
+        let [_, ny, nz] = self.size.map(|n| (n - 1) as f32);
+        self.size.iter().all(|&n| n > 1).then(|| across(&self.texels, self.size, y * ny, z * nz))
+    }
+
+    /// [`Self::fetch_lanes`] at eight points of a line, to the bit.
+    #[inline(always)]
+    pub(super) fn fetch_line<S: Simd>(simd: S, line: &[Vec4], x: f32x8<S>) -> (Vec3x8<S>, f32x8<S>) {
+        let [x, y, z, alpha] = mix_line(simd, line, x * (line.len() - 1) as f32);
         (Vec3x8 { x, y, z }, alpha)
     }
 
@@ -252,6 +294,41 @@ impl DisplacementMap {
     pub fn gpu_bytes(&self) -> usize {
         self.texels.len() * self.storage.bytes()
     }
+}
+
+/// The least and the greatest of each number.
+#[inline(always)]
+fn extremes(texels: &[Vec4]) -> (Vec4, Vec4) {
+    texels.iter().fold((Vec4::INFINITY, Vec4::NEG_INFINITY), |(low, high), t| (low.min(*t), high.max(*t)))
+}
+
+/// The range of what stored D changes by per map unit from the points of a run along x to the next ones along each axis; from the last point of an
+/// axis, of what it changed by before.
+fn slopes_of(texels: &[Vec4], [nx, ny, nz]: [usize; 3], [first, last]: [usize; 2], [j, k]: [usize; 2]) -> Range<9> {
+    let row = |first: usize, last: usize, j: usize, k: usize| &texels[(k * ny + j) * nx..][first..=last];
+    let between = |low: &[Vec4], high: &[Vec4], points: usize| {
+        let scale = (points - 1) as f32;
+        let changes = low.iter().zip(high).map(|(a, b)| (*b - *a) * scale);
+        changes.fold((Vec4::INFINITY, Vec4::NEG_INFINITY), |(low, high), d| (low.min(d), high.max(d)))
+    };
+    let mut range = Range { min: [0.0; 9], max: [0.0; 9] };
+    let mut put = |axis: usize, (low, high): (Vec4, Vec4)| {
+        range.min[3 * axis..3 * axis + 3].copy_from_slice(&low.to_array()[..3]);
+        range.max[3 * axis..3 * axis + 3].copy_from_slice(&high.to_array()[..3]);
+    };
+    if nx > 1 {
+        let (first, last) = (first.min(nx - 2), last.min(nx - 2));
+        put(0, between(row(first, last, j, k), row(first + 1, last + 1, j, k), nx));
+    }
+    if ny > 1 {
+        let j = j.min(ny - 2);
+        put(1, between(row(first, last, j, k), row(first, last, j + 1, k), ny));
+    }
+    if nz > 1 {
+        let k = k.min(nz - 2);
+        put(2, between(row(first, last, j, k), row(first, last, j, k + 1), nz));
+    }
+    range
 }
 
 #[inline(always)]

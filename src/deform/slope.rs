@@ -90,7 +90,7 @@ impl<'a> Slopes<'a> {
 impl PlacedMap {
     /// The bound over a box, and the box of displacements there.
     fn slope_over(&self, b: &Bounds, slopes: &MinMaxPyramid<1>) -> (f32, Bounds) {
-        let (moved, _) = self.displacement_bounds(b);
+        let moved = self.displacement_bounds(b);
         let inside = b.transformed(&self.placement.map_from_world).grown(1e-4).intersection(&Bounds::new(-self.reach, Vec3::ONE + self.reach));
         if inside.is_empty() {
             return (1.0, moved);

@@ -7,14 +7,18 @@
 //! A map may be *added* to the one before it (\[DS07\] section 4: detail): both are evaluated at the same point and their displacements
 //! summed, G(p) = p + A_1 D_1(M_1⁻¹ p) + A_2 D_2(M_2⁻¹ p).
 
+use super::slope::spectral_norm;
 use super::{DisplacementMap, Placement};
 use crate::math::Bounds;
 use crate::math::lanes::*;
-use glam::{Affine3A, Mat3, Vec3, Vec4Swizzles};
+use glam::{Affine3A, Mat3, Vec3, Vec3A, Vec4, Vec4Swizzles};
 use std::sync::Arc;
 
 /// The most maps that one pass evaluates: a shader stage binds 16 textures at least, and the volume and its tables need some.
 pub const MAX_MAPS: usize = 8;
+
+/// Where displacements differ by less than this share of a box, a bound by slopes is no better than a box of displacements.
+const SAME: f32 = 0.25;
 
 /// A map in its place.
 #[derive(Clone)]
@@ -52,6 +56,11 @@ pub struct Cut {
     pub distance_mm: f32,
     /// Unit normal of the cut in the deformed scene, pointing out of the matter; zero where there is no cut.
     pub normal: Vec3,
+}
+
+/// Texels of a map along a line of points, mixed across it once for all of them.
+pub struct Line {
+    texels: Vec<Vec4>,
 }
 
 /// Eight points carried back through a stack.
@@ -164,26 +173,95 @@ impl PlacedMap {
         self.domain().transformed(&self.placement.world_from_map)
     }
 
-    /// Bounds on what this map does to the points of a box (`model.md` section 9): a box that holds their displacements, and the highest
-    /// and lowest mask value among them.
-    pub(super) fn displacement_bounds(&self, b: &Bounds) -> (Bounds, [f32; 2]) {
+    /// A box that holds the displacements of the points of a box.
+    pub(super) fn displacement_bounds(&self, b: &Bounds) -> Bounds {
+        let (inside, outside) = self.moves(b);
+        let zero = Bounds::new(Vec3::ZERO, Vec3::ZERO);
+        inside.map_or(zero, |moves| if outside { moves.all.union(&zero) } else { moves.all })
+    }
+
+    /// Bounds on what this map does to the points of a box that lie in its cube, if any do (`model.md` section 9), and whether some lie outside.
+    fn moves(&self, b: &Bounds) -> (Option<Moves>, bool) {
         let in_map = b.transformed(&self.placement.map_from_world);
-        // The transform of a sample rounds; a hundredth of a texel covers it.
+        // The transform of a sample rounds, and GPUs place samples by 1/256 of a texel; a hundredth of one covers both.
         let texel = 0.01 / Vec3::from(self.map.size.map(|n| n.max(2) as f32));
         let in_map = Bounds::new(in_map.min - texel, in_map.max + texel);
         let inside = in_map.intersection(&self.domain());
         if inside.is_empty() {
-            return (Bounds::new(Vec3::ZERO, Vec3::ZERO), [1.0, 1.0]);
+            return (None, true);
         }
+        let outside = !self.domain().contains(&in_map);
         let range = self.map.bounds(inside.min, inside.max);
-        let stays = !self.domain().contains(&in_map);
-        let (mut low, mut high) = (Vec3::from_slice(&range.min[..3]), Vec3::from_slice(&range.max[..3]));
-        if stays {
-            // Part of the box is outside the cube, where nothing moves and nothing is cut.
-            (low, high) = (low.min(Vec3::ZERO), high.max(Vec3::ZERO));
+        let [low, high] = [range.min, range.max].map(|v| Vec3::from_slice(&v[..3]));
+        let all = Bounds::new(low, high).transformed(&Affine3A::from_mat3(self.world_from_stored));
+        let mask = [range.min[3], range.max[3]];
+        if all.size().max_element() < SAME * b.size().max_element() {
+            let moves = Moves { all, mask, at_center: all.center(), slope: Mat3::ZERO, spread: Mat3::ZERO, beside: all.size() * 0.5 };
+            return (Some(moves), outside);
         }
-        let moved = Bounds::new(low, high).transformed(&Affine3A::from_mat3(self.world_from_stored));
-        (moved, [range.min[3], if stays { 1.0 } else { range.max[3] }])
+        // Of the map as its outermost texels continue it, so that nothing jumps within the box.
+        let at_center = self.world_from_stored * self.map.fetch(self.placement.map_from_world.transform_point3(b.center())).xyz();
+        let [slope, spread] = self.slopes_within(&in_map);
+        let texel_mm = self.placement.world_from_map.matrix3.abs() * Vec3A::from(texel);
+        (Some(Moves { all, mask, at_center, slope, spread, beside: (slope.abs() + spread) * Vec3::from(texel_mm) }), outside)
+    }
+
+    /// The middle and half of the extent of the bounds of J_G - I over a box in map coordinates.
+    fn slopes_within(&self, inside: &Bounds) -> [Mat3; 2] {
+        let columns = self.map.slope_bounds(inside.min, inside.max);
+        let [middle, spread] = [|(low, high): (Vec3, Vec3)| (low + high) * 0.5, |(low, high): (Vec3, Vec3)| (high - low) * 0.5]
+            .map(|of| Mat3::from_cols(of(columns[0]), of(columns[1]), of(columns[2])));
+        let map_from_world = Mat3::from(self.placement.map_from_world.matrix3);
+        [self.world_from_stored * middle * map_from_world, self.world_from_stored.abs() * spread * map_from_world.abs()]
+    }
+}
+
+/// Bounds on what a map, or several added to each other, does to the points p of a box with centre c: their displacements lie in `all`, and also in
+/// `at_center` + (`slope` ± `spread`) (p - c) ± `beside`.
+struct Moves {
+    /// mm.
+    all: Bounds,
+    /// Lowest and highest mask.
+    mask: [f32; 2],
+    /// The displacement of the centre, mm.
+    at_center: Vec3,
+    /// The middle of the Jacobians' bounds.
+    slope: Mat3,
+    /// Half of their extents.
+    spread: Mat3,
+    /// mm.
+    beside: Vec3,
+}
+
+impl Moves {
+    /// Of points outside of every cube.
+    const NONE: Self = Self {
+        all: Bounds { min: Vec3::ZERO, max: Vec3::ZERO },
+        mask: [1.0; 2],
+        at_center: Vec3::ZERO,
+        slope: Mat3::ZERO,
+        spread: Mat3::ZERO,
+        beside: Vec3::ZERO,
+    };
+
+    /// Of two maps that are added to each other.
+    fn plus(&self, other: &Self) -> Self {
+        Self {
+            all: Bounds::new(self.all.min + other.all.min, self.all.max + other.all.max),
+            mask: [self.mask[0].min(other.mask[0]), self.mask[1].min(other.mask[1])],
+            at_center: self.at_center + other.at_center,
+            slope: self.slope + other.slope,
+            spread: self.spread + other.spread,
+            beside: self.beside + other.beside,
+        }
+    }
+
+    /// A box that holds where the points of `b` came from: what both bounds allow (the second is the mean value form of interval arithmetic, Moore
+    /// 1966, which does not count a rotation as a growth along all axes).
+    fn source(&self, b: &Bounds) -> Bounds {
+        let (center, half) = (b.center() + self.at_center, b.size() * 0.5);
+        let half = ((Mat3::IDENTITY + self.slope).abs() + self.spread) * half + self.beside;
+        Bounds::new(b.min + self.all.min, b.max + self.all.max).intersection(&Bounds::new(center - half, center + half))
     }
 }
 
@@ -235,18 +313,42 @@ impl Stack {
         (p, smallest)
     }
 
+    /// The map that is met first along points `first` + t `step` of the deformed scene, if they lie along its x axis.
+    pub fn line(&self, first: Vec3, step: Vec3) -> Option<Line> {
+        let map = self.maps.last()?;
+        let across = map.placement.map_from_world.matrix3.x_axis;
+        // Exactly, so that what is mixed across the line once is what each point would mix.
+        if [step.y, step.z, across.y, across.z] != [0.0; 4] {
+            return None;
+        }
+        let x = map.placement.map_from_world.transform_point3(first);
+        Some(Line { texels: map.map.line(x.y, x.z)? })
+    }
+
     /// [`Self::walk`] for eight points, of which those in `lanes` are wanted. Only points inside a map's cube cost a fetch.
     #[inline(always)]
     pub fn walk_lanes<S: Simd>(&self, simd: S, deformed: Vec3x8<S>, lanes: mask32x8<S>) -> Walks<S> {
+        self.walk_line(simd, deformed, lanes, None)
+    }
+
+    /// As [`Self::walk_lanes`] for points of a line, if there is one.
+    #[inline(always)]
+    pub fn walk_line<S: Simd>(&self, simd: S, deformed: Vec3x8<S>, lanes: mask32x8<S>, line: Option<&Line>) -> Walks<S> {
         let nothing = mask32x8::splat(simd, false);
         let mut walk = Walks { source: deformed, alpha: f32x8::splat(simd, 1.0), inside: nothing };
         let mut at = deformed;
         let mut live = lanes;
+        let mut line = line;
         for map in self.maps.iter().rev() {
             let x = at.transformed(&map.placement.map_from_world);
             let inside = live & map.holds_lanes(x);
+            // Only the first map sees points that have not moved.
+            let line = line.take();
             if inside.any_true() {
-                let (stored, alpha) = map.map.fetch_lanes(simd, x);
+                let (stored, alpha) = match line {
+                    Some(line) => DisplacementMap::fetch_line(simd, &line.texels, x.x),
+                    None => map.map.fetch_lanes(simd, x),
+                };
                 let alpha = inside.select(alpha, f32x8::splat(simd, 1.0));
                 walk.alpha = walk.alpha.min(alpha);
                 walk.inside |= inside;
@@ -336,27 +438,60 @@ impl Stack {
         Jets { columns: [jx, jy, jz], cut_mm, holds }
     }
 
-    /// Carries a box of deformed points back to the source: a box that holds all their source points, and the highest value that the
-    /// smallest mask can have (below 1/2: everything in the box is cut away).
-    pub fn source_bounds(&self, deformed: &Bounds) -> (Bounds, f32) {
-        let (b, [_, highest]) = self.source_and_mask_bounds(deformed);
-        (b, highest)
+    /// Carries a box of deformed points back to the source: a box that holds all their source points, and the lowest and the highest value that
+    /// the smallest mask can have (at or above 1/2: nothing in the box is cut away; below: everything).
+    pub fn source_bounds(&self, deformed: &Bounds) -> (Bounds, [f32; 2]) {
+        let (mut all, mut alpha) = (Bounds::EMPTY, [1.0f32, 0.0]);
+        self.source_parts(deformed, &mut |part, [low, high]| {
+            all = all.union(part);
+            alpha = [alpha[0].min(low), alpha[1].max(high)];
+        });
+        (all, alpha)
     }
 
-    /// As [`Self::source_bounds`], with the lowest value that the smallest mask can have as well (at or above 1/2: nothing in the box is
-    /// cut away).
-    pub fn source_and_mask_bounds(&self, deformed: &Bounds) -> (Bounds, [f32; 2]) {
-        let (mut b, mut at) = (*deformed, *deformed);
-        let mut alpha = [1.0f32; 2];
+    /// As [`Self::source_bounds`], in parts: points inside and outside of a map's cube may come from far apart.
+    pub fn source_parts(&self, deformed: &Bounds, found: &mut dyn FnMut(&Bounds, [f32; 2])) {
+        self.parts_of(self.maps.len(), deformed, &Moves::NONE, [1.0; 2], found);
+    }
+
+    /// Through the first `count` maps; those added to the next one have moved the box `together`.
+    fn parts_of(&self, count: usize, at: &Bounds, together: &Moves, alpha: [f32; 2], found: &mut dyn FnMut(&Bounds, [f32; 2])) {
+        let Some(map) = count.checked_sub(1).map(|n| &self.maps[n]) else {
+            return found(at, alpha);
+        };
+        let (inside, outside) = map.moves(at);
+        let mut go_on = |moves: &Moves| {
+            let alpha = [alpha[0].min(moves.mask[0]), alpha[1].min(moves.mask[1])];
+            let together = together.plus(moves);
+            if map.added {
+                self.parts_of(count - 1, at, &together, alpha, found);
+            } else {
+                self.parts_of(count - 1, &together.source(at), &Moves::NONE, alpha, found);
+            }
+        };
+        inside.iter().for_each(&mut go_on);
+        if outside {
+            go_on(&Moves::NONE);
+        }
+    }
+
+    /// Whether any mask takes anything away.
+    pub fn cuts(&self) -> bool {
+        self.maps.iter().any(|m| m.map.cuts())
+    }
+
+    /// A bound on the norm of d source / d deformed anywhere, at least 1.
+    pub fn steepest(&self) -> f32 {
+        let (mut all, mut together) = (1.0, 1.0);
         for map in self.maps.iter().rev() {
-            let (moved, [lowest, highest]) = map.displacement_bounds(&at);
-            alpha = [alpha[0].min(lowest), alpha[1].min(highest)];
-            b = Bounds::new(b.min + moved.min, b.max + moved.max);
+            let [middle, half] = map.slopes_within(&map.domain());
+            together += spectral_norm(middle) + half.to_cols_array().iter().map(|v| v * v).sum::<f32>().sqrt();
             if !map.added {
-                at = b;
+                all *= together;
+                together = 1.0;
             }
         }
-        (b, alpha)
+        all
     }
 
     /// The box that holds the deformed scene: the source's box and every cube into which a map can bring its matter.
@@ -364,7 +499,7 @@ impl Stack {
         let mut all = *source;
         for map in self.maps.iter().filter(|m| m.map.moves_matter()) {
             let cube = map.bounds_in_world();
-            let (moved, _) = map.displacement_bounds(&cube);
+            let moved = map.displacement_bounds(&cube);
             let reach = Bounds::new(cube.min + moved.min, cube.max + moved.max);
             if !reach.intersection(&all).is_empty() {
                 all = all.union(&cube);
@@ -445,11 +580,56 @@ mod tests {
             s.maps[1].added = added;
             let low = Vec3::from(corner);
             let p = low + Vec3::from(at) * edge;
-            let (b, alpha) = s.source_bounds(&Bounds::new(low, low + edge));
+            let (b, [least, most]) = s.source_bounds(&Bounds::new(low, low + edge));
             let jet = s.jet(p);
             prop_assert!(b.grown(1e-3).contains(&Bounds::new(jet.source, jet.source)));
-            prop_assert!(jet.alpha <= alpha + 1e-5);
+            prop_assert!(least - 1e-5 <= jet.alpha && jet.alpha <= most + 1e-5);
         }
+    }
+
+    /// A map that turns matter takes a box to a turned box: its bounds are that one's, not the sum of how far its parts are moved.
+    #[test]
+    fn bounds_of_a_rotation_are_those_of_the_rotated_box() {
+        let turn = Mat3::from_rotation_z(0.8);
+        let f = |x: Vec3| TexelSample { displacement: turn * (x - 0.5) - (x - 0.5), alpha: 1.0 };
+        let placement = Placement::new(Vec3::ZERO, Vec3::splat(60.0), Vec3::new(20.0, 40.0, -10.0)).unwrap_or_else(|e| panic!("{e}"));
+        let linear = Mat3::from(placement.world_from_map.matrix3) * turn * Mat3::from(placement.map_from_world.matrix3);
+        let map = PlacedMap::new(Arc::new(DisplacementMap::from_fn([17, 19, 15], Storage::F32, f)), placement);
+        let b = Bounds::new(Vec3::new(-8.0, 2.0, 1.0), Vec3::new(-4.0, 5.0, 6.0));
+        let (got, _) = Stack::new(vec![map]).source_bounds(&b);
+        let want = b.transformed(&Affine3A::from_mat3(linear));
+        assert!(got.grown(1e-3).contains(&want) && want.grown(0.05).contains(&got), "{got:?} for {want:?}");
+    }
+
+    /// Points of a line are walked as points are, to the bit; lines across the map's axes are none.
+    #[test]
+    fn lines_are_walked_as_points_are() {
+        struct OfLine<'a>(&'a Stack, [Vec3; LANES], Option<&'a Line>);
+        impl OverSimd for OfLine<'_> {
+            type Output = [(Vec3, f32); LANES];
+            #[inline(always)]
+            fn run<S: Simd>(self, simd: S) -> Self::Output {
+                let walk = self.0.walk_line(simd, Vec3x8::from_lanes(simd, &self.1), mask32x8::splat(simd, true), self.2);
+                std::array::from_fn(|n| (walk.source.lane(n), walk.alpha[n]))
+            }
+        }
+        let mut s = stack();
+        let straight = Placement::new(Vec3::new(2.0, 1.0, 0.0), Vec3::splat(50.0), Vec3::ZERO).unwrap_or_else(|e| panic!("{e}"));
+        s.maps[1] = PlacedMap::new(s.maps[1].map.clone(), straight);
+        assert!(s.line(Vec3::ZERO, Vec3::Y).is_none() && stack().line(Vec3::ZERO, Vec3::X).is_none());
+        let mut moved = 0;
+        for row in 0..200 {
+            let first = Vec3::new(-31.0, (row % 20) as f32 * 3.3 - 30.0, (row / 20) as f32 * 6.1 - 30.0);
+            let line = s.line(first, Vec3::X * 1.3);
+            assert!(line.is_some());
+            for eight in 0..6 {
+                let points: [Vec3; LANES] = std::array::from_fn(|n| first + Vec3::X * (1.3 * (eight * LANES + n) as f32));
+                let got = with_simd(OfLine(&s, points, line.as_ref()));
+                assert_eq!(got, points.map(|p| s.walk(p)));
+                moved += got.iter().zip(points).filter(|(w, p)| w.0.distance(*p) > 1.0).count();
+            }
+        }
+        assert!(moved > 1000, "{moved}");
     }
 
     /// Many walks are the walks one by one, to the bit, cut points and maps added to each other among them.

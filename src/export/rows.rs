@@ -86,6 +86,7 @@ impl<T: Voxel> OverSimd for Row<'_, T> {
         let nothing = f32x8::splat(simd, f32::NAN);
         let (mut along_x, mut along_y, mut along_z) = (Along::new(start.x, along.x), Along::new(start.y, along.y), Along::new(start.z, along.z));
         let (origin, step) = (Vec3x8::splat(simd, rows.first.as_vec3()), Vec3x8::splat(simd, rows.step.as_vec3()));
+        let line = rows.deformation.stack.line(rows.first.as_vec3(), rows.step.as_vec3());
         let mut number = [0.0; LANES];
         for (n, number) in number.iter_mut().enumerate() {
             *number = n as f32;
@@ -95,7 +96,7 @@ impl<T: Voxel> OverSimd for Row<'_, T> {
         for _ in 0..rows.count.div_ceil(LANES) {
             let deformed = origin + step * number;
             number += 8.0;
-            let walk = rows.deformation.stack.walk_lanes(simd, deformed, everyone);
+            let walk = rows.deformation.stack.walk_line(simd, deformed, everyone, line.as_ref());
             let moved = (walk.source - deformed).mapped(&voxels_per_mm);
             let (i, x, inside_x) = along_x.next(simd, moved.x, nx);
             let (j, y, inside_y) = along_y.next(simd, moved.y, ny);

@@ -123,6 +123,34 @@ pub fn mix_texels<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3], ce
     columns(simd, &mixed)
 }
 
+/// As [`mix_texels`] from texels that are mixed along the second and third axis already ([`across`]), at eight points along the first.
+#[inline(always)]
+#[allow(clippy::needless_range_loop, reason = "lanes have numbers")]
+pub fn mix_line<S: Simd>(simd: S, line: &[Vec4], x: f32x8<S>) -> Fours<S> {
+    let (cell, x) = along(x, line.len(), 0);
+    let mut mixed = [[0.0; 4]; LANES];
+    for n in 0..LANES {
+        let (low, high) = simd.split_f32x8(Vec4::pair_at(simd, line, cell[n] as usize));
+        mixed[n] = *(low + (high - low) * f32x4::splat(simd, x[n]));
+    }
+    columns(simd, &mixed)
+}
+
+/// The texels of a line along the first axis of a grid, x fastest, at coordinates along the other two: what [`mix_texels`] mixes along the first at the
+/// end, to the bit.
+pub fn across(texels: &[Vec4], [nx, ny, nz]: [usize; 3], y: f32, z: f32) -> Vec<Vec4> {
+    let cell = |x: f32, points: usize| {
+        let x = x.max(0.0).min((points - 1) as f32);
+        let cell = (x as usize).min(points - 2);
+        (cell, x - cell as f32)
+    };
+    let ((j, y), (k, z)) = (cell(y, ny), cell(z, nz));
+    let row = |j: usize, k: usize| &texels[(k * ny + j) * nx..][..nx];
+    let rows = [row(j, k), row(j + 1, k), row(j, k + 1), row(j + 1, k + 1)];
+    let mix = |a: Vec4, b: Vec4, t: f32| a + (b - a) * t;
+    (0..nx).map(|i| mix(mix(rows[0][i], rows[1][i], y), mix(rows[2][i], rows[3][i], y), z)).collect()
+}
+
 /// The first three of [`mix_texels`]'s numbers as vectors, and their derivatives along the three axes, per cell.
 #[inline(always)]
 pub fn mix_with_slopes<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3], cells: &Cells<S>) -> (Vec3x8<S>, [Vec3x8<S>; 3]) {

@@ -148,7 +148,8 @@ impl FrameUniform {
             jitter: u32::from(scene.settings.jitter),
             texture_size,
             gradient_scale,
-            face: scene.voxels_beside_faces().into(),
+            // WGSL has no infinity.
+            face: scene.voxels_beside_cuts().min(Vec3::splat(f32::MAX)).into(),
             padding_2: 0.0,
         }
     }

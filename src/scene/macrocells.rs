@@ -45,6 +45,10 @@ pub struct Contents<'a> {
     pub iso: Option<f32>,
     /// Whether the faces of cuts show whatever they cut.
     pub grey_faces: bool,
+    /// How far every sample looks back, mm, for what it shows itself.
+    pub looks_back_mm: f32,
+    /// How far a sample beside a cut does.
+    pub beside_cuts_mm: f32,
     /// World to voxel.
     pub voxel_from_world: &'a Affine3A,
     /// Extent of the volume in voxels: its box is -1/2 .. n - 1/2.
@@ -62,7 +66,8 @@ pub struct Contents<'a> {
 pub struct Inputs {
     bounds: Bounds,
     voxel_mm: f32,
-    reach_mm: f32,
+    looks_back_mm: f32,
+    beside_cuts_mm: f32,
     stack: Stack,
     cuts: Cuts,
     iso: Option<f32>,
@@ -74,11 +79,11 @@ pub struct Inputs {
 
 impl Inputs {
     /// Of a call of [`Macrocells::new`].
-    pub fn of(bounds: Bounds, voxel_mm: f32, reach_mm: f32, contents: &Contents) -> Self {
-        let Contents { stack, cuts, iso, grey_faces, table, blend, .. } = *contents;
+    pub fn of(bounds: Bounds, voxel_mm: f32, contents: &Contents) -> Self {
+        let Contents { stack, cuts, iso, grey_faces, looks_back_mm, beside_cuts_mm, table, blend, .. } = *contents;
         let (stack, cuts) = (stack.clone(), cuts.clone());
         let (depths, of_values) = (table.entries.iter().map(|e| e[3]).collect(), [table.scale, table.offset]);
-        Self { bounds, voxel_mm, reach_mm, stack, cuts, iso, grey_faces, blend, depths, of_values }
+        Self { bounds, voxel_mm, looks_back_mm, beside_cuts_mm, stack, cuts, iso, grey_faces, blend, depths, of_values }
     }
 }
 
@@ -94,13 +99,52 @@ pub enum Seen {
 }
 
 impl Contents<'_> {
-    /// What can be seen in a box of the deformed scene.
+    /// How far beyond a box there may be something that samples in it show, mm.
+    pub fn reach_mm(&self) -> f32 {
+        let cuts = self.stack.cuts() || !self.cuts.is_empty();
+        if cuts { self.beside_cuts_mm.max(self.looks_back_mm) } else { self.looks_back_mm }
+    }
+
+    /// What samples in a box of the deformed scene can see.
     fn seen(&self, deformed: &Bounds) -> Seen {
+        let (seen, beside_a_cut) = self.contained(&deformed.grown(self.looks_back_mm));
+        if seen == Seen::Nothing && self.beside_cuts_mm > self.looks_back_mm && (beside_a_cut || self.beside_a_shape(deformed)) {
+            return self.contained(&deformed.grown(self.beside_cuts_mm)).0;
+        }
+        seen
+    }
+
+    /// Whether a shape that cuts is within the reach of samples in a box.
+    fn beside_a_shape(&self, deformed: &Bounds) -> bool {
+        !self.cuts.is_empty() && {
+            let [least, most] = self.cuts.bounds(&deformed.grown(self.beside_cuts_mm));
+            least < 0.0 && most >= 0.0
+        }
+    }
+
+    /// What can be seen in a box of the deformed scene, and whether a mask varies there.
+    fn contained(&self, deformed: &Bounds) -> (Seen, bool) {
         let [least_kept, most_kept] = self.cuts.bounds(deformed);
         if most_kept < 0.0 {
-            return Seen::Nothing;
+            return (Seen::Nothing, false);
         }
-        let (source, [least_alpha, most_alpha]) = self.stack.source_and_mask_bounds(deformed);
+        let (mut nothing, mut throughout, mut beside_a_cut) = (true, true, false);
+        self.stack.source_parts(deformed, &mut |source, [least_alpha, most_alpha]| {
+            let seen = self.seen_in_source(source, least_kept >= 0.0 && least_alpha >= 0.5, most_alpha);
+            nothing &= seen == Seen::Nothing;
+            throughout &= seen == Seen::Throughout;
+            beside_a_cut |= least_alpha < 1.0;
+        });
+        let seen = match (nothing, throughout) {
+            (true, _) => Seen::Nothing,
+            (_, true) => Seen::Throughout,
+            _ => Seen::Perhaps,
+        };
+        (seen, beside_a_cut)
+    }
+
+    /// What can be seen of a box of the source, `whole` if nothing of it is cut away.
+    fn seen_in_source(&self, source: &Bounds, whole: bool, most_alpha: f32) -> Seen {
         if most_alpha < 0.5 {
             return Seen::Nothing;
         }
@@ -109,7 +153,6 @@ impl Contents<'_> {
         if inside.is_empty() {
             return Seen::Nothing;
         }
-        let whole = least_kept >= 0.0 && least_alpha >= 0.5;
         let throughout = |all: bool| if all && whole && self.voxel_box.contains(&in_voxel) { Seen::Throughout } else { Seen::Perhaps };
         if self.blend != Blend::Composite {
             return throughout(true);
@@ -132,25 +175,22 @@ impl Macrocells {
         Self { origin: bounds.min, cell_mm: bounds.size(), size: UVec3::ONE, distance: vec![0], occupied: bounds }
     }
 
-    /// Classifies a grid over `bounds`, the box of the deformed scene.
-    ///
-    /// A sample within `reach_mm` of what can be seen counts as seeing it: beside a cut, samples look back one step.
-    pub fn new(bounds: Bounds, voxel_mm: f32, reach_mm: f32, contents: &Contents) -> Self {
+    /// Classifies a grid over `bounds`, the box of the deformed scene. What a sample sees by looking back counts as seen where the sample is.
+    pub fn new(bounds: Bounds, voxel_mm: f32, contents: &Contents) -> Self {
         let edge = (bounds.size().max_element() / MOST_CELLS).max(3.0 * voxel_mm);
-        Self::classified(bounds, edge, reach_mm, |b| contents.seen(b))
+        Self::classified(bounds, edge, |b| contents.seen(b))
     }
 
-    /// A grid of cells of about `edge` mm, those occupied in whose box, grown by `reach_mm`, anything is seen.
+    /// A grid of cells of about `edge` mm, those occupied in whose box anything is seen.
     ///
-    /// Blocks of cells are asked before their cells: what shows nothing, or something throughout, is not asked again. The bounds of a part lie
-    /// within those of the whole, so that cells get the answer that they would have got themselves.
-    pub fn classified(bounds: Bounds, edge: f32, reach_mm: f32, seen: impl Fn(&Bounds) -> Seen + Sync) -> Self {
+    /// Blocks of cells are asked before their cells: what shows nothing, or something throughout, is not asked again.
+    pub fn classified(bounds: Bounds, edge: f32, seen: impl Fn(&Bounds) -> Seen + Sync) -> Self {
         let extent = bounds.size();
         let size = (extent / edge).ceil().max(Vec3::ONE);
         let cell_mm = extent / size;
         let size = size.as_uvec3();
         // A sample that lies on a cell's face may be counted to either side.
-        let margin = 1e-3 * cell_mm.max_element() + reach_mm;
+        let margin = 1e-3 * cell_mm.max_element();
         let blocks = UVec3::from(size.to_array().map(|n| n.div_ceil(BLOCK)));
         let found: Vec<Vec<UVec3>> = (0..blocks.element_product())
             .into_par_iter()

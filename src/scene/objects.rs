@@ -642,7 +642,7 @@ impl Casting<'_> {
         }
         let edge = (deformed.size().max_element() / CELLS).max(self.cell_mm);
         // Without skipping every cell counts as occupied; their slopes are needed all the same.
-        let grid = Macrocells::classified(deformed, edge, 0.0, |b| {
+        let grid = Macrocells::classified(deformed, edge, |b| {
             // Fields have no bound that says that a surface is everywhere.
             if !skipping {
                 Seen::Throughout
@@ -663,20 +663,24 @@ impl Casting<'_> {
     /// Whether a ray can meet the surface in a box of the deformed scene.
     fn visible(&self, deformed: &Bounds) -> bool {
         let Some(implicit) = self.implicit else { return false };
-        let (source, mut whole) = match self.stack {
-            None => (*deformed, true),
-            Some(stack) => {
-                let [least_kept, most_kept] = self.cuts.bounds(deformed);
-                let (source, [least, most]) = stack.source_and_mask_bounds(deformed);
-                if self.skip_cuts && (most_kept < 0.0 || most < 0.5) {
-                    return false;
-                }
-                if self.only_boxes && self.cuts.is_empty() && !stack.maps().iter().any(|m| !m.bounds_in_world().intersection(deformed).is_empty()) {
-                    return false;
-                }
-                (source, least_kept >= 0.0 && least >= 0.5)
-            }
-        };
+        let Some(stack) = self.stack else { return self.visible_in_source(implicit, deformed, true) };
+        let [least_kept, most_kept] = self.cuts.bounds(deformed);
+        if self.skip_cuts && most_kept < 0.0 {
+            return false;
+        }
+        if self.only_boxes && self.cuts.is_empty() && !stack.maps().iter().any(|m| !m.bounds_in_world().intersection(deformed).is_empty()) {
+            return false;
+        }
+        let mut visible = false;
+        stack.source_parts(deformed, &mut |source, [least, most]| {
+            let gone = self.skip_cuts && most < 0.5;
+            visible |= !gone && self.visible_in_source(implicit, source, least_kept >= 0.0 && least >= 0.5);
+        });
+        visible
+    }
+
+    /// Whether a ray can meet it in what a box of the source has become, `whole` if nothing of that is cut away.
+    fn visible_in_source(&self, implicit: &Implicit, source: &Bounds, mut whole: bool) -> bool {
         if source.intersection(&implicit.bounds()).is_empty() {
             return false;
         }

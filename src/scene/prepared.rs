@@ -437,21 +437,23 @@ impl<'a> Prepared<'a> {
             if !settings.empty_space_skipping {
                 return Macrocells::solid(deformed).into();
             }
+            let step_back_mm = 1.01 * step_mm * scene.camera.slant(settings.size);
+            let grey_faces = settings.cut_faces == CutFaces::Grey;
             let contents = Contents {
                 stack: &stack,
                 cuts: &cuts,
                 iso,
-                grey_faces: settings.cut_faces == CutFaces::Grey,
+                grey_faces,
+                looks_back_mm: if iso.is_some() || grey_faces || settings.preintegrated { step_back_mm } else { 0.0 },
+                beside_cuts_mm: step_back_mm,
                 voxel_from_world: &voxel_from_world,
                 voxel_box: Bounds::new(Vec3::splat(-0.5), grid_size - 0.5),
                 pyramid: &shown.bounds,
                 table: &table,
                 blend: function.blend,
             };
-            let slant = scene.camera.slant(settings.size);
-            let reach_mm = if stack.is_empty() && cuts.is_empty() && iso.is_none() && !settings.preintegrated { 0.0 } else { 1.01 * step_mm * slant };
             // What looks back a step may lie beyond the box of the scene itself.
-            shown.macrocells(deformed.grown(reach_mm), reference_mm, reach_mm, &contents)
+            shown.macrocells(deformed.grown(contents.reach_mm()), reference_mm, &contents)
         });
         let light = scene.light.clone();
         let d = Vec3::from(light.direction);
@@ -526,6 +528,11 @@ impl<'a> Prepared<'a> {
     pub fn voxels_beside_faces(&self) -> Vec3 {
         let world_from_covector = glam::Mat3::from(self.frame.voxel_from_world.matrix3).transpose();
         Vec3::from([0, 1, 2].map(|a| self.cut_margin_mm() * (world_from_covector * Vec3::AXES[a]).length()))
+    }
+
+    /// The same wherever the deformation has brought the faces: infinite where other cuts may be near.
+    pub fn voxels_beside_cuts(&self) -> Vec3 {
+        if self.stack.cuts() || !self.cuts.is_empty() { Vec3::INFINITY } else { self.voxels_beside_faces() * self.stack.steepest() }
     }
 
     /// The gradients of all voxels, if they are wanted and kept.

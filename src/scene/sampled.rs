@@ -30,8 +30,8 @@ impl Sampled {
     }
 
     /// [`Macrocells::new`], or those that are kept of the same inputs: a camera or a light changes nothing about empty space.
-    pub fn macrocells(&self, bounds: Bounds, voxel_mm: f32, reach_mm: f32, contents: &Contents) -> Arc<Macrocells> {
-        let inputs = Inputs::of(bounds, voxel_mm, reach_mm, contents);
+    pub fn macrocells(&self, bounds: Bounds, voxel_mm: f32, contents: &Contents) -> Arc<Macrocells> {
+        let inputs = Inputs::of(bounds, voxel_mm, contents);
         // Entries are only ever added whole.
         let lock = || self.macrocells.lock().unwrap_or_else(PoisonError::into_inner);
         let found = {
@@ -44,7 +44,7 @@ impl Sampled {
             })
         };
         found.unwrap_or_else(|| {
-            let cells = Arc::new(Macrocells::new(bounds, voxel_mm, reach_mm, contents));
+            let cells = Arc::new(Macrocells::new(bounds, voxel_mm, contents));
             let mut kept = lock();
             if kept.len() == KEPT_MACROCELLS {
                 kept.remove(0);

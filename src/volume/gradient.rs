@@ -5,6 +5,7 @@
 //! voxel apart equals the trilinear interpolation of the central differences at the voxels: those may be kept ([`GradientVolume`]), and
 //! where there is no room for them they are taken as they are needed.
 
+use super::pages::Pages;
 use super::{Grid, GridVoxels, Sampler, Voxel};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -73,7 +74,7 @@ fn free_memory() -> Option<usize> {
 /// sample is then gathered from 8. Exact: 16 bits hold every difference.
 pub struct GradientVolume {
     /// For each voxel, i fastest: its stored value, and f(+1) - f(-1) along i, j, k; at the grid's faces f(0) stands for what lies beyond them.
-    pub texels: Vec<[i16; 4]>,
+    pub texels: Pages<[i16; 4]>,
 }
 
 impl GradientVolume {
@@ -85,16 +86,16 @@ impl GradientVolume {
             return None;
         }
         match &grid.voxels {
-            GridVoxels::U8(v) => Some(Self::of(grid, v, i16::from)),
-            GridVoxels::U16(v) => (span(v)?.1 <= i16::MAX as u16).then(|| Self::of(grid, v, |x| x as i16)),
-            GridVoxels::I16(v) => span(v).is_some_and(|(low, high)| high.checked_sub(low).is_some()).then(|| Self::of(grid, v, |x| x)),
+            GridVoxels::U8(v) => Self::of(grid, v, i16::from),
+            GridVoxels::U16(v) => (span(v)?.1 <= i16::MAX as u16).then(|| Self::of(grid, v, |x| x as i16))?,
+            GridVoxels::I16(v) => span(v).is_some_and(|(low, high)| high.checked_sub(low).is_some()).then(|| Self::of(grid, v, |x| x))?,
             GridVoxels::F32(_) => None,
         }
     }
 
-    fn of<T: Voxel>(grid: &Grid, voxels: &[T], value: impl Fn(T) -> i16 + Copy + Sync) -> Self {
+    fn of<T: Voxel>(grid: &Grid, voxels: &[T], value: impl Fn(T) -> i16 + Copy + Sync) -> Option<Self> {
         let [nx, ny, nz] = grid.size;
-        let mut texels = vec![[0; 4]; voxels.len()];
+        let mut texels = Pages::zeroed(voxels.len())?;
         texels.par_chunks_mut(nx).enumerate().for_each(|(row, out)| {
             let (j, k) = (row % ny, row / ny);
             let of = |j: usize, k: usize| &voxels[(k * ny + j) * nx..][..nx];
@@ -116,7 +117,7 @@ impl GradientVolume {
                 }
             }
         });
-        Self { texels }
+        Some(Self { texels })
     }
 }
 

@@ -9,6 +9,7 @@ mod gradient;
 mod grid;
 mod lanes;
 pub mod load;
+pub mod pages;
 pub mod phantom;
 pub mod save;
 mod voxels;
