@@ -112,13 +112,17 @@ fn entry(s: Sample, front: Front, direction: vec3<f32>, step_mm: f32) -> Entry {
     return Entry(first, true, through_cut);
 }
 
+// How far a gradient in the source is that of a surface, 0 .. 1.
+fn surface_confidence(gradient_in_source: vec3<f32>) -> f32 {
+    return smoothstep(SURFACE_LOW, SURFACE_HIGH, length(gradient_in_source) * abs(frame.table_scale) * frame.reference_mm);
+}
+
 fn shaded_normal(d_source_d_deformed: mat3x3<f32>, gradient_in_source: vec3<f32>, cut: Cut, direction: vec3<f32>) -> Normal {
     var g = gradient_in_source;
     if NORMALS >= 2u {
         g = transpose(d_source_d_deformed) * g;
     }
-    let per_reference = length(gradient_in_source) * abs(frame.table_scale) * frame.reference_mm;
-    var confidence = smoothstep(SURFACE_LOW, SURFACE_HIGH, per_reference);
+    var confidence = surface_confidence(gradient_in_source);
     var normal = normalize_or(-g, vec3<f32>(0.0));
     if frame.two_sided != 0u && dot(normal, direction) > 0.0 {
         normal = -normal;
@@ -169,27 +173,6 @@ fn own_color(in_voxel: vec3<f32>, otherwise: vec3<f32>) -> vec3<f32> {
     }
     let c = sample_colors(in_voxel);
     return clamp(c.rgb / max(c.a, 1.0 / 1024.0), vec3<f32>(0.0), vec3<f32>(1.0));
-}
-
-fn shade_with(s: Sample, j: Jet, cut: Cut, direction: vec3<f32>) -> Shaded {
-    let color = own_color(s.in_voxel, s.color);
-    if !is_lit() && !uses_gradient_opacity() {
-        return Shaded(color, 1.0);
-    }
-    let gradient_in_source = voxel_covector(gradient(s.in_voxel));
-    var depth_factor = 1.0;
-    if uses_gradient_opacity() {
-        depth_factor = gradient_factor(length(gradient_in_source));
-    }
-    if !is_lit() {
-        return Shaded(color, depth_factor);
-    }
-    var falling = 1.0;
-    if frame.two_sided == 0u {
-        falling = falling_side(s.value);
-    }
-    let n = shaded_normal(j.d_source_d_deformed, gradient_in_source * falling, cut, direction);
-    return Shaded(light(n, direction, color), depth_factor);
 }
 
 // The nearer of a cut and the surface of the cuts that are shapes.
@@ -292,7 +275,7 @@ fn iso_surface(deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> vec3<
     return light(n, direction, color);
 }
 
-// One call of shade_with serves samples, entries and slivers: what differs is prepared before it.
+// What one call of shade_seen needs of samples, entries and slivers.
 struct Seen {
     s: Sample,
     entered: bool,
@@ -305,16 +288,34 @@ struct Seen {
 
 // Shades what is seen.
 fn shade_seen(e: Seen, direction: vec3<f32>) -> Shaded {
+    let color = own_color(e.s.in_voxel, e.s.color);
+    if !is_lit() && !uses_gradient_opacity() {
+        return Shaded(color, e.share);
+    }
+    let gradient_in_source = voxel_covector(gradient(e.s.in_voxel));
+    var depth_factor = e.share;
+    if uses_gradient_opacity() {
+        depth_factor *= gradient_factor(length(gradient_in_source));
+    }
+    if !is_lit() {
+        return Shaded(color, depth_factor);
+    }
+    let far = far_from_cuts(e.s.in_voxel);
     var j = e.j;
-    if !e.known {
+    // Far from every cut, the deformation matters to what has a normal only.
+    if !e.known && !(far && surface_confidence(gradient_in_source) <= 0.0) {
         j = jet(e.s.deformed);
     }
     var cut = NO_CUT;
-    if (!e.entered || e.through_cut) && !far_from_cuts(e.s.in_voxel) {
+    if (!e.entered || e.through_cut) && !far {
         cut = or_shape(nearest_cut(j, e.s.in_voxel), e.s.deformed);
     }
-    let shaded = shade_with(e.s, j, cut, direction);
-    return Shaded(shaded.color, shaded.depth_factor * e.share);
+    var falling = 1.0;
+    if frame.two_sided == 0u {
+        falling = falling_side(e.s.value);
+    }
+    let n = shaded_normal(j.d_source_d_deformed, gradient_in_source * falling, cut, direction);
+    return Shaded(light(n, direction, color), depth_factor);
 }
 
 // A visible sample.

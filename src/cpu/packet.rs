@@ -64,6 +64,8 @@ pub struct Marcher<'a, T> {
     sampler: &'a Sampler<'a, T>,
     /// Voxels along each axis nearer to the volume's faces than which those matter.
     face: Vec3,
+    /// The same wherever the deformation has brought the faces; infinite where there are other cuts.
+    beside_cuts: Vec3,
     /// The same for cuts, mm.
     margin_mm: f32,
     /// A covector per voxel to one per mm.
@@ -108,6 +110,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             scene,
             sampler,
             face: scene.voxels_beside_faces(),
+            beside_cuts: scene.voxels_beside_cuts(),
             margin_mm: scene.cut_margin_mm(),
             world_from_covector,
             composite: scene.blend == Blend::Composite,
@@ -149,11 +152,12 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         self.nearer_face(simd, in_voxel.z, 2, nearest)
     }
 
-    /// Which points are farther from the volume's two faces across an axis than those matter, by the norm of d source / d deformed.
+    /// Which points are farther from the volume's faces than some voxels along each axis.
     #[inline(always)]
-    fn far_along<S: Simd>(&self, x: f32x8<S>, norm: f32x8<S>, axis: usize) -> mask32x8<S> {
-        let face = norm * self.face[axis];
-        x.simd_gt(face - 0.5) & x.simd_lt(-face + (self.scene.frame.grid_size[axis] - 0.5))
+    fn far_from_faces<S: Simd>(&self, p: Vec3x8<S>, voxels: Vec3x8<S>) -> mask32x8<S> {
+        let top = self.scene.frame.grid_size - 0.5;
+        let above = p.x.simd_gt(voxels.x - 0.5) & p.y.simd_gt(voxels.y - 0.5) & p.z.simd_gt(voxels.z - 0.5);
+        above & p.x.simd_lt(-voxels.x + top.x) & p.y.simd_lt(-voxels.y + top.y) & p.z.simd_lt(-voxels.z + top.z)
     }
 
     /// The nearer of some faces and the two across an axis.
@@ -438,38 +442,43 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                 color.set(n, colors.sample(scene.grid.size, entry.in_voxel.lane(n)));
             }
         }
+        let (mut gradient, mut magnitude, mut factor) = (Vec3x8::splat(simd, Vec3::ZERO), one, one);
+        if self.lit || self.gradient_opacity {
+            let per_voxel = if self.sampler.has_gradients() {
+                self.sampler.gradient_of(simd, entry.in_voxel, entry.differences, bits)
+            } else {
+                self.sampler.gradient_lanes(simd, entry.in_voxel, scene.gradient_filter(), bits)
+            };
+            gradient = per_voxel.mapped(&self.world_from_covector);
+            magnitude = gradient.length();
+        }
+        if self.gradient_opacity {
+            for n in lanes_of(bits) {
+                factor[n] = scene.table.gradient_factor(magnitude[n]);
+            }
+        }
+        let per_reference = magnitude * (scene.table.scale.abs() * scene.frame.reference_mm);
+        let mut confidence = smoothstep(SURFACE[0], SURFACE[1], per_reference);
         let touched = lanes & (at.inside | entry.inside);
         let mut turned = [Vec3x8::splat(simd, Vec3::X), Vec3x8::splat(simd, Vec3::Y), Vec3x8::splat(simd, Vec3::Z)];
-        if touched.any_true() {
-            let jets = scene.stack.jets_lanes(simd, entry.deformed, touched);
+        // Far from every cut, the deformation matters to what has a normal only.
+        let mut asked = touched & !self.far_from_faces(entry.in_voxel, Vec3x8::splat(simd, self.beside_cuts));
+        if self.lit {
+            asked |= touched & confidence.simd_gt(0.0);
+        }
+        if asked.any_true() {
+            let jets = scene.stack.jets_lanes(simd, entry.deformed, asked);
             turned = jets.columns;
             // No face of the volume's box is nearer than its distance in the source over the norm of J: mostly far enough to ask no further.
             let [x, y, z] = jets.columns;
             let norm = (x.dot(x) + y.dot(y) + z.dot(z)).sqrt();
-            let far =
-                self.far_along(entry.in_voxel.x, norm, 0) & self.far_along(entry.in_voxel.y, norm, 1) & self.far_along(entry.in_voxel.z, norm, 2);
-            cut |= touched & jets.cut_mm.simd_lt(self.margin_mm);
-            for n in lanes_of((touched & !(jets.holds & far)).to_bitmask()) {
+            let far = self.far_from_faces(entry.in_voxel, Vec3x8::splat(simd, self.face) * norm);
+            cut |= asked & jets.cut_mm.simd_lt(self.margin_mm);
+            for n in lanes_of((asked & !(jets.holds & far)).to_bitmask()) {
                 let jet = scene.stack.jet(entry.deformed.lane(n));
                 let nearest = shading::nearest_cut(scene, &jet, entry.in_voxel.lane(n));
                 cut.set(n, nearest.distance_mm < self.margin_mm);
                 (0..3).for_each(|a| turned[a].set(n, jet.d_source_d_deformed.col(a)));
-            }
-        }
-        if !self.lit && !self.gradient_opacity {
-            return (color, one, cut);
-        }
-        let gradient = if self.sampler.has_gradients() {
-            self.sampler.gradient_of(simd, entry.in_voxel, entry.differences, bits)
-        } else {
-            self.sampler.gradient_lanes(simd, entry.in_voxel, scene.gradient_filter(), bits)
-        };
-        let gradient = gradient.mapped(&self.world_from_covector);
-        let magnitude = gradient.length();
-        let mut factor = one;
-        if self.gradient_opacity {
-            for n in lanes_of(bits) {
-                factor[n] = scene.table.gradient_factor(magnitude[n]);
             }
         }
         if !self.lit {
@@ -486,8 +495,6 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         if touched.any_true() && matches!(scene.settings.normals, Normals::Transformed | Normals::Blended) {
             inward = Vec3x8 { x: turned[0].dot(inward), y: turned[1].dot(inward), z: turned[2].dot(inward) };
         }
-        let per_reference = magnitude * (scene.table.scale.abs() * scene.frame.reference_mm);
-        let mut confidence = smoothstep(SURFACE[0], SURFACE[1], per_reference);
         let mut normal = -inward.normalized();
         if scene.light.two_sided {
             let away = normal.dot(rays.direction).simd_gt(0.0);
