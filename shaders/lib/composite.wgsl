@@ -56,6 +56,7 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Str
         var at: Look;
         var share = 1.0;
         var front: Front;
+        var clear = false;
         while i < end && !stop {
             let deformed = ray.origin + ray.direction * ((f32(i) + 0.5) * step);
             let t = empty_until(deformed, ray.origin, inverse_direction);
@@ -65,6 +66,7 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Str
                 i = next;
                 continue;
             }
+            clear = t == CLEAR;
             let part = kept_part(ray.origin, ray.direction, (f32(i) + 0.5) * step, step);
             i += 1;
             taken += 1u;
@@ -127,7 +129,7 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Str
             if ISO != 0u {
                 continue;
             }
-            color += shaded_sample(at, found, front, ray.direction, step, length * share) * (1.0 - color.a);
+            color += shaded_sample(at, found, front, clear, ray.direction, step, length * share) * (1.0 - color.a);
             if 1.0 - color.a < OPAQUE && frame.early_termination != 0u {
                 terminated += u32(max(end - i, 0));
                 break;

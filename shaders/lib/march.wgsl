@@ -20,12 +20,17 @@ fn first_sample_after(t: f32, step: f32) -> i32 {
     return i32(max(ceil(t / step - 0.5), 0.0));
 }
 
-// Parameter at which a ray leaves the block of empty cells around p, or a negative number in an occupied cell.
+// In occupied cells, and in those of them where no mask varies and no shape is near.
+const OCCUPIED: f32 = -1.0;
+const CLEAR: f32 = -2.0;
+const CLEAR_CELL: u32 = 255u;
+
+// Parameter at which a ray leaves the block of empty cells around p, or one of the numbers above.
 fn empty_until(p: vec3<f32>, origin: vec3<f32>, inverse_direction: vec3<f32>) -> f32 {
     let cell = clamp(floor((p - frame.cells_origin) / frame.cell_mm), vec3<f32>(0.0), vec3<f32>(frame.cells) - 1.0);
     let d = cell_distance(vec3<i32>(cell));
-    if d == 0u {
-        return -1.0;
+    if d == 0u || d == CLEAR_CELL {
+        return select(CLEAR, OCCUPIED, d == 0u);
     }
     let reach = f32(d);
     let low = frame.cells_origin + (cell - (reach - 1.0)) * frame.cell_mm;
@@ -35,12 +40,12 @@ fn empty_until(p: vec3<f32>, origin: vec3<f32>, inverse_direction: vec3<f32>) ->
 }
 
 // Colour of a sample after light, premultiplied by its opacity over `length` reference lengths. `depth` is its own optical depth, if it
-// shows anything; if not, it is near a cut, and what lies between the cut and it is looked for.
-fn shaded_sample(at: Look, s: Sample, front: Front, direction: vec3<f32>, step: f32, length: f32) -> vec4<f32> {
+// shows anything, and in a clear cell if `clear`; if not, it is near a cut, and what lies between the cut and it is looked for.
+fn shaded_sample(at: Look, s: Sample, front: Front, clear: bool, direction: vec3<f32>, step: f32, length: f32) -> vec4<f32> {
     var depth = s.depth;
     var seen: Seen;
     if depth > 0.0 {
-        seen = seen_sample(s, front, direction, step);
+        seen = seen_sample(s, front, clear, direction, step);
     } else {
         seen = sliver(s.deformed, at.present, direction, step);
         depth = seen.s.depth;

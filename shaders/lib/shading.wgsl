@@ -284,6 +284,8 @@ struct Seen {
     known: bool,
     through_cut: bool,
     share: f32,
+    // No cut but the volume's faces can be near.
+    clear: bool,
 }
 
 // Shades what is seen.
@@ -300,7 +302,7 @@ fn shade_seen(e: Seen, direction: vec3<f32>) -> Shaded {
     if !is_lit() {
         return Shaded(color, depth_factor);
     }
-    let far = far_from_cuts(e.s.in_voxel);
+    let far = e.clear && far_from_faces(e.s.in_voxel);
     var j = e.j;
     // Far from every cut, the deformation matters to what has a normal only.
     if !e.known && !(far && surface_confidence(gradient_in_source) <= 0.0) {
@@ -319,26 +321,26 @@ fn shade_seen(e: Seen, direction: vec3<f32>) -> Shaded {
 }
 
 // A visible sample.
-fn seen_sample(s: Sample, front: Front, direction: vec3<f32>, step_mm: f32) -> Seen {
+fn seen_sample(s: Sample, front: Front, clear: bool, direction: vec3<f32>, step_mm: f32) -> Seen {
     var j = undisplaced(s.deformed);
     var share = 1.0;
-    let near = !far_from_cuts(s.in_voxel);
+    let near = !(clear && far_from_faces(s.in_voxel));
     if near {
         j = jet(s.deformed);
         share = path_share(nearest_cut(j, s.in_voxel), s.deformed, direction, step_mm);
     }
     let e = entry(s, front, direction, step_mm);
-    return Seen(e.first, e.entered, j, near && !e.entered, e.through_cut, share);
+    return Seen(e.first, e.entered, j, near && !e.entered, e.through_cut, share, clear);
 }
 
-// Whether no cut can be near, the volume's faces among them, so that none has to be asked.
-fn far_from_cuts(in_voxel: vec3<f32>) -> bool {
+// Whether no face of the volume can be near.
+fn far_from_faces(in_voxel: vec3<f32>) -> bool {
     return all(in_voxel > frame.face - 0.5) && all(in_voxel < frame.grid_size - 0.5 - frame.face);
 }
 
 // Matter between a cut and a sample that shows nothing, thinner than a step; depth 0 if there is none.
 fn sliver(deformed: vec3<f32>, present: bool, direction: vec3<f32>, step_mm: f32) -> Seen {
-    var found = Seen(Sample(deformed, vec3<f32>(0.0), vec3<f32>(0.0), 0.0, 0.0), true, undisplaced(deformed), false, present, 0.0);
+    var found = Seen(Sample(deformed, vec3<f32>(0.0), vec3<f32>(0.0), 0.0, 0.0), true, undisplaced(deformed), false, present, 0.0, false);
     let before = deformed - direction * step_mm;
     let at_before = look(before);
     if at_before.present == present || visible(at_before, before).depth > 0.0 {

@@ -49,7 +49,7 @@ struct Frame {
     texture_size: vec3<f32>,
     // Gradient of the normalised value per voxel = gradient_scale * texel of the gradient volume; 0: there is none.
     gradient_scale: f32,
-    // Voxels along each axis nearer to the volume's faces than which those may be seen as cuts; out of reach where there are other cuts.
+    // Voxels along each axis nearer to the volume's faces than which those may be seen as cuts, wherever the deformation has brought them.
     face: vec3<f32>,
     padding_2: f32,
 }

@@ -44,6 +44,8 @@ struct Looks<S: Simd> {
     front: f32x8<S>,
     /// Inside the cube of any map.
     inside: mask32x8<S>,
+    /// In a clear macrocell.
+    clear: mask32x8<S>,
     /// Differences of stored values, where those are kept.
     differences: Vec3x8<S>,
 }
@@ -64,8 +66,8 @@ pub struct Marcher<'a, T> {
     sampler: &'a Sampler<'a, T>,
     /// Voxels along each axis nearer to the volume's faces than which those matter.
     face: Vec3,
-    /// The same wherever the deformation has brought the faces; infinite where there are other cuts.
-    beside_cuts: Vec3,
+    /// The same wherever the deformation has brought the faces.
+    deformed_face: Vec3,
     /// The same for cuts, mm.
     margin_mm: f32,
     /// A covector per voxel to one per mm.
@@ -110,7 +112,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             scene,
             sampler,
             face: scene.voxels_beside_faces(),
-            beside_cuts: scene.voxels_beside_cuts(),
+            deformed_face: scene.voxels_beside_deformed_faces(),
             margin_mm: scene.cut_margin_mm(),
             world_from_covector,
             composite: scene.blend == Blend::Composite,
@@ -140,7 +142,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             present &= value.simd_ge(-1e-4);
         }
         let depth = present.select(self.scene.table.depth_lanes(simd, value), f32x8::splat(simd, 0.0));
-        Looks { in_voxel, value, present, alpha: walk.alpha, depth, front: value, inside: walk.inside, differences }
+        Looks { in_voxel, value, present, alpha: walk.alpha, depth, front: value, inside: walk.inside, clear: lanes & !lanes, differences }
     }
 
     /// The nearest of the volume's faces outside of all maps: distances, mm, and normals out of the volume.
@@ -206,15 +208,24 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         let nobody = last_present;
         while live.any_true() {
             let (mut looking, mut found) = (live, nobody);
-            let mut at =
-                Looks { in_voxel: origin, value: zero, present: nobody, alpha: one, depth: zero, front: zero, inside: nobody, differences: origin };
+            let mut at = Looks {
+                in_voxel: origin,
+                value: zero,
+                present: nobody,
+                alpha: one,
+                depth: zero,
+                front: zero,
+                inside: nobody,
+                clear: nobody,
+                differences: origin,
+            };
             let (mut sampled, mut before) = (origin, origin);
             let (mut share, mut near_shape) = (one, nobody);
             let (mut front_known, mut front_present, mut front_depth) = (nobody, nobody, zero);
             while looking.any_true() {
                 let middle = (i + 0.5) * step;
                 let p = origin + direction * middle;
-                let (empty, exit) = scene.macrocells.empty_until_lanes(simd, p, origin, inverse_direction);
+                let (empty, exit, clear) = scene.macrocells.empty_until_lanes(simd, p, origin, inverse_direction);
                 let empty = empty & looking;
                 if empty.any_true() {
                     let next = first_sample_after(exit, step).max(i + 1.0).min(end);
@@ -298,6 +309,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                         depth: hit.select(depth, at.depth),
                         front: hit.select(look.front, at.front),
                         inside: (hit & look.inside) | (at.inside & !hit),
+                        clear: (hit & clear) | (at.clear & !hit),
                         differences: Vec3x8::select(hit, look.differences, at.differences),
                     };
                     sampled = Vec3x8::select(hit, p, sampled);
@@ -462,7 +474,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         let touched = lanes & (at.inside | entry.inside);
         let mut turned = [Vec3x8::splat(simd, Vec3::X), Vec3x8::splat(simd, Vec3::Y), Vec3x8::splat(simd, Vec3::Z)];
         // Far from every cut, the deformation matters to what has a normal only.
-        let mut asked = touched & !self.far_from_faces(entry.in_voxel, Vec3x8::splat(simd, self.beside_cuts));
+        let mut asked = touched & !(at.clear & self.far_from_faces(entry.in_voxel, Vec3x8::splat(simd, self.deformed_face)));
         if self.lit {
             asked |= touched & confidence.simd_gt(0.0);
         }

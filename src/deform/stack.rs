@@ -206,6 +206,17 @@ impl PlacedMap {
         (Some(Moves { all, mask, at_center, slope, spread, beside: (slope.abs() + spread) * Vec3::from(texel_mm) }), outside)
     }
 
+    /// Whether a texel within one of a box's is not that of matter.
+    fn mask_varies(&self, b: &Bounds) -> bool {
+        if !self.map.cuts() {
+            return false;
+        }
+        let texel = 1.01 / Vec3::from(self.map.size.map(|n| (n.max(2) - 1) as f32));
+        let in_map = b.transformed(&self.placement.map_from_world);
+        let around = Bounds::new(in_map.min - texel, in_map.max + texel).intersection(&self.domain());
+        !around.is_empty() && self.map.bounds(around.min, around.max).min[3] < 1.0
+    }
+
     /// The middle and half of the extent of the bounds of J_G - I over a box in map coordinates.
     fn slopes_within(&self, inside: &Bounds) -> [Mat3; 2] {
         let columns = self.map.slope_bounds(inside.min, inside.max);
@@ -473,6 +484,26 @@ impl Stack {
         if outside {
             go_on(&Moves::NONE);
         }
+    }
+
+    /// Whether any mask's value or derivative ([`DisplacementMap::derivatives`]) may be other than that of matter all around, anywhere in a box of
+    /// deformed points.
+    pub fn mask_varies(&self, deformed: &Bounds) -> bool {
+        if !self.cuts() {
+            return false;
+        }
+        let (mut b, mut at) = (*deformed, *deformed);
+        for map in self.maps.iter().rev() {
+            if map.mask_varies(&at) {
+                return true;
+            }
+            let moved = map.displacement_bounds(&at);
+            b = Bounds::new(b.min + moved.min, b.max + moved.max);
+            if !map.added {
+                at = b;
+            }
+        }
+        false
     }
 
     /// Whether any mask takes anything away.

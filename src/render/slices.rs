@@ -125,7 +125,7 @@ fn occupied_depths(frame: &Frame, cells: &Macrocells) -> Vec<bool> {
     let first = (near / frame.step_mm - 0.5).ceil().max(0.0) as i64;
     let reach = cells.cell_mm.dot(view.forward.abs()) / 2.0;
     let mut shown = Vec::new();
-    for (index, _) in cells.distance.iter().enumerate().filter(|(_, d)| **d == 0) {
+    for index in (0..cells.distance.len()).filter(|n| cells.is_occupied(*n)) {
         let index = index as u32;
         let cell =
             Vec3::new((index % cells.size.x) as f32, (index / cells.size.x % cells.size.y) as f32, (index / cells.size.x / cells.size.y) as f32);

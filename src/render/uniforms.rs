@@ -148,8 +148,7 @@ impl FrameUniform {
             jitter: u32::from(scene.settings.jitter),
             texture_size,
             gradient_scale,
-            // WGSL has no infinity.
-            face: scene.voxels_beside_cuts().min(Vec3::splat(f32::MAX)).into(),
+            face: scene.voxels_beside_deformed_faces().into(),
             padding_2: 0.0,
         }
     }

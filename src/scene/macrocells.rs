@@ -21,6 +21,9 @@ const MOST_CELLS: f32 = 64.0;
 /// Cells along the edge of the blocks that are asked first.
 const BLOCK: u32 = 8;
 
+/// An occupied cell for whose samples no mask varies and no shape is near: of cuts, only the volume's own faces can matter to them.
+pub const CLEAR: u8 = 255;
+
 /// The grid.
 pub struct Macrocells {
     /// Lower corner, mm.
@@ -29,7 +32,7 @@ pub struct Macrocells {
     pub cell_mm: Vec3,
     /// Cells along each axis.
     pub size: UVec3,
-    /// Chessboard distance to the nearest occupied cell, x fastest; 0 is occupied.
+    /// Chessboard distance to the nearest occupied cell, x fastest; 0 is occupied, [`CLEAR`] too.
     pub distance: Vec<u8>,
     /// The box of the occupied cells, mm; empty if there is none.
     pub occupied: Bounds,
@@ -49,6 +52,8 @@ pub struct Contents<'a> {
     pub looks_back_mm: f32,
     /// How far a sample beside a cut does.
     pub beside_cuts_mm: f32,
+    /// How near a shape matters to a sample, mm.
+    pub cut_margin_mm: f32,
     /// World to voxel.
     pub voxel_from_world: &'a Affine3A,
     /// Extent of the volume in voxels: its box is -1/2 .. n - 1/2.
@@ -68,6 +73,7 @@ pub struct Inputs {
     voxel_mm: f32,
     looks_back_mm: f32,
     beside_cuts_mm: f32,
+    cut_margin_mm: f32,
     stack: Stack,
     cuts: Cuts,
     iso: Option<f32>,
@@ -80,10 +86,10 @@ pub struct Inputs {
 impl Inputs {
     /// Of a call of [`Macrocells::new`].
     pub fn of(bounds: Bounds, voxel_mm: f32, contents: &Contents) -> Self {
-        let Contents { stack, cuts, iso, grey_faces, looks_back_mm, beside_cuts_mm, table, blend, .. } = *contents;
+        let Contents { stack, cuts, iso, grey_faces, looks_back_mm, beside_cuts_mm, cut_margin_mm, table, blend, .. } = *contents;
         let (stack, cuts) = (stack.clone(), cuts.clone());
         let (depths, of_values) = (table.entries.iter().map(|e| e[3]).collect(), [table.scale, table.offset]);
-        Self { bounds, voxel_mm, looks_back_mm, beside_cuts_mm, stack, cuts, iso, grey_faces, blend, depths, of_values }
+        Self { bounds, voxel_mm, looks_back_mm, beside_cuts_mm, cut_margin_mm, stack, cuts, iso, grey_faces, blend, depths, of_values }
     }
 }
 
@@ -120,6 +126,12 @@ impl Contents<'_> {
             let [least, most] = self.cuts.bounds(&deformed.grown(self.beside_cuts_mm));
             least < 0.0 && most >= 0.0
         }
+    }
+
+    /// Whether masks or shapes matter to samples in a box or to where their rays enter matter, at most a step in front of them.
+    fn near_cuts(&self, deformed: &Bounds) -> bool {
+        let reached = deformed.grown(self.beside_cuts_mm);
+        self.stack.mask_varies(&reached) || (!self.cuts.is_empty() && self.cuts.bounds(&reached)[0] < self.cut_margin_mm)
     }
 
     /// What can be seen in a box of the deformed scene, and whether a mask varies there.
@@ -178,13 +190,13 @@ impl Macrocells {
     /// Classifies a grid over `bounds`, the box of the deformed scene. What a sample sees by looking back counts as seen where the sample is.
     pub fn new(bounds: Bounds, voxel_mm: f32, contents: &Contents) -> Self {
         let edge = (bounds.size().max_element() / MOST_CELLS).max(3.0 * voxel_mm);
-        Self::classified(bounds, edge, |b| contents.seen(b))
+        Self::classified(bounds, edge, |b| contents.seen(b), |b| contents.near_cuts(b))
     }
 
-    /// A grid of cells of about `edge` mm, those occupied in whose box anything is seen.
+    /// A grid of cells of about `edge` mm, those occupied in whose box anything is seen, and of those clear that are not `near_cuts`.
     ///
     /// Blocks of cells are asked before their cells: what shows nothing, or something throughout, is not asked again.
-    pub fn classified(bounds: Bounds, edge: f32, seen: impl Fn(&Bounds) -> Seen + Sync) -> Self {
+    pub fn classified(bounds: Bounds, edge: f32, seen: impl Fn(&Bounds) -> Seen + Sync, near_cuts: impl Fn(&Bounds) -> bool + Sync) -> Self {
         let extent = bounds.size();
         let size = (extent / edge).ceil().max(Vec3::ONE);
         let cell_mm = extent / size;
@@ -192,32 +204,42 @@ impl Macrocells {
         // A sample that lies on a cell's face may be counted to either side.
         let margin = 1e-3 * cell_mm.max_element();
         let blocks = UVec3::from(size.to_array().map(|n| n.div_ceil(BLOCK)));
-        let found: Vec<Vec<UVec3>> = (0..blocks.element_product())
+        let corner = |c: UVec3| bounds.min + c.as_vec3() * cell_mm;
+        let between = |low: UVec3, high: UVec3| Bounds::new(corner(low), corner(high)).grown(margin);
+        let found: Vec<[Vec<UVec3>; 2]> = (0..blocks.element_product())
             .into_par_iter()
             .map(|index| {
-                let block = UVec3::new(index % blocks.x, index / blocks.x % blocks.y, index / blocks.x / blocks.y);
-                let mut cells = Vec::new();
-                occupied_cells(
-                    &|low, high| {
-                        let corner = |c: UVec3| bounds.min + c.as_vec3() * cell_mm;
-                        seen(&Bounds::new(corner(low), corner(high)).grown(margin))
-                    },
-                    block * BLOCK,
-                    size.min((block + 1) * BLOCK),
-                    &mut cells,
-                );
-                cells
+                let low = UVec3::new(index % blocks.x, index / blocks.x % blocks.y, index / blocks.x / blocks.y) * BLOCK;
+                let high = size.min(low + BLOCK);
+                let (mut cells, mut near) = (Vec::new(), Vec::new());
+                occupied_cells(&|low, high| seen(&between(low, high)), low, high, &mut cells);
+                if !cells.is_empty() {
+                    occupied_cells(&|low, high| if near_cuts(&between(low, high)) { Seen::Perhaps } else { Seen::Nothing }, low, high, &mut near);
+                }
+                [cells, near]
             })
             .collect();
         let mut occupied = vec![false; size.element_product() as usize];
+        let index = |cell: UVec3| ((cell.z * size.y + cell.y) * size.x + cell.x) as usize;
         let mut all: Option<(UVec3, UVec3)> = None;
-        for cell in found.into_iter().flatten() {
-            occupied[((cell.z * size.y + cell.y) * size.x + cell.x) as usize] = true;
+        for &cell in found.iter().flat_map(|[cells, _]| cells) {
+            occupied[index(cell)] = true;
             all = Some(all.map_or((cell, cell), |(low, high)| (low.min(cell), high.max(cell))));
+        }
+        let mut distance = chessboard_distance(&occupied, size);
+        distance.iter_mut().filter(|d| **d == 0).for_each(|d| *d = CLEAR);
+        for &cell in found.iter().flat_map(|[_, near]| near) {
+            let at = &mut distance[index(cell)];
+            *at = if *at == CLEAR { 0 } else { *at };
         }
         let of_cells =
             |(low, high): (UVec3, UVec3)| Bounds::new(bounds.min + low.as_vec3() * cell_mm, bounds.min + high.as_vec3() * cell_mm + cell_mm);
-        Self { origin: bounds.min, cell_mm, size, distance: chessboard_distance(&occupied, size), occupied: all.map_or(Bounds::EMPTY, of_cells) }
+        Self { origin: bounds.min, cell_mm, size, distance, occupied: all.map_or(Bounds::EMPTY, of_cells) }
+    }
+
+    /// Whether a cell, by its flat index, may show anything.
+    pub fn is_occupied(&self, index: usize) -> bool {
+        matches!(self.distance[index], 0 | CLEAR)
     }
 
     /// The box of a cell by its flat index.
@@ -240,11 +262,11 @@ impl Macrocells {
         let last = (self.size - 1).as_vec3();
         let cell = ((p - self.origin) / self.cell_mm).floor().clamp(Vec3::ZERO, last);
         let c = cell.as_uvec3();
-        let d = self.distance[((c.z * self.size.y + c.y) * self.size.x + c.x) as usize];
-        if d == 0 {
+        let index = ((c.z * self.size.y + c.y) * self.size.x + c.x) as usize;
+        if self.is_occupied(index) {
             return None;
         }
-        let reach = f32::from(d);
+        let reach = f32::from(self.distance[index]);
         let low = self.origin + (cell - (reach - 1.0)) * self.cell_mm;
         let high = self.origin + (cell + reach) * self.cell_mm;
         let a = (low - origin) * inverse_direction;
@@ -272,9 +294,16 @@ impl Macrocells {
         ((low - origin) * inverse).max_precise((high - origin) * inverse)
     }
 
-    /// As [`Self::empty_until`] for eight points: which lie in empty cells, and the parameters at which those leave their blocks.
+    /// As [`Self::empty_until`] for eight points: which lie in empty cells, the parameters at which those leave their blocks, and which lie in clear
+    /// ones.
     #[inline(always)]
-    pub fn empty_until_lanes<S: Simd>(&self, simd: S, p: Vec3x8<S>, origin: Vec3x8<S>, inverse_direction: Vec3x8<S>) -> (mask32x8<S>, f32x8<S>) {
+    pub fn empty_until_lanes<S: Simd>(
+        &self,
+        simd: S,
+        p: Vec3x8<S>,
+        origin: Vec3x8<S>,
+        inverse_direction: Vec3x8<S>,
+    ) -> (mask32x8<S>, f32x8<S>, mask32x8<S>) {
         let ((x, i), (y, j), (z, k)) = (self.cells_along(p.x, 0), self.cells_along(p.y, 1), self.cells_along(p.z, 2));
         let size = self.size.as_ivec3();
         let index = (k * size.y + j) * size.x + i;
@@ -283,15 +312,16 @@ impl Macrocells {
             distance[n] = i32::from(self.distance[index[n] as usize]);
         }
         let distance = i32x8::load_array(simd, distance);
-        let empty = distance.simd_gt(0);
+        let clear = distance.simd_eq(i32::from(CLEAR));
+        let empty = distance.simd_gt(0) & !clear;
         if empty.all_false() {
-            return (empty, p.x);
+            return (empty, p.x, clear);
         }
         let reach = distance.to_float::<f32x8<S>>();
         let x = self.leaves(x, reach, origin.x, inverse_direction.x, 0);
         let y = self.leaves(y, reach, origin.y, inverse_direction.y, 1);
         let z = self.leaves(z, reach, origin.z, inverse_direction.z, 2);
-        (empty, x.min_precise(y).min_precise(z))
+        (empty, x.min_precise(y).min_precise(z), clear)
     }
 }
 
@@ -326,7 +356,7 @@ fn cell_box(bounds: &Bounds, size: UVec3, cell_mm: Vec3, index: u32) -> Bounds {
     Bounds::new(low, low + cell_mm)
 }
 
-/// Chessboard distance to the nearest occupied cell; saturates at 255.
+/// Chessboard distance to the nearest occupied cell; saturates below [`CLEAR`].
 ///
 /// Cells at distance d are those that the d-th dilation by one cell along every axis adds. A row of cells is a row of bits, so that one dilation
 /// of 64^3 cells takes some ten thousand operations.
@@ -340,9 +370,9 @@ fn chessboard_distance(occupied: &[bool], size: UVec3) -> Vec<u8> {
     for (n, _) in occupied.iter().enumerate().filter(|(_, o)| **o) {
         near[row_of(n / nx % ny, n / (nx * ny)) + n % nx / 64] |= 1 << (n % nx % 64);
     }
-    let mut distance: Vec<u8> = occupied.iter().map(|&o| if o { 0 } else { 255 }).collect();
+    let mut distance: Vec<u8> = occupied.iter().map(|&o| if o { 0 } else { CLEAR - 1 }).collect();
     let mut wider = near.clone();
-    for d in 1..255u8 {
+    for d in 1..CLEAR {
         for row in 0..ny * nz {
             for w in 0..words {
                 let at = row * words + w;

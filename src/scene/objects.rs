@@ -642,7 +642,7 @@ impl Casting<'_> {
         }
         let edge = (deformed.size().max_element() / CELLS).max(self.cell_mm);
         // Without skipping every cell counts as occupied; their slopes are needed all the same.
-        let grid = Macrocells::classified(deformed, edge, |b| {
+        let seen = |b: &Bounds| {
             // Fields have no bound that says that a surface is everywhere.
             if !skipping {
                 Seen::Throughout
@@ -651,11 +651,12 @@ impl Casting<'_> {
             } else {
                 Seen::Nothing
             }
-        });
+        };
+        let grid = Macrocells::classified(deformed, edge, seen, |_| true);
         use rayon::prelude::*;
         let slope = (0..grid.distance.len())
             .into_par_iter()
-            .map(|n| if grid.distance[n] == 0 && self.stack.is_some() { self.slopes.bound(&grid.cell_box(n)) } else { 1.0 })
+            .map(|n| if grid.is_occupied(n) && self.stack.is_some() { self.slopes.bound(&grid.cell_box(n)) } else { 1.0 })
             .collect();
         SurfaceCells { grid, slope }
     }

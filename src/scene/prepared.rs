@@ -316,6 +316,11 @@ impl Deformed {
     }
 }
 
+/// Distance from a cut beyond which it changes nothing about a sample, mm; `slant` is how many times its step a sample's path may be.
+fn cut_margin_mm(blend_mm: [f32; 2], step_mm: f32, slant: f32) -> f32 {
+    blend_mm[1] + 2.2 * step_mm * slant
+}
+
 /// Distances from a cut at which its normal stops to rule alone, and to matter at all, mm.
 fn blend_mm(step: f32, reference_mm: f32) -> [f32; 2] {
     let sample_mm = (step * reference_mm).max(reference_mm);
@@ -437,7 +442,8 @@ impl<'a> Prepared<'a> {
             if !settings.empty_space_skipping {
                 return Macrocells::solid(deformed).into();
             }
-            let step_back_mm = 1.01 * step_mm * scene.camera.slant(settings.size);
+            let slant = scene.camera.slant(settings.size);
+            let step_back_mm = 1.01 * step_mm * slant;
             let grey_faces = settings.cut_faces == CutFaces::Grey;
             let contents = Contents {
                 stack: &stack,
@@ -446,6 +452,7 @@ impl<'a> Prepared<'a> {
                 grey_faces,
                 looks_back_mm: if iso.is_some() || grey_faces || settings.preintegrated { step_back_mm } else { 0.0 },
                 beside_cuts_mm: step_back_mm,
+                cut_margin_mm: cut_margin_mm(blend_mm, step_mm, slant),
                 voxel_from_world: &voxel_from_world,
                 voxel_box: Bounds::new(Vec3::splat(-0.5), grid_size - 0.5),
                 pyramid: &shown.bounds,
@@ -521,7 +528,7 @@ impl<'a> Prepared<'a> {
             Mode::Slice => self.frame.view.longest_slant(),
             _ => 1.0,
         };
-        self.frame.blend_mm[1] + 2.2 * self.frame.step_mm * slant
+        cut_margin_mm(self.frame.blend_mm, self.frame.step_mm, slant)
     }
 
     /// The same for the volume's faces, in voxels along each axis.
@@ -530,9 +537,9 @@ impl<'a> Prepared<'a> {
         Vec3::from([0, 1, 2].map(|a| self.cut_margin_mm() * (world_from_covector * Vec3::AXES[a]).length()))
     }
 
-    /// The same wherever the deformation has brought the faces: infinite where other cuts may be near.
-    pub fn voxels_beside_cuts(&self) -> Vec3 {
-        if self.stack.cuts() || !self.cuts.is_empty() { Vec3::INFINITY } else { self.voxels_beside_faces() * self.stack.steepest() }
+    /// The same wherever the deformation has brought the faces.
+    pub fn voxels_beside_deformed_faces(&self) -> Vec3 {
+        self.voxels_beside_faces() * self.stack.steepest()
     }
 
     /// The gradients of all voxels, if they are wanted and kept.
