@@ -12,6 +12,7 @@
 //!   masks would eat the corner where two cuts meet.
 
 mod argument;
+mod bounds;
 pub mod compose;
 pub mod cut;
 pub mod distance;

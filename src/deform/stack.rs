@@ -7,18 +7,14 @@
 //! A map may be *added* to the one before it (\[DS07\] section 4: detail): both are evaluated at the same point and their displacements
 //! summed, G(p) = p + A_1 D_1(M_1⁻¹ p) + A_2 D_2(M_2⁻¹ p).
 
-use super::slope::spectral_norm;
 use super::{DisplacementMap, Placement};
 use crate::math::Bounds;
 use crate::math::lanes::*;
-use glam::{Affine3A, Mat3, Vec3, Vec3A, Vec4, Vec4Swizzles};
+use glam::{Mat3, Vec3, Vec4, Vec4Swizzles};
 use std::sync::Arc;
 
 /// The most maps that one pass evaluates: a shader stage binds 16 textures at least, and the volume and its tables need some.
 pub const MAX_MAPS: usize = 8;
-
-/// Where displacements differ by less than this share of a box, a bound by slopes is no better than a box of displacements.
-const SAME: f32 = 0.25;
 
 /// A map in its place.
 #[derive(Clone)]
@@ -33,7 +29,7 @@ pub struct PlacedMap {
     /// for the whole of their voxels.
     pub reach: Vec3,
     /// `world_from_map`'s linear part times the map's scale: stored displacement to mm.
-    world_from_stored: Mat3,
+    pub(super) world_from_stored: Mat3,
 }
 
 impl PartialEq for PlacedMap {
@@ -134,7 +130,7 @@ impl PlacedMap {
     }
 
     /// Where the map acts, in map units.
-    fn domain(&self) -> Bounds {
+    pub(super) fn domain(&self) -> Bounds {
         Bounds::new(-self.reach, Vec3::ONE + self.reach)
     }
 
@@ -171,108 +167,6 @@ impl PlacedMap {
     /// The cube in the world.
     pub fn bounds_in_world(&self) -> Bounds {
         self.domain().transformed(&self.placement.world_from_map)
-    }
-
-    /// A box that holds the displacements of the points of a box.
-    pub(super) fn displacement_bounds(&self, b: &Bounds) -> Bounds {
-        let (inside, outside) = self.moves(b);
-        let zero = Bounds::new(Vec3::ZERO, Vec3::ZERO);
-        inside.map_or(zero, |moves| if outside { moves.all.union(&zero) } else { moves.all })
-    }
-
-    /// Bounds on what this map does to the points of a box that lie in its cube, if any do (`model.md` section 9), and whether some lie outside.
-    fn moves(&self, b: &Bounds) -> (Option<Moves>, bool) {
-        let in_map = b.transformed(&self.placement.map_from_world);
-        // The transform of a sample rounds, and GPUs place samples by 1/256 of a texel; a hundredth of one covers both.
-        let texel = 0.01 / Vec3::from(self.map.size.map(|n| n.max(2) as f32));
-        let in_map = Bounds::new(in_map.min - texel, in_map.max + texel);
-        let inside = in_map.intersection(&self.domain());
-        if inside.is_empty() {
-            return (None, true);
-        }
-        let outside = !self.domain().contains(&in_map);
-        let range = self.map.bounds(inside.min, inside.max);
-        let [low, high] = [range.min, range.max].map(|v| Vec3::from_slice(&v[..3]));
-        let all = Bounds::new(low, high).transformed(&Affine3A::from_mat3(self.world_from_stored));
-        let mask = [range.min[3], range.max[3]];
-        if all.size().max_element() < SAME * b.size().max_element() {
-            let moves = Moves { all, mask, at_center: all.center(), slope: Mat3::ZERO, spread: Mat3::ZERO, beside: all.size() * 0.5 };
-            return (Some(moves), outside);
-        }
-        // Of the map as its outermost texels continue it, so that nothing jumps within the box.
-        let at_center = self.world_from_stored * self.map.fetch(self.placement.map_from_world.transform_point3(b.center())).xyz();
-        let [slope, spread] = self.slopes_within(&in_map);
-        let texel_mm = self.placement.world_from_map.matrix3.abs() * Vec3A::from(texel);
-        (Some(Moves { all, mask, at_center, slope, spread, beside: (slope.abs() + spread) * Vec3::from(texel_mm) }), outside)
-    }
-
-    /// Whether a texel within one of a box's is not that of matter.
-    fn mask_varies(&self, b: &Bounds) -> bool {
-        if !self.map.cuts() {
-            return false;
-        }
-        let texel = 1.01 / Vec3::from(self.map.size.map(|n| (n.max(2) - 1) as f32));
-        let in_map = b.transformed(&self.placement.map_from_world);
-        let around = Bounds::new(in_map.min - texel, in_map.max + texel).intersection(&self.domain());
-        !around.is_empty() && self.map.bounds(around.min, around.max).min[3] < 1.0
-    }
-
-    /// The middle and half of the extent of the bounds of J_G - I over a box in map coordinates.
-    fn slopes_within(&self, inside: &Bounds) -> [Mat3; 2] {
-        let columns = self.map.slope_bounds(inside.min, inside.max);
-        let [middle, spread] = [|(low, high): (Vec3, Vec3)| (low + high) * 0.5, |(low, high): (Vec3, Vec3)| (high - low) * 0.5]
-            .map(|of| Mat3::from_cols(of(columns[0]), of(columns[1]), of(columns[2])));
-        let map_from_world = Mat3::from(self.placement.map_from_world.matrix3);
-        [self.world_from_stored * middle * map_from_world, self.world_from_stored.abs() * spread * map_from_world.abs()]
-    }
-}
-
-/// Bounds on what a map, or several added to each other, does to the points p of a box with centre c: their displacements lie in `all`, and also in
-/// `at_center` + (`slope` ± `spread`) (p - c) ± `beside`.
-struct Moves {
-    /// mm.
-    all: Bounds,
-    /// Lowest and highest mask.
-    mask: [f32; 2],
-    /// The displacement of the centre, mm.
-    at_center: Vec3,
-    /// The middle of the Jacobians' bounds.
-    slope: Mat3,
-    /// Half of their extents.
-    spread: Mat3,
-    /// mm.
-    beside: Vec3,
-}
-
-impl Moves {
-    /// Of points outside of every cube.
-    const NONE: Self = Self {
-        all: Bounds { min: Vec3::ZERO, max: Vec3::ZERO },
-        mask: [1.0; 2],
-        at_center: Vec3::ZERO,
-        slope: Mat3::ZERO,
-        spread: Mat3::ZERO,
-        beside: Vec3::ZERO,
-    };
-
-    /// Of two maps that are added to each other.
-    fn plus(&self, other: &Self) -> Self {
-        Self {
-            all: Bounds::new(self.all.min + other.all.min, self.all.max + other.all.max),
-            mask: [self.mask[0].min(other.mask[0]), self.mask[1].min(other.mask[1])],
-            at_center: self.at_center + other.at_center,
-            slope: self.slope + other.slope,
-            spread: self.spread + other.spread,
-            beside: self.beside + other.beside,
-        }
-    }
-
-    /// A box that holds where the points of `b` came from: what both bounds allow (the second is the mean value form of interval arithmetic, Moore
-    /// 1966, which does not count a rotation as a growth along all axes).
-    fn source(&self, b: &Bounds) -> Bounds {
-        let (center, half) = (b.center() + self.at_center, b.size() * 0.5);
-        let half = ((Mat3::IDENTITY + self.slope).abs() + self.spread) * half + self.beside;
-        Bounds::new(b.min + self.all.min, b.max + self.all.max).intersection(&Bounds::new(center - half, center + half))
     }
 }
 
@@ -448,96 +342,6 @@ impl Stack {
         }
         Jets { columns: [jx, jy, jz], cut_mm, holds }
     }
-
-    /// Carries a box of deformed points back to the source: a box that holds all their source points, and the lowest and the highest value that
-    /// the smallest mask can have (at or above 1/2: nothing in the box is cut away; below: everything).
-    pub fn source_bounds(&self, deformed: &Bounds) -> (Bounds, [f32; 2]) {
-        let (mut all, mut alpha) = (Bounds::EMPTY, [1.0f32, 0.0]);
-        self.source_parts(deformed, &mut |part, [low, high]| {
-            all = all.union(part);
-            alpha = [alpha[0].min(low), alpha[1].max(high)];
-        });
-        (all, alpha)
-    }
-
-    /// As [`Self::source_bounds`], in parts: points inside and outside of a map's cube may come from far apart.
-    pub fn source_parts(&self, deformed: &Bounds, found: &mut dyn FnMut(&Bounds, [f32; 2])) {
-        self.parts_of(self.maps.len(), deformed, &Moves::NONE, [1.0; 2], found);
-    }
-
-    /// Through the first `count` maps; those added to the next one have moved the box `together`.
-    fn parts_of(&self, count: usize, at: &Bounds, together: &Moves, alpha: [f32; 2], found: &mut dyn FnMut(&Bounds, [f32; 2])) {
-        let Some(map) = count.checked_sub(1).map(|n| &self.maps[n]) else {
-            return found(at, alpha);
-        };
-        let (inside, outside) = map.moves(at);
-        let mut go_on = |moves: &Moves| {
-            let alpha = [alpha[0].min(moves.mask[0]), alpha[1].min(moves.mask[1])];
-            let together = together.plus(moves);
-            if map.added {
-                self.parts_of(count - 1, at, &together, alpha, found);
-            } else {
-                self.parts_of(count - 1, &together.source(at), &Moves::NONE, alpha, found);
-            }
-        };
-        inside.iter().for_each(&mut go_on);
-        if outside {
-            go_on(&Moves::NONE);
-        }
-    }
-
-    /// Whether any mask's value or derivative ([`DisplacementMap::derivatives`]) may be other than that of matter all around, anywhere in a box of
-    /// deformed points.
-    pub fn mask_varies(&self, deformed: &Bounds) -> bool {
-        if !self.cuts() {
-            return false;
-        }
-        let (mut b, mut at) = (*deformed, *deformed);
-        for map in self.maps.iter().rev() {
-            if map.mask_varies(&at) {
-                return true;
-            }
-            let moved = map.displacement_bounds(&at);
-            b = Bounds::new(b.min + moved.min, b.max + moved.max);
-            if !map.added {
-                at = b;
-            }
-        }
-        false
-    }
-
-    /// Whether any mask takes anything away.
-    pub fn cuts(&self) -> bool {
-        self.maps.iter().any(|m| m.map.cuts())
-    }
-
-    /// A bound on the norm of d source / d deformed anywhere, at least 1.
-    pub fn steepest(&self) -> f32 {
-        let (mut all, mut together) = (1.0, 1.0);
-        for map in self.maps.iter().rev() {
-            let [middle, half] = map.slopes_within(&map.domain());
-            together += spectral_norm(middle) + half.to_cols_array().iter().map(|v| v * v).sum::<f32>().sqrt();
-            if !map.added {
-                all *= together;
-                together = 1.0;
-            }
-        }
-        all
-    }
-
-    /// The box that holds the deformed scene: the source's box and every cube into which a map can bring its matter.
-    pub fn deformed_bounds(&self, source: &Bounds) -> Bounds {
-        let mut all = *source;
-        for map in self.maps.iter().filter(|m| m.map.moves_matter()) {
-            let cube = map.bounds_in_world();
-            let moved = map.displacement_bounds(&cube);
-            let reach = Bounds::new(cube.min + moved.min, cube.max + moved.max);
-            if !reach.intersection(&all).is_empty() {
-                all = all.union(&cube);
-            }
-        }
-        all
-    }
 }
 
 /// Of what a map's texels change by along one of its axes, the displacement, mm.
@@ -576,7 +380,7 @@ impl OverSimd for WalkMany<'_> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::super::{Storage, TexelSample};
     use super::*;
     use proptest::prelude::*;
@@ -590,7 +394,8 @@ mod tests {
         (x * (Vec3::ONE - x) * 4.0).element_product()
     }
 
-    fn stack() -> Stack {
+    /// Two turned maps, the upper one of which cuts.
+    pub(in crate::deform) fn stack() -> Stack {
         let swirl = placed(Vec3::new(3.0, 0.0, 0.0), 60.0, Vec3::new(20.0, 40.0, -10.0), |x| TexelSample {
             displacement: 0.2 * bump(x) * Vec3::new((9.0 * x.y).sin(), x.z, -1.0),
             alpha: (0.5 + 4.0 * (x.x - 0.4).abs()).min(1.0) - if x.x > 0.35 && x.x < 0.45 { 0.3 } else { 0.0 },
@@ -616,20 +421,6 @@ mod tests {
             prop_assert!(b.grown(1e-3).contains(&Bounds::new(jet.source, jet.source)));
             prop_assert!(least - 1e-5 <= jet.alpha && jet.alpha <= most + 1e-5);
         }
-    }
-
-    /// A map that turns matter takes a box to a turned box: its bounds are that one's, not the sum of how far its parts are moved.
-    #[test]
-    fn bounds_of_a_rotation_are_those_of_the_rotated_box() {
-        let turn = Mat3::from_rotation_z(0.8);
-        let f = |x: Vec3| TexelSample { displacement: turn * (x - 0.5) - (x - 0.5), alpha: 1.0 };
-        let placement = Placement::new(Vec3::ZERO, Vec3::splat(60.0), Vec3::new(20.0, 40.0, -10.0)).unwrap_or_else(|e| panic!("{e}"));
-        let linear = Mat3::from(placement.world_from_map.matrix3) * turn * Mat3::from(placement.map_from_world.matrix3);
-        let map = PlacedMap::new(Arc::new(DisplacementMap::from_fn([17, 19, 15], Storage::F32, f)), placement);
-        let b = Bounds::new(Vec3::new(-8.0, 2.0, 1.0), Vec3::new(-4.0, 5.0, 6.0));
-        let (got, _) = Stack::new(vec![map]).source_bounds(&b);
-        let want = b.transformed(&Affine3A::from_mat3(linear));
-        assert!(got.grown(1e-3).contains(&want) && want.grown(0.05).contains(&got), "{got:?} for {want:?}");
     }
 
     /// Points of a line are walked as points are, to the bit; lines across the map's axes are none.

@@ -1,0 +1,251 @@
+//! Bounds on what a stack does to boxes, carried backwards map by map (`model.md` section 9), for empty space.
+//!
+//! Two bounds on a map's displacements are known: a box, from the least and greatest texels; and, from the least and greatest differences of
+//! neighbouring texels, how far they are from that of the box's centre. The second, the mean value form of interval arithmetic (Moore 1966), does not
+//! take a rotation for a growth along all axes. Both hold, so that what they share does.
+
+use super::slope::spectral_norm;
+use super::{PlacedMap, Stack};
+use crate::math::Bounds;
+use glam::{Affine3A, Mat3, Vec3, Vec3A, Vec4Swizzles};
+
+/// Where displacements differ by less than this share of a box, a bound by slopes is no better than a box of displacements.
+const SAME: f32 = 0.25;
+
+impl PlacedMap {
+    /// A box that holds the displacements of the points of a box.
+    pub(super) fn displacement_bounds(&self, b: &Bounds) -> Bounds {
+        let (inside, outside) = self.moves(b);
+        let zero = Bounds::new(Vec3::ZERO, Vec3::ZERO);
+        inside.map_or(zero, |moves| if outside { moves.all.union(&zero) } else { moves.all })
+    }
+
+    /// Bounds on what this map does to the points of a box that lie in its cube, if any do (`model.md` section 9), and whether some lie outside.
+    fn moves(&self, b: &Bounds) -> (Option<Moves>, bool) {
+        let in_map = b.transformed(&self.placement.map_from_world);
+        // The transform of a sample rounds, and GPUs place samples by 1/256 of a texel; a hundredth of one covers both.
+        let texel = 0.01 / Vec3::from(self.map.size.map(|n| n.max(2) as f32));
+        let in_map = Bounds::new(in_map.min - texel, in_map.max + texel);
+        let inside = in_map.intersection(&self.domain());
+        if inside.is_empty() {
+            return (None, true);
+        }
+        let outside = !self.domain().contains(&in_map);
+        let range = self.map.bounds(inside.min, inside.max);
+        let [low, high] = [range.min, range.max].map(|v| Vec3::from_slice(&v[..3]));
+        let all = Bounds::new(low, high).transformed(&Affine3A::from_mat3(self.world_from_stored));
+        let mask = [range.min[3], range.max[3]];
+        if all.size().max_element() < SAME * b.size().max_element() {
+            let moves = Moves { all, mask, at_center: all.center(), slope: Mat3::ZERO, spread: Mat3::ZERO, beside: all.size() * 0.5 };
+            return (Some(moves), outside);
+        }
+        // Of the map as its outermost texels continue it, so that nothing jumps within the box.
+        let at_center = self.world_from_stored * self.map.fetch(self.placement.map_from_world.transform_point3(b.center())).xyz();
+        let [slope, spread] = self.slopes_within(&in_map);
+        let texel_mm = self.placement.world_from_map.matrix3.abs() * Vec3A::from(texel);
+        (Some(Moves { all, mask, at_center, slope, spread, beside: (slope.abs() + spread) * Vec3::from(texel_mm) }), outside)
+    }
+
+    /// Whether a texel within one of a box's is not that of matter.
+    fn mask_varies(&self, b: &Bounds) -> bool {
+        if !self.map.cuts() {
+            return false;
+        }
+        let texel = 1.01 / Vec3::from(self.map.size.map(|n| (n.max(2) - 1) as f32));
+        let in_map = b.transformed(&self.placement.map_from_world);
+        let around = Bounds::new(in_map.min - texel, in_map.max + texel).intersection(&self.domain());
+        !around.is_empty() && self.map.bounds(around.min, around.max).min[3] < 1.0
+    }
+
+    /// The middle and half of the extent of the bounds of J_G - I over a box in map coordinates.
+    fn slopes_within(&self, inside: &Bounds) -> [Mat3; 2] {
+        let columns = self.map.slope_bounds(inside.min, inside.max);
+        let [middle, spread] = [|(low, high): (Vec3, Vec3)| (low + high) * 0.5, |(low, high): (Vec3, Vec3)| (high - low) * 0.5]
+            .map(|of| Mat3::from_cols(of(columns[0]), of(columns[1]), of(columns[2])));
+        let map_from_world = Mat3::from(self.placement.map_from_world.matrix3);
+        [self.world_from_stored * middle * map_from_world, self.world_from_stored.abs() * spread * map_from_world.abs()]
+    }
+}
+
+/// Bounds on what a map, or several added to each other, does to the points p of a box with centre c: their displacements lie in `all`, and also in
+/// `at_center` + (`slope` ± `spread`) (p - c) ± `beside`.
+struct Moves {
+    /// mm.
+    all: Bounds,
+    /// Lowest and highest mask.
+    mask: [f32; 2],
+    /// The displacement of the centre, mm.
+    at_center: Vec3,
+    /// The middle of the Jacobians' bounds.
+    slope: Mat3,
+    /// Half of their extents.
+    spread: Mat3,
+    /// mm.
+    beside: Vec3,
+}
+
+impl Moves {
+    /// Of points outside of every cube.
+    const NONE: Self = Self {
+        all: Bounds { min: Vec3::ZERO, max: Vec3::ZERO },
+        mask: [1.0; 2],
+        at_center: Vec3::ZERO,
+        slope: Mat3::ZERO,
+        spread: Mat3::ZERO,
+        beside: Vec3::ZERO,
+    };
+
+    /// Of two maps that are added to each other.
+    fn plus(&self, other: &Self) -> Self {
+        Self {
+            all: Bounds::new(self.all.min + other.all.min, self.all.max + other.all.max),
+            mask: [self.mask[0].min(other.mask[0]), self.mask[1].min(other.mask[1])],
+            at_center: self.at_center + other.at_center,
+            slope: self.slope + other.slope,
+            spread: self.spread + other.spread,
+            beside: self.beside + other.beside,
+        }
+    }
+
+    /// A box that holds where the points of `b` came from: what both bounds allow.
+    fn source(&self, b: &Bounds) -> Bounds {
+        let (center, half) = (b.center() + self.at_center, b.size() * 0.5);
+        let half = ((Mat3::IDENTITY + self.slope).abs() + self.spread) * half + self.beside;
+        Bounds::new(b.min + self.all.min, b.max + self.all.max).intersection(&Bounds::new(center - half, center + half))
+    }
+}
+
+impl Stack {
+    /// Carries a box of deformed points back to the source: a box that holds all their source points, and the lowest and the highest value that
+    /// the smallest mask can have (at or above 1/2: nothing in the box is cut away; below: everything).
+    pub fn source_bounds(&self, deformed: &Bounds) -> (Bounds, [f32; 2]) {
+        let (mut all, mut alpha) = (Bounds::EMPTY, [1.0f32, 0.0]);
+        self.source_parts(deformed, &mut |part, [low, high]| {
+            all = all.union(part);
+            alpha = [alpha[0].min(low), alpha[1].max(high)];
+        });
+        (all, alpha)
+    }
+
+    /// As [`Self::source_bounds`], in parts: points inside and outside of a map's cube may come from far apart.
+    pub fn source_parts(&self, deformed: &Bounds, found: &mut dyn FnMut(&Bounds, [f32; 2])) {
+        self.parts_of(self.maps().len(), deformed, &Moves::NONE, [1.0; 2], found);
+    }
+
+    /// Through the first `count` maps; those added to the next one have moved the box `together`.
+    fn parts_of(&self, count: usize, at: &Bounds, together: &Moves, alpha: [f32; 2], found: &mut dyn FnMut(&Bounds, [f32; 2])) {
+        let Some(map) = count.checked_sub(1).map(|n| &self.maps()[n]) else {
+            return found(at, alpha);
+        };
+        let (inside, outside) = map.moves(at);
+        let mut go_on = |moves: &Moves| {
+            let alpha = [alpha[0].min(moves.mask[0]), alpha[1].min(moves.mask[1])];
+            let together = together.plus(moves);
+            if map.added {
+                self.parts_of(count - 1, at, &together, alpha, found);
+            } else {
+                self.parts_of(count - 1, &together.source(at), &Moves::NONE, alpha, found);
+            }
+        };
+        inside.iter().for_each(&mut go_on);
+        if outside {
+            go_on(&Moves::NONE);
+        }
+    }
+
+    /// Whether any mask's value or derivative ([`DisplacementMap::derivatives`]) may be other than that of matter all around, anywhere in a box of
+    /// deformed points.
+    pub fn mask_varies(&self, deformed: &Bounds) -> bool {
+        if !self.cuts() {
+            return false;
+        }
+        let (mut b, mut at) = (*deformed, *deformed);
+        for map in self.maps().iter().rev() {
+            if map.mask_varies(&at) {
+                return true;
+            }
+            let moved = map.displacement_bounds(&at);
+            b = Bounds::new(b.min + moved.min, b.max + moved.max);
+            if !map.added {
+                at = b;
+            }
+        }
+        false
+    }
+
+    /// Whether any mask takes anything away.
+    pub fn cuts(&self) -> bool {
+        self.maps().iter().any(|m| m.map.cuts())
+    }
+
+    /// A bound on the norm of d source / d deformed anywhere, at least 1.
+    pub fn steepest(&self) -> f32 {
+        let (mut all, mut together) = (1.0, 1.0);
+        for map in self.maps().iter().rev() {
+            let [middle, half] = map.slopes_within(&map.domain());
+            together += spectral_norm(middle) + half.to_cols_array().iter().map(|v| v * v).sum::<f32>().sqrt();
+            if !map.added {
+                all *= together;
+                together = 1.0;
+            }
+        }
+        all
+    }
+
+    /// The box that holds the deformed scene: the source's box and every cube into which a map can bring its matter.
+    pub fn deformed_bounds(&self, source: &Bounds) -> Bounds {
+        let mut all = *source;
+        for map in self.maps().iter().filter(|m| m.map.moves_matter()) {
+            let cube = map.bounds_in_world();
+            let moved = map.displacement_bounds(&cube);
+            let reach = Bounds::new(cube.min + moved.min, cube.max + moved.max);
+            if !reach.intersection(&all).is_empty() {
+                all = all.union(&cube);
+            }
+        }
+        all
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{DisplacementMap, Placement, Storage, TexelSample};
+    use super::*;
+    use std::sync::Arc;
+
+    /// A map that turns matter takes a box to a turned box: its bounds are that one's, not the sum of how far its parts are moved.
+    #[test]
+    fn bounds_of_a_rotation_are_those_of_the_rotated_box() {
+        let turn = Mat3::from_rotation_z(0.8);
+        let f = |x: Vec3| TexelSample { displacement: turn * (x - 0.5) - (x - 0.5), alpha: 1.0 };
+        let placement = Placement::new(Vec3::ZERO, Vec3::splat(60.0), Vec3::new(20.0, 40.0, -10.0)).unwrap_or_else(|e| panic!("{e}"));
+        let linear = Mat3::from(placement.world_from_map.matrix3) * turn * Mat3::from(placement.map_from_world.matrix3);
+        let map = PlacedMap::new(Arc::new(DisplacementMap::from_fn([17, 19, 15], Storage::F32, f)), placement);
+        let b = Bounds::new(Vec3::new(-8.0, 2.0, 1.0), Vec3::new(-4.0, 5.0, 6.0));
+        let (got, _) = Stack::new(vec![map]).source_bounds(&b);
+        let want = b.transformed(&Affine3A::from_mat3(linear));
+        assert!(got.grown(1e-3).contains(&want) && want.grown(0.05).contains(&got), "{got:?} for {want:?}");
+    }
+    /// Where no mask is said to vary there is neither a cut nor a slope of one; no Jacobian is steeper than the steepest.
+    #[test]
+    fn what_is_said_of_boxes_holds_for_their_points() {
+        let (mut clear, mut steepest) = (0, 0.0f32);
+        for added in [false, true] {
+            let mut maps = super::super::stack::tests::stack().maps().to_vec();
+            maps[1].added = added;
+            let s = Stack::new(maps);
+            for n in 0..4000 {
+                let p = Vec3::new((n % 20) as f32, (n / 20 % 20) as f32, (n / 400) as f32 * 2.0) * 4.1 - 40.0;
+                let jet = s.jet(p);
+                if !s.mask_varies(&Bounds::new(p - 1.5, p + 0.5)) {
+                    assert!(jet.alpha == 1.0 && jet.cut.distance_mm == f32::INFINITY, "{p}: {:?}", jet.cut);
+                    clear += 1;
+                }
+                let own = spectral_norm(jet.d_source_d_deformed);
+                assert!(own <= s.steepest() * 1.0001, "{p}: {own} of {}", s.steepest());
+                steepest = steepest.max(own / s.steepest());
+            }
+        }
+        assert!(clear > 4000 && clear < 7900 && steepest > 0.3, "{clear} {steepest}");
+    }
+}
