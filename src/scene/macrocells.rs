@@ -6,6 +6,10 @@
 //!
 //! Cells hold the chessboard distance to the nearest occupied cell rather than one bit: an empty cell at distance d lets a ray leave
 //! the whole block of empty cells around it in one step.
+//!
+//! What looks back a step for what it shows (samples beside cuts; all of them where segments or grey faces are shown) makes a cell occupied by what lies
+//! that far away; other cells are occupied by their own contents alone. Occupied cells also say whether any cut but the volume's own faces can
+//! matter in them ([`CLEAR`]): in most it cannot, and no sample there asks for one.
 
 use crate::deform::Stack;
 use crate::deform::cut::Cuts;
