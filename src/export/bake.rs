@@ -14,8 +14,8 @@ use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
 use std::io::Write;
 
-/// Values of a slab: few enough to be in the cache when they are written.
-const SLAB_BYTES: usize = 1 << 21;
+/// Values of a slab: about 64 MiB at most.
+const SLAB_BYTES: usize = 1 << 26;
 
 /// How values between voxels are found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
