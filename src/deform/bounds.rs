@@ -153,7 +153,7 @@ impl Stack {
         }
     }
 
-    /// Whether any mask's value or derivative ([`DisplacementMap::derivatives`]) may be other than that of matter all around, anywhere in a box of
+    /// Whether any mask's value or derivative ([`super::DisplacementMap::derivatives`]) may be other than that of matter all around, anywhere in a box of
     /// deformed points.
     pub fn mask_varies(&self, deformed: &Bounds) -> bool {
         if !self.cuts() {

@@ -36,7 +36,7 @@ pub struct Macrocells {
     pub cell_mm: Vec3,
     /// Cells along each axis.
     pub size: UVec3,
-    /// Chessboard distance to the nearest occupied cell, x fastest; 0 is occupied, [`CLEAR`] too.
+    /// Chessboard distance to the nearest occupied cell, x fastest; 0 is occupied, and so is 255 (`CLEAR`).
     pub distance: Vec<u8>,
     /// The box of the occupied cells, mm; empty if there is none.
     pub occupied: Bounds,
