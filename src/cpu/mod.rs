@@ -100,6 +100,11 @@ fn rows<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, watch: &Watch) -> (Pic
     let mut pixels = vec![[0.0f32; 4]; width as usize * height as usize];
     let done = AtomicUsize::new(0);
     let marcher = Marcher::new(scene, sampler);
+    let [columns, lines] = if scene.surfaces.objects.is_empty() {
+        scene.frame.view.pixels_of(&scene.frame.proxy, scene.frame.size)
+    } else {
+        [[0, width as usize], [0, height as usize]]
+    };
     let stats = pixels
         .par_chunks_mut(width as usize * STRIP_ROWS)
         .enumerate()
@@ -107,7 +112,7 @@ fn rows<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, watch: &Watch) -> (Pic
             if watch.stopped() {
                 return RenderStats::default();
             }
-            let strip = Strip { marcher: &marcher, scene, top: n * STRIP_ROWS, pixels };
+            let strip = Strip { marcher: &marcher, scene, top: n * STRIP_ROWS, columns, lines, pixels };
             let stats = with_simd(strip);
             let rows = done.fetch_add(STRIP_ROWS, Ordering::Relaxed) + STRIP_ROWS;
             (watch.progress)((rows as f32 / height as f32).min(1.0));
@@ -127,6 +132,9 @@ struct Strip<'a, T> {
     scene: &'a Prepared<'a>,
     /// The first row.
     top: usize,
+    /// Pixels where anything may be seen, first and past the last; the others stay empty.
+    columns: [usize; 2],
+    lines: [usize; 2],
     pixels: &'a mut [[f32; 4]],
 }
 
@@ -139,26 +147,30 @@ impl<T: Voxel> OverSimd for Strip<'_, T> {
         let [width, height] = frame.size.map(|n| n as usize);
         let mut stats = RenderStats::default();
         let rows = self.pixels.len() / width;
-        for (y, x) in (0..rows).step_by(2).flat_map(|y| (0..width).step_by(4).map(move |x| (y, x))) {
+        let seen = |y: usize| self.top + y + 1 >= self.lines[0] && self.top + y < self.lines[1];
+        let columns = || (self.columns[0] / 4 * 4..self.columns[1]).step_by(4);
+        for (y, x) in (0..rows).step_by(2).filter(|y| seen(*y)).flat_map(|y| columns().map(move |x| (y, x))) {
             let mut behind = [None; LANES];
-            let rays = std::array::from_fn(|n| {
+            let mut rays = [Ray { origin: Vec3::ZERO, direction: Vec3::Z, until: -1.0 }; LANES];
+            for n in 0..LANES {
                 let (x, y) = (x + n % 4, y + n / 4);
                 let u = (x as f32 + 0.5) / width as f32 * 2.0 - 1.0;
                 let v = 1.0 - ((self.top + y) as f32 + 0.5) / height as f32 * 2.0;
                 let (origin, direction) = frame.view.ray(u, v);
                 if x >= width || y >= rows {
-                    return Ray { origin, direction, until: -1.0 };
+                    rays[n] = Ray { origin, direction, until: -1.0 };
+                    continue;
                 }
                 behind[n] = surface::nearest(self.scene, origin, direction, &mut stats.samples_taken);
                 let until = behind[n].as_ref().map_or(f32::INFINITY, |hit| hit.t);
-                if !self.scene.settings.jitter {
-                    return Ray { origin, direction, until };
+                rays[n] = Ray { origin, direction, until };
+                if self.scene.settings.jitter {
+                    // Samples are shifted by moving where the ray is measured from.
+                    let slant = if self.scene.settings.mode == Mode::Slice { direction.dot(frame.view.forward) } else { 1.0 };
+                    let shift = packet::pixel_shift(x as u32, (self.top + y) as u32) * frame.step_mm / slant;
+                    rays[n] = Ray { origin: origin + direction * shift, direction, until: (until - shift).max(0.0) };
                 }
-                // Samples are shifted by moving where the ray is measured from.
-                let slant = if self.scene.settings.mode == Mode::Slice { direction.dot(frame.view.forward) } else { 1.0 };
-                let shift = packet::pixel_shift(x as u32, (self.top + y) as u32) * frame.step_mm / slant;
-                Ray { origin: origin + direction * shift, direction, until: (until - shift).max(0.0) }
-            });
+            }
             let colors = self.marcher.march(simd, &rays, &mut stats);
             for (n, (color, behind)) in colors.into_iter().zip(behind).enumerate() {
                 let (x, y) = (x + n % 4, y + n / 4);

@@ -188,7 +188,6 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             Mode::Slice => f32x8::splat(simd, frame.step_mm) / direction.dot(Vec3x8::splat(simd, frame.view.forward)),
         };
         let length = step * frame.reference_mm.recip();
-        let half = (Vec3x8::splat(simd, frame.to_light) - direction).normalized();
         let (mut i, mut end) = (zero, zero);
         for (n, ray) in rays.iter().enumerate() {
             if let Some((near, far)) = frame.proxy.intersect_ray(ray.origin, ray.direction).filter(|_| ray.until >= 0.0) {
@@ -197,6 +196,10 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             }
         }
         let mut live = i.simd_lt(end);
+        if live.all_false() {
+            return [[0.0; 4]; LANES];
+        }
+        let half = (Vec3x8::splat(simd, frame.to_light) - direction).normalized();
         let mut color = Vec3x8::splat(simd, Vec3::ZERO);
         let mut transmittance = one;
         let mut projection = Projection::new(simd, scene.blend);

@@ -2,7 +2,7 @@
 
 use crate::math::Bounds;
 use crate::{Error, Result};
-use glam::{Affine3A, Mat4, Vec3};
+use glam::{Affine3A, Mat4, Vec2, Vec3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::str::FromStr;
@@ -205,6 +205,29 @@ impl ViewFrame {
         }
     }
 
+    /// The pixels of a picture, first and past the last along x and along y, whose rays can meet a box; all of them if it reaches behind the eye.
+    pub fn pixels_of(&self, b: &Bounds, size: [u32; 2]) -> [[usize; 2]; 2] {
+        if b.is_empty() {
+            return [[0; 2]; 2];
+        }
+        let size = Vec2::new(size[0] as f32, size[1] as f32);
+        let (mut low, mut high) = (Vec2::INFINITY, Vec2::NEG_INFINITY);
+        for corner in b.corners() {
+            let d = corner - self.eye;
+            let depth = match self.projection {
+                Projection::Perspective if d.dot(self.forward) <= 1e-3 * d.length() => return [[0, size.x as usize], [0, size.y as usize]],
+                Projection::Perspective => d.dot(self.forward),
+                Projection::Orthographic => 1.0,
+            };
+            let at = Vec2::new(d.dot(self.right) / self.right.length_squared(), -d.dot(self.up) / self.up.length_squared()) / depth;
+            let pixel = (at + 1.0) * 0.5 * size;
+            (low, high) = (low.min(pixel), high.max(pixel));
+        }
+        // A pixel more on each side covers what rounds.
+        let (low, high) = ((low - 2.0).floor().clamp(Vec2::ZERO, size), (high + 2.0).ceil().clamp(Vec2::ZERO, size));
+        [[low.x as usize, high.x as usize], [low.y as usize, high.y as usize]]
+    }
+
     /// The highest of 1 / cos of the angle between a pixel's ray and the view direction.
     pub fn longest_slant(&self) -> f32 {
         match self.projection {
@@ -234,6 +257,33 @@ mod tests {
         let view = view.parse().unwrap_or_else(|e| panic!("{e}"));
         let camera = Camera { view, projection, ..Camera::default() };
         camera.frame(&Bounds::new(Vec3::splat(-50.0), Vec3::splat(50.0)), [200, 100]).unwrap_or_else(|e| panic!("{e}"))
+    }
+
+    /// No ray of any other pixel meets the box, and not many pixels more are said to; what lies behind the eye counts as everywhere.
+    #[test]
+    fn pixels_of_a_box_are_all_that_meet_it() {
+        let size = [200u32, 100];
+        for (view, projection) in [("anterior", Projection::Perspective), ("37,-20", Projection::Perspective), ("37,-20", Projection::Orthographic)] {
+            let f = frame(view, projection);
+            for n in 0..60 {
+                let at = Vec3::new((n % 4) as f32, (n / 4 % 4) as f32, (n / 16) as f32) * 24.0 - 45.0;
+                let b = Bounds::new(at, at + Vec3::new(3.0, 17.0, 8.0));
+                let [x, y] = f.pixels_of(&b, size);
+                let (mut met, mut low, mut high) = (0, [usize::MAX; 2], [0; 2]);
+                for (j, i) in (0..100usize).flat_map(|j| (0..200usize).map(move |i| (j, i))) {
+                    let (origin, direction) = f.ray((i as f32 + 0.5) / 100.0 - 1.0, 1.0 - (j as f32 + 0.5) / 50.0);
+                    if b.intersect_ray(origin, direction).is_some_and(|(_, far)| far >= 0.0) {
+                        assert!(i >= x[0] && i < x[1] && j >= y[0] && j < y[1], "{i},{j} of {b:?}: {x:?} {y:?}");
+                        (low, high) = ([low[0].min(i), low[1].min(j)], [high[0].max(i), high[1].max(j)]);
+                        met += 1;
+                    }
+                }
+                assert!(met == 0 || (x[1] - x[0] <= high[0] - low[0] + 8 && y[1] - y[0] <= high[1] - low[1] + 8), "{b:?}: {x:?} {y:?}");
+            }
+        }
+        let f = frame("anterior", Projection::Perspective);
+        assert_eq!(f.pixels_of(&Bounds::new(f.eye - 1.0, f.eye + 1.0), size), [[0, 200], [0, 100]]);
+        assert_eq!(f.pixels_of(&Bounds::EMPTY, size), [[0, 0], [0, 0]]);
     }
 
     /// Patient left (+x) is on the right of an anterior and an axial picture, as radiologists see them.
