@@ -33,15 +33,16 @@
 //! Deformed frames, in other runs again, the twist and the knife of line 4 there: 73 and 83 became 58 and 63 as a surface by tighter bounds of empty
 //! space ([`crate::scene::Macrocells`]: 2.5 and 1.7 million samples became 1.5 and 1.0), 489 and 469 became 425 and 426 as haze, and 384 became 318 and
 //! 457 became 387 when Jacobians were taken only for what has a normal or lies beside a cut. On pages of 2 MiB ([`crate::volume::pages`]) gradients take
-//! 29 instead of 67 to make.
+//! 29 instead of 67 to make. Of a surface's 33 ms 10 went to pixels that see nothing: none is asked now that the box of what can be seen misses.
 //!
 //! *The ceiling*: this machine fetches 212 to 221 million trilinear samples a second on two threads, eight at once and without anything else
 //! (`benches/growth.rs`); rays through surfaces take 16 to 30 million. Of the haze's time 40 in a hundred go to values and differences, a third of that
 //! waiting for memory; 12 to the transfer function, 15 to light, 10 to empty space; the rest is spread over what keeps eight rays together, of which
 //! 7.8 shade at once but only 6 look at once.
 //!
-//! What `--backend auto` takes where the only adapter is a software one was decided by the same scenes in one run of `benches/peers`: 72, 470, 94 and
-//! 624 ms here against 102, 753, 171 and 1030 ms for rays by Mesa's llvmpipe on the same two cores. The CPU renderer is taken.
+//! What `--backend auto` takes where the only adapter is a software one was decided by the same scenes in runs of `benches/peers`: 72, 470, 94 and
+//! 624 ms here against 102, 753, 171 and 1030 ms for rays by Mesa's llvmpipe on the same two cores, on another machine 34, 295, 55 and 438 against 46,
+//! 340, 92 and 405. The CPU renderer is taken.
 //!
 //! `shaders/raycast.wgsl` and `shaders/lib` say the same in the same words.
 
