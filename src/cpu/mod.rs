@@ -33,7 +33,7 @@
 //! Deformed frames, in other runs again, the twist and the knife of line 4 there: 73 and 83 became 58 and 63 as a surface by tighter bounds of empty
 //! space ([`crate::scene::Macrocells`]: 2.5 and 1.7 million samples became 1.5 and 1.0), 489 and 469 became 425 and 426 as haze, and 384 became 318 and
 //! 457 became 387 when Jacobians were taken only for what has a normal or lies beside a cut. On pages of 2 MiB ([`crate::volume::pages`]) gradients take
-//! 29 instead of 67 to make. Of a surface's 33 ms 10 went to pixels that see nothing: none is asked now that the box of what can be seen misses.
+//! 29 instead of 67 to make. Of a surface's 33 ms, 10 went to pixels whose rays miss all that can be seen: they are left out.
 //!
 //! *The ceiling*: this machine fetches 212 to 221 million trilinear samples a second on two threads, eight at once and without anything else
 //! (`benches/growth.rs`); rays through surfaces take 16 to 30 million. Of the haze's time 40 in a hundred go to values and differences, a third of that

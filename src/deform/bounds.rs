@@ -226,6 +226,7 @@ mod tests {
         let want = b.transformed(&Affine3A::from_mat3(linear));
         assert!(got.grown(1e-3).contains(&want) && want.grown(0.1).contains(&got), "{got:?} for {want:?}");
     }
+
     /// Where no mask is said to vary there is neither a cut nor a slope of one; no Jacobian is steeper than the steepest.
     #[test]
     fn what_is_said_of_boxes_holds_for_their_points() {
