@@ -36,7 +36,7 @@
 //! 29 instead of 67 to make. Of a surface's 33 ms, 10 went to pixels whose rays miss all that can be seen: they are left out.
 //!
 //! *The ceiling*: this machine fetches 212 to 221 million trilinear samples a second on two threads, eight at once and without anything else
-//! (`benches/growth.rs`); rays through surfaces take 16 to 30 million. Of the haze's time 40 in a hundred go to values and differences, a third of that
+//! (`benches/growth.rs`); rays through surfaces take 16 to 30 million. On another machine it was 301 million against 21 to 50. Of the haze's time 40 in a hundred go to values and differences, a third of that
 //! waiting for memory; 12 to the transfer function, 15 to light, 10 to empty space; the rest is spread over what keeps eight rays together, of which
 //! 7.8 shade at once but only 6 look at once.
 //!
