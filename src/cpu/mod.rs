@@ -58,7 +58,7 @@ use crate::transfer::Blend;
 use crate::volume::{GridVoxels, Sampler, Voxel};
 use crate::{Result, Watch};
 use glam::Vec3;
-use packet::{Marcher, Ray};
+use packet::{Habit, Marcher, Packet};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -66,7 +66,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 const OPAQUE: f32 = 1.0 / 512.0;
 
 /// Rows that one task renders; whole packets.
-const STRIP_ROWS: usize = 8;
+const STRIP_ROWS: usize = 16;
 
 /// Renders a prepared scene. `progress` is told the share that is done, from several threads.
 pub fn render(scene: &Prepared, progress: &(dyn Fn(f32) + Sync)) -> Rendered {
@@ -144,44 +144,49 @@ impl<T: Voxel> OverSimd for Strip<'_, T> {
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> RenderStats {
-        let frame = &self.scene.frame;
+        let Self { marcher, scene, .. } = self;
+        let frame = &scene.frame;
         let [width, height] = frame.size.map(|n| n as usize);
-        let mut stats = RenderStats::default();
+        let (mut stats, mut habit) = (RenderStats::default(), Habit::default());
         let rows = self.pixels.len() / width;
-        let seen = |y: usize| self.top + y + 1 >= self.lines[0] && self.top + y < self.lines[1];
-        let columns = || (self.columns[0] / 4 * 4..self.columns[1]).step_by(4);
-        for (y, x) in (0..rows).step_by(2).filter(|y| seen(*y)).flat_map(|y| columns().map(move |x| (y, x))) {
+        let across = f32x8::load_array(simd, [0.5, 1.5, 2.5, 3.5, 0.5, 1.5, 2.5, 3.5]);
+        let down = f32x8::load_array(simd, [0.5, 0.5, 0.5, 0.5, 1.5, 1.5, 1.5, 1.5]);
+        let seen = |y: &usize| self.top + y + 1 >= self.lines[0] && self.top + y < self.lines[1];
+        // Columns of packets: what one of them has fetched of the volume, the one below it still finds in the cache.
+        let columns = (self.columns[0] / 4 * 4..self.columns[1]).step_by(4);
+        for (y, x) in columns.flat_map(|x| (0..rows).step_by(2).filter(seen).map(move |y| (y, x))) {
+            let u = (across + x as f32) / width as f32 * 2.0 - 1.0;
+            let v = f32x8::splat(simd, 1.0) - (down + (self.top + y) as f32) / height as f32 * 2.0;
+            let (origin, direction) = frame.view.rays(simd, u, v);
+            let mut rays = Packet { origin, direction, until: f32x8::splat(simd, f32::INFINITY) };
+            let wanted = |n: usize| x + n % 4 < width && y + n / 4 < rows;
             let mut behind = [None; LANES];
-            let mut rays = [Ray { origin: Vec3::ZERO, direction: Vec3::Z, until: -1.0 }; LANES];
-            for n in 0..LANES {
-                let (x, y) = (x + n % 4, y + n / 4);
-                let u = (x as f32 + 0.5) / width as f32 * 2.0 - 1.0;
-                let v = 1.0 - ((self.top + y) as f32 + 0.5) / height as f32 * 2.0;
-                let (origin, direction) = frame.view.ray(u, v);
-                if x >= width || y >= rows {
-                    rays[n] = Ray { origin, direction, until: -1.0 };
-                    continue;
-                }
-                behind[n] = surface::nearest(self.scene, origin, direction, &mut stats.samples_taken);
-                let until = behind[n].as_ref().map_or(f32::INFINITY, |hit| hit.t);
-                rays[n] = Ray { origin, direction, until };
-                if self.scene.settings.jitter {
-                    // Samples are shifted by moving where the ray is measured from.
-                    let slant = if self.scene.settings.mode == Mode::Slice { direction.dot(frame.view.forward) } else { 1.0 };
-                    let shift = packet::pixel_shift(x as u32, (self.top + y) as u32) * frame.step_mm / slant;
-                    rays[n] = Ray { origin: origin + direction * shift, direction, until: (until - shift).max(0.0) };
+            if !scene.surfaces.objects.is_empty() {
+                for n in (0..LANES).filter(|n| wanted(*n)) {
+                    behind[n] = surface::nearest(scene, origin.lane(n), direction.lane(n), &mut stats.samples_taken);
+                    rays.until[n] = behind[n].as_ref().map_or(f32::INFINITY, |hit| hit.t);
                 }
             }
-            let colors = self.marcher.march(simd, &rays, &mut stats);
-            for (n, (color, behind)) in colors.into_iter().zip(behind).enumerate() {
-                let (x, y) = (x + n % 4, y + n / 4);
-                if x < width && y < rows {
-                    let [r, g, b, a] = color;
-                    self.pixels[y * width + x] = match behind {
-                        Some(hit) => (Vec3::new(r, g, b) + hit.color * (1.0 - a)).extend(1.0).to_array(),
-                        None => color,
-                    };
+            if scene.settings.jitter {
+                for n in 0..LANES {
+                    // Samples are shifted by moving where the ray is measured from.
+                    let direction = direction.lane(n);
+                    let slant = if scene.settings.mode == Mode::Slice { direction.dot(frame.view.forward) } else { 1.0 };
+                    let shift = packet::pixel_shift((x + n % 4) as u32, (self.top + y + n / 4) as u32) * frame.step_mm / slant;
+                    rays.origin.set(n, origin.lane(n) + direction * shift);
+                    rays.until[n] = (rays.until[n] - shift).max(0.0);
                 }
+            }
+            for n in (0..LANES).filter(|n| !wanted(*n)) {
+                rays.until[n] = -1.0;
+            }
+            let colors = marcher.march(simd, rays, &mut stats, &mut habit);
+            for n in (0..LANES).filter(|n| wanted(*n)) {
+                let [r, g, b, a] = colors[n];
+                self.pixels[(y + n / 4) * width + x + n % 4] = match &behind[n] {
+                    Some(hit) => (Vec3::new(r, g, b) + hit.color * (1.0 - a)).extend(1.0).to_array(),
+                    None => colors[n],
+                };
             }
         }
         stats

@@ -20,15 +20,30 @@ use crate::transfer::{Blend, Preintegrated};
 use crate::volume::{Sampler, Voxel};
 use glam::{Mat3, Vec3};
 
-/// A ray: where it starts, its unit direction, and how far it is to go, mm.
+/// Eight rays.
 #[derive(Clone, Copy)]
-pub struct Ray {
-    /// Start.
-    pub origin: Vec3,
-    /// Unit direction.
-    pub direction: Vec3,
-    /// Where something opaque ends it; negative for a ray that is not wanted.
-    pub until: f32,
+pub struct Packet<S: Simd> {
+    /// Starts.
+    pub origin: Vec3x8<S>,
+    /// Unit directions.
+    pub direction: Vec3x8<S>,
+    /// Where something opaque ends them, mm; negative for a ray that is not wanted.
+    pub until: f32x8<S>,
+}
+
+/// How many of the looks of the packets so far found something to shade. Where few do, differences are fetched for those alone, not beside every value.
+/// The picture is the same either way.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Habit {
+    looks: u32,
+    shades: u32,
+}
+
+impl Habit {
+    /// Whether differences are worth fetching beside values: a value alone costs about half of what it costs with them.
+    fn shades_mostly(self) -> bool {
+        self.shades * 2 >= self.looks
+    }
 }
 
 /// What is at eight points of the deformed scene; see [`super::Look`].
@@ -46,7 +61,7 @@ struct Looks<S: Simd> {
     inside: mask32x8<S>,
     /// In a clear macrocell.
     clear: mask32x8<S>,
-    /// Differences of stored values, where those are kept.
+    /// Differences of stored values, where those were fetched too.
     differences: Vec3x8<S>,
 }
 
@@ -129,15 +144,19 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         table.lookup(place(front), place(back))
     }
 
-    /// Looks at eight points, of which those in `lanes` are wanted. Cuts that are shapes are not asked.
+    /// Looks at eight points, of which those in `lanes` are wanted; `fused` for differences beside the values. Cuts that are shapes are not asked.
     #[inline(always)]
-    fn look<S: Simd>(&self, simd: S, p: Vec3x8<S>, lanes: mask32x8<S>) -> Looks<S> {
+    fn look<S: Simd>(&self, simd: S, p: Vec3x8<S>, lanes: mask32x8<S>, fused: bool) -> Looks<S> {
         let walk = self.scene.stack.walk_lanes(simd, p, lanes);
         let in_voxel = walk.source.transformed(&self.scene.frame.voxel_from_world);
         let top = self.scene.frame.grid_size - 0.5;
         let mut present =
             lanes & walk.alpha.simd_ge(0.5) & within(in_voxel.x, -0.5, top.x) & within(in_voxel.y, -0.5, top.y) & within(in_voxel.z, -0.5, top.z);
-        let (value, differences) = self.sampler.sample_with_differences(simd, in_voxel);
+        let (value, differences) = if fused {
+            self.sampler.sample_with_differences(simd, in_voxel)
+        } else {
+            (self.sampler.sample_lanes(simd, in_voxel), Vec3x8::splat(simd, Vec3::ZERO))
+        };
         if self.scene.grid.has_holes {
             present &= value.simd_ge(-1e-4);
         }
@@ -175,12 +194,11 @@ impl<'a, T: Voxel> Marcher<'a, T> {
 
     /// The volume along eight rays: premultiplied colours.
     #[inline(always)]
-    pub fn march<S: Simd>(&self, simd: S, rays: &[Ray; LANES], stats: &mut RenderStats) -> [[f32; 4]; LANES] {
+    pub fn march<S: Simd>(&self, simd: S, rays: Packet<S>, stats: &mut RenderStats, habit: &mut Habit) -> [[f32; 4]; LANES] {
         let scene = self.scene;
         let frame = &scene.frame;
         let zero = f32x8::splat(simd, 0.0);
-        let origin = Vec3x8::from_lanes(simd, &rays.map(|r| r.origin));
-        let direction = Vec3x8::from_lanes(simd, &rays.map(|r| r.direction));
+        let Packet { origin, direction, until } = rays;
         let one = f32x8::splat(simd, 1.0);
         let inverse_direction = Vec3x8 { x: one / direction.x, y: one / direction.y, z: one / direction.z };
         let step = match scene.settings.mode {
@@ -188,14 +206,10 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             Mode::Slice => f32x8::splat(simd, frame.step_mm) / direction.dot(Vec3x8::splat(simd, frame.view.forward)),
         };
         let length = step * frame.reference_mm.recip();
-        let (mut i, mut end) = (zero, zero);
-        for (n, ray) in rays.iter().enumerate() {
-            if let Some((near, far)) = frame.proxy.intersect_ray(ray.origin, ray.direction).filter(|_| ray.until >= 0.0) {
-                i[n] = super::first_sample_after(near, step[n]) as f32;
-                end[n] = super::first_sample_after(far.min(ray.until), step[n]) as f32;
-            }
-        }
-        let mut live = i.simd_lt(end);
+        let (near, far) = frame.proxy.intersect_rays(simd, origin, inverse_direction);
+        let mut i = first_sample_after(near, step);
+        let end = first_sample_after(far.min(until), step);
+        let mut live = near.simd_le(far) & until.simd_ge(0.0) & i.simd_lt(end);
         if live.all_false() {
             return [[0.0; 4]; LANES];
         }
@@ -209,6 +223,8 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         // Where the distance from the shapes of cuts was last evaluated, and what it was.
         let (mut kept_t, mut kept_mm) = (f32x8::splat(simd, f32::NEG_INFINITY), f32x8::splat(simd, -1.0));
         let nobody = last_present;
+        let (mut skipped, mut terminated) = (zero, zero);
+        let fused = self.sampler.has_gradients() && habit.shades_mostly();
         while live.any_true() {
             let (mut looking, mut found) = (live, nobody);
             let mut at = Looks {
@@ -226,32 +242,38 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             let (mut share, mut near_shape) = (one, nobody);
             let (mut front_known, mut front_present, mut front_depth) = (nobody, nobody, zero);
             while looking.any_true() {
-                let middle = (i + 0.5) * step;
-                let p = origin + direction * middle;
-                let (empty, exit, clear) = scene.macrocells.empty_until_lanes(simd, p, origin, inverse_direction);
-                let empty = empty & looking;
-                if empty.any_true() {
+                // Lanes in empty cells move on until every one has something to look at: a look costs as much for one lane as for eight.
+                let (mut middle, mut p, mut clear);
+                loop {
+                    middle = (i + 0.5) * step;
+                    p = origin + direction * middle;
+                    let (empty, exit, in_clear) = scene.macrocells.empty_until_lanes(simd, p, origin, inverse_direction);
+                    let empty = empty & looking;
+                    clear = in_clear;
+                    if empty.all_false() {
+                        break;
+                    }
                     let next = first_sample_after(exit, step).max(i + 1.0).min(end);
-                    stats.samples_skipped += sum(empty.select(next - i, zero));
+                    skipped += empty.select(next - i, zero);
                     i = empty.select(next, i);
+                    looking &= i.simd_lt(end);
                 }
-                let here = looking & !empty;
-                looking &= i.simd_lt(end);
+                let here = looking;
                 if here.all_false() {
-                    continue;
+                    break;
                 }
                 stats.samples_taken += count(here);
                 let number = i;
                 i = here.select(i + 1.0, i);
                 looking &= i.simd_lt(end);
-                let (mut p, mut part, mut beside) = (p, one, nobody);
+                let (mut part, mut beside) = (one, nobody);
                 let mut asked = here;
                 if !scene.cuts.is_empty() {
                     // The distance is known to within the way since: evaluate it only where that does not decide.
                     let sure = kept_mm.abs() - (middle - kept_t).abs();
                     let unsure = here & !sure.simd_gt(step * 0.5);
                     for n in lanes_of(unsure.to_bitmask()) {
-                        let (o, d, t) = (rays[n].origin, rays[n].direction, middle[n]);
+                        let (o, d, t) = (origin.lane(n), direction.lane(n), middle[n]);
                         kept_t[n] = t;
                         kept_mm[n] = scene.cuts.kept(o + d * t);
                         if kept_mm[n].abs() <= 0.5 * step[n] {
@@ -267,7 +289,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                     beside = asked & !(sure.simd_gt(self.margin_mm) & kept_mm.simd_gt(0.0));
                     // Asked again where the bound leaves it open: what a sample is must not depend on where the ray was asked before.
                     for n in lanes_of(beside.to_bitmask()) {
-                        (kept_t[n], kept_mm[n]) = (middle[n], scene.cuts.kept(rays[n].origin + rays[n].direction * middle[n]));
+                        (kept_t[n], kept_mm[n]) = (middle[n], scene.cuts.kept(origin.lane(n) + direction.lane(n) * middle[n]));
                         beside.set(n, kept_mm[n] <= self.margin_mm);
                     }
                     if asked.all_false() {
@@ -275,7 +297,8 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                         continue;
                     }
                 }
-                let mut look = self.look(simd, p, asked);
+                habit.looks += 1;
+                let mut look = self.look(simd, p, asked, fused);
                 if !self.composite {
                     projection.insert(look.value, look.present);
                     continue;
@@ -288,7 +311,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                     look.front = with_front.select(last_value, look.value);
                     let unknown = asked & look.present & !known;
                     if unknown.any_true() {
-                        let earlier = self.look(simd, previous, unknown);
+                        let earlier = self.look(simd, previous, unknown, false);
                         look.front = earlier.present.select(earlier.value, look.front);
                     }
                     for n in lanes_of((asked & look.present).to_bitmask()) {
@@ -303,7 +326,14 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                 if self.grey_faces {
                     hit |= asked & look.present & (look.alpha.simd_lt(1.0) | beside);
                 }
-                if hit.any_true() {
+                if found.all_false() {
+                    // Nothing to be kept of other lanes.
+                    at = Looks { depth, clear, ..look };
+                    (sampled, before, share) = (p, previous, part);
+                    (near_shape, found) = (hit & beside, hit);
+                    (front_known, front_present, front_depth) = (known, last_present, last_depth);
+                    looking &= !hit;
+                } else if hit.any_true() {
                     at = Looks {
                         in_voxel: Vec3x8::select(hit, look.in_voxel, at.in_voxel),
                         value: hit.select(look.value, at.value),
@@ -342,21 +372,25 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                 single = found;
             } else {
                 // Farther than a step from the volume's faces those change the normal alone, unless there are holes.
-                let near = if scene.grid.has_holes { f32x8::splat(simd, self.margin_mm) } else { step * 1.1 };
-                single |= found & !at.inside & self.nearest_face(simd, at.in_voxel).0.simd_lt(near);
+                let beside = found & !at.inside & !self.far_from_faces(at.in_voxel, Vec3x8::splat(simd, self.face));
+                if beside.any_true() {
+                    let near = if scene.grid.has_holes { f32x8::splat(simd, self.margin_mm) } else { step * 1.1 };
+                    single |= beside & self.nearest_face(simd, at.in_voxel).0.simd_lt(near);
+                }
                 single |= found & !seen;
             }
             let plain = seen & !single;
             if plain.any_true() {
                 let front = Front { before, known: front_known, present: front_present, depth: front_depth };
-                let (shaded, factor, cut) = self.shade(simd, &at, sampled, Rays { direction, half, step }, plain, &front);
+                habit.shades += 1;
+                let (shaded, factor, cut) = self.shade(simd, &at, sampled, Rays { direction, half, step }, plain, &front, fused);
                 rgb = shaded;
                 depth = at.depth * factor * share;
                 single |= cut;
             }
             if (single & found).any_true() {
                 for n in lanes_of((single & found).to_bitmask()) {
-                    let of_sample = self.shade_single(at.lane(n), at.front[n], sampled.lane(n), rays[n].direction, step[n]);
+                    let of_sample = self.shade_single(at.lane(n), at.front[n], sampled.lane(n), direction.lane(n), step[n]);
                     match of_sample {
                         Single::Nothing => seen.set(n, false),
                         Single::Opaque(c) => {
@@ -382,13 +416,16 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                 through |= seen & transmittance.simd_lt(OPAQUE);
             }
             let through = through & live;
-            stats.samples_terminated += sum(through.select((end - i).max(0.0), zero));
+            terminated += through.select((end - i).max(0.0), zero);
             live &= !through & i.simd_lt(end);
         }
-        if self.composite {
-            return std::array::from_fn(|n| color.lane(n).extend(1.0 - transmittance[n]).to_array());
+        stats.samples_skipped += sum(skipped);
+        stats.samples_terminated += sum(terminated);
+        let mut colors = [[0.0; 4]; LANES];
+        for (n, color_of) in colors.iter_mut().enumerate() {
+            *color_of = if self.composite { [color.x[n], color.y[n], color.z[n], 1.0 - transmittance[n]] } else { projection.color(scene, n) };
         }
-        std::array::from_fn(|n| projection.color(scene, n))
+        colors
     }
 
     /// A sample that is not plain.
@@ -436,6 +473,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         rays: Rays<S>,
         lanes: mask32x8<S>,
         front: &Front<S>,
+        fused: bool,
     ) -> (Vec3x8<S>, f32x8<S>, mask32x8<S>) {
         let scene = self.scene;
         let one = f32x8::splat(simd, 1.0);
@@ -460,7 +498,12 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         let (mut gradient, mut magnitude, mut factor) = (Vec3x8::splat(simd, Vec3::ZERO), one, one);
         if self.lit || self.gradient_opacity {
             let per_voxel = if self.sampler.has_gradients() {
-                self.sampler.gradient_of(simd, entry.in_voxel, entry.differences, bits)
+                let mut differences = at.differences;
+                if !fused || entered.any_true() {
+                    let there = self.sampler.sample_with_differences(simd, entry.in_voxel).1;
+                    differences = if fused { Vec3x8::select(entered, there, differences) } else { there };
+                }
+                self.sampler.gradient_of(simd, entry.in_voxel, differences, bits)
             } else {
                 self.sampler.gradient_lanes(simd, entry.in_voxel, scene.gradient_filter(), bits)
             };
@@ -516,7 +559,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             normal = Vec3x8::select(away, -normal, normal);
         }
         // What entered through a surface of the volume's own shows that surface.
-        let beside = lanes & !touched & !entered;
+        let beside = lanes & !touched & !entered & !self.far_from_faces(at.in_voxel, Vec3x8::splat(simd, self.face));
         if scene.settings.normals == Normals::Blended && beside.any_true() {
             let (distance, outward) = self.nearest_face(simd, at.in_voxel);
             let own = smoothstep(scene.frame.blend_mm[0], scene.frame.blend_mm[1], distance);
@@ -568,11 +611,11 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         front: &Front<S>,
     ) -> (Entry<S>, mask32x8<S>) {
         let enough = at.depth * 0.5;
-        let mut first = Entry { deformed: sampled, in_voxel: at.in_voxel, value: at.value, inside: at.inside, differences: at.differences };
+        let mut first = Entry { deformed: sampled, in_voxel: at.in_voxel, value: at.value, inside: at.inside };
         let mut enters = lanes & front.known & !(front.present & front.depth.simd_ge(enough));
         let unknown = lanes & !front.known;
         if unknown.any_true() {
-            let before = self.look(simd, front.before, unknown);
+            let before = self.look(simd, front.before, unknown, false);
             enters |= unknown & !(before.present & before.depth.simd_ge(enough));
         }
         if enters.any_true() {
@@ -580,14 +623,13 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             for _ in 0..ENTRY_STEPS {
                 width *= 0.5;
                 let p = first.deformed - rays.direction * width;
-                let look = self.look(simd, p, enters);
+                let look = self.look(simd, p, enters, false);
                 let dense = enters & look.present & look.depth.simd_ge(enough);
                 first = Entry {
                     deformed: Vec3x8::select(dense, p, first.deformed),
                     in_voxel: Vec3x8::select(dense, look.in_voxel, first.in_voxel),
                     value: dense.select(look.value, first.value),
                     inside: first.inside | (dense & look.inside),
-                    differences: Vec3x8::select(dense, look.differences, first.differences),
                 };
             }
         }
@@ -620,7 +662,6 @@ struct Entry<S: Simd> {
     in_voxel: Vec3x8<S>,
     value: f32x8<S>,
     inside: mask32x8<S>,
-    differences: Vec3x8<S>,
 }
 
 /// What a sample beside a cut shows.

@@ -4,7 +4,7 @@
 //! precision. What does not move keeps its value to the bit.
 
 use super::bake::Deformation;
-use crate::math::cells::{flat, mix_rows};
+use crate::math::cells::{Strides, flat, mix_rows};
 use crate::math::lanes::*;
 use crate::volume::Voxel;
 use glam::{DAffine3, DVec3, Mat3};
@@ -78,7 +78,7 @@ impl<T: Voxel> OverSimd for Row<'_, T> {
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> Vec<f32> {
         let Self { voxels, rows } = self;
-        let [nx, ny, nz] = rows.size;
+        let ([nx, ny, nz], strides) = (rows.size, Strides::of(rows.size));
         let everyone = mask32x8::splat(simd, true);
         let linear = rows.voxel_from_world.matrix3;
         let voxels_per_mm: Mat3 = linear.as_mat3();
@@ -108,12 +108,7 @@ impl<T: Voxel> OverSimd for Row<'_, T> {
                 }
             }
             let near = flat(i, j, k, rows.size);
-            let (mut up, mut far, mut beyond) = (near, near, near);
-            for n in 0..LANES {
-                (up[n], far[n], beyond[n]) = (near[n] + nx, near[n] + nx * ny, near[n] + nx * ny + nx);
-            }
-            let corners = [T::pairs(simd, voxels, &near), T::pairs(simd, voxels, &up), T::pairs(simd, voxels, &far), T::pairs(simd, voxels, &beyond)];
-            let value = mix_rows(corners, Vec3x8 { x, y, z });
+            let value = mix_rows(T::cells(simd, voxels, &near, strides), Vec3x8 { x, y, z });
             let value = if rows.whole { (value + f32x8::splat(simd, 0.5).copysign(value)).trunc() } else { value };
             values.extend_from_slice(seen.select(value, nothing).as_slice());
         }

@@ -1,5 +1,6 @@
 //! Axis-aligned boxes.
 
+use super::lanes::*;
 use glam::{Affine3A, Vec3, Vec3A};
 
 /// An axis-aligned box; empty where a minimum exceeds a maximum.
@@ -96,6 +97,29 @@ impl Bounds {
         }
         (near <= far).then_some((near, far))
     }
+
+    /// Where eight rays enter and leave the box, by 1/d for the rays `origin + t d`; they miss it where they leave before they enter, as they do a box that
+    /// is empty.
+    #[inline(always)]
+    pub fn intersect_rays<S: Simd>(&self, simd: S, origin: Vec3x8<S>, inverse: Vec3x8<S>) -> (f32x8<S>, f32x8<S>) {
+        let (least, most) = (f32x8::splat(simd, f32::NEG_INFINITY), f32x8::splat(simd, f32::INFINITY));
+        if self.is_empty() {
+            return (most, least);
+        }
+        let (near_x, far_x) = between(simd, [self.min.x, self.max.x], origin.x, inverse.x);
+        let (near_y, far_y) = between(simd, [self.min.y, self.max.y], origin.y, inverse.y);
+        let (near_z, far_z) = between(simd, [self.min.z, self.max.z], origin.z, inverse.z);
+        let near = least.max_precise(near_x).max_precise(near_y).max_precise(near_z);
+        (near, most.min_precise(far_x).min_precise(far_y).min_precise(far_z))
+    }
+}
+
+/// Where rays enter and leave the slab between two coordinates along an axis.
+#[inline(always)]
+fn between<S: Simd>(simd: S, [low, high]: [f32; 2], origin: f32x8<S>, inverse: f32x8<S>) -> (f32x8<S>, f32x8<S>) {
+    let (a, b) = ((f32x8::splat(simd, low) - origin) * inverse, (f32x8::splat(simd, high) - origin) * inverse);
+    // Minima and maxima that drop what is no number.
+    (a.min_precise(b), a.max_precise(b))
 }
 
 #[cfg(test)]

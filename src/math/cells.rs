@@ -35,6 +35,33 @@ impl<S: Simd> Cells<S> {
     }
 }
 
+/// From a point of a grid to the next one along its second and along its third axis, in points.
+#[derive(Clone, Copy, Debug)]
+pub struct Strides {
+    /// Along the second axis.
+    pub up: usize,
+    /// Along the third axis.
+    pub on: usize,
+}
+
+impl Strides {
+    /// More than a slice of any grid has.
+    const MOST: usize = usize::MAX >> 2;
+
+    /// Those of a grid of at least two points along every axis, x fastest. Masked, which changes nothing, so that the compiler knows that sums of them
+    /// do not overflow: one check of a cell's length then covers all of its rows.
+    #[inline(always)]
+    pub fn of([nx, ny, _]: [usize; 3]) -> Self {
+        Self { up: nx & Self::MOST, on: (nx * ny) & Self::MOST }
+    }
+
+    /// The points of a grid that hold a cell, from its lowest corner to its highest.
+    #[inline(always)]
+    pub fn cell<T>(self, points: &[T], base: usize) -> &[T] {
+        &points[base..][..self.on + self.up + 2]
+    }
+}
+
 /// Flat indices of points of a grid, x fastest.
 #[inline(always)]
 pub fn flat<S: Simd>(i: i32x8<S>, j: i32x8<S>, k: i32x8<S>, [nx, ny, nz]: [usize; 3]) -> [usize; LANES] {
@@ -86,8 +113,9 @@ pub trait Texel: Copy {
 impl Texel for [i16; 4] {
     #[inline(always)]
     fn pair<S: Simd>(simd: S, [[a, b, c, d], [e, f, g, h]]: [Self; 2]) -> f32x8<S> {
-        let (low, high) = simd.widen_i16x8(i16x8::load_array(simd, [a, b, c, d, e, f, g, h]));
-        simd.combine_i32x4(low, high).to_float()
+        let eight = i16x8::load_array(simd, [a, b, c, d, e, f, g, h]);
+        // Sixteen are widened at once: half of them by one instruction, eight by three.
+        simd.widen_i16x16(simd.combine_i16x8(eight, eight)).0.to_float()
     }
 }
 
@@ -109,14 +137,14 @@ impl Texel for Vec4 {
 #[inline(always)]
 #[allow(clippy::needless_range_loop, reason = "lanes have numbers")]
 pub fn mix_texels<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3], cells: &Cells<S>) -> Fours<S> {
-    let (up, on) = (size[0], size[0] * size[1]);
+    let strides = Strides::of(size);
+    let Strides { up, on } = strides;
     let mut mixed = [[0.0; 4]; LANES];
     for n in 0..LANES {
-        let at = cells.base[n];
+        let cell = strides.cell(texels, cells.base[n]);
         let (y, z) = (f32x8::splat(simd, cells.f.y[n]), f32x8::splat(simd, cells.f.z[n]));
-        let near = mix(T::pair_at(simd, texels, at), T::pair_at(simd, texels, at + up), y);
-        let (far, beyond) = (at + on, at + on + up);
-        let far = mix(T::pair_at(simd, texels, far), T::pair_at(simd, texels, beyond), y);
+        let near = mix(T::pair_at(simd, cell, 0), T::pair_at(simd, cell, up), y);
+        let far = mix(T::pair_at(simd, cell, on), T::pair_at(simd, cell, on + up), y);
         let (low, high) = simd.split_f32x8(mix(near, far, z));
         mixed[n] = *(low + (high - low) * f32x4::splat(simd, cells.f.x[n]));
     }
@@ -154,18 +182,18 @@ pub fn across(texels: &[Vec4], [nx, ny, nz]: [usize; 3], y: f32, z: f32) -> Vec<
 /// The first three of [`mix_texels`]'s numbers as vectors, and their derivatives along the three axes, per cell.
 #[inline(always)]
 pub fn mix_with_slopes<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3], cells: &Cells<S>) -> (Vec3x8<S>, [Vec3x8<S>; 3]) {
-    let (up, on) = (size[0], size[0] * size[1]);
+    let strides = Strides::of(size);
+    let Strides { up, on } = strides;
     let mut value = [[0.0; 4]; LANES];
     let (mut dx, mut dy, mut dz) = (value, value, value);
     for n in 0..LANES {
-        let at = cells.base[n];
+        let cell = strides.cell(texels, cells.base[n]);
         let (y, z) = (f32x8::splat(simd, cells.f.y[n]), f32x8::splat(simd, cells.f.z[n]));
         let x = f32x4::splat(simd, cells.f.x[n]);
-        let (far, beyond) = (at + on, at + on + up);
-        let near = T::pair_at(simd, texels, at);
-        let near_slope = T::pair_at(simd, texels, at + up) - near;
-        let far = T::pair_at(simd, texels, far);
-        let far_slope = T::pair_at(simd, texels, beyond) - far;
+        let near = T::pair_at(simd, cell, 0);
+        let near_slope = T::pair_at(simd, cell, up) - near;
+        let far = T::pair_at(simd, cell, on);
+        let far_slope = T::pair_at(simd, cell, on + up) - far;
         let near = near + near_slope * y;
         let along_z = far + far_slope * y - near;
         let (low, high) = simd.split_f32x8(near + along_z * z);
@@ -183,33 +211,35 @@ pub fn mix_with_slopes<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3
 /// cells must have a texel to every side.
 #[inline(always)]
 pub fn mix_with_differences<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3], cells: &Cells<S>) -> [Fours<S>; 4] {
-    let (up, on) = (size[0], size[0] * size[1]);
+    let Strides { up, on } = Strides::of(size);
+    // From the lowest of the texels around a cell, one before it along every axis; to past the highest.
+    let (a, reach) = (on + up + 1, 3 * on + 2 * up + 3);
+    let (b, c, d) = (a + up, a + on, a + on + up);
     let (mut value, mut dx) = ([[0.0; 4]; LANES], [[0.0; 4]; LANES]);
     let (mut dy, mut dz) = (value, value);
     for n in 0..LANES {
-        let a = cells.base[n];
-        let (b, c, d) = (a + up, a + on, a + on + up);
+        let texels = &texels[cells.base[n].saturating_sub(a)..][..reach];
         let (y, z) = (f32x8::splat(simd, cells.f.y[n]), f32x8::splat(simd, cells.f.z[n]));
         let x = f32x4::splat(simd, cells.f.x[n]);
         let corners = [T::pair_at(simd, texels, a), T::pair_at(simd, texels, b), T::pair_at(simd, texels, c), T::pair_at(simd, texels, d)];
         value[n] = mix_cell(simd, corners, x, y, z);
         let across = [
-            T::pair_at(simd, texels, a + 1) - T::pair_at(simd, texels, a - 1),
-            T::pair_at(simd, texels, b + 1) - T::pair_at(simd, texels, b - 1),
-            T::pair_at(simd, texels, c + 1) - T::pair_at(simd, texels, c - 1),
-            T::pair_at(simd, texels, d + 1) - T::pair_at(simd, texels, d - 1),
+            T::pair_at(simd, texels, a + 1) - T::pair_at(simd, texels, on + up),
+            T::pair_at(simd, texels, b + 1) - T::pair_at(simd, texels, on + 2 * up),
+            T::pair_at(simd, texels, c + 1) - T::pair_at(simd, texels, 2 * on + up),
+            T::pair_at(simd, texels, d + 1) - T::pair_at(simd, texels, 2 * on + 2 * up),
         ];
         dx[n] = mix_cell(simd, across, x, y, z);
         let upwards = [
-            corners[1] - T::pair_at(simd, texels, a - up),
+            corners[1] - T::pair_at(simd, texels, on + 1),
             T::pair_at(simd, texels, b + up) - corners[0],
-            corners[3] - T::pair_at(simd, texels, c - up),
+            corners[3] - T::pair_at(simd, texels, 2 * on + 1),
             T::pair_at(simd, texels, d + up) - corners[2],
         ];
         dy[n] = mix_cell(simd, upwards, x, y, z);
         let onwards = [
-            corners[2] - T::pair_at(simd, texels, a - on),
-            corners[3] - T::pair_at(simd, texels, b - on),
+            corners[2] - T::pair_at(simd, texels, up + 1),
+            corners[3] - T::pair_at(simd, texels, 2 * up + 1),
             T::pair_at(simd, texels, c + on) - corners[0],
             T::pair_at(simd, texels, d + on) - corners[1],
         ];

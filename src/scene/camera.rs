@@ -1,6 +1,7 @@
 //! The camera: a named or turned view of the scene, and its frame in world space.
 
 use crate::math::Bounds;
+use crate::math::lanes::*;
 use crate::{Error, Result};
 use glam::{Affine3A, Mat4, Vec2, Vec3};
 use schemars::JsonSchema;
@@ -202,6 +203,20 @@ impl ViewFrame {
         match self.projection {
             Projection::Perspective => (self.eye, (self.forward + across).normalize()),
             Projection::Orthographic => (self.eye + across, self.forward),
+        }
+    }
+
+    /// [`Self::ray`] for eight pixels.
+    #[inline(always)]
+    pub fn rays<S: Simd>(&self, simd: S, u: f32x8<S>, v: f32x8<S>) -> (Vec3x8<S>, Vec3x8<S>) {
+        let across = Vec3x8::splat(simd, self.right) * u + Vec3x8::splat(simd, self.up) * v;
+        let (eye, forward) = (Vec3x8::splat(simd, self.eye), Vec3x8::splat(simd, self.forward));
+        match self.projection {
+            Projection::Perspective => {
+                let toward = forward + across;
+                (eye, toward * (f32x8::splat(simd, 1.0) / toward.length()))
+            }
+            Projection::Orthographic => (eye + across, forward),
         }
     }
 

@@ -8,7 +8,6 @@
 use super::TransferFunction;
 use crate::math::cells::columns;
 use crate::math::lanes::*;
-use crate::volume::Voxel;
 
 /// Entries over the curve's domain.
 pub const TABLE_ENTRIES: usize = 4096;
@@ -31,6 +30,8 @@ pub struct Table {
     pub scale: f32,
     /// See `scale`.
     pub offset: f32,
+    /// τ of each entry and, of a length that is known when this is compiled, once more of the last.
+    depths: Box<[f32; TABLE_ENTRIES + 1]>,
     /// `maxima[l][i]` = highest τ in entries `i .. i + 2^l`.
     maxima: Vec<Vec<f32>>,
     /// How many of the entries before the i-th are transparent.
@@ -80,6 +81,10 @@ impl Table {
             *sum += u32::from(e[3] <= 0.0);
             Some(*sum)
         }));
+        let mut depths = Box::new([0.0; TABLE_ENTRIES + 1]);
+        for (n, depth) in depths.iter_mut().enumerate() {
+            *depth = entries[n.min(TABLE_ENTRIES - 1)][3];
+        }
         let mut maxima = vec![entries.iter().map(|e| e[3]).collect::<Vec<f32>>()];
         while 2 << (maxima.len() - 1) <= TABLE_ENTRIES {
             let half = 1 << (maxima.len() - 1);
@@ -93,6 +98,7 @@ impl Table {
             gradient_top: (top / span) as f32,
             scale: (span / (high - low)) as f32,
             offset: ((range[0] - low) / (high - low)) as f32,
+            depths,
             maxima,
             transparent,
         }
@@ -115,7 +121,8 @@ impl Table {
         let entry = x.to_int::<i32x8<S>>().max(0).min(TABLE_ENTRIES as i32 - 2);
         let mut places = [0; LANES];
         for n in 0..LANES {
-            places[n] = entry[n] as usize;
+            // Masked, which changes nothing, so that no index needs a check.
+            places[n] = entry[n] as usize & (TABLE_ENTRIES - 1);
         }
         (places, x - entry.to_float::<f32x8<S>>())
     }
@@ -124,7 +131,17 @@ impl Table {
     #[inline(always)]
     pub fn depth_lanes<S: Simd>(&self, simd: S, value: f32x8<S>) -> f32x8<S> {
         let (entry, t) = self.places(value);
-        let [a, b] = f32::pairs(simd, &self.maxima[0], &entry);
+        let depths = &*self.depths;
+        let (mut pairs, mut at) = ([[0.0; 4]; LANES / 2], 0);
+        while at < LANES {
+            let (i, j) = (entry[at], entry[at + 1]);
+            pairs[at / 2] = [depths[i], depths[i + 1], depths[j], depths[j + 1]];
+            at += 2;
+        }
+        let [p, q, r, s] = pairs;
+        let (p, q, r, s) = (f32x4::load_array(simd, p), f32x4::load_array(simd, q), f32x4::load_array(simd, r), f32x4::load_array(simd, s));
+        let a = simd.combine_f32x4(simd.unzip_low_f32x4(p, q), simd.unzip_low_f32x4(r, s));
+        let b = simd.combine_f32x4(simd.unzip_high_f32x4(p, q), simd.unzip_high_f32x4(r, s));
         a + (b - a) * t
     }
 
@@ -134,7 +151,8 @@ impl Table {
         let (entry, t) = self.places(value);
         let mut mixed = [[0.0; 4]; LANES];
         for n in 0..LANES {
-            let (a, b) = (f32x4::load_array(simd, self.entries[entry[n]]), f32x4::load_array(simd, self.entries[entry[n] + 1]));
+            let pair = &self.entries[entry[n]..][..2];
+            let (a, b) = (f32x4::load_array(simd, pair[0]), f32x4::load_array(simd, pair[1]));
             mixed[n] = *(a + (b - a) * f32x4::splat(simd, t[n]));
         }
         let [x, y, z, _] = columns(simd, &mixed);

@@ -5,6 +5,7 @@
 //! ten-thousandth of a voxel, in which values between theirs and 0 remain.
 
 use super::{Colors, GradientVolume, Rescale, Volume, Voxels};
+use crate::math::cells::Strides;
 use crate::math::lanes::{LANES, Simd, f32x8};
 use glam::{Vec3, Vec4};
 use std::sync::Arc;
@@ -48,6 +49,9 @@ pub trait Voxel: Copy + Send + Sync + 'static {
 
     /// For each of eight indices, the values there and at the next one.
     fn pairs<S: Simd>(simd: S, voxels: &[Self], at: &[usize; LANES]) -> [f32x8<S>; 2];
+
+    /// The rows of eight cells by their lowest corners, in the order of [`mix_rows`](crate::math::cells::mix_rows).
+    fn cells<S: Simd>(simd: S, voxels: &[Self], base: &[usize; LANES], strides: Strides) -> [[f32x8<S>; 2]; 4];
 
     /// For each of eight indices, the values there and at the next three.
     fn quads<S: Simd>(simd: S, voxels: &[Self], at: &[usize; LANES]) -> [f32x8<S>; 4];

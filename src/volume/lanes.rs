@@ -7,7 +7,7 @@
 //! *How to call it*: as [`Sampler::sample`] and [`Sampler::gradient`], whose values these are to rounding.
 
 use super::{GradientFilter, Sampler, Voxel};
-use crate::math::cells::{Cells, mix_rows, mix_texels};
+use crate::math::cells::{Cells, Strides, mix_rows, mix_texels};
 use crate::math::lanes::*;
 
 /// Indices moved by an offset.
@@ -38,14 +38,7 @@ impl<T: Voxel> Sampler<'_, T> {
             return f32x8::load_array(simd, values);
         }
         let Cells { base, f } = Cells::of(p, self.size, 0);
-        let (up, on) = (self.size[0] as isize, (self.size[0] * self.size[1]) as isize);
-        let rows = [
-            T::pairs(simd, self.voxels, &base),
-            T::pairs(simd, self.voxels, &moved(&base, up)),
-            T::pairs(simd, self.voxels, &moved(&base, on)),
-            T::pairs(simd, self.voxels, &moved(&base, on + up)),
-        ];
-        mix_rows(rows, f) * self.scale + self.offset
+        mix_rows(T::cells(simd, self.voxels, &base, Strides::of(self.size)), f) * self.scale + self.offset
     }
 
     /// Normalised values at eight positions in voxels, and the differences f(+1) - f(-1) of stored values if those are kept: what
@@ -140,6 +133,59 @@ fn halves<S: Simd>(words: i32x8<S>, signed: bool) -> [f32x8<S>; 2] {
     [low.to_float(), high.to_float()]
 }
 
+/// Integers of which two neighbours are one word.
+trait Halves: Voxel {
+    /// Two neighbours.
+    fn word(pair: [Self; 2]) -> i32;
+
+    /// The lower and the higher one of each of eight.
+    fn halves<S: Simd>(words: i32x8<S>) -> [f32x8<S>; 2];
+}
+
+/// [`Voxel::pairs`].
+#[inline(always)]
+fn pairs_of_words<S: Simd, T: Halves>(simd: S, voxels: &[T], at: &[usize; LANES]) -> [f32x8<S>; 2] {
+    let mut words = [0; LANES];
+    for n in 0..LANES {
+        let v = &voxels[at[n]..at[n] + 2];
+        words[n] = T::word([v[0], v[1]]);
+    }
+    T::halves(i32x8::load_array(simd, words))
+}
+
+/// [`Voxel::cells`].
+#[inline(always)]
+fn cells_of_words<S: Simd, T: Halves>(simd: S, voxels: &[T], base: &[usize; LANES], strides: Strides) -> [[f32x8<S>; 2]; 4] {
+    let Strides { up, on } = strides;
+    let mut words = [[0; LANES]; 4];
+    for n in 0..LANES {
+        let cell = strides.cell(voxels, base[n]);
+        words[0][n] = T::word([cell[0], cell[1]]);
+        words[1][n] = T::word([cell[up], cell[up + 1]]);
+        words[2][n] = T::word([cell[on], cell[on + 1]]);
+        words[3][n] = T::word([cell[on + up], cell[on + up + 1]]);
+    }
+    let [a, b, c, d] = words;
+    [
+        T::halves(i32x8::load_array(simd, a)),
+        T::halves(i32x8::load_array(simd, b)),
+        T::halves(i32x8::load_array(simd, c)),
+        T::halves(i32x8::load_array(simd, d)),
+    ]
+}
+
+impl Halves for u8 {
+    #[inline(always)]
+    fn word(pair: [Self; 2]) -> i32 {
+        i32::from(u16::from_le_bytes(pair))
+    }
+
+    #[inline(always)]
+    fn halves<S: Simd>(words: i32x8<S>) -> [f32x8<S>; 2] {
+        [(words & 255).to_float(), (words >> 8).to_float()]
+    }
+}
+
 impl Voxel for u8 {
     #[inline(always)]
     fn to_f32(self) -> f32 {
@@ -148,13 +194,12 @@ impl Voxel for u8 {
 
     #[inline(always)]
     fn pairs<S: Simd>(simd: S, voxels: &[Self], at: &[usize; LANES]) -> [f32x8<S>; 2] {
-        let mut words = [0; LANES];
-        for n in 0..LANES {
-            let v = &voxels[at[n]..at[n] + 2];
-            words[n] = i32::from(u16::from_le_bytes([v[0], v[1]]));
-        }
-        let words = i32x8::load_array(simd, words);
-        [(words & 255).to_float(), (words >> 8).to_float()]
+        pairs_of_words(simd, voxels, at)
+    }
+
+    #[inline(always)]
+    fn cells<S: Simd>(simd: S, voxels: &[Self], base: &[usize; LANES], strides: Strides) -> [[f32x8<S>; 2]; 4] {
+        cells_of_words(simd, voxels, base, strides)
     }
 
     #[inline(always)]
@@ -171,6 +216,19 @@ impl Voxel for u8 {
 
 macro_rules! of_16_bits {
     ($t:ty, $signed:literal) => {
+        impl Halves for $t {
+            #[inline(always)]
+            fn word([low, high]: [Self; 2]) -> i32 {
+                let ([a, b], [c, d]) = (low.to_le_bytes(), high.to_le_bytes());
+                i32::from_le_bytes([a, b, c, d])
+            }
+
+            #[inline(always)]
+            fn halves<S: Simd>(words: i32x8<S>) -> [f32x8<S>; 2] {
+                halves(words, $signed)
+            }
+        }
+
         impl Voxel for $t {
             #[inline(always)]
             fn to_f32(self) -> f32 {
@@ -179,13 +237,12 @@ macro_rules! of_16_bits {
 
             #[inline(always)]
             fn pairs<S: Simd>(simd: S, voxels: &[Self], at: &[usize; LANES]) -> [f32x8<S>; 2] {
-                let mut words = [0; LANES];
-                for n in 0..LANES {
-                    let v = &voxels[at[n]..at[n] + 2];
-                    let ([a, b], [c, d]) = (v[0].to_le_bytes(), v[1].to_le_bytes());
-                    words[n] = i32::from_le_bytes([a, b, c, d]);
-                }
-                halves(i32x8::load_array(simd, words), $signed)
+                pairs_of_words(simd, voxels, at)
+            }
+
+            #[inline(always)]
+            fn cells<S: Simd>(simd: S, voxels: &[Self], base: &[usize; LANES], strides: Strides) -> [[f32x8<S>; 2]; 4] {
+                cells_of_words(simd, voxels, base, strides)
             }
 
             #[inline(always)]
@@ -222,6 +279,26 @@ impl Voxel for f32 {
             (a[n], b[n]) = (v[0], v[1]);
         }
         [f32x8::load_array(simd, a), f32x8::load_array(simd, b)]
+    }
+
+    #[inline(always)]
+    fn cells<S: Simd>(simd: S, voxels: &[Self], base: &[usize; LANES], strides: Strides) -> [[f32x8<S>; 2]; 4] {
+        let Strides { up, on } = strides;
+        let (mut low, mut high) = ([[0.0; LANES]; 4], [[0.0; LANES]; 4]);
+        for n in 0..LANES {
+            let cell = strides.cell(voxels, base[n]);
+            (low[0][n], high[0][n]) = (cell[0], cell[1]);
+            (low[1][n], high[1][n]) = (cell[up], cell[up + 1]);
+            (low[2][n], high[2][n]) = (cell[on], cell[on + 1]);
+            (low[3][n], high[3][n]) = (cell[on + up], cell[on + up + 1]);
+        }
+        let ([a, b, c, d], [e, f, g, h]) = (low, high);
+        [
+            [f32x8::load_array(simd, a), f32x8::load_array(simd, e)],
+            [f32x8::load_array(simd, b), f32x8::load_array(simd, f)],
+            [f32x8::load_array(simd, c), f32x8::load_array(simd, g)],
+            [f32x8::load_array(simd, d), f32x8::load_array(simd, h)],
+        ]
     }
 
     #[inline(always)]
