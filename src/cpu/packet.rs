@@ -61,8 +61,9 @@ struct Looks<S: Simd> {
     inside: mask32x8<S>,
     /// In a clear macrocell.
     clear: mask32x8<S>,
-    /// Differences of stored values, where those were fetched too.
+    /// Differences of stored values and colours by the transfer function, where those were fetched too.
     differences: Vec3x8<S>,
+    color: Vec3x8<S>,
 }
 
 /// A pixel's shift of its samples, in steps, -1/2 .. 1/2: a hash by multiplication and shifts, the same integers as in
@@ -92,6 +93,8 @@ pub struct Marcher<'a, T> {
     grey_faces: bool,
     lit: bool,
     gradient_opacity: bool,
+    /// The exponent of highlights, if it is whole.
+    whole_shininess: Option<u32>,
     /// By the values at both ends of a step, if those are what is seen.
     preintegrated: Option<Preintegrated>,
 }
@@ -134,6 +137,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             grey_faces: scene.grey_faces(),
             lit: scene.is_lit(),
             gradient_opacity: scene.uses_gradient_opacity(),
+            whole_shininess: Some(scene.light.shininess).filter(|s| s.fract() == 0.0 && (0.0..=1024.0).contains(s)).map(|s| s as u32),
             preintegrated: scene.preintegrated().then(|| Preintegrated::new(&scene.table, scene.frame.step_mm / scene.frame.reference_mm)),
         }
     }
@@ -144,7 +148,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         table.lookup(place(front), place(back))
     }
 
-    /// Looks at eight points, of which those in `lanes` are wanted; `fused` for differences beside the values. Cuts that are shapes are not asked.
+    /// Looks at eight points, of which those in `lanes` are wanted; `fused` for differences and colours too. Cuts that are shapes are not asked.
     #[inline(always)]
     fn look<S: Simd>(&self, simd: S, p: Vec3x8<S>, lanes: mask32x8<S>, fused: bool) -> Looks<S> {
         let walk = self.scene.stack.walk_lanes(simd, p, lanes);
@@ -152,16 +156,16 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         let top = self.scene.frame.grid_size - 0.5;
         let mut present =
             lanes & walk.alpha.simd_ge(0.5) & within(in_voxel.x, -0.5, top.x) & within(in_voxel.y, -0.5, top.y) & within(in_voxel.z, -0.5, top.z);
-        let (value, differences) = if fused {
-            self.sampler.sample_with_differences(simd, in_voxel)
-        } else {
-            (self.sampler.sample_lanes(simd, in_voxel), Vec3x8::splat(simd, Vec3::ZERO))
-        };
+        let none = Vec3x8::splat(simd, Vec3::ZERO);
+        let (value, differences) =
+            if fused { self.sampler.sample_with_differences(simd, in_voxel) } else { (self.sampler.sample_lanes(simd, in_voxel), none) };
         if self.scene.grid.has_holes {
             present &= value.simd_ge(-1e-4);
         }
-        let depth = present.select(self.scene.table.depth_lanes(simd, value), f32x8::splat(simd, 0.0));
-        Looks { in_voxel, value, present, alpha: walk.alpha, depth, front: value, inside: walk.inside, clear: lanes & !lanes, differences }
+        let table = &self.scene.table;
+        let (color, depth) = if fused { table.lookup_lanes(simd, value) } else { (none, table.depth_lanes(simd, value)) };
+        let depth = present.select(depth, f32x8::splat(simd, 0.0));
+        Looks { in_voxel, value, present, alpha: walk.alpha, depth, front: value, inside: walk.inside, clear: lanes & !lanes, differences, color }
     }
 
     /// The nearest of the volume's faces outside of all maps: distances, mm, and normals out of the volume.
@@ -237,6 +241,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                 inside: nobody,
                 clear: nobody,
                 differences: origin,
+                color: origin,
             };
             let (mut sampled, mut before) = (origin, origin);
             let (mut share, mut near_shape) = (one, nobody);
@@ -328,7 +333,10 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                 }
                 if found.all_false() {
                     // Nothing to be kept of other lanes.
-                    at = Looks { depth, clear, ..look };
+                    // One by one: the whole would be copied by a call, around which all registers are saved.
+                    (at.in_voxel, at.value, at.differences, at.color) = (look.in_voxel, look.value, look.differences, look.color);
+                    (at.depth, at.front, at.alpha) = (depth, look.front, look.alpha);
+                    (at.present, at.inside, at.clear) = (look.present, look.inside, clear);
                     (sampled, before, share) = (p, previous, part);
                     (near_shape, found) = (hit & beside, hit);
                     (front_known, front_present, front_depth) = (known, last_present, last_depth);
@@ -344,6 +352,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                         inside: (hit & look.inside) | (at.inside & !hit),
                         clear: (hit & clear) | (at.clear & !hit),
                         differences: Vec3x8::select(hit, look.differences, at.differences),
+                        color: Vec3x8::select(hit, look.color, at.color),
                     };
                     sampled = Vec3x8::select(hit, p, sampled);
                     before = Vec3x8::select(hit, previous, before);
@@ -480,6 +489,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         let (entry, entered) = self.entry(simd, at, sampled, rays, lanes, front);
         let (bits, mut cut) = (lanes.to_bitmask(), lanes & !lanes);
         let mut color = match &self.preintegrated {
+            None if fused && !entered.any_true() => at.color,
             None => scene.table.color_lanes(simd, entry.value),
             Some(table) => {
                 let mut color = Vec3x8::splat(simd, Vec3::ZERO);
@@ -588,8 +598,11 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             let cosine = normal.dot(half);
             let shines = facing.simd_gt(0.0) & cosine.simd_gt(1e-6);
             if shines.any_true() {
-                let power = exp2(log2(cosine.max(1e-6)) * light.shininess) * light.specular;
-                highlight = shines.select(power, zero);
+                let power = match self.whole_shininess {
+                    Some(n) => powi(cosine, n),
+                    None => exp2(log2(cosine.max(1e-6)) * light.shininess),
+                };
+                highlight = shines.select(power * light.specular, zero);
             }
         }
         Vec3x8 {

@@ -1,11 +1,11 @@
 //! Baking: the deformed scene resampled into a volume, or the composed displacement into a field (\[RVD01\] section 5), slab by slab, so that
-//! nothing but the source and one slab is in memory.
+//! nothing but the source and a few slabs is in memory.
 
 use super::rows::{Row, Rows};
 use crate::deform::Stack;
 use crate::deform::cut::Cuts;
 use crate::math::Bounds;
-use crate::math::lanes::with_simd;
+use crate::math::lanes::*;
 use crate::volume::load::ScalarType;
 use crate::volume::save::{Content, Format, Writer};
 use crate::volume::{GridGeometry, Rescale, Volume, Voxels};
@@ -13,9 +13,11 @@ use crate::{Error, Result};
 use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
 use std::io::Write;
+use std::sync::mpsc;
+use std::thread;
 
-/// Values of a slab: about 64 MiB at most.
-const SLAB_BYTES: usize = 1 << 26;
+/// Values of a slab: about 4 MiB. What was just made is still in the cache when it is written.
+const SLAB_BYTES: usize = 1 << 22;
 
 /// How values between voxels are found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -85,21 +87,44 @@ fn put(out: &mut Vec<u8>, scalar: ScalarType, v: f64) {
     }
 }
 
-/// Appends whole numbers of a type of 8 or 16 bits; `fill` for what is none.
-fn put_whole(out: &mut Vec<u8>, scalar: ScalarType, values: &[f32], fill: f32) {
-    let filled = |v: &f32| if v.is_nan() { fill } else { *v };
-    match scalar {
-        ScalarType::U8 => out.extend(values.iter().map(|v| filled(v) as u8)),
-        ScalarType::U16 => pairs(out, values.iter().map(|v| (filled(v) as u16).to_le_bytes())),
-        _ => pairs(out, values.iter().map(|v| (filled(v) as i16).to_le_bytes())),
-    }
+/// Whole numbers in the range of a type of 8 or 16 bits, to be appended in its bytes; `fill`, held to that range, for what is none.
+struct Whole<'a> {
+    out: &'a mut Vec<u8>,
+    scalar: ScalarType,
+    values: &'a [f32],
+    fill: f32,
 }
 
-fn pairs(out: &mut Vec<u8>, all: impl ExactSizeIterator<Item = [u8; 2]>) {
-    let start = out.len();
-    out.resize(start + 2 * all.len(), 0);
-    for (to, pair) in out[start..].chunks_exact_mut(2).zip(all) {
-        to.copy_from_slice(&pair);
+impl OverSimd for Whole<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        let fill = match self.scalar {
+            ScalarType::U8 => f32::from(self.fill as u8),
+            ScalarType::U16 => f32::from(self.fill as u16),
+            _ => f32::from(self.fill as i16),
+        };
+        let fill = f32x8::splat(simd, fill);
+        for values in self.values.chunks(LANES) {
+            let mut eight = [0.0; LANES];
+            eight[..values.len()].copy_from_slice(values);
+            let v = f32x8::load_array(simd, eight);
+            let whole = v.simd_eq(v).select(v, fill).to_int::<i32x8<S>>();
+            if self.scalar == ScalarType::U8 {
+                let mut bytes = [0; LANES];
+                for n in 0..LANES {
+                    bytes[n] = whole[n] as u8;
+                }
+                self.out.extend_from_slice(&bytes[..values.len()]);
+            } else {
+                let mut bytes = [[0; 2]; LANES];
+                for n in 0..LANES {
+                    bytes[n] = (whole[n] as u16).to_le_bytes();
+                }
+                self.out.extend_from_slice(bytes[..values.len()].as_flattened());
+            }
+        }
     }
 }
 
@@ -192,20 +217,33 @@ fn slabs(
 ) -> Result<()> {
     let [nx, ny, nz] = grid.size;
     let layers = (SLAB_BYTES / (nx * ny * bytes_per_voxel).max(1)).clamp(1, nz);
-    for first in (0..nz).step_by(layers) {
-        let last = (first + layers).min(nz);
-        let rows: Vec<Vec<u8>> = (first * ny..last * ny)
-            .into_par_iter()
-            .map(|n| {
-                let mut bytes = Vec::with_capacity(nx * bytes_per_voxel);
-                row(n % ny, n / ny, &mut bytes);
-                bytes
-            })
-            .collect();
-        rows.iter().try_for_each(|r| write(r))?;
-        progress(last as f32 / nz as f32);
-    }
-    Ok(())
+    let row = &row;
+    // The next slab is made while one is written.
+    let (made, slabs) = mpsc::sync_channel(1);
+    thread::scope(|scope| {
+        scope.spawn(move || {
+            for first in (0..nz).step_by(layers) {
+                let last = (first + layers).min(nz);
+                let rows: Vec<Vec<u8>> = (first * ny..last * ny)
+                    .into_par_iter()
+                    .map(|n| {
+                        let mut bytes = Vec::with_capacity(nx * bytes_per_voxel);
+                        row(n % ny, n / ny, &mut bytes);
+                        bytes
+                    })
+                    .collect();
+                if made.send((last, rows)).is_err() {
+                    // Writing has failed.
+                    break;
+                }
+            }
+        });
+        for (last, rows) in slabs {
+            rows.iter().try_for_each(|r| write(r))?;
+            progress(last as f32 / nz as f32);
+        }
+        Ok(())
+    })
 }
 
 /// The type that a volume's data values are written as, where its rescale cannot be stated: integers if the rescale is, else floating point.
@@ -259,7 +297,7 @@ pub fn volume(
         let as_stored = in_data == Rescale::NONE && scalar == scalar_of(&volume.voxels);
         if let Some(values) = stored.row(deformation, &voxel_from_world, [first, step], grid.size[0], as_stored) {
             if as_stored {
-                put_whole(bytes, scalar, &values, fill.round() as f32);
+                with_simd(Whole { out: bytes, scalar, values: &values, fill: fill.round() as f32 });
             } else {
                 for v in values {
                     let v = if v.is_nan() { fill } else { f64::from(v) };

@@ -235,6 +235,21 @@ pub fn log2<S: Simd>(x: f32x8<S>) -> f32x8<S> {
     exponent.to_float::<f32x8<S>>() + p * z * std::f32::consts::LOG2_E
 }
 
+/// x^n by squaring.
+#[inline(always)]
+pub fn powi<S: Simd>(x: f32x8<S>, n: u32) -> f32x8<S> {
+    let (mut square, mut left) = (x, n);
+    let mut power = f32x8::splat(x.token(), 1.0);
+    while left > 0 {
+        if left & 1 == 1 {
+            power = power * square;
+        }
+        square = square * square;
+        left >>= 1;
+    }
+    power
+}
+
 /// Which numbers lie between two, both of them included.
 #[inline(always)]
 pub fn within<S: Simd>(x: f32x8<S>, low: f32, high: f32) -> mask32x8<S> {

@@ -284,9 +284,9 @@ impl Macrocells {
     /// Cells along an axis, as numbers and as indices.
     #[inline(always)]
     fn cells_along<S: Simd>(&self, p: f32x8<S>, axis: usize) -> (f32x8<S>, i32x8<S>) {
-        let last = self.size[axis] - 1;
-        let cell = ((p - self.origin[axis]) / self.cell_mm[axis]).floor().max(0.0).min(last as f32);
-        (cell, cell.to_int::<i32x8<S>>().max(0).min(last as i32))
+        // What lies below the first cell is moved into it: truncation is floor.
+        let cell = ((p - self.origin[axis]) / self.cell_mm[axis]).to_int::<i32x8<S>>().max(0).min(self.size[axis] as i32 - 1);
+        (cell.to_float(), cell)
     }
 
     /// Parameters at which rays leave the slabs of `reach` - 1 cells to both sides of theirs.

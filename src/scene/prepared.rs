@@ -656,11 +656,17 @@ impl Picture {
         let [r, g, b, back_alpha] = background;
         let behind = [r * back_alpha, g * back_alpha, b * back_alpha, back_alpha];
         let mut bytes = vec![[0; 4]; self.pixels.len()];
-        bytes.par_iter_mut().zip(&self.pixels).with_min_len(1 << 14).for_each(|(byte, p)| {
-            let clear = 1.0 - p[3];
-            let all: [f32; 4] = std::array::from_fn(|c| p[c] + behind[c] * clear);
-            let alpha = all[3].max(1e-6);
-            *byte = [all[0] / alpha, all[1] / alpha, all[2] / alpha, all[3]].map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8);
+        bytes.par_chunks_mut(1 << 14).zip(self.pixels.par_chunks(1 << 14)).for_each(|(bytes, pixels)| {
+            for (byte, p) in bytes.iter_mut().zip(pixels) {
+                let (mut all, clear) = (*p, 1.0 - p[3]);
+                for (c, behind) in all.iter_mut().zip(behind) {
+                    *c += behind * clear;
+                }
+                let alpha = all[3].max(1e-6);
+                for ((byte, c), divisor) in byte.iter_mut().zip(all).zip([alpha, alpha, alpha, 1.0]) {
+                    *byte = ((c / divisor).clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
+                }
+            }
         });
         bytes.into_flattened()
     }

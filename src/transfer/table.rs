@@ -148,6 +148,12 @@ impl Table {
     /// Colours of eight normalised values.
     #[inline(always)]
     pub fn color_lanes<S: Simd>(&self, simd: S, value: f32x8<S>) -> Vec3x8<S> {
+        self.lookup_lanes(simd, value).0
+    }
+
+    /// Colours and optical depths of eight normalised values.
+    #[inline(always)]
+    pub fn lookup_lanes<S: Simd>(&self, simd: S, value: f32x8<S>) -> (Vec3x8<S>, f32x8<S>) {
         let (entry, t) = self.places(value);
         let mut mixed = [[0.0; 4]; LANES];
         for n in 0..LANES {
@@ -155,8 +161,8 @@ impl Table {
             let (a, b) = (f32x4::load_array(simd, pair[0]), f32x4::load_array(simd, pair[1]));
             mixed[n] = *(a + (b - a) * f32x4::splat(simd, t[n]));
         }
-        let [x, y, z, _] = columns(simd, &mixed);
-        Vec3x8 { x, y, z }
+        let [x, y, z, depth] = columns(simd, &mixed);
+        (Vec3x8 { x, y, z }, depth)
     }
 
     /// 1 where opacity rises with the value, -1 where it falls: the side of a surface on which its matter lies.
