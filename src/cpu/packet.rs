@@ -542,7 +542,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             let norm = (x.dot(x) + y.dot(y) + z.dot(z)).sqrt();
             let far = self.far_from_faces(entry.in_voxel, Vec3x8::splat(simd, self.face) * norm);
             cut |= asked & jets.cut_mm.simd_lt(self.margin_mm);
-            for n in lanes_of((asked & !(jets.holds & far)).to_bitmask()) {
+            for n in lanes_of((asked & !far).to_bitmask()) {
                 let jet = scene.stack.jet(entry.deformed.lane(n));
                 let nearest = shading::nearest_cut(scene, &jet, entry.in_voxel.lane(n));
                 cut.set(n, nearest.distance_mm < self.margin_mm);

@@ -1,6 +1,6 @@
 //! One displacement map: a grid of (D, alpha) over the unit cube, in one of four storage formats.
 
-use crate::math::cells::{Cells, Fours, across, mix_line, mix_texels, mix_with_differences};
+use crate::math::cells::{Cells, Fours, across, columns, mix_line, mix_texels, mix_with_differences};
 use crate::math::lanes::*;
 use crate::math::pyramid::Range;
 use crate::math::{MinMaxPyramid, trilinear};
@@ -169,26 +169,34 @@ impl DisplacementMap {
     /// Stored (D / scale, alpha) at map coordinates inside the unit cube, trilinear.
     #[inline(always)]
     pub fn fetch(&self, x: Vec3) -> Vec4 {
-        let top = Vec3::from(self.size.map(|n| (n - 1) as f32));
-        trilinear(&self.texels, self.size, x * top)
+        trilinear(&self.texels, self.size, x * self.top())
     }
 
     /// [`Self::fetch`] at eight points.
     #[inline(always)]
     pub fn fetch_lanes<S: Simd>(&self, simd: S, x: Vec3x8<S>) -> (Vec3x8<S>, f32x8<S>) {
+        let [x, y, z, alpha] = self.fetch_fours(simd, x);
+        (Vec3x8 { x, y, z }, alpha)
+    }
+
+    #[inline(always)]
+    fn fetch_fours<S: Simd>(&self, simd: S, x: Vec3x8<S>) -> Fours<S> {
         let [nx, ny, nz] = self.size;
         if nx < 2 || ny < 2 || nz < 2 {
-            let (mut stored, mut alpha) = (Vec3x8::splat(simd, Vec3::ZERO), f32x8::splat(simd, 1.0));
+            let mut texels = [[0.0; 4]; LANES];
             for n in 0..LANES {
-                let t = self.fetch(x.lane(n));
-                stored.set(n, t.xyz());
-                alpha[n] = t.w;
+                texels[n] = self.fetch(x.lane(n)).to_array();
             }
-            return (stored, alpha);
+            return columns(simd, &texels);
         }
         let p = Vec3x8 { x: x.x * (nx - 1) as f32, y: x.y * (ny - 1) as f32, z: x.z * (nz - 1) as f32 };
-        let [x, y, z, alpha] = mix_texels(simd, &self.texels, self.size, &Cells::of(p, self.size, 0));
-        (Vec3x8 { x, y, z }, alpha)
+        mix_texels(simd, &self.texels, self.size, &Cells::of(p, self.size, 0))
+    }
+
+    /// The last texel along each axis.
+    #[inline(always)]
+    fn top(&self) -> Vec3 {
+        Vec3::new((self.size[0] - 1) as f32, (self.size[1] - 1) as f32, (self.size[2] - 1) as f32)
     }
 
     /// The texels of a line along the map's x axis at map coordinates across it, for [`Self::fetch_line`]; none of a map that is flat.
@@ -204,20 +212,49 @@ impl DisplacementMap {
         (Vec3x8 { x, y, z }, alpha)
     }
 
-    /// At eight points, stored (D / scale, alpha) and what it changes by along the three map axes, as [`Self::derivatives`]; and where that holds:
-    /// where a texel lies to each side.
+    /// At eight points, of which those in `lanes` are wanted, stored (D / scale, alpha) and what it changes by along the three map axes, as
+    /// [`Self::derivatives`].
     #[inline(always)]
-    pub fn derivatives_lanes<S: Simd>(&self, simd: S, x: Vec3x8<S>) -> (Fours<S>, [Fours<S>; 3], mask32x8<S>) {
+    pub fn derivatives_lanes<S: Simd>(&self, simd: S, x: Vec3x8<S>, lanes: mask32x8<S>) -> (Fours<S>, [Fours<S>; 3]) {
         let zero = f32x8::splat(simd, 0.0);
-        if self.size.iter().any(|&n| n < 4) {
-            return ([zero; 4], [[zero; 4]; 3], mask32x8::splat(simd, false));
+        let (mut value, mut slopes) = ([zero; 4], [[zero; 4]; 3]);
+        let mut beside = lanes;
+        if self.size[0] >= 4 && self.size[1] >= 4 && self.size[2] >= 4 {
+            let top = self.top();
+            let p = Vec3x8 { x: x.x * top.x, y: x.y * top.y, z: x.z * top.z };
+            beside = lanes & !(within(p.x, 1.0, top.x - 1.0) & within(p.y, 1.0, top.y - 1.0) & within(p.z, 1.0, top.z - 1.0));
+            let [inside, dx, dy, dz] = mix_with_differences(simd, &self.texels, self.size, &Cells::of(p, self.size, 1));
+            // Over two texels.
+            (value, slopes) = (inside, [scaled(dx, 0.5 * top.x), scaled(dy, 0.5 * top.y), scaled(dz, 0.5 * top.z)]);
         }
-        let [nx, ny, nz] = self.size.map(|n| (n - 1) as f32);
-        let p = Vec3x8 { x: x.x * nx, y: x.y * ny, z: x.z * nz };
-        let holds = within(p.x, 1.0, nx - 1.0) & within(p.y, 1.0, ny - 1.0) & within(p.z, 1.0, nz - 1.0);
-        let [value, dx, dy, dz] = mix_with_differences(simd, &self.texels, self.size, &Cells::of(p, self.size, 1));
-        // Over two texels.
-        (value, [scaled(dx, 0.5 * nx), scaled(dy, 0.5 * ny), scaled(dz, 0.5 * nz)], holds)
+        if beside.any_true() {
+            // No texel lies to each side.
+            value = selected(beside, self.fetch_fours(simd, x), value);
+            for axis in 0..3 {
+                slopes[axis] = selected(beside, self.slope_beside(simd, x, axis), slopes[axis]);
+            }
+        }
+        (value, slopes)
+    }
+
+    /// What [`Self::derivatives`] takes beside the cube's faces: differences over one texel to each side, as far as there is one.
+    #[inline(always)]
+    fn slope_beside<S: Simd>(&self, simd: S, x: Vec3x8<S>, axis: usize) -> Fours<S> {
+        if self.size[axis] == 1 {
+            return [f32x8::splat(simd, 0.0); 4];
+        }
+        let step = 1.0 / (self.size[axis] - 1) as f32;
+        let (mut low, mut high) = (x, x);
+        let (from, below, above) = match axis {
+            0 => (x.x, &mut low.x, &mut high.x),
+            1 => (x.y, &mut low.y, &mut high.y),
+            _ => (x.z, &mut low.z, &mut high.z),
+        };
+        *below = (from - step).max(0.0).min(1.0 - step);
+        *above = (from + step).max(step).min(1.0);
+        let width = *above - *below;
+        let ([a, b, c, d], [e, f, g, h]) = (self.fetch_fours(simd, low), self.fetch_fours(simd, high));
+        [(e - a) / width, (f - b) / width, (g - c) / width, (h - d) / width]
     }
 
     /// D and alpha at map coordinates inside the unit cube.
@@ -255,7 +292,7 @@ impl DisplacementMap {
     #[inline(always)]
     fn derivatives_inside(&self, x: Vec3) -> Option<(Mat3, Vec3)> {
         let [nx, ny, nz] = self.size;
-        let top = Vec3::from(self.size.map(|n| n as f32 - 1.0));
+        let top = self.top();
         let p = x * top;
         if !(p.cmpge(Vec3::ONE).all() && p.cmple(top - 1.0).all()) {
             return None;
@@ -329,6 +366,11 @@ fn slopes_of(texels: &[Vec4], [nx, ny, nz]: [usize; 3], [first, last]: [usize; 2
         put(2, between(row(first, last, j, k), row(first, last, j, k + 1), nz));
     }
     range
+}
+
+#[inline(always)]
+fn selected<S: Simd>(mask: mask32x8<S>, [a, b, c, d]: Fours<S>, [e, f, g, h]: Fours<S>) -> Fours<S> {
+    [mask.select(a, e), mask.select(b, f), mask.select(c, g), mask.select(d, h)]
 }
 
 #[inline(always)]

@@ -111,7 +111,8 @@ impl Table {
         let i = (x as usize).min(TABLE_ENTRIES - 2);
         let t = x - i as f32;
         let (a, b) = (&self.entries[i], &self.entries[i + 1]);
-        std::array::from_fn(|c| a[c] + (b[c] - a[c]) * t)
+        // Not by a function of an array: those are called where much is inlined.
+        [a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t, a[2] + (b[2] - a[2]) * t, a[3] + (b[3] - a[3]) * t]
     }
 
     /// Entries below eight values, and where between those and the next ones they lie.
