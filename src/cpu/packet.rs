@@ -2,7 +2,7 @@
 //!
 //! *Theory*: neighbouring rays ask the same questions at nearly the same places, so eight of them share every instruction: one lane each
 //! ([`crate::math::lanes`]). As in `shaders/raycast.wgsl` there are two loops: lanes look until each has found something to shade or is
-//! through, then those that have found something shade together. A ray thus waits for its neighbours, never for their shading.
+//! through (or, in haze, until half of them have), then those that have found something shade together. A ray thus waits for its neighbours, never for their shading.
 //!
 //! Most samples are *plain*: farther from every cut than anything that a cut does to light, or, beside a face of the volume's own box, than what it
 //! does to anything but normals. What lanes do for those is what [`shading`] does for one sample, less what is known to change nothing. The
@@ -368,6 +368,10 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                 last_present = (here & look.present) | (last_present & !here);
                 last_depth = here.select(look.depth, last_depth);
                 last_value = here.select(look.value, last_value);
+                // The others are not waited for where they mostly have something to shade, too: a look for a few lanes costs as much as one for all.
+                if fused && count(found) >= LANES as u64 / 2 {
+                    break;
+                }
             }
             if found.all_false() {
                 break;
@@ -507,11 +511,11 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         }
         let (mut gradient, mut magnitude, mut factor) = (Vec3x8::splat(simd, Vec3::ZERO), one, one);
         if self.lit || self.gradient_opacity {
-            let per_voxel = if self.sampler.has_gradients() {
+            let per_voxel = if fused {
                 let mut differences = at.differences;
-                if !fused || entered.any_true() {
+                if entered.any_true() {
                     let there = self.sampler.sample_with_differences(simd, entry.in_voxel).1;
-                    differences = if fused { Vec3x8::select(entered, there, differences) } else { there };
+                    differences = Vec3x8::select(entered, there, differences);
                 }
                 self.sampler.gradient_of(simd, entry.in_voxel, differences, bits)
             } else {

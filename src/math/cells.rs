@@ -55,6 +55,13 @@ impl Strides {
         Self { up: nx & Self::MOST, on: (nx * ny) & Self::MOST }
     }
 
+    /// The points of a grid around a cell, from the one before its lowest corner along every axis to the one behind its highest.
+    #[inline(always)]
+    pub fn around<T>(self, points: &[T], base: usize) -> &[T] {
+        let Self { up, on } = self;
+        &points[base.saturating_sub(on + up + 1)..][..3 * on + 2 * up + 3]
+    }
+
     /// The points of a grid that hold a cell, from its lowest corner to its highest.
     #[inline(always)]
     pub fn cell<T>(self, points: &[T], base: usize) -> &[T] {
@@ -211,14 +218,14 @@ pub fn mix_with_slopes<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3
 /// cells must have a texel to every side.
 #[inline(always)]
 pub fn mix_with_differences<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3], cells: &Cells<S>) -> [Fours<S>; 4] {
-    let Strides { up, on } = Strides::of(size);
-    // From the lowest of the texels around a cell, one before it along every axis; to past the highest.
-    let (a, reach) = (on + up + 1, 3 * on + 2 * up + 3);
+    let strides = Strides::of(size);
+    let Strides { up, on } = strides;
+    let a = on + up + 1;
     let (b, c, d) = (a + up, a + on, a + on + up);
     let (mut value, mut dx) = ([[0.0; 4]; LANES], [[0.0; 4]; LANES]);
     let (mut dy, mut dz) = (value, value);
     for n in 0..LANES {
-        let texels = &texels[cells.base[n].saturating_sub(a)..][..reach];
+        let texels = strides.around(texels, cells.base[n]);
         let (y, z) = (f32x8::splat(simd, cells.f.y[n]), f32x8::splat(simd, cells.f.z[n]));
         let x = f32x4::splat(simd, cells.f.x[n]);
         let corners = [T::pair_at(simd, texels, a), T::pair_at(simd, texels, b), T::pair_at(simd, texels, c), T::pair_at(simd, texels, d)];

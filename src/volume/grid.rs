@@ -47,14 +47,21 @@ pub trait Voxel: Copy + Send + Sync + 'static {
     /// The value as f32, exact for all four types.
     fn to_f32(self) -> f32;
 
-    /// For each of eight indices, the values there and at the next one.
-    fn pairs<S: Simd>(simd: S, voxels: &[Self], at: &[usize; LANES]) -> [f32x8<S>; 2];
-
     /// The rows of eight cells by their lowest corners, in the order of [`mix_rows`](crate::math::cells::mix_rows).
     fn cells<S: Simd>(simd: S, voxels: &[Self], base: &[usize; LANES], strides: Strides) -> [[f32x8<S>; 2]; 4];
 
-    /// For each of eight indices, the values there and at the next three.
-    fn quads<S: Simd>(simd: S, voxels: &[Self], at: &[usize; LANES]) -> [f32x8<S>; 4];
+    /// The rows of and around eight cells by their lowest corners; all must have a voxel to every side.
+    fn around<S: Simd>(simd: S, voxels: &[Self], base: &[usize; LANES], strides: Strides) -> Around<S>;
+}
+
+/// Voxels of and around eight cells, whose rows come in the order of [`mix_rows`](crate::math::cells::mix_rows).
+pub struct Around<S: Simd> {
+    /// The cells' rows, from one voxel before the cell to one behind it.
+    pub rows: [[f32x8<S>; 4]; 4],
+    /// Along the second axis the rows below and above the near face's, and those of the far face's.
+    pub beside_y: [[f32x8<S>; 2]; 4],
+    /// Along the third axis the low and the high row in front of the cell, and those behind it.
+    pub beside_z: [[f32x8<S>; 2]; 4],
 }
 
 impl Grid {

@@ -6,19 +6,10 @@
 //!
 //! *How to call it*: as [`Sampler::sample`] and [`Sampler::gradient`], whose values these are to rounding.
 
+use super::grid::Around;
 use super::{GradientFilter, Sampler, Voxel};
 use crate::math::cells::{Cells, Strides, mix_rows, mix_texels};
 use crate::math::lanes::*;
-
-/// Indices moved by an offset.
-#[inline(always)]
-fn moved(at: &[usize; LANES], by: isize) -> [usize; LANES] {
-    let mut moved = *at;
-    for index in &mut moved {
-        *index = index.wrapping_add_signed(by);
-    }
-    moved
-}
 
 impl<T: Voxel> Sampler<'_, T> {
     /// Whether every axis has at least `n` voxels.
@@ -58,9 +49,7 @@ impl<T: Voxel> Sampler<'_, T> {
     #[inline(always)]
     pub fn gradient_lanes<S: Simd>(&self, simd: S, p: Vec3x8<S>, filter: GradientFilter, lanes: u64) -> Vec3x8<S> {
         if filter == GradientFilter::Central && self.is_at_least(4) {
-            let Cells { base, f } = Cells::of(p, self.size, 1);
-            let steps = [self.size[0] as isize, (self.size[0] * self.size[1]) as isize];
-            return self.gradient_of(simd, p, self.differences_between(simd, &base, steps, f), lanes);
+            return self.gradient_of(simd, p, self.differences_between(simd, &Cells::of(p, self.size, 1)), lanes);
         }
         let mut all = Vec3x8::splat(simd, glam::Vec3::ZERO);
         for n in lanes_of(lanes) {
@@ -84,24 +73,18 @@ impl<T: Voxel> Sampler<'_, T> {
     /// Differences f(+1) - f(-1) of stored values in cells that have a voxel to every side. Taken at the corners, where those of integers are
     /// exact, and then interpolated: by the same operations as differences that are kept.
     #[inline(always)]
-    fn differences_between<S: Simd>(&self, simd: S, base: &[usize; LANES], [up, on]: [isize; 2], f: Vec3x8<S>) -> Vec3x8<S> {
-        // The four rows of the cell, from one voxel before it to one behind it; the rows around those.
-        let a = T::quads(simd, self.voxels, &moved(base, -1));
-        let b = T::quads(simd, self.voxels, &moved(base, up - 1));
-        let c = T::quads(simd, self.voxels, &moved(base, on - 1));
-        let d = T::quads(simd, self.voxels, &moved(base, on + up - 1));
-        let x = mix_rows([across(a), across(b), across(c), across(d)], f);
-        let (below, above) = (T::pairs(simd, self.voxels, &moved(base, -up)), T::pairs(simd, self.voxels, &moved(base, 2 * up)));
-        let (below_on, above_on) = (T::pairs(simd, self.voxels, &moved(base, on - up)), T::pairs(simd, self.voxels, &moved(base, on + 2 * up)));
+    fn differences_between<S: Simd>(&self, simd: S, cells: &Cells<S>) -> Vec3x8<S> {
+        let Around { rows: [a, b, c, d], beside_y, beside_z } = T::around(simd, self.voxels, &cells.base, Strides::of(self.size));
+        let x = mix_rows([across(a), across(b), across(c), across(d)], cells.f);
+        let [below, above, below_on, above_on] = beside_y;
         let y = mix_rows(
             [between(below, [b[1], b[2]]), between([a[1], a[2]], above), between(below_on, [d[1], d[2]]), between([c[1], c[2]], above_on)],
-            f,
+            cells.f,
         );
-        let (front, behind) = (T::pairs(simd, self.voxels, &moved(base, -on)), T::pairs(simd, self.voxels, &moved(base, 2 * on)));
-        let (front_up, behind_up) = (T::pairs(simd, self.voxels, &moved(base, up - on)), T::pairs(simd, self.voxels, &moved(base, up + 2 * on)));
+        let [front, front_up, behind, behind_up] = beside_z;
         let z = mix_rows(
             [between(front, [c[1], c[2]]), between(front_up, [d[1], d[2]]), between([a[1], a[2]], behind), between([b[1], b[2]], behind_up)],
-            f,
+            cells.f,
         );
         Vec3x8 { x, y, z }
     }
@@ -142,15 +125,51 @@ trait Halves: Voxel {
     fn halves<S: Simd>(words: i32x8<S>) -> [f32x8<S>; 2];
 }
 
-/// [`Voxel::pairs`].
+/// [`Voxel::around`].
 #[inline(always)]
-fn pairs_of_words<S: Simd, T: Halves>(simd: S, voxels: &[T], at: &[usize; LANES]) -> [f32x8<S>; 2] {
-    let mut words = [0; LANES];
+fn around_of_words<S: Simd, T: Halves>(simd: S, voxels: &[T], base: &[usize; LANES], strides: Strides) -> Around<S> {
+    let Strides { up, on } = strides;
+    let (mut front, mut back) = ([[0; LANES]; 4], [[0; LANES]; 4]);
+    let (mut beside_y, mut beside_z) = ([[0; LANES]; 4], [[0; LANES]; 4]);
     for n in 0..LANES {
-        let v = &voxels[at[n]..at[n] + 2];
-        words[n] = T::word([v[0], v[1]]);
+        let v = strides.around(voxels, base[n]);
+        for (row, at) in [on + up, on + 2 * up, 2 * on + up, 2 * on + 2 * up].into_iter().enumerate() {
+            front[row][n] = T::word([v[at], v[at + 1]]);
+            back[row][n] = T::word([v[at + 2], v[at + 3]]);
+        }
+        for (row, at) in [on + 1, on + 3 * up + 1, 2 * on + 1, 2 * on + 3 * up + 1].into_iter().enumerate() {
+            beside_y[row][n] = T::word([v[at], v[at + 1]]);
+        }
+        for (row, at) in [up + 1, 2 * up + 1, 3 * on + up + 1, 3 * on + 2 * up + 1].into_iter().enumerate() {
+            beside_z[row][n] = T::word([v[at], v[at + 1]]);
+        }
     }
-    T::halves(i32x8::load_array(simd, words))
+    Around {
+        rows: [
+            quads::<S, T>(simd, front[0], back[0]),
+            quads::<S, T>(simd, front[1], back[1]),
+            quads::<S, T>(simd, front[2], back[2]),
+            quads::<S, T>(simd, front[3], back[3]),
+        ],
+        beside_y: four_pairs::<S, T>(simd, beside_y),
+        beside_z: four_pairs::<S, T>(simd, beside_z),
+    }
+}
+
+#[inline(always)]
+fn quads<S: Simd, T: Halves>(simd: S, front: [i32; LANES], back: [i32; LANES]) -> [f32x8<S>; 4] {
+    let ([a, b], [c, d]) = (T::halves(i32x8::load_array(simd, front)), T::halves(i32x8::load_array(simd, back)));
+    [a, b, c, d]
+}
+
+#[inline(always)]
+fn four_pairs<S: Simd, T: Halves>(simd: S, [a, b, c, d]: [[i32; LANES]; 4]) -> [[f32x8<S>; 2]; 4] {
+    [
+        T::halves(i32x8::load_array(simd, a)),
+        T::halves(i32x8::load_array(simd, b)),
+        T::halves(i32x8::load_array(simd, c)),
+        T::halves(i32x8::load_array(simd, d)),
+    ]
 }
 
 /// [`Voxel::cells`].
@@ -165,13 +184,7 @@ fn cells_of_words<S: Simd, T: Halves>(simd: S, voxels: &[T], base: &[usize; LANE
         words[2][n] = T::word([cell[on], cell[on + 1]]);
         words[3][n] = T::word([cell[on + up], cell[on + up + 1]]);
     }
-    let [a, b, c, d] = words;
-    [
-        T::halves(i32x8::load_array(simd, a)),
-        T::halves(i32x8::load_array(simd, b)),
-        T::halves(i32x8::load_array(simd, c)),
-        T::halves(i32x8::load_array(simd, d)),
-    ]
+    four_pairs::<S, T>(simd, words)
 }
 
 impl Halves for u8 {
@@ -193,24 +206,13 @@ impl Voxel for u8 {
     }
 
     #[inline(always)]
-    fn pairs<S: Simd>(simd: S, voxels: &[Self], at: &[usize; LANES]) -> [f32x8<S>; 2] {
-        pairs_of_words(simd, voxels, at)
-    }
-
-    #[inline(always)]
     fn cells<S: Simd>(simd: S, voxels: &[Self], base: &[usize; LANES], strides: Strides) -> [[f32x8<S>; 2]; 4] {
         cells_of_words(simd, voxels, base, strides)
     }
 
     #[inline(always)]
-    fn quads<S: Simd>(simd: S, voxels: &[Self], at: &[usize; LANES]) -> [f32x8<S>; 4] {
-        let mut words = [0; LANES];
-        for n in 0..LANES {
-            let v = &voxels[at[n]..at[n] + 4];
-            words[n] = i32::from_le_bytes([v[0], v[1], v[2], v[3]]);
-        }
-        let words = i32x8::load_array(simd, words);
-        [(words & 255).to_float(), ((words >> 8) & 255).to_float(), ((words >> 16) & 255).to_float(), ((words >> 24) & 255).to_float()]
+    fn around<S: Simd>(simd: S, voxels: &[Self], base: &[usize; LANES], strides: Strides) -> Around<S> {
+        around_of_words(simd, voxels, base, strides)
     }
 }
 
@@ -236,28 +238,13 @@ macro_rules! of_16_bits {
             }
 
             #[inline(always)]
-            fn pairs<S: Simd>(simd: S, voxels: &[Self], at: &[usize; LANES]) -> [f32x8<S>; 2] {
-                pairs_of_words(simd, voxels, at)
-            }
-
-            #[inline(always)]
             fn cells<S: Simd>(simd: S, voxels: &[Self], base: &[usize; LANES], strides: Strides) -> [[f32x8<S>; 2]; 4] {
                 cells_of_words(simd, voxels, base, strides)
             }
 
             #[inline(always)]
-            fn quads<S: Simd>(simd: S, voxels: &[Self], at: &[usize; LANES]) -> [f32x8<S>; 4] {
-                let (mut front, mut back) = ([0; LANES], [0; LANES]);
-                for n in 0..LANES {
-                    let v = &voxels[at[n]..at[n] + 4];
-                    let ([a, b], [c, d]) = (v[0].to_le_bytes(), v[1].to_le_bytes());
-                    front[n] = i32::from_le_bytes([a, b, c, d]);
-                    let ([a, b], [c, d]) = (v[2].to_le_bytes(), v[3].to_le_bytes());
-                    back[n] = i32::from_le_bytes([a, b, c, d]);
-                }
-                let [a, b] = halves(i32x8::load_array(simd, front), $signed);
-                let [c, d] = halves(i32x8::load_array(simd, back), $signed);
-                [a, b, c, d]
+            fn around<S: Simd>(simd: S, voxels: &[Self], base: &[usize; LANES], strides: Strides) -> Around<S> {
+                around_of_words(simd, voxels, base, strides)
             }
         }
     };
@@ -269,16 +256,6 @@ impl Voxel for f32 {
     #[inline(always)]
     fn to_f32(self) -> f32 {
         self
-    }
-
-    #[inline(always)]
-    fn pairs<S: Simd>(simd: S, voxels: &[Self], at: &[usize; LANES]) -> [f32x8<S>; 2] {
-        let (mut a, mut b) = ([0.0; LANES], [0.0; LANES]);
-        for n in 0..LANES {
-            let v = &voxels[at[n]..at[n] + 2];
-            (a[n], b[n]) = (v[0], v[1]);
-        }
-        [f32x8::load_array(simd, a), f32x8::load_array(simd, b)]
     }
 
     #[inline(always)]
@@ -302,13 +279,35 @@ impl Voxel for f32 {
     }
 
     #[inline(always)]
-    fn quads<S: Simd>(simd: S, voxels: &[Self], at: &[usize; LANES]) -> [f32x8<S>; 4] {
-        let mut all = [[0.0; LANES]; 4];
+    fn around<S: Simd>(simd: S, voxels: &[Self], base: &[usize; LANES], strides: Strides) -> Around<S> {
+        let Strides { up, on } = strides;
+        let (mut rows, mut beside_y, mut beside_z) = ([[[0.0; LANES]; 4]; 4], [[[0.0; LANES]; 2]; 4], [[[0.0; LANES]; 2]; 4]);
         for n in 0..LANES {
-            let v = &voxels[at[n]..at[n] + 4];
-            (all[0][n], all[1][n], all[2][n], all[3][n]) = (v[0], v[1], v[2], v[3]);
+            let v = strides.around(voxels, base[n]);
+            for (row, at) in [on + up, on + 2 * up, 2 * on + up, 2 * on + 2 * up].into_iter().enumerate() {
+                (0..4).for_each(|i| rows[row][i][n] = v[at + i]);
+            }
+            for (row, at) in [on + 1, on + 3 * up + 1, 2 * on + 1, 2 * on + 3 * up + 1].into_iter().enumerate() {
+                (0..2).for_each(|i| beside_y[row][i][n] = v[at + i]);
+            }
+            for (row, at) in [up + 1, 2 * up + 1, 3 * on + up + 1, 3 * on + 2 * up + 1].into_iter().enumerate() {
+                (0..2).for_each(|i| beside_z[row][i][n] = v[at + i]);
+            }
         }
-        let [a, b, c, d] = all;
-        [f32x8::load_array(simd, a), f32x8::load_array(simd, b), f32x8::load_array(simd, c), f32x8::load_array(simd, d)]
+        let ([a, b, c, d], y, z) = (rows, beside_y, beside_z);
+        Around {
+            rows: [loaded(simd, a), loaded(simd, b), loaded(simd, c), loaded(simd, d)],
+            beside_y: [loaded(simd, y[0]), loaded(simd, y[1]), loaded(simd, y[2]), loaded(simd, y[3])],
+            beside_z: [loaded(simd, z[0]), loaded(simd, z[1]), loaded(simd, z[2]), loaded(simd, z[3])],
+        }
     }
+}
+
+#[inline(always)]
+fn loaded<S: Simd, const N: usize>(simd: S, numbers: [[f32; LANES]; N]) -> [f32x8<S>; N] {
+    let mut all = [f32x8::splat(simd, 0.0); N];
+    for (all, numbers) in all.iter_mut().zip(numbers) {
+        *all = f32x8::load_array(simd, numbers);
+    }
+    all
 }
