@@ -227,6 +227,9 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         // Where the distance from the shapes of cuts was last evaluated, and what it was.
         let (mut kept_t, mut kept_mm) = (f32x8::splat(simd, f32::NEG_INFINITY), f32x8::splat(simd, -1.0));
         let nobody = last_present;
+        // Which rays are in clear macrocells, and until where.
+        let never = f32x8::splat(simd, f32::NEG_INFINITY);
+        let (mut clear, mut clear_until) = (nobody, never);
         let (mut skipped, mut terminated) = (zero, zero);
         let fused = self.sampler.has_gradients() && habit.shades_mostly();
         while live.any_true() {
@@ -248,13 +251,17 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             let (mut front_known, mut front_present, mut front_depth) = (nobody, nobody, zero);
             while looking.any_true() {
                 // Lanes in empty cells move on until every one has something to look at: a look costs as much for one lane as for eight.
-                let (mut middle, mut p, mut clear);
+                let (mut middle, mut p);
                 loop {
                     middle = (i + 0.5) * step;
                     p = origin + direction * middle;
-                    let (empty, exit, in_clear) = scene.macrocells.empty_until_lanes(simd, p, origin, inverse_direction);
-                    let empty = empty & looking;
+                    if (looking & !middle.simd_lt(clear_until)).all_false() {
+                        break;
+                    }
+                    let (empty, in_clear, exit) = scene.macrocells.blocks_lanes(simd, p, origin, inverse_direction);
                     clear = in_clear;
+                    clear_until = clear.select(exit, never);
+                    let empty = empty & looking;
                     if empty.all_false() {
                         break;
                     }

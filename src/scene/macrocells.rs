@@ -40,7 +40,13 @@ pub struct Macrocells {
     pub distance: Vec<u8>,
     /// The box of the occupied cells, mm; empty if there is none.
     pub occupied: Bounds,
+    /// What lanes ask: as `distance`, but for clear cells [`IN_CLEAR`] more than their chessboard distance to the nearest cell that is not clear.
+    blocks: Vec<u8>,
+    cells_per_mm: Vec3,
 }
+
+/// See [`Macrocells::blocks`].
+const IN_CLEAR: u8 = 128;
 
 /// What decides whether a cell shows anything.
 pub struct Contents<'a> {
@@ -188,7 +194,14 @@ impl Contents<'_> {
 impl Macrocells {
     /// One occupied cell over everything: skips nothing.
     pub fn solid(bounds: Bounds) -> Self {
-        Self { origin: bounds.min, cell_mm: bounds.size(), size: UVec3::ONE, distance: vec![0], occupied: bounds }
+        Self::of_distances(bounds.min, bounds.size(), UVec3::ONE, vec![0], bounds)
+    }
+
+    fn of_distances(origin: Vec3, cell_mm: Vec3, size: UVec3, distance: Vec<u8>, occupied: Bounds) -> Self {
+        let other: Vec<bool> = distance.iter().map(|d| *d != CLEAR).collect();
+        let blocks = distance.iter().zip(chessboard_distance(&other, size));
+        let blocks = blocks.map(|(&d, inside)| if d == CLEAR { IN_CLEAR + inside.min(IN_CLEAR - 1) } else { d.min(IN_CLEAR - 1) }).collect();
+        Self { origin, cell_mm, size, distance, occupied, blocks, cells_per_mm: cell_mm.recip() }
     }
 
     /// Classifies a grid over `bounds`, the box of the deformed scene. What a sample sees by looking back counts as seen where the sample is.
@@ -238,7 +251,7 @@ impl Macrocells {
         }
         let of_cells =
             |(low, high): (UVec3, UVec3)| Bounds::new(bounds.min + low.as_vec3() * cell_mm, bounds.min + high.as_vec3() * cell_mm + cell_mm);
-        Self { origin: bounds.min, cell_mm, size, distance, occupied: all.map_or(Bounds::EMPTY, of_cells) }
+        Self::of_distances(bounds.min, cell_mm, size, distance, all.map_or(Bounds::EMPTY, of_cells))
     }
 
     /// Whether a cell, by its flat index, may show anything.
@@ -285,7 +298,7 @@ impl Macrocells {
     #[inline(always)]
     fn cells_along<S: Simd>(&self, p: f32x8<S>, axis: usize) -> (f32x8<S>, i32x8<S>) {
         // What lies below the first cell is moved into it: truncation is floor.
-        let cell = ((p - self.origin[axis]) / self.cell_mm[axis]).to_int::<i32x8<S>>().max(0).min(self.size[axis] as i32 - 1);
+        let cell = ((p - self.origin[axis]) * self.cells_per_mm[axis]).to_int::<i32x8<S>>().max(0).min(self.size[axis] as i32 - 1);
         (cell.to_float(), cell)
     }
 
@@ -298,34 +311,31 @@ impl Macrocells {
         ((low - origin) * inverse).max_precise((high - origin) * inverse)
     }
 
-    /// As [`Self::empty_until`] for eight points: which lie in empty cells, the parameters at which those leave their blocks, and which lie in clear
-    /// ones.
+    /// As [`Self::empty_until`] for eight points: which lie in empty cells, which in clear ones, and where rays leave the block of empty or of clear cells
+    /// around them: until then they need not ask again.
     #[inline(always)]
-    pub fn empty_until_lanes<S: Simd>(
+    pub fn blocks_lanes<S: Simd>(
         &self,
         simd: S,
         p: Vec3x8<S>,
         origin: Vec3x8<S>,
         inverse_direction: Vec3x8<S>,
-    ) -> (mask32x8<S>, f32x8<S>, mask32x8<S>) {
+    ) -> (mask32x8<S>, mask32x8<S>, f32x8<S>) {
         let ((x, i), (y, j), (z, k)) = (self.cells_along(p.x, 0), self.cells_along(p.y, 1), self.cells_along(p.z, 2));
         let size = self.size.as_ivec3();
         let index = (k * size.y + j) * size.x + i;
-        let mut distance = [0; LANES];
+        let mut blocks = [0; LANES];
         for n in 0..LANES {
-            distance[n] = i32::from(self.distance[index[n] as usize]);
+            blocks[n] = i32::from(self.blocks[index[n] as usize]);
         }
-        let distance = i32x8::load_array(simd, distance);
-        let clear = distance.simd_eq(i32::from(CLEAR));
-        let empty = distance.simd_gt(0) & !clear;
-        if empty.all_false() {
-            return (empty, p.x, clear);
-        }
-        let reach = distance.to_float::<f32x8<S>>();
+        let blocks = i32x8::load_array(simd, blocks);
+        let clear = blocks.simd_ge(i32::from(IN_CLEAR));
+        let empty = blocks.simd_gt(0) & !clear;
+        let reach = (blocks & i32::from(IN_CLEAR - 1)).to_float::<f32x8<S>>();
         let x = self.leaves(x, reach, origin.x, inverse_direction.x, 0);
         let y = self.leaves(y, reach, origin.y, inverse_direction.y, 1);
         let z = self.leaves(z, reach, origin.z, inverse_direction.z, 2);
-        (empty, x.min_precise(y).min_precise(z), clear)
+        (empty, clear, x.min_precise(y).min_precise(z))
     }
 }
 
@@ -448,8 +458,7 @@ mod tests {
         let mut occupied = vec![false; 10];
         occupied[6] = true;
         let size = UVec3::new(10, 1, 1);
-        let cells =
-            Macrocells { origin: Vec3::ZERO, cell_mm: Vec3::ONE, size, distance: chessboard_distance(&occupied, size), occupied: Bounds::UNIT };
+        let cells = Macrocells::of_distances(Vec3::ZERO, Vec3::ONE, size, chessboard_distance(&occupied, size), Bounds::UNIT);
         let origin = Vec3::new(-1.0, 0.5, 0.5);
         let mut t = 1.5;
         let mut jumps = 0;
