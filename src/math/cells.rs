@@ -45,14 +45,15 @@ pub struct Strides {
 }
 
 impl Strides {
-    /// More than a slice of any grid has.
-    const MOST: usize = usize::MAX >> 2;
+    /// More points than a slice of any grid has.
+    const MOST: usize = usize::MAX >> 4;
 
-    /// Those of a grid of at least two points along every axis, x fastest. Masked, which changes nothing, so that the compiler knows that sums of them
-    /// do not overflow: one check of a cell's length then covers all of its rows.
+    /// Those of a grid of at least two points along every axis, x fastest. Masked, which changes nothing, and one as the other and more, so that the compiler
+    /// knows that sums of them do not overflow and which are the larger: one check of a cell's length then covers all of its rows.
     #[inline(always)]
     pub fn of([nx, ny, _]: [usize; 3]) -> Self {
-        Self { up: nx & Self::MOST, on: (nx * ny) & Self::MOST }
+        let up = nx & Self::MOST;
+        Self { up, on: up + ((nx * (ny - 1)) & Self::MOST) }
     }
 
     /// The points of a grid around a cell, from the one before its lowest corner along every axis to the one behind its highest.

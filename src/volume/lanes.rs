@@ -125,6 +125,14 @@ trait Halves: Voxel {
     fn halves<S: Simd>(words: i32x8<S>) -> [f32x8<S>; 2];
 }
 
+/// A voxel and the next one.
+#[inline(always)]
+fn word_at<T: Halves>(voxels: &[T], at: usize) -> i32 {
+    // One check, and one load of both.
+    let pair = &voxels[at..at + 2];
+    T::word([pair[0], pair[1]])
+}
+
 /// [`Voxel::around`].
 #[inline(always)]
 fn around_of_words<S: Simd, T: Halves>(simd: S, voxels: &[T], base: &[usize; LANES], strides: Strides) -> Around<S> {
@@ -134,14 +142,15 @@ fn around_of_words<S: Simd, T: Halves>(simd: S, voxels: &[T], base: &[usize; LAN
     for n in 0..LANES {
         let v = strides.around(voxels, base[n]);
         for (row, at) in [on + up, on + 2 * up, 2 * on + up, 2 * on + 2 * up].into_iter().enumerate() {
-            front[row][n] = T::word([v[at], v[at + 1]]);
-            back[row][n] = T::word([v[at + 2], v[at + 3]]);
+            let four = &v[at..at + 4];
+            front[row][n] = T::word([four[0], four[1]]);
+            back[row][n] = T::word([four[2], four[3]]);
         }
         for (row, at) in [on + 1, on + 3 * up + 1, 2 * on + 1, 2 * on + 3 * up + 1].into_iter().enumerate() {
-            beside_y[row][n] = T::word([v[at], v[at + 1]]);
+            beside_y[row][n] = word_at(v, at);
         }
         for (row, at) in [up + 1, 2 * up + 1, 3 * on + up + 1, 3 * on + 2 * up + 1].into_iter().enumerate() {
-            beside_z[row][n] = T::word([v[at], v[at + 1]]);
+            beside_z[row][n] = word_at(v, at);
         }
     }
     Around {
@@ -179,10 +188,10 @@ fn cells_of_words<S: Simd, T: Halves>(simd: S, voxels: &[T], base: &[usize; LANE
     let mut words = [[0; LANES]; 4];
     for n in 0..LANES {
         let cell = strides.cell(voxels, base[n]);
-        words[0][n] = T::word([cell[0], cell[1]]);
-        words[1][n] = T::word([cell[up], cell[up + 1]]);
-        words[2][n] = T::word([cell[on], cell[on + 1]]);
-        words[3][n] = T::word([cell[on + up], cell[on + up + 1]]);
+        words[0][n] = word_at(cell, 0);
+        words[1][n] = word_at(cell, up);
+        words[2][n] = word_at(cell, on);
+        words[3][n] = word_at(cell, on + up);
     }
     four_pairs::<S, T>(simd, words)
 }
@@ -285,13 +294,16 @@ impl Voxel for f32 {
         for n in 0..LANES {
             let v = strides.around(voxels, base[n]);
             for (row, at) in [on + up, on + 2 * up, 2 * on + up, 2 * on + 2 * up].into_iter().enumerate() {
-                (0..4).for_each(|i| rows[row][i][n] = v[at + i]);
+                let four = &v[at..at + 4];
+                (0..4).for_each(|i| rows[row][i][n] = four[i]);
             }
             for (row, at) in [on + 1, on + 3 * up + 1, 2 * on + 1, 2 * on + 3 * up + 1].into_iter().enumerate() {
-                (0..2).for_each(|i| beside_y[row][i][n] = v[at + i]);
+                let two = &v[at..at + 2];
+                (0..2).for_each(|i| beside_y[row][i][n] = two[i]);
             }
             for (row, at) in [up + 1, 2 * up + 1, 3 * on + up + 1, 3 * on + 2 * up + 1].into_iter().enumerate() {
-                (0..2).for_each(|i| beside_z[row][i][n] = v[at + i]);
+                let two = &v[at..at + 2];
+                (0..2).for_each(|i| beside_z[row][i][n] = two[i]);
             }
         }
         let ([a, b, c, d], y, z) = (rows, beside_y, beside_z);
