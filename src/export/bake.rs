@@ -362,6 +362,50 @@ pub fn field(deformation: &Deformation, grid: &GridGeometry, format: Format, out
 mod tests {
     use super::*;
 
+    /// Values are cut to the bytes that `as` cuts them to, and what is none gets the fill, held to the type's range.
+    #[test]
+    fn whole_values_become_bytes() {
+        let values: Vec<f32> = (0..21).map(|n| if n % 5 == 3 { f32::NAN } else { (n * 12) as f32 }).collect();
+        for fill in [-7.0, 3.0, 300.0, 70_000.0] {
+            for (scalar, bytes) in [
+                (ScalarType::U8, values.iter().map(|v| if v.is_nan() { fill as u8 } else { *v as u8 }).collect::<Vec<u8>>()),
+                (ScalarType::U16, values.iter().flat_map(|v| (if v.is_nan() { fill as u16 } else { *v as u16 }).to_le_bytes()).collect()),
+                (ScalarType::I16, values.iter().flat_map(|v| (if v.is_nan() { fill as i16 } else { -*v as i16 }).to_le_bytes()).collect()),
+            ] {
+                let values: Vec<f32> = if scalar == ScalarType::I16 { values.iter().map(|v| -v).collect() } else { values.clone() };
+                let mut out = vec![9];
+                with_simd(Whole { out: &mut out, scalar, values: &values, fill });
+                assert_eq!(out[1..], bytes, "{scalar:?} {fill}");
+            }
+        }
+    }
+
+    /// A destination that is full ends the baking with its message, whichever slab it is in.
+    #[test]
+    fn a_full_disk_is_told() {
+        struct Full(usize);
+        impl Write for Full {
+            fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+                self.0 = self.0.checked_sub(bytes.len()).ok_or_else(|| std::io::Error::other("no space left"))?;
+                Ok(bytes.len())
+            }
+            fn flush(&mut self) -> std::io::Result<()> {
+                Ok(())
+            }
+        }
+        let size = [256, 256, 100];
+        let v = Volume::new(vec![1i16; 256 * 256 * 100].into(), size, Rescale::NONE, DAffine3::IDENTITY);
+        let (stack, cuts) = (Stack::default(), Cuts::default());
+        let deformation = Deformation { stack: &stack, cuts: &cuts };
+        let bake = |room: usize| volume(&v, &deformation, &v.geometry(), Interpolation::Linear, 0.0, Format::Nifti, &mut Full(room), &|_| ());
+        let bytes = 352 + 2 * 256 * 256 * 100;
+        for room in [1000, bytes / 2, bytes - 1] {
+            let told = bake(room).map_err(|e| e.to_string());
+            assert!(told.as_ref().is_err_and(|e| e.contains("no space left")), "{room}: {told:?}");
+        }
+        assert!(bake(bytes).is_ok());
+    }
+
     #[test]
     fn cubic_weights_reproduce_parabolas_and_voxels() {
         let voxels: Vec<f64> = (0..7 * 7 * 7)

@@ -9,7 +9,7 @@
 //! array): else it is compiled for the least, and every operation becomes a call. That cost a factor of ten.
 
 pub use fearless_simd::prelude::{Bytes, ExtractToken, Select, Simd, SimdBase, SimdFloat, SimdInt, SimdMask};
-pub use fearless_simd::{f32x4, f32x8, i16x8, i32x8, mask32x8};
+pub use fearless_simd::{f32x4, f32x8, i16x8, i32x4, i32x8, mask32x8};
 
 use fearless_simd::Level;
 use glam::{Affine3A, Mat3, Vec3};
@@ -288,6 +288,21 @@ mod tests {
                 assert!((f64::from(powers[lane]) / want - 1.0).abs() < 3e-7, "2^{x} is {want}, not {}", powers[lane]);
                 let want = f64::from(x.abs()).log2();
                 assert!((f64::from(logarithms[lane]) - want).abs() <= 2.5e-7 * want.abs(), "log2 of {x} is {want}, not {}", logarithms[lane]);
+            }
+        }
+        struct Powers([f32; LANES], u32);
+        impl OverSimd for Powers {
+            type Output = [f32; LANES];
+            #[inline(always)]
+            fn run<S: Simd>(self, simd: S) -> Self::Output {
+                *powi(f32x8::load_array(simd, self.0), self.1)
+            }
+        }
+        let cosines: [f32; LANES] = std::array::from_fn(|lane| 1.0 - 0.13 * lane as f32);
+        for n in [0u32, 1, 2, 3, 20, 24, 63, 64, 1023] {
+            for (x, got) in cosines.into_iter().zip(with_simd(Powers(cosines, n))) {
+                let want = f64::from(x).powi(n as i32);
+                assert!((f64::from(got) - want).abs() <= 1e-6 * f64::from(n.max(1)) * want + 1e-37, "{x}^{n} is {want}, not {got}");
             }
         }
         let near_one = std::array::from_fn(|lane| 1.0 - 1e-4 * (lane + 1) as f32);

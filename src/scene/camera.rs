@@ -301,6 +301,40 @@ mod tests {
         assert_eq!(f.pixels_of(&Bounds::EMPTY, size), [[0, 0], [0, 0]]);
     }
 
+    /// Eight rays at once, and where they meet a box, are single ones to the bit; along an axis, beside the box and of an empty box too.
+    #[test]
+    fn eight_rays_are_single_rays() {
+        struct Eight<'a>(&'a ViewFrame, &'a Bounds, [f32; LANES], [f32; LANES]);
+        impl OverSimd for Eight<'_> {
+            type Output = [(Vec3, Vec3, f32, f32); LANES];
+            #[inline(always)]
+            fn run<S: Simd>(self, simd: S) -> Self::Output {
+                let (origin, direction) = self.0.rays(simd, f32x8::load_array(simd, self.2), f32x8::load_array(simd, self.3));
+                let one = f32x8::splat(simd, 1.0);
+                let inverse = Vec3x8 { x: one / direction.x, y: one / direction.y, z: one / direction.z };
+                let (near, far) = self.1.intersect_rays(simd, origin, inverse);
+                std::array::from_fn(|n| (origin.lane(n), direction.lane(n), near[n], far[n]))
+            }
+        }
+        let boxes = [Bounds::new(Vec3::new(-20.0, -7.0, 1.0), Vec3::new(30.0, 9.0, 40.0)), Bounds::EMPTY, Bounds::new(Vec3::ZERO, Vec3::ZERO)];
+        let (mut met, mut missed) = (0, 0);
+        for (view, projection) in [("anterior", Projection::Perspective), ("37,-20", Projection::Perspective), ("superior", Projection::Orthographic)]
+        {
+            let f = frame(view, projection);
+            for (n, b) in (0..400).flat_map(|n| boxes.iter().map(move |b| (n, b))) {
+                let u: [f32; LANES] = std::array::from_fn(|lane| (n % 20) as f32 * 0.1 - 1.0 + lane as f32 * 0.01);
+                let v: [f32; LANES] = std::array::from_fn(|lane| (n / 20) as f32 * 0.1 - 1.0 + lane as f32 * 0.013);
+                for (lane, (origin, direction, near, far)) in with_simd(Eight(&f, b, u, v)).into_iter().enumerate() {
+                    assert_eq!((origin, direction), f.ray(u[lane], v[lane]));
+                    let single = b.intersect_ray(origin, direction);
+                    assert_eq!((near <= far).then_some((near, far)), single, "{origin} {direction} {b:?}");
+                    if single.is_some() { met += 1 } else { missed += 1 }
+                }
+            }
+        }
+        assert!(met > 300 && missed > 300, "{met} {missed}");
+    }
+
     /// Patient left (+x) is on the right of an anterior and an axial picture, as radiologists see them.
     #[test]
     fn named_views_have_the_right_sides() {

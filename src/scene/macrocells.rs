@@ -453,6 +453,50 @@ mod tests {
         }
     }
 
+    /// Eight points are told of empty cells what one is; and of clear cells where the ray leaves them, up to which every point lies in a clear cell.
+    #[test]
+    fn blocks_are_those_of_cells() {
+        struct Eight<'a>(&'a Macrocells, [Vec3; LANES], [Vec3; LANES]);
+        impl OverSimd for Eight<'_> {
+            type Output = [(bool, bool, f32); LANES];
+            #[inline(always)]
+            fn run<S: Simd>(self, simd: S) -> Self::Output {
+                let (origin, direction) = (Vec3x8::from_lanes(simd, &self.1), Vec3x8::from_lanes(simd, &self.2));
+                let one = f32x8::splat(simd, 1.0);
+                let inverse = Vec3x8 { x: one / direction.x, y: one / direction.y, z: one / direction.z };
+                let (empty, clear, exit) = self.0.blocks_lanes(simd, origin, origin, inverse);
+                std::array::from_fn(|n| (empty.test(n), clear.test(n), exit[n]))
+            }
+        }
+        let bounds = Bounds::new(Vec3::new(-3.0, 1.0, 2.0), Vec3::new(37.0, 31.0, 34.0));
+        let ball = |b: &Bounds, radius: f32| (b.center() - bounds.center()).length() < radius;
+        let seen = |b: &Bounds| if b.size().max_element() > 3.0 || ball(b, 13.0) { Seen::Perhaps } else { Seen::Nothing };
+        let cells = Macrocells::classified(bounds, 2.0, seen, |b| b.size().max_element() > 3.0 || !ball(b, 10.0));
+        let clear_at = |p: Vec3| cells.distance[cells.index(p)] == CLEAR;
+        let (mut empties, mut clears, mut others, mut longest) = (0, 0, 0, 0.0f32);
+        for n in 0..600 {
+            let at = |m: usize| bounds.min + bounds.size() * Vec3::from([7919, 104_729, 1_299_709].map(|p| (m * p % 10_007) as f32 / 10_007.0));
+            let points: [Vec3; LANES] = std::array::from_fn(|lane| at(n * 8 + lane + 1));
+            let directions = std::array::from_fn(|lane| (at(n * 8 + lane + 77) - points[lane]).normalize());
+            for (lane, (empty, clear, exit)) in with_simd(Eight(&cells, points, directions)).into_iter().enumerate() {
+                let (p, d) = (points[lane], directions[lane]);
+                let single = cells.empty_until(p, p, d.recip());
+                assert_eq!((empty, clear), (single.is_some(), clear_at(p)), "{p}");
+                if let Some(single) = single {
+                    assert!((exit - single).abs() < 1e-4, "{p} {d}: {exit} for {single}");
+                    empties += 1;
+                } else if clear {
+                    assert!((1..20).all(|part| clear_at(p + d * (exit * part as f32 / 20.0))), "{p} {d} {exit}");
+                    longest = longest.max(exit);
+                    clears += 1;
+                } else {
+                    others += 1;
+                }
+            }
+        }
+        assert!(empties > 500 && clears > 200 && others > 200 && longest > 5.0, "{empties} {clears} {others} {longest}");
+    }
+
     #[test]
     fn a_step_out_of_an_empty_block_stops_at_the_next_occupied_cell() {
         let mut occupied = vec![false; 10];

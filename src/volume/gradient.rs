@@ -7,6 +7,7 @@
 
 use super::pages::Pages;
 use super::{Grid, GridVoxels, Sampler, Voxel};
+use crate::math::lanes::*;
 use glam::Vec3;
 use rayon::prelude::*;
 use schemars::JsonSchema;
@@ -86,14 +87,14 @@ impl GradientVolume {
             return None;
         }
         match &grid.voxels {
-            GridVoxels::U8(v) => Self::of(grid, v, i16::from),
-            GridVoxels::U16(v) => (span(v)?.1 <= i16::MAX as u16).then(|| Self::of(grid, v, |x| x as i16))?,
-            GridVoxels::I16(v) => span(v).is_some_and(|(low, high)| high.checked_sub(low).is_some()).then(|| Self::of(grid, v, |x| x))?,
+            GridVoxels::U8(v) => Self::of(grid, v),
+            GridVoxels::U16(v) => (span(v)?.1 <= i16::MAX as u16).then(|| Self::of(grid, v))?,
+            GridVoxels::I16(v) => span(v).is_some_and(|(low, high)| high.checked_sub(low).is_some()).then(|| Self::of(grid, v))?,
             GridVoxels::F32(_) => None,
         }
     }
 
-    fn of<T: Voxel>(grid: &Grid, voxels: &[T], value: impl Fn(T) -> i16 + Copy + Sync) -> Option<Self> {
+    fn of<T: Short>(grid: &Grid, voxels: &[T]) -> Option<Self> {
         let [nx, ny, nz] = grid.size;
         let mut texels = Pages::zeroed(voxels.len())?;
         texels.par_chunks_mut(nx).enumerate().for_each(|(row, out)| {
@@ -101,24 +102,93 @@ impl GradientVolume {
             let of = |j: usize, k: usize| &voxels[(k * ny + j) * nx..][..nx];
             let (own, below, above) = (of(j, k), of(j.saturating_sub(1), k), of((j + 1).min(ny - 1), k));
             let (front, behind) = (of(j, k.saturating_sub(1)), of(j, (k + 1).min(nz - 1)));
-            let texel = |own: T, before: T, after: T, below: T, above: T, front: T, behind: T| {
-                let across = |before: T, after: T| value(after) - value(before);
-                [value(own), across(before, after), across(below, above), across(front, behind)]
-            };
-            let at_end = |i: usize, before: usize, after: usize| texel(own[i], own[before], own[after], below[i], above[i], front[i], behind[i]);
-            let last = nx - 1;
-            out[0] = at_end(0, 0, 1.min(last));
-            out[last] = at_end(last, last.saturating_sub(1), last);
-            if nx > 2 {
-                let neighbours = own.iter().zip(&own[1..]).zip(&own[2..]);
-                let others = below[1..].iter().zip(&above[1..]).zip(front[1..].iter().zip(&behind[1..]));
-                for ((out, ((before, own), after)), ((below, above), (front, behind))) in out[1..last].iter_mut().zip(neighbours).zip(others) {
-                    *out = texel(*own, *before, *after, *below, *above, *front, *behind);
-                }
-            }
+            with_simd(Row { own, below, above, front, behind, out });
         });
         Some(Self { texels })
     }
+}
+
+/// Integers that 16 bits with a sign hold.
+trait Short: Copy + Sync {
+    fn short(self) -> i16;
+}
+
+impl Short for u8 {
+    #[inline(always)]
+    fn short(self) -> i16 {
+        i16::from(self)
+    }
+}
+
+impl Short for u16 {
+    #[inline(always)]
+    fn short(self) -> i16 {
+        self as i16
+    }
+}
+
+impl Short for i16 {
+    #[inline(always)]
+    fn short(self) -> i16 {
+        self
+    }
+}
+
+/// A row of voxels, the rows around it, and its texels.
+struct Row<'a, T> {
+    own: &'a [T],
+    below: &'a [T],
+    above: &'a [T],
+    front: &'a [T],
+    behind: &'a [T],
+    out: &'a mut [[i16; 4]],
+}
+
+impl<T: Short> OverSimd for Row<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        let Self { own, below, above, front, behind, out } = self;
+        let last = own.len() - 1;
+        let mut i = 0;
+        while i <= last {
+            // Eight that have a voxel to each side.
+            if i > 0 && i + LANES <= last {
+                let before_and_after = &own[i - 1..][..LANES + 2];
+                let (a, before, after) = (eight(simd, &before_and_after[1..]), eight(simd, before_and_after), eight(simd, &before_and_after[2..]));
+                let (b, c) = (after - before, eight(simd, &above[i..]) - eight(simd, &below[i..]));
+                let d = eight(simd, &behind[i..]) - eight(simd, &front[i..]);
+                let low = [words(simd.zip_low_i16x8(a, b)), words(simd.zip_low_i16x8(c, d))];
+                let high = [words(simd.zip_high_i16x8(a, b)), words(simd.zip_high_i16x8(c, d))];
+                let [p, q] = [simd.zip_low_i32x4(low[0], low[1]), simd.zip_high_i32x4(low[0], low[1])];
+                let [r, s] = [simd.zip_low_i32x4(high[0], high[1]), simd.zip_high_i32x4(high[0], high[1])];
+                for (to, two) in out[i..i + LANES].as_flattened_mut().as_chunks_mut().0.iter_mut().zip([p, q, r, s]) {
+                    *to = two.bitcast::<i16x8<S>>().to_array();
+                }
+                i += LANES;
+                continue;
+            }
+            let across = own[(i + 1).min(last)].short() - own[i.saturating_sub(1)].short();
+            out[i] = [own[i].short(), across, above[i].short() - below[i].short(), behind[i].short() - front[i].short()];
+            i += 1;
+        }
+    }
+}
+
+#[inline(always)]
+fn eight<S: Simd, T: Short>(simd: S, voxels: &[T]) -> i16x8<S> {
+    let voxels = &voxels[..LANES];
+    let mut shorts = [0; LANES];
+    for n in 0..LANES {
+        shorts[n] = voxels[n].short();
+    }
+    i16x8::load_array(simd, shorts)
+}
+
+#[inline(always)]
+fn words<S: Simd>(shorts: i16x8<S>) -> i32x4<S> {
+    shorts.bitcast()
 }
 
 /// The lowest and the highest of integers.
@@ -153,7 +223,6 @@ mod tests {
     /// the faces, eight samples at once are those of one, and those with a gradient volume are those without, to the bit.
     #[test]
     fn gradients_are_the_samplers() {
-        use crate::math::lanes::*;
         struct Lanes<'a, T>(&'a Sampler<'a, T>, [Vec3; LANES]);
         impl<T: Voxel> OverSimd for Lanes<'_, T> {
             type Output = ([f32; LANES], [Vec3; LANES]);
@@ -192,7 +261,7 @@ mod tests {
                 }
             }
         }
-        for size in [[5, 4, 6], [1, 4, 3], [2, 2, 2], [7, 1, 1], [4, 9, 4]] {
+        for size in [[5, 4, 6], [1, 4, 3], [2, 2, 2], [7, 1, 1], [4, 9, 4], [10, 2, 3], [27, 3, 2]] {
             let hashes: Vec<usize> = (0..size.iter().product::<usize>()).map(|n| n * n * 7919 % 32_749).collect();
             let grid = |voxels: crate::volume::Voxels| Grid::new(&Volume::new(voxels, size, Rescale::NONE, DAffine3::IDENTITY));
             let u8s: Vec<u8> = hashes.iter().map(|h| *h as u8).collect();
