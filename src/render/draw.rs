@@ -17,7 +17,7 @@ const PIXELS_PER_BAND: [u32; 2] = [1 << 18, 1 << 16];
 /// Samples per submission of slices, about.
 const SAMPLES_PER_BATCH: u64 = 1 << 24;
 /// Slabs between two looks at which pixels have become opaque.
-const SLABS_PER_MASK: usize = 2;
+const SLABS_PER_MASK: usize = 1;
 /// Depth of the mask of opaque pixels.
 pub(super) const MASK: TextureFormat = TextureFormat::Depth32Float;
 

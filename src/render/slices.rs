@@ -8,7 +8,7 @@ use glam::{Vec2, Vec3};
 use std::ops::Range;
 
 /// Slices that one fragment composites before the blend unit is asked.
-pub const SLICES_PER_SLAB: i64 = 8;
+pub const SLICES_PER_SLAB: i64 = 32;
 
 /// A triangle corner: position in world mm and the number of the slab's nearest slice.
 pub type Corner = [f32; 4];
