@@ -35,14 +35,21 @@
 //! 457 became 387 when Jacobians were taken only for what has a normal or lies beside a cut. On pages of 2 MiB ([`crate::volume::pages`]) gradients take
 //! 29 instead of 67 to make. Of a surface's 33 ms, 10 went to pixels whose rays miss all that can be seen: they are left out.
 //!
-//! *The ceiling*: this machine fetches 212 to 221 million trilinear samples a second on two threads, eight at once and without anything else
-//! (`benches/growth.rs`); rays through surfaces take 16 to 30 million. On another machine it was 301 million against 21 to 50. Of the haze's time 40 in a hundred go to values and differences, a third of that
-//! waiting for memory; 12 to the transfer function, 15 to light, 10 to empty space; the rest is spread over what keeps eight rays together, of which
-//! 7.8 shade at once but only 6 look at once.
+//! Then, each pair alternating in one run: 32 became 24 and 281 became 182 for the CT, 62 and 367 became 44 and 255 for the head, 56 and 465 became 41
+//! and 298 for the CT twisted. Packets go down columns of 16 rows, so that what one has fetched of the volume the next still finds in the cache: an
+//! eighth of haze's time. Fetches check a lane's cell once, not each of its rows ([`crate::math::cells::Strides`]), and no structure of registers is
+//! copied by a call: a tenth each. Rays are made and meet the box in lanes. Values come alone where most looks show nothing, with differences and
+//! colours where most show something ([`packet::Habit`]); in haze half of the lanes are enough to shade, and in the midst of matter macrocells are not
+//! asked ([`crate::scene::Macrocells::blocks_lanes`]). Without any volume of gradients surfaces now take the same time, and haze a tenth more.
 //!
-//! What `--backend auto` takes where the only adapter is a software one was decided by the same scenes in runs of `benches/peers`: 72, 470, 94 and
-//! 624 ms here against 102, 753, 171 and 1030 ms for rays by Mesa's llvmpipe on the same two cores, on another machine 34, 295, 55 and 438 against 46,
-//! 340, 92 and 405. The CPU renderer is taken.
+//! *The ceiling*: this machine fetches 431 to 437 million trilinear samples a second on two threads, eight at once and without anything else
+//! (`benches/growth.rs`; 301 million before the checks were one a cell); rays through surfaces take 26 (256 x 256) to 53 million, 6 to 12 % of it. Of
+//! the haze's time a third goes to values and differences, mostly waiting for memory; 14 in a hundred to where rays enter matter and the gradients
+//! there, 7 to the transfer function, 8 to light, 8 to empty space; the rest is spread over what keeps eight rays together, of which 6.7 look at once.
+//!
+//! What `--backend auto` takes where the only adapter is a software one was decided by the same scenes in runs of `benches/peers`: 72, 470, 94 and 624
+//! ms here against 102, 753, 171 and 1030 ms for rays by Mesa's llvmpipe on the same two cores, and on another machine 25, 217, 38 and 323 against 52,
+//! 428, 109 and 486. The CPU renderer is taken.
 //!
 //! `shaders/raycast.wgsl` and `shaders/lib` say the same in the same words.
 
@@ -65,8 +72,10 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// A ray whose remaining transmittance is below this is finished: less than half an 8-bit step can follow.
 const OPAQUE: f32 = 1.0 / 512.0;
 
-/// Rows that one task renders; whole packets.
-const STRIP_ROWS: usize = 16;
+/// Rows that one task renders, whole packets: where there are tasks enough for all threads to be busy to the end, and where there are not.
+const STRIP_ROWS: [usize; 2] = [16, 8];
+/// Tasks enough, for each thread.
+const STRIPS_PER_THREAD: usize = 4;
 
 /// Renders a prepared scene. `progress` is told the share that is done, from several threads.
 pub fn render(scene: &Prepared, progress: &(dyn Fn(f32) + Sync)) -> Rendered {
@@ -100,6 +109,7 @@ fn rows<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, watch: &Watch) -> (Pic
     let [width, height] = scene.frame.size;
     let mut pixels = vec![[0.0f32; 4]; width as usize * height as usize];
     let done = AtomicUsize::new(0);
+    let strip_rows = STRIP_ROWS[usize::from((height as usize) < STRIP_ROWS[0] * STRIPS_PER_THREAD * rayon::current_num_threads())];
     let marcher = Marcher::new(scene, sampler);
     let [columns, lines] = if scene.surfaces.objects.is_empty() {
         scene.frame.view.pixels_of(&scene.frame.proxy, scene.frame.size)
@@ -107,15 +117,15 @@ fn rows<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, watch: &Watch) -> (Pic
         [[0, width as usize], [0, height as usize]]
     };
     let stats = pixels
-        .par_chunks_mut(width as usize * STRIP_ROWS)
+        .par_chunks_mut(width as usize * strip_rows)
         .enumerate()
         .map(|(n, pixels)| {
             if watch.stopped() {
                 return RenderStats::default();
             }
-            let strip = Strip { marcher: &marcher, scene, top: n * STRIP_ROWS, columns, lines, pixels };
+            let strip = Strip { marcher: &marcher, scene, top: n * strip_rows, columns, lines, pixels };
             let stats = with_simd(strip);
-            let rows = done.fetch_add(STRIP_ROWS, Ordering::Relaxed) + STRIP_ROWS;
+            let rows = done.fetch_add(strip_rows, Ordering::Relaxed) + strip_rows;
             (watch.progress)((rows as f32 / height as f32).min(1.0));
             stats
         })

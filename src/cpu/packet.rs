@@ -64,6 +64,8 @@ struct Looks<S: Simd> {
     /// Differences of stored values and colours by the transfer function, where those were fetched too.
     differences: Vec3x8<S>,
     color: Vec3x8<S>,
+    /// Whether they were.
+    fused: bool,
 }
 
 /// A pixel's shift of its samples, in steps, -1/2 .. 1/2: a hash by multiplication and shifts, the same integers as in
@@ -165,7 +167,19 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         let table = &self.scene.table;
         let (color, depth) = if fused { table.lookup_lanes(simd, value) } else { (none, table.depth_lanes(simd, value)) };
         let depth = present.select(depth, f32x8::splat(simd, 0.0));
-        Looks { in_voxel, value, present, alpha: walk.alpha, depth, front: value, inside: walk.inside, clear: lanes & !lanes, differences, color }
+        Looks {
+            in_voxel,
+            value,
+            present,
+            alpha: walk.alpha,
+            depth,
+            front: value,
+            inside: walk.inside,
+            clear: lanes & !lanes,
+            differences,
+            color,
+            fused,
+        }
     }
 
     /// The nearest of the volume's faces outside of all maps: distances, mm, and normals out of the volume.
@@ -245,6 +259,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                 clear: nobody,
                 differences: origin,
                 color: origin,
+                fused,
             };
             let (mut sampled, mut before) = (origin, origin);
             let (mut share, mut near_shape) = (one, nobody);
@@ -360,6 +375,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                         clear: (hit & clear) | (at.clear & !hit),
                         differences: Vec3x8::select(hit, look.differences, at.differences),
                         color: Vec3x8::select(hit, look.color, at.color),
+                        fused,
                     };
                     sampled = Vec3x8::select(hit, p, sampled);
                     before = Vec3x8::select(hit, previous, before);
@@ -397,13 +413,15 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                     let near = if scene.grid.has_holes { f32x8::splat(simd, self.margin_mm) } else { step * 1.1 };
                     single |= beside & self.nearest_face(simd, at.in_voxel).0.simd_lt(near);
                 }
-                single |= found & !seen;
+                // Matter that ends between the sample in front and this one, which both show nothing: only one of the two is present then.
+                let both = (front_present & at.present) | !(front_present | at.present);
+                single |= found & !seen & !(front_known & (both | front_depth.simd_gt(0.0)));
             }
             let plain = seen & !single;
             if plain.any_true() {
                 let front = Front { before, known: front_known, present: front_present, depth: front_depth };
                 habit.shades += 1;
-                let (shaded, factor, cut) = self.shade(simd, &at, sampled, Rays { direction, half, step }, plain, &front, fused);
+                let (shaded, factor, cut) = self.shade(simd, &at, sampled, Rays { direction, half, step }, plain, &front);
                 rgb = shaded;
                 depth = at.depth * factor * share;
                 single |= cut;
@@ -493,14 +511,13 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         rays: Rays<S>,
         lanes: mask32x8<S>,
         front: &Front<S>,
-        fused: bool,
     ) -> (Vec3x8<S>, f32x8<S>, mask32x8<S>) {
         let scene = self.scene;
         let one = f32x8::splat(simd, 1.0);
         let (entry, entered) = self.entry(simd, at, sampled, rays, lanes, front);
         let (bits, mut cut) = (lanes.to_bitmask(), lanes & !lanes);
         let mut color = match &self.preintegrated {
-            None if fused && !entered.any_true() => at.color,
+            None if at.fused && !entered.any_true() => at.color,
             None => scene.table.color_lanes(simd, entry.value),
             Some(table) => {
                 let mut color = Vec3x8::splat(simd, Vec3::ZERO);
@@ -518,7 +535,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         }
         let (mut gradient, mut magnitude, mut factor) = (Vec3x8::splat(simd, Vec3::ZERO), one, one);
         if self.lit || self.gradient_opacity {
-            let per_voxel = if fused {
+            let per_voxel = if at.fused {
                 let mut differences = at.differences;
                 if entered.any_true() {
                     let there = self.sampler.sample_with_differences(simd, entry.in_voxel).1;

@@ -184,8 +184,8 @@ impl DisplacementMap {
         let [nx, ny, nz] = self.size;
         if nx < 2 || ny < 2 || nz < 2 {
             let mut texels = [[0.0; 4]; LANES];
-            for n in 0..LANES {
-                texels[n] = self.fetch(x.lane(n)).to_array();
+            for (n, texel) in texels.iter_mut().enumerate() {
+                *texel = self.fetch(x.lane(n)).to_array();
             }
             return columns(simd, &texels);
         }
@@ -230,8 +230,8 @@ impl DisplacementMap {
         if beside.any_true() {
             // No texel lies to each side.
             value = selected(beside, self.fetch_fours(simd, x), value);
-            for axis in 0..3 {
-                slopes[axis] = selected(beside, self.slope_beside(simd, x, axis), slopes[axis]);
+            for (axis, slope) in slopes.iter_mut().enumerate() {
+                *slope = selected(beside, self.slope_beside(simd, x, axis), *slope);
             }
         }
         (value, slopes)

@@ -242,7 +242,7 @@ pub fn powi<S: Simd>(x: f32x8<S>, n: u32) -> f32x8<S> {
     let mut power = f32x8::splat(x.token(), 1.0);
     while left > 0 {
         if left & 1 == 1 {
-            power = power * square;
+            power *= square;
         }
         square = square * square;
         left >>= 1;

@@ -16,8 +16,6 @@ use wgpu::TextureFormat;
 const PIXELS_PER_BAND: [u32; 2] = [1 << 18, 1 << 16];
 /// Samples per submission of slices, about.
 const SAMPLES_PER_BATCH: u64 = 1 << 24;
-/// Slabs between two looks at which pixels have become opaque.
-const SLABS_PER_MASK: usize = 1;
 /// Depth of the mask of opaque pixels.
 pub(super) const MASK: TextureFormat = TextureFormat::Depth32Float;
 
@@ -148,7 +146,8 @@ impl Renderer {
         Canvas { color: Some((canvas, wgpu::LoadOp::Clear(empty))), depth: depth(wgpu::LoadOp::Clear(1.0)) }.pass(draw.clock, &mut encoder, |_| {});
         let samples_per_slab = u64::from(width) * u64::from(height) * if scene.proxy_mesh.is_some() { 1 } else { SLICES_PER_SLAB as u64 };
         let (count, mut samples) = (polygons.slabs.len(), 0);
-        let slabs_at_once = if scene.proxy_mesh.is_some() { SLABS_PER_MASK * SLICES_PER_SLAB as usize } else { SLABS_PER_MASK };
+        // Of a mesh, polygons are single slices.
+        let slabs_at_once = if scene.proxy_mesh.is_some() { SLICES_PER_SLAB as usize } else { 1 };
         let mut parts = polygons.slabs.chunks(slabs_at_once).map(|p| (p.len() as u64, p[0].start..p[p.len() - 1].end)).enumerate().peekable();
         while let Some((n, (slabs, corners))) = parts.next() {
             Canvas { color: Some((canvas, wgpu::LoadOp::Load)), depth: depth(wgpu::LoadOp::Load) }.pass(draw.clock, &mut encoder, |pass| {

@@ -1,7 +1,7 @@
 //! Renders a scene on a GPU: view-aligned slices (\[DDM06\] section 4) or rays, on one library of WGSL functions.
 //!
-//! *Theory*: the shaders in `shaders/` state what `src/cpu` states, function by function. Slices are drawn in slabs of eight: a polygon covers
-//! eight planes' sections of the proxy box, a fragment composites their samples in 32 bits, and the hardware blends slabs front to back, under
+//! *Theory*: the shaders in `shaders/` state what `src/cpu` states, function by function. Slices are drawn in slabs of 32: a polygon covers
+//! 32 planes' sections of the proxy box, a fragment composites their samples in 32 bits, and the hardware blends slabs front to back, under
 //! what is there, into a 16-bit float target, premultiplied. Between slabs the pixels that have become opaque get depth 0, and the depth test
 //! rejects what would be drawn behind them before it is shaded (Krueger and Westermann 2003). Slices of a mesh are drawn one by one. Projections
 //! (MIP and its kin) blend by maximum or sum, in 32 bits, and pass through the transfer function in a second pass.

@@ -2,7 +2,8 @@
 //!
 //! *Theory*: what a sample costs is its loads. The two voxels of a row lie beside each other and are loaded as one word; a gradient needs 32
 //! voxels of the 64 around a point, not the 48 of six samples: the differences to both sides are interpolated by the point's one fraction.
-//! Where differences are kept ([`GradientVolume`](super::GradientVolume)) it needs 8 of them.
+//! Where differences are kept ([`GradientVolume`](super::GradientVolume)) it needs 8 of them. Each lane checks once that its cell lies in the volume, not each
+//! of its rows ([`Strides`]).
 //!
 //! *How to call it*: as [`Sampler::sample`] and [`Sampler::gradient`], whose values these are to rounding.
 
