@@ -2,7 +2,8 @@
 //!
 //! *Theory*: neighbouring rays ask the same questions at nearly the same places, so eight of them share every instruction: one lane each
 //! ([`crate::math::lanes`]). As in `shaders/raycast.wgsl` there are two loops: lanes look until each has found something to shade or is
-//! through (or, in haze, until half of them have), then those that have found something shade together. A ray thus waits for its neighbours, never for their shading.
+//! through (or, in haze, until half of them have), then those that have found something shade together. A ray thus waits for its neighbours,
+//! never for their shading.
 //!
 //! Most samples are *plain*: farther from every cut than anything that a cut does to light, or, beside a face of the volume's own box, than what it
 //! does to anything but normals. What lanes do for those is what [`shading`] does for one sample, less what is known to change nothing. The
@@ -354,8 +355,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                     hit |= asked & look.present & (look.alpha.simd_lt(1.0) | beside);
                 }
                 if found.all_false() {
-                    // Nothing to be kept of other lanes.
-                    // One by one: the whole would be copied by a call, around which all registers are saved.
+                    // Nothing is to be kept of other lanes. One by one: the whole would be copied by a call, around which all registers are saved.
                     (at.in_voxel, at.value, at.differences, at.color) = (look.in_voxel, look.value, look.differences, look.color);
                     (at.depth, at.front, at.alpha) = (depth, look.front, look.alpha);
                     (at.present, at.inside, at.clear) = (look.present, look.inside, clear);
