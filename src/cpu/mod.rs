@@ -7,8 +7,8 @@
 //! skipping on or off) samples the same points.
 //!
 //! Per sample, cheapest question first: macrocell, mask and source point, value, opacity; only what is visible pays for a gradient,
-//! a Jacobian and light ([`shading`]). From the second picture of a volume on, differences are read beside the values
-//! ([`GradientVolume`](crate::volume::GradientVolume)). Eight neighbouring rays share every instruction ([`packet`]). Strips of rows are what threads steal from each
+//! a Jacobian and light ([`shading`]). From the second picture of a volume on, where most samples show something, differences
+//! are read beside the values ([`GradientVolume`](crate::volume::GradientVolume)). Eight neighbouring rays share every instruction ([`packet`]). Strips of rows are what threads steal from each
 //! other; pixels are independent, so the number of threads changes nothing.
 //!
 //! *What each step gave*, 512 x 512, step 1, shaded, two threads, milliseconds from the prepared scene to the picture (the scenes of
