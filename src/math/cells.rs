@@ -63,6 +63,18 @@ impl Strides {
         &points[base.saturating_sub(on + up + 1)..][..3 * on + 2 * up + 3]
     }
 
+    /// Where rows begin in [`Self::around`]: the four of the cell, from the point before it; along the second axis those below and above the near face,
+    /// and the far face, from the cell on; along the third axis the low and the high one in front of the cell, and behind it, from the cell on.
+    #[inline(always)]
+    pub fn rows_around(self) -> [[usize; 4]; 3] {
+        let Self { up, on } = self;
+        [
+            [on + up, on + 2 * up, 2 * on + up, 2 * on + 2 * up],
+            [on + 1, on + 3 * up + 1, 2 * on + 1, 2 * on + 3 * up + 1],
+            [up + 1, 2 * up + 1, 3 * on + up + 1, 3 * on + 2 * up + 1],
+        ]
+    }
+
     /// The points of a grid that hold a cell, from its lowest corner to its highest.
     #[inline(always)]
     pub fn cell<T>(self, points: &[T], base: usize) -> &[T] {

@@ -137,20 +137,20 @@ fn word_at<T: Halves>(voxels: &[T], at: usize) -> i32 {
 /// [`Voxel::around`].
 #[inline(always)]
 fn around_of_words<S: Simd, T: Halves>(simd: S, voxels: &[T], base: &[usize; LANES], strides: Strides) -> Around<S> {
-    let Strides { up, on } = strides;
+    let [own, along_y, along_z] = strides.rows_around();
     let (mut front, mut back) = ([[0; LANES]; 4], [[0; LANES]; 4]);
     let (mut beside_y, mut beside_z) = ([[0; LANES]; 4], [[0; LANES]; 4]);
     for n in 0..LANES {
         let v = strides.around(voxels, base[n]);
-        for (row, at) in [on + up, on + 2 * up, 2 * on + up, 2 * on + 2 * up].into_iter().enumerate() {
+        for (row, at) in own.into_iter().enumerate() {
             let four = &v[at..at + 4];
             front[row][n] = T::word([four[0], four[1]]);
             back[row][n] = T::word([four[2], four[3]]);
         }
-        for (row, at) in [on + 1, on + 3 * up + 1, 2 * on + 1, 2 * on + 3 * up + 1].into_iter().enumerate() {
+        for (row, at) in along_y.into_iter().enumerate() {
             beside_y[row][n] = word_at(v, at);
         }
-        for (row, at) in [up + 1, 2 * up + 1, 3 * on + up + 1, 3 * on + 2 * up + 1].into_iter().enumerate() {
+        for (row, at) in along_z.into_iter().enumerate() {
             beside_z[row][n] = word_at(v, at);
         }
     }
@@ -290,19 +290,19 @@ impl Voxel for f32 {
 
     #[inline(always)]
     fn around<S: Simd>(simd: S, voxels: &[Self], base: &[usize; LANES], strides: Strides) -> Around<S> {
-        let Strides { up, on } = strides;
+        let [own, along_y, along_z] = strides.rows_around();
         let (mut rows, mut beside_y, mut beside_z) = ([[[0.0; LANES]; 4]; 4], [[[0.0; LANES]; 2]; 4], [[[0.0; LANES]; 2]; 4]);
         for n in 0..LANES {
             let v = strides.around(voxels, base[n]);
-            for (row, at) in [on + up, on + 2 * up, 2 * on + up, 2 * on + 2 * up].into_iter().enumerate() {
+            for (row, at) in own.into_iter().enumerate() {
                 let four = &v[at..at + 4];
                 (0..4).for_each(|i| rows[row][i][n] = four[i]);
             }
-            for (row, at) in [on + 1, on + 3 * up + 1, 2 * on + 1, 2 * on + 3 * up + 1].into_iter().enumerate() {
+            for (row, at) in along_y.into_iter().enumerate() {
                 let two = &v[at..at + 2];
                 (0..2).for_each(|i| beside_y[row][i][n] = two[i]);
             }
-            for (row, at) in [up + 1, 2 * up + 1, 3 * on + up + 1, 3 * on + 2 * up + 1].into_iter().enumerate() {
+            for (row, at) in along_z.into_iter().enumerate() {
                 let two = &v[at..at + 2];
                 (0..2).for_each(|i| beside_z[row][i][n] = two[i]);
             }
