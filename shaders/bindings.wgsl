@@ -55,39 +55,77 @@ override GRADIENT: u32 = 0u;
 override PREINTEGRATED: u32 = 0u;
 // Slices of one slab; 1 for slices of a mesh.
 override SLAB: u32 = 1u;
+// 1: texels are mixed here, with weights of 24 bits: hardware filters round theirs to 8, which moves what lies in a coarse map by tenths of a
+// millimetre and gives labels and holes a value of their neighbours'.
+override EXACT: u32 = 0u;
+
+// The mix of the eight texels around a position in texels, the outermost ones going on.
+fn mixed(t: texture_3d<f32>, p: vec3<f32>) -> vec4<f32> {
+    let last = vec3<i32>(textureDimensions(t)) - 1;
+    let cell = floor(p);
+    let f = p - cell;
+    let a = clamp(vec3<i32>(cell), vec3<i32>(0), last);
+    let b = clamp(vec3<i32>(cell) + 1, vec3<i32>(0), last);
+    let near = mix(
+        mix(textureLoad(t, a, 0), textureLoad(t, vec3<i32>(b.x, a.yz), 0), f.x),
+        mix(textureLoad(t, vec3<i32>(a.x, b.y, a.z), 0), textureLoad(t, vec3<i32>(b.xy, a.z), 0), f.x),
+        f.y,
+    );
+    let far = mix(
+        mix(textureLoad(t, vec3<i32>(a.xy, b.z), 0), textureLoad(t, vec3<i32>(b.x, a.y, b.z), 0), f.x),
+        mix(textureLoad(t, vec3<i32>(a.x, b.yz), 0), textureLoad(t, b, 0), f.x),
+        f.y,
+    );
+    return mix(near, far, f.z);
+}
+
+// A texture that spans `size` voxels at a position in voxels.
+fn sample_texture(t: texture_3d<f32>, p: vec3<f32>, size: vec3<f32>) -> vec4<f32> {
+    if EXACT == 0u {
+        return textureSampleLevel(t, linear_clamp, (p + 0.5) / size, 0.0);
+    }
+    let texels = vec3<f32>(textureDimensions(t));
+    return mixed(t, select((p + 0.5) * texels / size - 0.5, p, texels == size));
+}
 
 // Normalised value at a position in voxels.
 fn sample_volume(p: vec3<f32>) -> f32 {
-    return textureSampleLevel(volume, linear_clamp, (p + 0.5) / frame.texture_size, 0.0).r * frame.value_scale + frame.value_offset;
+    return sample_texture(volume, p, frame.texture_size).r * frame.value_scale + frame.value_offset;
 }
 
 // f(+1) - f(-1) along i, j, k of stored values, as shares of 32767.
 fn sample_gradients(p: vec3<f32>) -> vec3<f32> {
-    return textureSampleLevel(gradients, linear_clamp, (p + 0.5) / frame.texture_size, 0.0).gba;
+    return sample_texture(gradients, p, frame.texture_size).gba;
 }
 
 fn sample_colors(p: vec3<f32>) -> vec4<f32> {
-    return textureSampleLevel(colors, linear_clamp, (p + 0.5) / frame.texture_size, 0.0);
+    return sample_texture(colors, p, frame.texture_size);
 }
 
-// Stored (D / scale, alpha) of map k; x inside the unit cube. Grid points lie on the cube's faces.
-fn fetch(k: u32, x: vec3<f32>) -> vec4<f32> {
+// Grid points lie on the cube's faces.
+fn sample_map(map: texture_3d<f32>, k: u32, x: vec3<f32>) -> vec4<f32> {
     let size = maps[k].size;
-    let c = (x * (size - 1.0) + 0.5) / size;
-    // Nothing is chosen while the shader runs where there is no choice.
-    if MAPS == 1u {
-        return textureSampleLevel(map_0, linear_clamp, c, 0.0);
+    let p = x * (size - 1.0);
+    if EXACT != 0u {
+        return mixed(map, p);
     }
+    return textureSampleLevel(map, linear_clamp, (p + 0.5) / size, 0.0);
+}
+
+// Stored (D / scale, alpha) of map k; x inside the unit cube.
+fn fetch(k: u32, x: vec3<f32>) -> vec4<f32> {
+    // What the stack does not have is not compiled: a driver puts each case wherever a map is read.
     switch k {
-        case 0u: { return textureSampleLevel(map_0, linear_clamp, c, 0.0); }
-        case 1u: { return textureSampleLevel(map_1, linear_clamp, c, 0.0); }
-        case 2u: { return textureSampleLevel(map_2, linear_clamp, c, 0.0); }
-        case 3u: { return textureSampleLevel(map_3, linear_clamp, c, 0.0); }
-        case 4u: { return textureSampleLevel(map_4, linear_clamp, c, 0.0); }
-        case 5u: { return textureSampleLevel(map_5, linear_clamp, c, 0.0); }
-        case 6u: { return textureSampleLevel(map_6, linear_clamp, c, 0.0); }
-        default: { return textureSampleLevel(map_7, linear_clamp, c, 0.0); }
+        case 1u: { if MAPS > 1u { return sample_map(map_1, k, x); } }
+        case 2u: { if MAPS > 2u { return sample_map(map_2, k, x); } }
+        case 3u: { if MAPS > 3u { return sample_map(map_3, k, x); } }
+        case 4u: { if MAPS > 4u { return sample_map(map_4, k, x); } }
+        case 5u: { if MAPS > 5u { return sample_map(map_5, k, x); } }
+        case 6u: { if MAPS > 6u { return sample_map(map_6, k, x); } }
+        case 7u: { if MAPS > 7u { return sample_map(map_7, k, x); } }
+        default: {}
     }
+    return sample_map(map_0, k, x);
 }
 
 fn table_entry(i: i32, row: i32) -> vec4<f32> {

@@ -61,6 +61,7 @@ pub fn trials() -> Vec<Trial> {
     all.push(gpu("editing::segments_and_shifts_agree_between_modes".into(), Box::new(crate::editing::segments_and_shifts_agree_between_modes)));
     all.push(gpu("parity::eight_maps_agree".into(), Box::new(eight_maps_agree)));
     all.push(gpu("parity::composition_agrees".into(), Box::new(composition_agrees)));
+    all.push(gpu("parity::strategies_agree".into(), Box::new(strategies_agree)));
     all.push(gpu("parity::voxel_types_agree".into(), Box::new(voxel_types_agree)));
     all.push(gpu("parity::own_colors_agree".into(), Box::new(own_colors_agree)));
     all.push(gpu("parity::larger_than_the_device_is_reduced".into(), Box::new(larger_than_the_device_is_reduced)));
@@ -260,6 +261,41 @@ fn eight_maps_agree() {
     let prepared = Prepared::new(&scene, &assets).unwrap();
     assert_eq!(prepared.stack.maps().len(), 8);
     agree("eight maps", &prepared);
+}
+
+/// What a device is asked to do differently than it would by itself shows the same: labels and holes too, by rays of both kinds, slices and surfaces.
+fn strategies_agree() {
+    use incise::render::Strategy;
+    use incise::scene::surface::Representation;
+    let scene = |name: &str, mode: Mode| {
+        let mut scene = scenes::load(name);
+        (scene.render.mode, scene.render.size, scene.render.antialias) = (mode, [128, 128], 1);
+        scene
+    };
+    let mut in_front = scene("head-with-nuclei", Mode::Raycast);
+    in_front.render.jitter = true;
+    let mut depth_maps = scene("bunny-twist", Mode::Surface);
+    depth_maps.mesh[0].representation = Some(Representation::DepthMapCube);
+    let mut wide = scene("head-peel", Mode::Raycast);
+    // More than one band of rays, none of them whole workgroups.
+    wide.render.size = [700, 397];
+    let scenes = [
+        ("labels", scene("brain-labels", Mode::Raycast)),
+        ("labels, slices", scene("brain-labels", Mode::Slice)),
+        ("bands", wide),
+        ("surfaces behind", in_front),
+        ("depth maps", depth_maps),
+    ];
+    for (name, scene) in scenes {
+        let assets = scenes::assets(&scene);
+        let prepared = Prepared::new(&scene, &assets).unwrap();
+        for compute_rays in [false, true] {
+            let own = with_renderer(|r| r.set_strategy(Strategy { exact_filter: true, compute_rays }));
+            let agrees = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| agree(&format!("{name}, compute_rays {compute_rays}"), &prepared)));
+            with_renderer(|r| r.set_strategy(own));
+            agrees.unwrap_or_else(|e| std::panic::resume_unwind(e));
+        }
+    }
 }
 
 fn voxel_types_agree() {

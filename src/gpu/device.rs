@@ -23,6 +23,8 @@ pub struct Device {
     pub queue: wgpu::Queue,
     /// What it is.
     pub adapter: wgpu::AdapterInfo,
+    /// Whether it runs compute shaders.
+    computes: bool,
     /// Set once it no longer answers.
     lost: Arc<AtomicBool>,
 }
@@ -72,13 +74,19 @@ impl Device {
         let lost = Arc::new(AtomicBool::new(false));
         let told = lost.clone();
         device.set_device_lost_callback(move |_, _| told.store(true, Ordering::Relaxed));
-        Ok(Self { device, queue, adapter: adapter.get_info(), lost })
+        let computes = adapter.get_downlevel_capabilities().flags.contains(wgpu::DownlevelFlags::COMPUTE_SHADERS);
+        Ok(Self { device, queue, adapter: adapter.get_info(), computes, lost })
     }
 
     /// Whether it no longer answers: the driver was reset, the device taken away, or given up.
     pub fn is_lost(&self) -> bool {
         // What has happened is told by polling; a device that cannot be polled is lost as well.
         self.device.poll(wgpu::PollType::Poll).is_err() || self.lost.load(Ordering::Relaxed)
+    }
+
+    /// Whether it runs compute shaders.
+    pub fn computes(&self) -> bool {
+        self.computes
     }
 
     /// Whether a software implementation stands behind it.

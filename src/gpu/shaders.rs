@@ -3,8 +3,10 @@
 /// A program of one or two entry points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Program {
-    /// Rays.
+    /// Rays, by fragments.
     Raycast,
+    /// Rays, by invocations of a compute shader.
+    Rays,
     /// Slices.
     Slice,
     /// The second pass of a projection by slices.
@@ -40,27 +42,31 @@ const SHARED: [&str; 8] = [
     piece!("lib/shading.wgsl"),
 ];
 
+const MARCH: &str = piece!("lib/march.wgsl");
+const COMPOSITE: &str = piece!("lib/composite.wgsl");
+
 /// What programs of surfaces share besides.
 const SURFACES: [&str; 4] = [piece!("types/surface.wgsl"), piece!("lib/implicit.wgsl"), piece!("lib/formula.wgsl"), piece!("lib/surface.wgsl")];
 
 impl Program {
     /// All programs.
-    pub const ALL: [Self; 9] =
-        [Self::Raycast, Self::Slice, Self::Resolve, Self::Opaque, Self::Under, Self::Probe, Self::Compose, Self::Surface, Self::Mesh];
+    pub const ALL: [Self; 10] =
+        [Self::Raycast, Self::Rays, Self::Slice, Self::Resolve, Self::Opaque, Self::Under, Self::Probe, Self::Compose, Self::Surface, Self::Mesh];
 
     /// The program's whole text; `counting` keeps the sample counts.
     pub fn source(self, counting: bool) -> String {
         let count = if counting { piece!("lib/count.wgsl") } else { piece!("lib/count_nothing.wgsl") };
         let own: &[&str] = match self {
-            Self::Raycast => &[piece!("lib/march.wgsl"), piece!("lib/composite.wgsl"), piece!("lib/projection.wgsl"), count, piece!("raycast.wgsl")],
-            Self::Slice => &[piece!("lib/march.wgsl"), piece!("lib/composite.wgsl"), count, piece!("slice.wgsl")],
+            Self::Raycast => &[MARCH, COMPOSITE, piece!("lib/projection.wgsl"), piece!("lib/ray.wgsl"), count, piece!("raycast.wgsl")],
+            Self::Rays => &[MARCH, COMPOSITE, piece!("lib/projection.wgsl"), piece!("lib/ray.wgsl"), count, piece!("rays.wgsl")],
+            Self::Slice => &[MARCH, COMPOSITE, count, piece!("slice.wgsl")],
             Self::Resolve => &[piece!("lib/projection.wgsl"), piece!("resolve.wgsl")],
             Self::Opaque => &[piece!("opaque.wgsl")],
             Self::Under => &[piece!("under.wgsl")],
             Self::Probe => &[piece!("probe.wgsl")],
             Self::Compose => &[piece!("compose.wgsl")],
-            Self::Surface => &[piece!("lib/march.wgsl"), count, piece!("surface.wgsl")],
-            Self::Mesh => &[piece!("lib/march.wgsl"), piece!("lib/deformer.wgsl"), piece!("mesh.wgsl")],
+            Self::Surface => &[MARCH, count, piece!("surface.wgsl")],
+            Self::Mesh => &[MARCH, piece!("lib/deformer.wgsl"), piece!("mesh.wgsl")],
         };
         let of_surfaces: &[&str] = match self {
             Self::Surface | Self::Mesh => &SURFACES,

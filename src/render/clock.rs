@@ -41,14 +41,27 @@ impl Clock {
         self.passes.store(0, Ordering::Relaxed);
     }
 
-    /// What the next pass writes; nothing if there have been too many.
+    /// What the next pass that draws writes; nothing if there have been too many.
     pub fn next(&self) -> Option<wgpu::RenderPassTimestampWrites<'_>> {
-        let pass = self.passes.fetch_add(1, Ordering::Relaxed);
-        (pass < MOST_PASSES).then(|| wgpu::RenderPassTimestampWrites {
+        self.next_pass().map(|[beginning, end]| wgpu::RenderPassTimestampWrites {
             query_set: &self.set,
-            beginning_of_pass_write_index: Some(2 * pass),
-            end_of_pass_write_index: Some(2 * pass + 1),
+            beginning_of_pass_write_index: Some(beginning),
+            end_of_pass_write_index: Some(end),
         })
+    }
+
+    /// The same of a pass that computes.
+    pub fn next_computing(&self) -> Option<wgpu::ComputePassTimestampWrites<'_>> {
+        self.next_pass().map(|[beginning, end]| wgpu::ComputePassTimestampWrites {
+            query_set: &self.set,
+            beginning_of_pass_write_index: Some(beginning),
+            end_of_pass_write_index: Some(end),
+        })
+    }
+
+    fn next_pass(&self) -> Option<[u32; 2]> {
+        let pass = self.passes.fetch_add(1, Ordering::Relaxed);
+        (pass < MOST_PASSES).then_some([2 * pass, 2 * pass + 1])
     }
 
     /// Time of all passes since the restart, milliseconds; none if there were too many, or none.

@@ -1,9 +1,10 @@
 //! Submissions: bands of rays, slabs of slices. Two are under way at a time, so that the device need not wait for the next one to be recorded.
 
 use super::clock::Clock;
+use super::kept::Target;
 use super::slices::{self, SLICES_PER_SLAB};
 use super::surfaces::Layer;
-use super::{Counter, GATHERED, Renderer, Variant};
+use super::{Counter, GATHERED, Renderer, Variant, overrides};
 use crate::gpu::shaders::Program;
 use crate::gpu::{wait, wait_for};
 use crate::scene::Prepared;
@@ -14,6 +15,8 @@ use wgpu::TextureFormat;
 
 /// Pixels per submission of rays: on hardware, and on a processor, where a band is long enough to be told to stop within.
 const PIXELS_PER_BAND: [u32; 2] = [1 << 18, 1 << 16];
+/// Rays of a workgroup along each axis, as in `shaders/rays.wgsl`.
+const RAYS_ACROSS: u32 = 8;
 /// Samples per submission of slices, about.
 const SAMPLES_PER_BATCH: u64 = 1 << 24;
 /// Depth of the mask of opaque pixels.
@@ -26,15 +29,15 @@ pub(super) struct Draw<'a> {
     pub bindings: &'a wgpu::BindGroup,
     pub behind: Option<&'a Layer>,
     pub counter: Option<&'a Counter>,
-    pub target: &'a wgpu::TextureView,
+    pub target: &'a Target,
     pub watch: &'a Watch<'a>,
     /// What times the passes, if anything does.
     pub clock: Option<&'a Clock>,
 }
 
 impl Draw<'_> {
-    fn variant(&self, program: Program) -> Variant {
-        Renderer::variant(self.scene, program, self.counter.is_some())
+    fn variant(&self, renderer: &Renderer, program: Program) -> Variant {
+        renderer.variant(self.scene, program, self.counter.is_some())
     }
 
     /// Binds the scene, and the counters if samples are counted.
@@ -81,6 +84,12 @@ impl<'a> Canvas<'a> {
     }
 }
 
+/// What tells rays by invocations their place, and where they write.
+struct Bands {
+    first_row: wgpu::Buffer,
+    group: wgpu::BindGroup,
+}
+
 /// Submissions that are under way, the oldest first.
 #[derive(Default)]
 struct UnderWay(VecDeque<(wgpu::SubmissionIndex, f32)>);
@@ -102,24 +111,74 @@ impl Renderer {
         self.device.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
     }
 
-    pub(super) fn draw_rays(&self, draw: &Draw) -> Result<()> {
+    /// A ray a pixel, band by band.
+    pub(super) fn draw_rays(&mut self, draw: &Draw) -> Result<()> {
         let [width, height] = draw.scene.frame.size;
-        let pipeline = &self.pipelines[&draw.variant(Program::Raycast)];
+        let program = self.strategy.rays();
+        let variant = draw.variant(self, program);
+        let bands = (program == Program::Rays).then(|| self.bands(draw));
         let pixels = PIXELS_PER_BAND[usize::from(self.device.is_software())];
         let rows = (pixels / width).clamp(1, height);
         let mut under_way = UnderWay::default();
         for top in (0..height).step_by(rows as usize) {
-            let load = if top == 0 { wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT) } else { wgpu::LoadOp::Load };
+            let count = rows.min(height - top);
             let mut encoder = self.encoder();
-            Canvas::of(draw.target, load).pass(draw.clock, &mut encoder, |pass| {
-                pass.set_scissor_rect(0, top, width, rows.min(height - top));
-                pass.set_pipeline(pipeline);
-                draw.bind(pass);
-                pass.draw(0..3, 0..1);
-            });
-            self.submit(encoder, (top + rows).min(height) as f32 / height as f32, &mut under_way, draw.watch)?;
+            if let Some(bands) = &bands {
+                // Written before the submission that reads it, after the one before it.
+                self.device.queue.write_buffer(&bands.first_row, 0, bytemuck::bytes_of(&[top, 0, 0, 0]));
+                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+                    label: Some("rays"),
+                    timestamp_writes: draw.clock.and_then(Clock::next_computing),
+                });
+                pass.set_pipeline(&self.ray_pipelines[&variant]);
+                pass.set_bind_group(0, draw.bindings, &[]);
+                pass.set_bind_group(1, &bands.group, &[]);
+                pass.dispatch_workgroups(width.div_ceil(RAYS_ACROSS), count.div_ceil(RAYS_ACROSS), 1);
+            } else {
+                let load = if top == 0 { wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT) } else { wgpu::LoadOp::Load };
+                Canvas::of(&draw.target.view, load).pass(draw.clock, &mut encoder, |pass| {
+                    pass.set_scissor_rect(0, top, width, count);
+                    pass.set_pipeline(&self.pipelines[&variant]);
+                    draw.bind(pass);
+                    pass.draw(0..3, 0..1);
+                });
+            }
+            self.submit(encoder, (top + count) as f32 / height as f32, &mut under_way, draw.watch)?;
         }
         wait(&self.device.device)
+    }
+
+    /// What rays by invocations bind besides the scene.
+    fn bands(&mut self, draw: &Draw) -> Bands {
+        let first_row = self.first_row();
+        let layout = Self::bands_layout(&self.device.device, draw.counter.is_some());
+        let mut others = vec![(2, first_row.as_entire_binding())];
+        others.extend(draw.counter.map(|c| (0, c.buffer.as_entire_binding())));
+        let purpose = if draw.counter.is_some() { "rays, counted" } else { "rays" };
+        let group = self.kept_group(purpose, &layout, vec![(1, draw.target.view.clone())], &others);
+        Bands { first_row, group }
+    }
+
+    fn bands_layout(device: &wgpu::Device, counting: bool) -> wgpu::BindGroupLayout {
+        let entry = |binding, ty| wgpu::BindGroupLayoutEntry { binding, visibility: wgpu::ShaderStages::COMPUTE, ty, count: None };
+        let mut entries = vec![
+            entry(
+                1,
+                wgpu::BindingType::StorageTexture {
+                    access: wgpu::StorageTextureAccess::WriteOnly,
+                    format: TextureFormat::Rgba16Float,
+                    view_dimension: wgpu::TextureViewDimension::D2,
+                },
+            ),
+            entry(2, wgpu::BindingType::Buffer { ty: wgpu::BufferBindingType::Uniform, has_dynamic_offset: false, min_binding_size: None }),
+        ];
+        entries.extend(counting.then_some(Counter::ENTRY));
+        device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some("rays"), entries: &entries })
+    }
+
+    pub(super) fn ray_pipeline(&self, variant: Variant) -> wgpu::ComputePipeline {
+        let own = Self::bands_layout(&self.device.device, variant.counting);
+        self.compute_pipeline(variant.program, variant.counting, [&self.shared_layout, &own], &overrides(&variant))
     }
 
     /// Slabs of slices, front to back: each blended under what is there, and where that is opaque, not drawn. Projections are gathered
@@ -130,7 +189,7 @@ impl Renderer {
         let composite = scene.blend == Blend::Composite;
         let gathered = (!composite).then(|| self.target("gathered", width, height, GATHERED));
         let mask = composite.then(|| self.target("opaque pixels", width, height, MASK));
-        let canvas = gathered.as_ref().map_or(draw.target, |t| &t.view);
+        let canvas = gathered.as_ref().map_or(&draw.target.view, |t| &t.view);
         let empty = match scene.blend {
             Blend::Composite | Blend::Average => wgpu::Color::TRANSPARENT,
             // Below every value; green stays 0 where nothing was drawn.
@@ -138,8 +197,8 @@ impl Renderer {
         };
         let polygons = slices::slabs(&scene.frame, &scene.macrocells, scene.proxy_mesh.as_deref());
         let vertices = self.slice_vertices(bytemuck::cast_slice(&polygons.corners));
-        let seen = mask.as_ref().filter(|_| scene.settings.early_termination).map(|_| self.gathered_group(draw.target));
-        let pipeline = &self.pipelines[&draw.variant(Program::Slice)];
+        let seen = mask.as_ref().filter(|_| scene.settings.early_termination).map(|_| self.gathered_group(&draw.target.view));
+        let pipeline = &self.pipelines[&draw.variant(self, Program::Slice)];
         let mut under_way = UnderWay::default();
         let mut encoder = self.encoder();
         let depth = |load| mask.as_ref().map(|m| (&m.view, load));
@@ -159,7 +218,7 @@ impl Renderer {
             // Only where the next slabs come.
             if let (Some(seen), Some((_, (_, next)))) = (&seen, parts.peek()) {
                 Canvas { color: None, depth: depth(wgpu::LoadOp::Load) }.pass(draw.clock, &mut encoder, |pass| {
-                    pass.set_pipeline(&self.pipelines[&draw.variant(Program::Opaque)]);
+                    pass.set_pipeline(&self.pipelines[&draw.variant(self, Program::Opaque)]);
                     pass.set_bind_group(0, draw.bindings, &[]);
                     pass.set_bind_group(1, seen, &[]);
                     pass.set_vertex_buffer(0, vertices.slice(..));
@@ -176,15 +235,15 @@ impl Renderer {
         if composite {
             if draw.behind.is_some() {
                 Canvas::of(canvas, wgpu::LoadOp::Load).pass(draw.clock, &mut encoder, |pass| {
-                    pass.set_pipeline(&self.pipelines[&draw.variant(Program::Under)]);
+                    pass.set_pipeline(&self.pipelines[&draw.variant(self, Program::Under)]);
                     pass.set_bind_group(0, draw.bindings, &[]);
                     pass.draw(0..3, 0..1);
                 });
             }
         } else {
             let group = self.gathered_group(canvas);
-            Canvas::of(draw.target, wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT)).pass(draw.clock, &mut encoder, |pass| {
-                pass.set_pipeline(&self.pipelines[&draw.variant(Program::Resolve)]);
+            Canvas::of(&draw.target.view, wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT)).pass(draw.clock, &mut encoder, |pass| {
+                pass.set_pipeline(&self.pipelines[&draw.variant(self, Program::Resolve)]);
                 pass.set_bind_group(0, draw.bindings, &[]);
                 pass.set_bind_group(1, &group, &[]);
                 pass.draw(0..3, 0..1);
@@ -196,6 +255,6 @@ impl Renderer {
 
     fn gathered_group(&mut self, view: &wgpu::TextureView) -> wgpu::BindGroup {
         let layout = super::gathered_layout(&self.device.device);
-        self.kept_group("gathered", &layout, vec![(1, view.clone())])
+        self.kept_group("gathered", &layout, vec![(1, view.clone())], &[])
     }
 }

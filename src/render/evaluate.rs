@@ -1,6 +1,7 @@
 //! The shaders' functions at many points: numbers for tests, and stacks composed on the device.
 
 use super::uniforms::PlacedMapUniform;
+use super::work::Made;
 use super::{Renderer, overrides};
 use crate::deform::{MAX_MAPS, Stack};
 use crate::gpu::shaders::Program;
@@ -24,8 +25,8 @@ impl Renderer {
         checked(&device, || {
             self.upload_volume(scene.grid, scene.colors)?;
             let bindings = self.bind(scene)?;
-            let variant = Self::variant(scene, Program::Probe, false);
-            let pipeline = self.compute_pipeline(Program::Probe, &self.shared_layout, &overrides(&variant));
+            let variant = self.variant(scene, Program::Probe, false);
+            let pipeline = self.compute_pipeline(Program::Probe, false, [&self.shared_layout, &self.points_layout()], &overrides(&variant));
             self.compute(&pipeline, &bindings, points)
         })
     }
@@ -53,7 +54,12 @@ impl Renderer {
             let positions: Vec<[f32; 3]> = results.iter().map(|(p, _)| p.to_array()).collect();
             let moved: Vec<[f32; 4]> = checked(device, || {
                 let bindings = self.bind_stack(&part)?;
-                let pipeline = self.compute_pipeline(Program::Compose, &self.stack_layout(), &[("MAPS", part.maps().len() as f64)]);
+                let pipeline = self.compute_pipeline(
+                    Program::Compose,
+                    false,
+                    [&self.stack_layout(), &self.points_layout()],
+                    &[("MAPS", part.maps().len() as f64), ("EXACT", f64::from(u8::from(self.strategy.exact_filter)))],
+                );
                 self.compute(&pipeline, &bindings, &positions)
             })?;
             for (result, m) in results.iter_mut().zip(moved) {
@@ -111,16 +117,21 @@ impl Renderer {
         self.device.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: None, entries: &[storage(0, true), storage(1, false)] })
     }
 
-    fn compute_pipeline(&self, program: Program, shared: &wgpu::BindGroupLayout, constants: &[(&str, f64)]) -> wgpu::ComputePipeline {
+    /// A program with the entry point `main` and what it binds.
+    pub(super) fn compute_pipeline(
+        &self,
+        program: Program,
+        counting: bool,
+        layouts: [&wgpu::BindGroupLayout; 2],
+        constants: &[(&str, f64)],
+    ) -> wgpu::ComputePipeline {
+        self.tally.count(Made::Pipeline);
         let device = &self.device.device;
-        let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: None,
-            bind_group_layouts: &[Some(shared), Some(&self.points_layout())],
-            immediate_size: 0,
-        });
+        let layout =
+            device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor { label: None, bind_group_layouts: &layouts.map(Some), immediate_size: 0 });
         let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some(&format!("{program:?}")),
-            source: wgpu::ShaderSource::Wgsl(program.source(false).into()),
+            source: wgpu::ShaderSource::Wgsl(program.source(counting).into()),
         });
         device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label: Some(&format!("{program:?}")),

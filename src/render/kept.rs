@@ -18,8 +18,8 @@ const KEPT_MAPS: usize = 32;
 const KEPT_MAP_BYTES: usize = 256 << 20;
 /// Targets of one purpose that are kept: a live view changes between a coarse and a fine picture.
 const KEPT_SIZES: usize = 2;
-/// Bind groups that are kept: with nothing behind, and with each layer of surfaces.
-const KEPT_GROUPS: usize = 6;
+/// Bind groups that are kept: with nothing behind, with each layer of surfaces, and those of targets.
+const KEPT_GROUPS: usize = 8;
 
 /// A texture with its view.
 #[derive(Clone, PartialEq)]
@@ -55,9 +55,17 @@ pub(super) struct Kept {
     unused_map: Mutex<Option<wgpu::TextureView>>,
     /// By purpose, the most recently used last.
     targets: Vec<(&'static str, Target)>,
-    groups: Vec<(Vec<wgpu::TextureView>, wgpu::BindGroup)>,
+    groups: Vec<Group>,
     readback: Option<wgpu::Buffer>,
+    first_row: Option<wgpu::Buffer>,
     vertices: Option<wgpu::Buffer>,
+}
+
+/// A bind group with its purpose and the views that it binds.
+struct Group {
+    purpose: &'static str,
+    views: Vec<wgpu::TextureView>,
+    group: wgpu::BindGroup,
 }
 
 /// What a picture binds: handles of what is kept.
@@ -125,6 +133,7 @@ impl Renderer {
             targets.remove(oldest);
             self.kept.forget_groups();
         }
+        let storable = format == TextureFormat::Rgba16Float && self.device.computes();
         let target = Target::new(self.texture(&wgpu::TextureDescriptor {
             label: Some(purpose),
             size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
@@ -132,7 +141,11 @@ impl Renderer {
             sample_count: 1,
             dimension: wgpu::TextureDimension::D2,
             format,
-            usage: TextureUsages::RENDER_ATTACHMENT | TextureUsages::COPY_SRC | TextureUsages::COPY_DST | TextureUsages::TEXTURE_BINDING,
+            usage: TextureUsages::RENDER_ATTACHMENT
+                | TextureUsages::COPY_SRC
+                | TextureUsages::COPY_DST
+                | TextureUsages::TEXTURE_BINDING
+                | if storable { TextureUsages::STORAGE_BINDING } else { TextureUsages::empty() },
             view_formats: &[],
         }));
         self.kept.targets.push((purpose, target.clone()));
@@ -146,6 +159,17 @@ impl Renderer {
             _ => {
                 let buffer = self.buffer("readback", size, BufferUsages::COPY_DST | BufferUsages::MAP_READ);
                 self.kept.readback.insert(buffer).clone()
+            }
+        }
+    }
+
+    /// Where the first row of a band of rays is written.
+    pub(super) fn first_row(&mut self) -> wgpu::Buffer {
+        match &self.kept.first_row {
+            Some(buffer) => buffer.clone(),
+            None => {
+                let buffer = self.buffer_of("first row", &[0; 16], BufferUsages::UNIFORM);
+                self.kept.first_row.insert(buffer).clone()
             }
         }
     }
@@ -391,32 +415,38 @@ impl Renderer {
         Self::group_of(&mut self.kept.groups, &self.tally, &self.device.device, "scene", &self.shared_layout, views, &others)
     }
 
-    /// A bind group by the views that it binds, by number of binding.
-    pub(super) fn kept_group(&mut self, label: &str, layout: &wgpu::BindGroupLayout, views: Vec<(u32, wgpu::TextureView)>) -> wgpu::BindGroup {
-        Self::group_of(&mut self.kept.groups, &self.tally, &self.device.device, label, layout, views, &[])
+    /// A bind group by its purpose and the views that it binds, by number of binding; what else it binds stays the same.
+    pub(super) fn kept_group(
+        &mut self,
+        purpose: &'static str,
+        layout: &wgpu::BindGroupLayout,
+        views: Vec<(u32, wgpu::TextureView)>,
+        others: &[(u32, wgpu::BindingResource)],
+    ) -> wgpu::BindGroup {
+        Self::group_of(&mut self.kept.groups, &self.tally, &self.device.device, purpose, layout, views, others)
     }
 
     fn group_of(
-        groups: &mut Vec<(Vec<wgpu::TextureView>, wgpu::BindGroup)>,
+        groups: &mut Vec<Group>,
         tally: &Tally,
         device: &wgpu::Device,
-        label: &str,
+        purpose: &'static str,
         layout: &wgpu::BindGroupLayout,
         views: Vec<(u32, wgpu::TextureView)>,
         others: &[(u32, wgpu::BindingResource)],
     ) -> wgpu::BindGroup {
         let key: Vec<wgpu::TextureView> = views.iter().map(|(_, view)| view.clone()).collect();
-        if let Some((_, group)) = groups.iter().find(|(k, _)| *k == key) {
-            return group.clone();
+        if let Some(found) = groups.iter().find(|g| g.purpose == purpose && g.views == key) {
+            return found.group.clone();
         }
         let of_views = views.iter().map(|(n, view)| (*n, wgpu::BindingResource::TextureView(view)));
         let entries: Vec<_> = of_views.chain(others.iter().cloned()).map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource }).collect();
         tally.count(Made::BindGroup);
-        let group = device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some(label), layout, entries: &entries });
+        let group = device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some(purpose), layout, entries: &entries });
         if groups.len() >= KEPT_GROUPS {
             groups.remove(0);
         }
-        groups.push((key, group.clone()));
+        groups.push(Group { purpose, views: key, group: group.clone() });
         group
     }
 

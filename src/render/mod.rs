@@ -20,6 +20,8 @@
 //! | none: the second picture of a volume | its gradients, if it is lit by them | their texture, bind groups |
 //! | size of the picture | none | targets, for the first time; two sizes are kept |
 //!
+//! What suits one device does not suit another: whether rays are fragments or invocations, and who mixes texels, is a [`Strategy`].
+//!
 //! The gradient volume takes the place of six fetches at each sample that is lit by one; without room for it, or a format that holds it, those are
 //! made. On request passes are timed by the GPU's own clock ([`Renderer::time_passes`]).
 //!
@@ -31,11 +33,13 @@ mod draw;
 mod evaluate;
 mod kept;
 mod slices;
+mod strategy;
 mod surfaces;
 pub mod uniforms;
 mod volume;
 mod work;
 
+pub use strategy::Strategy;
 pub use work::Work;
 
 use crate::deform::MAX_MAPS;
@@ -75,6 +79,7 @@ struct Variant {
     iso: u32,
     behind: bool,
     colors: bool,
+    exact: bool,
 }
 
 /// A device with what it has compiled and uploaded.
@@ -82,7 +87,9 @@ pub struct Renderer {
     device: Device,
     shared_layout: wgpu::BindGroupLayout,
     sampler: wgpu::Sampler,
+    strategy: Strategy,
     pipelines: HashMap<Variant, wgpu::RenderPipeline>,
+    ray_pipelines: HashMap<Variant, wgpu::ComputePipeline>,
     volume: Option<VolumeTexture>,
     kept: Kept,
     counter: Option<Counter>,
@@ -103,10 +110,12 @@ impl Renderer {
         });
         let shared_layout = shared_layout(&device.device);
         Self {
+            strategy: Strategy::of(&device),
             device,
             shared_layout,
             sampler,
             pipelines: HashMap::new(),
+            ray_pipelines: HashMap::new(),
             volume: None,
             kept: Kept::default(),
             counter: None,
@@ -119,6 +128,11 @@ impl Renderer {
     /// The device.
     pub fn device(&self) -> &Device {
         &self.device
+    }
+
+    /// How the next pictures are made, and how the last ones were; a renderer begins with what suits its device.
+    pub fn set_strategy(&mut self, strategy: Strategy) -> Strategy {
+        std::mem::replace(&mut self.strategy, strategy)
     }
 
     /// Whether pictures tell how long the GPU drew, by its own clock, where it has one: as a stage of its own, taken out of the one that draws.
@@ -201,7 +215,7 @@ impl Renderer {
                 bindings: &bindings,
                 behind: behind.as_ref(),
                 counter: counter.as_ref(),
-                target: &target.view,
+                target: &target,
                 watch,
                 clock: clock.as_deref(),
             };
@@ -238,10 +252,12 @@ impl Renderer {
         self.counter.insert(counter).clone()
     }
 
-    fn variant(scene: &Prepared, program: Program, counting: bool) -> Variant {
+    fn variant(&self, scene: &Prepared, program: Program, counting: bool) -> Variant {
+        let march = matches!(program, Program::Raycast | Program::Rays | Program::Slice);
         Variant {
             program,
-            counting: counting && matches!(program, Program::Raycast | Program::Slice | Program::Surface),
+            exact: self.strategy.exact_filter,
+            counting: counting && (march || program == Program::Surface),
             maps: scene.stack.maps().len(),
             normals: if scene.is_lit() { scene.settings.normals } else { Normals::None },
             blend: match scene.blend {
@@ -261,15 +277,15 @@ impl Renderer {
                 (Some(_), IsoLight::Derivative) => 2,
             },
             colors: scene.colors.is_some(),
-            preintegrated: scene.preintegrated() && matches!(program, Program::Raycast | Program::Slice),
-            behind: matches!(program, Program::Raycast | Program::Slice | Program::Resolve | Program::Under) && !scene.surfaces.objects.is_empty(),
+            preintegrated: scene.preintegrated() && march,
+            behind: (march || matches!(program, Program::Resolve | Program::Under)) && !scene.surfaces.objects.is_empty(),
         }
     }
 
     fn compile(&mut self, scene: &Prepared, counting: bool) {
         let mut programs = match (scene.settings.mode, scene.blend) {
             (Mode::Surface, _) => vec![],
-            (Mode::Raycast, _) => vec![Program::Raycast],
+            (Mode::Raycast, _) => vec![self.strategy.rays()],
             (Mode::Slice, Blend::Composite) => vec![Program::Slice, Program::Opaque],
             (Mode::Slice, _) => vec![Program::Slice, Program::Resolve],
         };
@@ -277,8 +293,13 @@ impl Renderer {
             programs.push(Program::Under);
         }
         for program in programs {
-            let variant = Self::variant(scene, program, counting);
-            if !self.pipelines.contains_key(&variant) {
+            let variant = self.variant(scene, program, counting);
+            if program == Program::Rays {
+                if !self.ray_pipelines.contains_key(&variant) {
+                    let pipeline = self.ray_pipeline(variant);
+                    self.ray_pipelines.insert(variant, pipeline);
+                }
+            } else if !self.pipelines.contains_key(&variant) {
                 let pipeline = self.pipeline(variant);
                 self.pipelines.insert(variant, pipeline);
             }
@@ -373,7 +394,7 @@ impl Renderer {
 }
 
 /// Values of the shaders' `override` constants.
-fn overrides(variant: &Variant) -> [(&'static str, f64); 11] {
+fn overrides(variant: &Variant) -> [(&'static str, f64); 12] {
     let normals = match variant.normals {
         Normals::None => 0.0,
         Normals::Source => 1.0,
@@ -393,6 +414,7 @@ fn overrides(variant: &Variant) -> [(&'static str, f64); 11] {
         ("ISO", f64::from(variant.iso)),
         ("COLORS", f64::from(u8::from(variant.colors))),
         ("BEHIND", f64::from(u8::from(variant.behind))),
+        ("EXACT", f64::from(u8::from(variant.exact))),
     ]
 }
 
@@ -449,20 +471,19 @@ struct Counter {
 }
 
 impl Counter {
+    const ENTRY: wgpu::BindGroupLayoutEntry = wgpu::BindGroupLayoutEntry {
+        binding: 0,
+        visibility: wgpu::ShaderStages::FRAGMENT.union(wgpu::ShaderStages::COMPUTE),
+        ty: wgpu::BindingType::Buffer {
+            ty: wgpu::BufferBindingType::Storage { read_only: false },
+            has_dynamic_offset: false,
+            min_binding_size: None,
+        },
+        count: None,
+    };
+
     fn layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
-        device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-            label: Some("counts"),
-            entries: &[wgpu::BindGroupLayoutEntry {
-                binding: 0,
-                visibility: wgpu::ShaderStages::FRAGMENT,
-                ty: wgpu::BindingType::Buffer {
-                    ty: wgpu::BufferBindingType::Storage { read_only: false },
-                    has_dynamic_offset: false,
-                    min_binding_size: None,
-                },
-                count: None,
-            }],
-        })
+        device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some("counts"), entries: &[Self::ENTRY] })
     }
 
     fn new(renderer: &Renderer) -> Self {

@@ -136,7 +136,7 @@ impl Renderer {
         vertices: &wgpu::Buffer,
         count: u32,
     ) -> Result<()> {
-        let variant = Self::variant(scene, Program::Mesh, false);
+        let variant = self.variant(scene, Program::Mesh, false);
         self.compile_surface(variant);
         let pipeline = &self.pipelines[&variant];
         self.surface_pass(layer, false, |pass| {
@@ -150,7 +150,7 @@ impl Renderer {
     }
 
     fn cast(&mut self, scene: &Prepared, layer: &Layer, shared: &wgpu::BindGroup, group: &wgpu::BindGroup, counter: Option<&Counter>) -> Result<()> {
-        let variant = Self::variant(scene, Program::Surface, counter.is_some());
+        let variant = self.variant(scene, Program::Surface, counter.is_some());
         self.compile_surface(variant);
         let pipeline = &self.pipelines[&variant];
         let [width, height] = scene.frame.size;

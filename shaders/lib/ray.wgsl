@@ -1,0 +1,25 @@
+// A pixel's ray, front to back. Counterpart of march in src/cpu/packet.rs.
+
+// Premultiplied, with what lies behind; by the position of the pixel's centre.
+fn ray_color(position: vec2<f32>) -> vec4<f32> {
+    var ray = pixel_ray(position);
+    // Samples are shifted by moving where rays are measured from.
+    let shift = pixel_shift(vec2<u32>(position)) * frame.step_mm;
+    ray.origin += ray.direction * shift;
+    var range = proxy_range(ray.origin, 1.0 / ray.direction);
+    var surface = vec4<f32>(0.0);
+    if BEHIND != 0u {
+        range.y = min(range.y, textureLoad(behind_t, vec2<i32>(position), 0).r - shift);
+        surface = textureLoad(behind, vec2<i32>(position), 0);
+    }
+    if range.x > range.y {
+        return surface;
+    }
+    let step = frame.step_mm;
+    let all = composite(position, ray, first_sample_after(range.x, step), first_sample_after(range.y, step), step);
+    var color = all.color;
+    if BLEND != 0u {
+        color = projection_color(all.projected, all.matter);
+    }
+    return color + surface * (1.0 - color.a);
+}

@@ -1,0 +1,27 @@
+//! What suits a device: the same picture can be made in ways that differ in cost from device to device.
+
+use crate::gpu::Device;
+use crate::gpu::shaders::Program;
+
+/// How a renderer makes its pictures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Strategy {
+    /// Texels are mixed by the shaders. Hardware filters round their weights to 8 bits: positions in a map of 3 mm texels come out in steps, labels and
+    /// holes get a share of their neighbours'. Software drivers filter in 32 bits.
+    pub exact_filter: bool,
+    /// Rays are invocations of a compute shader, not fragments. Server GPUs draw fragments on a small part of their processors; llvmpipe is
+    /// faster at fragments.
+    pub compute_rays: bool,
+}
+
+impl Strategy {
+    /// What suits a device.
+    pub fn of(device: &Device) -> Self {
+        let hardware = !device.is_software();
+        Self { exact_filter: hardware, compute_rays: hardware && device.computes() }
+    }
+
+    pub(super) fn rays(self) -> Program {
+        if self.compute_rays { Program::Rays } else { Program::Raycast }
+    }
+}
