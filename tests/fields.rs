@@ -36,7 +36,8 @@ fn field(path: &Path) -> Deformation {
 fn stack_of(scene: &Scene, assets: &Assets, storage: Option<Storage>) -> (Stack, incise::deform::cut::Cuts) {
     let scene_box = assets.volume.bounds_in_world();
     let view = scene.camera.frame(&scene_box, scene.render.size).unwrap();
-    let making = Making { library: &assets.library, scene_box, least_ramp_mm: 1.5, view: &view, storage, exact_cuts: true };
+    let making =
+        Making { library: &assets.library, scene_box, least_ramp_mm: 1.5, view: &view, storage, exact_cuts: true, device: &incise::scene::Unaided };
     deformations::stack(&scene.deformation, &making, Vec::new(), Vec::new()).unwrap()
 }
 

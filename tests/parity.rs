@@ -9,7 +9,7 @@ use glam::Vec3;
 use incise::cpu;
 use incise::gpu::{Device, Want};
 use incise::math::Bounds;
-use incise::render::Renderer;
+use incise::render::{Renderer, Strategy};
 use incise::scene::{CutFaces, Deformation, IsoLight, Mode, Prepared, Scene};
 use incise::transfer::{Blend, GradientPoint};
 use incise::volume::{GradientFilter, Grid, GridVoxels, Sampler};
@@ -62,15 +62,33 @@ pub fn trials() -> Vec<Trial> {
     all.push(gpu("parity::eight_maps_agree".into(), Box::new(eight_maps_agree)));
     all.push(gpu("parity::composition_agrees".into(), Box::new(composition_agrees)));
     all.push(gpu("parity::strategies_agree".into(), Box::new(strategies_agree)));
+    all.push(gpu("parity::empty_space_agrees".into(), Box::new(empty_space_agrees)));
     all.push(gpu("parity::voxel_types_agree".into(), Box::new(voxel_types_agree)));
     all.push(gpu("parity::own_colors_agree".into(), Box::new(own_colors_agree)));
     all.push(gpu("parity::larger_than_the_device_is_reduced".into(), Box::new(larger_than_the_device_is_reduced)));
     all
 }
 
+/// As a hardware GPU does it.
+const PREPARE: Strategy = Strategy { exact_filter: true, compute_rays: true, prepare: true };
+
+/// Work of the renderer in a manner that is not its own.
+fn with_strategy<T>(strategy: Strategy, work: impl FnOnce(&mut Renderer) -> T) -> T {
+    with_renderer(|r| {
+        let own = r.set_strategy(strategy);
+        let done = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| work(r)));
+        r.set_strategy(own);
+        done.unwrap_or_else(|e| std::panic::resume_unwind(e))
+    })
+}
+
 fn agree(what: &str, prepared: &Prepared) {
+    agree_by(what, prepared, |r| r.render(prepared, false, &|_| ()));
+}
+
+fn agree_by(what: &str, prepared: &Prepared, render: impl FnOnce(&mut Renderer) -> incise::Result<incise::scene::Rendered>) {
     let by_cpu = cpu::render(prepared, &|_| ()).picture;
-    let by_gpu = with_renderer(|r| r.render(prepared, false, &|_| ()).unwrap_or_else(|e| panic!("{what}: {e}"))).picture;
+    let by_gpu = with_renderer(|r| render(r).unwrap_or_else(|e| panic!("{what}: {e}"))).picture;
     let d = difference(&by_cpu, &by_gpu).unwrap_or_else(|e| panic!("{what}: {e}"));
     println!("{what}: mean {:.4}/255, max {:.2}/255, within 4/255: {:.4} %", d.mean / STEP, d.max / STEP, 100.0 * d.within_4);
     assert!(d.mean <= 0.5 * STEP && d.within_4 >= 0.999, "{what}: mean {}/255, {} % within 4/255", d.mean / STEP, 100.0 * d.within_4);
@@ -96,8 +114,26 @@ fn numbers_agree(kind: &str) {
     scene.render.exact_cuts = false;
     let assets = scenes::assets(&scene);
     let prepared = Prepared::new(&scene, &assets).unwrap();
+    numbers_of(kind, &prepared, &assets);
+    // The same where the device has sampled the map: its texels against those that the CPU samples when it is asked.
+    let by_cpu = prepared.stack.maps()[0].map.extent();
+    let again = scenes::assets(&scene);
+    let prepared = with_strategy(PREPARE, |r| Prepared::on(r, &scene, &again).unwrap());
+    let map = &prepared.stack.maps()[0].map;
+    let formula = matches!(incise::deform::kinds::kind(kind).unwrap().build, incise::deform::kinds::Build::Formula(_));
+    assert_eq!(map.recipe().is_some(), formula, "{kind}");
+    let by_device = map.extent();
+    let near = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| (a - b).abs() <= 2e-3 * (1.0 + a.abs()));
+    assert!(near(&by_cpu.texels.min, &by_device.texels.min) && near(&by_cpu.texels.max, &by_device.texels.max), "{kind}: {by_cpu:?} {by_device:?}");
+    // A texel's rounding counts as often as there are texels.
+    let steep = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| (a - b).abs() <= 0.02 * (1.0 + a.abs()) + 0.1);
+    assert!(steep(&by_cpu.slopes.min, &by_device.slopes.min) && steep(&by_cpu.slopes.max, &by_device.slopes.max), "{kind}: {by_cpu:?} {by_device:?}");
+    numbers_of(kind, &prepared, &again);
+}
+
+fn numbers_of(kind: &str, prepared: &Prepared, assets: &incise::scene::Assets) {
     let at: Vec<[f32; 3]> = points(10_000).map(|x| ((x - 0.5) * 150.0).to_array()).collect();
-    let probes = with_renderer(|r| r.probe(&prepared, &at).unwrap());
+    let probes = with_strategy(PREPARE, |r| r.probe(prepared, &at).unwrap());
     assert_eq!(probes.len(), at.len());
     let GridVoxels::I16(voxels) = &assets.grid().voxels else { panic!() };
     let sampler = Sampler::new(assets.grid(), voxels);
@@ -235,7 +271,7 @@ fn composition_agrees() {
     scene.render.precompose = Some(0.4);
     let assets = scenes::assets(&scene);
     let by_cpu = Prepared::new(&scene, &assets).unwrap();
-    let by_gpu = with_renderer(|r| Prepared::composed_by(&scene, &assets, &|stack, points| r.evaluate(stack, points)).unwrap());
+    let by_gpu = with_renderer(|r| Prepared::on(r, &scene, &assets).unwrap());
     let (a, b) = (&by_cpu.stack.maps()[0], &by_gpu.stack.maps()[0]);
     assert_eq!((by_cpu.stack.maps().len(), by_gpu.stack.maps().len(), a.map.size), (1, 1, b.map.size));
     let (mut far, mut moved) = (0, 0);
@@ -265,7 +301,6 @@ fn eight_maps_agree() {
 
 /// What a device is asked to do differently than it would by itself shows the same: labels and holes too, by rays of both kinds, slices and surfaces.
 fn strategies_agree() {
-    use incise::render::Strategy;
     use incise::scene::surface::Representation;
     let scene = |name: &str, mode: Mode| {
         let mut scene = scenes::load(name);
@@ -290,11 +325,84 @@ fn strategies_agree() {
         let assets = scenes::assets(&scene);
         let prepared = Prepared::new(&scene, &assets).unwrap();
         for compute_rays in [false, true] {
-            let own = with_renderer(|r| r.set_strategy(Strategy { exact_filter: true, compute_rays }));
-            let agrees = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| agree(&format!("{name}, compute_rays {compute_rays}"), &prepared)));
-            with_renderer(|r| r.set_strategy(own));
-            agrees.unwrap_or_else(|e| std::panic::resume_unwind(e));
+            agree_by(&format!("{name}, compute_rays {compute_rays}"), &prepared, |r| {
+                let own = r.set_strategy(Strategy { exact_filter: true, compute_rays, prepare: false });
+                let rendered = r.render(&prepared, false, &|_| ());
+                r.set_strategy(own);
+                rendered
+            });
         }
+    }
+}
+
+/// Empty space that the device finds is what the CPU finds: nothing that shows something is left out, and little besides is kept; maps of its own making
+/// and others, every kind of shape, whatever decides what shows.
+fn empty_space_agrees() {
+    let small = |name: &str, change: &dyn Fn(&mut Scene)| {
+        let mut scene = scenes::load(name);
+        (scene.render.size, scene.render.antialias) = ([128, 128], 1);
+        change(&mut scene);
+        (name.to_owned(), scene)
+    };
+    let mut many = Scene::of_volume("phantom:tomato:size=64");
+    for (n, kind) in ["wave", "twist", "pull", "seam", "slab", "peel"].into_iter().enumerate() {
+        let d = Deformation {
+            progress: Some(0.4),
+            resolution: Some(32),
+            add: n == 2,
+            rotate: Some([15.0 * n as f32, 5.0, 0.0]),
+            ..Deformation::new(kind)
+        };
+        many.deformation.push(d);
+    }
+    let mut shapes = Scene::of_volume("phantom:head-ct:size=64");
+    shapes.deformation = ["twist", "sphere", "box", "wedge", "cylinder"].map(Deformation::new).to_vec();
+    shapes.deformation[1].center = Some([40.0, -50.0, 10.0]);
+    let mut scenes = vec![
+        small("head-peel", &|_| ()),
+        small("head-slabs", &|_| ()),
+        small("head-grey-cuts", &|_| ()),
+        small("head-surface-peel", &|_| ()),
+        small("head-iso", &|_| ()),
+        small("tomato-peel-then-wave", &|s| s.transfer.preset = Some("ct-mip".into())),
+        small("teddy-seam", &|s| s.render.preintegrated = true),
+        small("brain-labels", &|_| ()),
+        ("six maps".to_owned(), many),
+        ("shapes".to_owned(), shapes),
+    ];
+    for (name, scene) in &mut scenes {
+        scene.render.size = [128, 128];
+        let assets = scenes::assets(scene);
+        let by_cpu = Prepared::new(scene, &assets).unwrap();
+        let again = scenes::assets(scene);
+        let by_device = with_strategy(PREPARE, |r| Prepared::on(r, scene, &again).unwrap());
+        let (a, b) = (&by_cpu.macrocells, &by_device.macrocells);
+        assert_eq!(a.size, b.size, "{name}");
+        let clear = |d: u8| d == 255;
+        let (mut both, mut more, mut lost, mut clear_in_both, mut wrongly_clear) = (0, 0, 0, 0, 0);
+        for (n, (&c, &d)) in a.distance.iter().zip(&b.distance).enumerate() {
+            let (shown, kept) = (a.is_occupied(n), b.is_occupied(n));
+            both += usize::from(shown && kept);
+            more += usize::from(!shown && kept);
+            lost += usize::from(shown && !kept);
+            clear_in_both += usize::from(clear(c) && clear(d));
+            wrongly_clear += usize::from(clear(d) && shown && !clear(c));
+        }
+        let clear_in_cpus = a.distance.iter().filter(|d| clear(**d)).count();
+        println!("{name}: {both} cells in both, {more} more, {lost} lost; clear {clear_in_both} of {clear_in_cpus}, {wrongly_clear} wrongly");
+        // Bounds are rounded differently; a cell of thousands may come to lie on the other side.
+        assert!(both > 500 && lost * 2000 <= both && more * 10 <= both, "{name}: {both} {more} {lost}");
+        assert!(
+            wrongly_clear * 2000 <= both && clear_in_both * 10 >= clear_in_cpus * 9,
+            "{name}: {clear_in_both} of {clear_in_cpus}, {wrongly_clear}"
+        );
+        // What is left out would not have shown: the picture is the one without skipping, to the bit.
+        let picture = |prepared: &Prepared| with_strategy(PREPARE, |r| r.render(prepared, false, &|_| ()).unwrap()).picture;
+        let skipping = picture(&by_device);
+        scene.render.empty_space_skipping = false;
+        let whole = with_strategy(PREPARE, |r| Prepared::on(r, scene, &again).unwrap());
+        assert!(skipping == picture(&whole), "{name}: skipping changes the picture");
+        agree(&format!("{name}, prepared by the device"), &by_device);
     }
 }
 

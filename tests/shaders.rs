@@ -1,7 +1,10 @@
 //! Shaders without a GPU: every program parses and validates, and the Rust mirrors of its structs have its layout.
 
 use incise::gpu::shaders::Program;
-use incise::render::uniforms::{CutShapeUniform, DeformerUniform, FrameUniform, PlacedMapUniform, PlacedSolidUniform, SurfaceObjectUniform};
+use incise::render::uniforms::{
+    ClassificationUniform, CutShapeUniform, DeformerUniform, FrameUniform, LevelUniform, NodeBounds, PlacedMapUniform, PlacedSolidUniform,
+    RecipeUniform, SurfaceObjectUniform,
+};
 
 fn module(program: Program, counting: bool) -> naga::Module {
     let source = program.source(counting);
@@ -55,7 +58,14 @@ pub fn uniforms_match_their_structs() {
         seam_mm, rigid, both, deformers, normal_method, beside_mm, padding);
     same_layout!(&s, "PlacedSolid", PlacedSolidUniform: local_from_world, numbers, solid, join, period, wall);
     same_layout!(&s, "Deformer", DeformerUniform: local_from_world, numbers, half, kind, offsets);
-    same_layout!(&m, "PlacedMap", PlacedMapUniform: map_from_world, world_from_stored, size, added, reach, padding);
+    same_layout!(&m, "PlacedMap", PlacedMapUniform: map_from_world, world_from_stored, size, added, reach, scale);
+    let c = module(Program::Classify, false);
+    same_layout!(&c, "Classification", ClassificationUniform: voxel_from_world, origin, looks_back_mm, cell_mm, beside_cuts_mm, size, cut_margin_mm, voxel_low,
+        margin_mm, voxel_high, iso, table_scale, table_offset, has_iso, grey_faces, composite, stack_cuts, value_shift, value_levels, value_size, padding,
+        values, maps, levels);
+    same_layout!(&c, "NodeBounds", NodeBounds: low, high, slope_low, slope_high);
+    same_layout!(&module(Program::Sample, false), "Recipe", RecipeUniform: cube_mm, ramp_mm, size, kind, numbers);
+    same_layout!(&module(Program::Bounds, false), "Level", LevelUniform: size, first, below_size, below_first);
 }
 
 /// A shader's constants are the CPU's.
@@ -86,6 +96,9 @@ pub fn counterparts_exist() {
             ][..],
         ),
         ("shaders/lib/formula.wgsl", "src/mesh/formula.rs", &[("GYROID_SLOPE: f32 = 1.75", "GYROID_SLOPE: f32 = 1.75")][..]),
+        ("shaders/classify.wgsl", "src/deform/bounds.rs", &[("SAME: f32 = 0.25", "SAME: f32 = 0.25")][..]),
+        ("shaders/classify.wgsl", "src/transfer/table.rs", &[("LAST_ENTRY: f32 = 4095.0", "TABLE_ENTRIES: usize = 4096")][..]),
+        ("shaders/bounds.wgsl", "src/render/prepare.rs", &[("CELLS: u32 = 4u", "CELLS_PER_NODE: usize = 4")][..]),
         ("shaders/lib/cut.wgsl", "src/deform/cut.rs", &[("ROOT_STEPS: i32 = 4", "ROOT_STEPS: u32 = 4")][..]),
         ("shaders/lib/composite.wgsl", "src/cpu/mod.rs", &[("OPAQUE: f32 = 1.0 / 512.0", "OPAQUE: f32 = 1.0 / 512.0")][..]),
         (

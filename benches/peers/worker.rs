@@ -71,7 +71,7 @@ impl Gpu {
 
     fn prepare<'a>(&mut self, scene: &Scene, assets: &'a Assets) -> Result<Prepared<'a>> {
         let renderer = self.renderer()?;
-        Ok(Prepared::composed_by(scene, assets, &|stack, points| renderer.evaluate(stack, points))?)
+        Ok(Prepared::on(renderer, scene, assets)?)
     }
 
     fn render(&mut self, prepared: &Prepared) -> Result<Rendered> {

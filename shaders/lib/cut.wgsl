@@ -1,36 +1,10 @@
 // Counterpart of src/deform/cut.rs.
 
 const ROOT_STEPS: i32 = 4;
-const HALF_PI: f32 = 1.5707964;
 
 fn shape_kept(k: u32, world: vec3<f32>) -> f32 {
     let q = transform_point(cuts[k].local_from_world, world);
-    let half = cuts[k].half;
-    var outside = 0.0;
-    switch cuts[k].shape {
-        case 0u: { outside = half.z - q.z; }
-        case 1u: {
-            let d = abs(q) - half;
-            outside = length(max(d, vec3<f32>(0.0))) + min(max(d.x, max(d.y, d.z)), 0.0);
-        }
-        case 2u: { outside = (length(q / half) - 1.0) * min(half.x, min(half.y, half.z)); }
-        case 3u: {
-            let d = vec2<f32>(length(q.xy) - half.x, abs(q.z) - half.z);
-            outside = length(max(d, vec2<f32>(0.0))) + min(max(d.x, d.y), 0.0);
-        }
-        case 4u: {
-            let r = length(q.xy);
-            let beyond = atan2(abs(q.y), q.x) - cuts[k].half_angle;
-            let side = select(r * sign(beyond), r * sin(beyond), abs(beyond) < HALF_PI);
-            outside = max(max(side, r - half.x), abs(q.z) - half.z);
-        }
-        default: {
-            let v = vec2<f32>(q.z, length(q.xy));
-            let axis = vec2<f32>(cos(cuts[k].half_angle), sin(cuts[k].half_angle));
-            outside = select(length(v), axis.x * v.y - axis.y * v.x, dot(v, axis) > 0.0);
-        }
-    }
-    return outside * cuts[k].sense;
+    return outside_shape(cuts[k].shape, q, cuts[k].half, cuts[k].half_angle) * cuts[k].sense;
 }
 
 // Distance from what is removed, mm, positive where matter stays.

@@ -78,5 +78,6 @@ struct PlacedMap {
     added: f32,
     // How far beyond the cube its outermost texels go on, map units.
     reach: vec3<f32>,
-    padding: f32,
+    // Map units per stored unit of displacement.
+    scale: f32,
 }

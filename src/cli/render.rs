@@ -51,7 +51,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let bar = Progress::new(common.quiet);
     let assets = common.load(&scene, &bar)?;
     let mut gpu = Gpu::open(arguments)?;
-    let prepared = gpu.prepare(&scene, &assets)?;
+    let prepared = gpu.prepare(&scene, &assets, arguments.backend)?;
     common.tell(assets.library.notices());
     let wants_stats = common.stats.is_some() || common.json;
     let done = render_on(arguments, gpu, &prepared, wants_stats, &bar)?;
@@ -125,11 +125,17 @@ impl Gpu {
         }
     }
 
-    /// The scene resolved; what has to be composed is composed on the device, if there is one.
-    fn prepare<'a>(&mut self, scene: &Scene, assets: &'a Assets) -> Result<Prepared<'a>> {
-        match &self.renderer {
-            Some(renderer) => Prepared::composed_by(scene, assets, &|stack, points| renderer.evaluate(stack, points)),
-            None => Prepared::new(scene, assets),
+    /// The scene resolved, by the device if there is one; where none was asked for, a device that fails is done without.
+    fn prepare<'a>(&mut self, scene: &Scene, assets: &'a Assets, backend: Backend) -> Result<Prepared<'a>> {
+        let Some(renderer) = &self.renderer else {
+            return Prepared::new(scene, assets);
+        };
+        match Prepared::on(renderer, scene, assets) {
+            Err(error @ Error::Gpu(_)) if backend == Backend::Auto => {
+                (self.renderer, self.refusal) = (None, Some(error));
+                Prepared::new(scene, assets)
+            }
+            prepared => prepared,
         }
     }
 }
@@ -169,7 +175,7 @@ impl Gpu {
         Ok(Self)
     }
 
-    fn prepare<'a>(&mut self, scene: &Scene, assets: &'a Assets) -> Result<Prepared<'a>> {
+    fn prepare<'a>(&mut self, scene: &Scene, assets: &'a Assets, _backend: Backend) -> Result<Prepared<'a>> {
         Prepared::new(scene, assets)
     }
 }

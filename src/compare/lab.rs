@@ -192,7 +192,7 @@ impl Gpu {
     }
 
     fn prepare<'a>(&self, scene: &Scene, assets: &'a Assets) -> Result<Prepared<'a>> {
-        Prepared::composed_by(scene, assets, &|stack, points| self.renderer.evaluate(stack, points))
+        Prepared::on(&self.renderer, scene, assets)
     }
 
     fn render(&mut self, scene: &Prepared, counting: bool, watch: &Watch) -> Result<Rendered> {

@@ -95,6 +95,7 @@ pub fn render_until(scene: &Prepared, watch: &Watch) -> Result<Rendered> {
 /// Rows after a stop stay empty.
 fn render_rows(scene: &Prepared, watch: &Watch) -> Rendered {
     let mut stages = Stages::default();
+    scene.stack.fetch_texels();
     let gradients = stages.time("gradients", || scene.gradients());
     let (picture, stats) = stages.time("render", || match &scene.grid.voxels {
         GridVoxels::U8(v) => rows(scene, &Sampler::new(scene.grid, v).with_gradients(gradients), watch),

@@ -15,26 +15,31 @@ const SAME: f32 = 0.25;
 impl PlacedMap {
     /// A box that holds the displacements of the points of a box.
     pub(super) fn displacement_bounds(&self, b: &Bounds) -> Bounds {
-        let (inside, outside) = self.moves(b);
         let zero = Bounds::new(Vec3::ZERO, Vec3::ZERO);
-        inside.map_or(zero, |moves| if outside { moves.all.union(&zero) } else { moves.all })
+        self.all_moves(b).map_or(zero, |m| if m.outside { m.all.union(&zero) } else { m.all })
     }
 
-    /// Bounds on what this map does to the points of a box that lie in its cube, if any do (`model.md` section 9), and whether some lie outside.
-    fn moves(&self, b: &Bounds) -> (Option<Moves>, bool) {
+    /// The displacements and masks of the points of a box that lie in this map's cube, if any do.
+    fn all_moves(&self, b: &Bounds) -> Option<AllMoves> {
         let in_map = b.transformed(&self.placement.map_from_world);
         // The transform of a sample rounds, and GPUs place samples by 1/256 of a texel; a hundredth of one covers both.
         let texel = 0.01 / Vec3::from(self.map.size.map(|n| n.max(2) as f32));
         let in_map = Bounds::new(in_map.min - texel, in_map.max + texel);
         let inside = in_map.intersection(&self.domain());
         if inside.is_empty() {
-            return (None, true);
+            return None;
         }
-        let outside = !self.domain().contains(&in_map);
         let range = self.map.bounds(inside.min, inside.max);
         let [low, high] = [range.min, range.max].map(|v| Vec3::from_slice(&v[..3]));
         let all = Bounds::new(low, high).transformed(&Affine3A::from_mat3(self.world_from_stored));
-        let mask = [range.min[3], range.max[3]];
+        Some(AllMoves { all, mask: [range.min[3], range.max[3]], in_map, texel, outside: !self.domain().contains(&in_map) })
+    }
+
+    /// Bounds on what this map does to the points of a box that lie in its cube, if any do (`model.md` section 9), and whether some lie outside.
+    fn moves(&self, b: &Bounds) -> (Option<Moves>, bool) {
+        let Some(AllMoves { all, mask, in_map, texel, outside }) = self.all_moves(b) else {
+            return (None, true);
+        };
         if all.size().max_element() < SAME * b.size().max_element() {
             let moves = Moves { all, mask, at_center: all.center(), slope: Mat3::ZERO, spread: Mat3::ZERO, beside: all.size() * 0.5 };
             return (Some(moves), outside);
@@ -65,6 +70,16 @@ impl PlacedMap {
         let map_from_world = Mat3::from(self.placement.map_from_world.matrix3);
         [self.world_from_stored * middle * map_from_world, self.world_from_stored.abs() * spread * map_from_world.abs()]
     }
+}
+
+/// Bounds on the displacements (mm) and masks of the points of a box in a map's cube; the box in map coordinates with a margin of `texel`, and whether
+/// a part of it lies outside.
+struct AllMoves {
+    all: Bounds,
+    mask: [f32; 2],
+    in_map: Bounds,
+    texel: Vec3,
+    outside: bool,
 }
 
 /// Bounds on what a map, or several added to each other, does to the points p of a box with centre c: their displacements lie in `all`, and also in

@@ -1,5 +1,6 @@
 //! One displacement map: a grid of (D, alpha) over the unit cube, in one of four storage formats.
 
+use super::Recipe;
 use crate::math::cells::{Cells, Fours, across, columns, mix_line, mix_texels, mix_with_differences};
 use crate::math::lanes::*;
 use crate::math::pyramid::Range;
@@ -9,6 +10,7 @@ use half::f16;
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::sync::OnceLock;
 
 /// How a texel is stored. \[DDM06\] section 8: eight bits show jagged lines.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
@@ -63,11 +65,52 @@ pub struct DisplacementMap {
     pub storage: Storage,
     /// Map units per stored unit of D: the largest component of D, so that stored values lie in [-1, 1].
     pub scale: f32,
+    whole: Extent,
+    /// Not there until it is asked for where a device has made the texels, and then sampled anew.
+    detail: OnceLock<Detail>,
+    recipe: Option<Recipe>,
+}
+
+/// What the texels of a whole map lie within.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Extent {
+    /// Of (D / scale, alpha).
+    pub texels: Range<4>,
+    /// Of what stored D changes by from a grid point to the next one along x, along y and along z, per map unit.
+    pub slopes: Range<9>,
+}
+
+/// The texels with bounds on boxes of them.
+struct Detail {
     /// (D / scale, alpha), x fastest.
     texels: Vec<Vec4>,
     pyramid: MinMaxPyramid<4>,
     /// At each grid point, what stored D changes by to the next one along x, along y and along z, per map unit.
     slopes: MinMaxPyramid<9>,
+}
+
+impl Detail {
+    /// Of the texels of a grid.
+    fn of(size: [usize; 3], texels: Vec<Vec4>) -> Self {
+        let pyramid = MinMaxPyramid::from_runs(size, 1, |first, last, j, k| {
+            let row = (k * size[1] + j) * size[0];
+            let (low, high) = extremes(&texels[row + first..=row + last]);
+            Range { min: low.to_array(), max: high.to_array() }
+        });
+        // They vary less than what they are slopes of, and only say how far a bound is from a better one.
+        let slopes = MinMaxPyramid::from_runs(size, 2, |first, last, j, k| slopes_of(&texels, size, [first, last], [j, k]));
+        Self { texels, pyramid, slopes }
+    }
+}
+
+/// Samples as they count: what is not finite is no displacement and no matter.
+fn finite(s: TexelSample) -> Vec4 {
+    if s.displacement.is_finite() && s.alpha.is_finite() { s.displacement.extend(s.alpha.clamp(0.0, 1.0)) } else { Vec4::ZERO }
+}
+
+/// Samples as stored.
+fn stored(samples: &[Vec4], scale: f32, storage: Storage) -> Vec<Vec4> {
+    samples.par_iter().map(|s| Vec4::from_array((s.xyz() / scale).extend(s.w).to_array().map(|v| storage.quantise(v)))).collect()
 }
 
 impl DisplacementMap {
@@ -90,32 +133,60 @@ impl DisplacementMap {
     /// A value that is not finite becomes no displacement and no matter.
     pub fn from_samples(size: [usize; 3], storage: Storage, samples: Vec<TexelSample>) -> Self {
         assert!(size.iter().all(|&n| n >= 1) && samples.len() == size.iter().product::<usize>(), "sample count and size disagree");
-        let samples: Vec<Vec4> = samples
-            .into_par_iter()
-            .map(|s| if s.displacement.is_finite() && s.alpha.is_finite() { s.displacement.extend(s.alpha.clamp(0.0, 1.0)) } else { Vec4::ZERO })
-            .collect();
+        let samples: Vec<Vec4> = samples.into_par_iter().map(finite).collect();
         let largest = samples.par_iter().map(|s| s.xyz().abs().max_element()).reduce(|| 0.0, f32::max);
         let scale = if largest > 0.0 { largest } else { 1.0 };
-        let texels: Vec<Vec4> = samples
-            .par_iter()
-            .map(|s| {
-                let stored = (s.xyz() / scale).extend(s.w);
-                Vec4::from_array(stored.to_array().map(|v| storage.quantise(v)))
-            })
-            .collect();
-        let pyramid = MinMaxPyramid::from_runs(size, 1, |first, last, j, k| {
-            let row = (k * size[1] + j) * size[0];
-            let (low, high) = extremes(&texels[row + first..=row + last]);
-            Range { min: low.to_array(), max: high.to_array() }
-        });
-        // They vary less than what they are slopes of, and only say how far a bound is from a better one.
-        let slopes = MinMaxPyramid::from_runs(size, 2, |first, last, j, k| slopes_of(&texels, size, [first, last], [j, k]));
-        Self { size, storage, scale, texels, pyramid, slopes }
+        let detail = Detail::of(size, stored(&samples, scale, storage));
+        let whole = Extent { texels: detail.pyramid.whole(), slopes: detail.slopes.whole() };
+        Self { size, storage, scale, whole, detail: detail.into(), recipe: None }
+    }
+
+    /// A map whose texels a device has made of a recipe, with what they lie within.
+    pub fn made_elsewhere(recipe: Recipe, scale: f32, whole: Extent) -> Self {
+        Self { size: recipe.size, storage: recipe.storage, scale, whole, detail: OnceLock::new(), recipe: Some(recipe) }
+    }
+
+    /// What all texels lie within.
+    pub fn extent(&self) -> Extent {
+        self.whole
+    }
+
+    /// What a device made the texels of, if one did.
+    pub fn recipe(&self) -> Option<&Recipe> {
+        self.recipe.as_ref()
+    }
+
+    /// The texels, and bounds on boxes of them.
+    #[inline(always)]
+    fn detail(&self) -> &Detail {
+        match self.detail.get() {
+            Some(detail) => detail,
+            None => self.sampled_now(),
+        }
+    }
+
+    /// Not within the lock: what samples in parallel may be lent to another piece of work that asks for the same.
+    #[cold]
+    fn sampled_now(&self) -> &Detail {
+        let point = |n| self.recipe.as_ref().map_or(Vec4::ZERO, |r| finite(r.sample(Self::grid_point(self.size, n))));
+        let samples: Vec<Vec4> = (0..self.size.iter().product::<usize>()).into_par_iter().map(point).collect();
+        let detail = Detail::of(self.size, stored(&samples, self.scale, self.storage));
+        self.detail.get_or_init(|| detail)
+    }
+
+    /// Samples what only a device has, once, before many ask for it.
+    pub fn fetch_texels(&self) {
+        self.detail();
+    }
+
+    #[inline(always)]
+    fn texels(&self) -> &[Vec4] {
+        &self.detail().texels
     }
 
     /// Stored (D / scale, alpha) of a grid point.
     pub fn texel(&self, [i, j, k]: [usize; 3]) -> Vec4 {
-        self.texels[(k * self.size[1] + j) * self.size[0] + i]
+        self.texels()[(k * self.size[1] + j) * self.size[0] + i]
     }
 
     /// The identity.
@@ -125,8 +196,11 @@ impl DisplacementMap {
 
     /// Bounds of (D / scale, alpha) over a box in map coordinates.
     pub fn bounds(&self, low: Vec3, high: Vec3) -> Range<4> {
+        if is_all(low, high) {
+            return self.whole.texels;
+        }
         let top = Vec3::from(self.size.map(|n| (n - 1) as f32));
-        self.pyramid.query(low * top, high * top)
+        self.detail().pyramid.query(low * top, high * top)
     }
 
     /// Bounds of the columns of stored D's Jacobian, d (D / scale) / d x, over a box in map coordinates; a face of a cell counts to both sides.
@@ -134,7 +208,7 @@ impl DisplacementMap {
     /// Within a cell each column is a mixture of the differences along four of its edges, so that these bound it.
     pub fn slope_bounds(&self, low: Vec3, high: Vec3) -> [(Vec3, Vec3); 3] {
         let top = Vec3::from(self.size.map(|n| (n - 1) as f32));
-        let range = self.slopes.query(low * top, high * top);
+        let range = if is_all(low, high) { self.whole.slopes } else { self.detail().slopes.query(low * top, high * top) };
         let flat = low.cmplt(Vec3::ZERO).any() || high.cmpgt(Vec3::ONE).any();
         std::array::from_fn(|axis| {
             let of = |v: &[f32; 9]| Vec3::from_slice(&v[3 * axis..3 * axis + 3]);
@@ -146,30 +220,32 @@ impl DisplacementMap {
 
     /// Whether D is anywhere but zero; a map that only cuts brings matter nowhere.
     pub fn moves_matter(&self) -> bool {
-        let range = self.pyramid.whole();
+        let range = self.whole.texels;
         (0..3).any(|c| range.min[c] != 0.0 || range.max[c] != 0.0)
     }
 
     /// Whether the mask takes anything away.
     pub fn cuts(&self) -> bool {
-        self.pyramid.whole().min[3] < 1.0
+        self.whole.texels.min[3] < 1.0
     }
 
     /// The texels as the GPU takes them: in the map's own format, or in another where a device lacks it.
     pub fn encode_as(&self, storage: Storage) -> Vec<u8> {
-        let channels = self.texels.iter().flat_map(|t| t.to_array());
+        let mut bytes = vec![0; self.texels().len() * storage.bytes()];
+        let rows = bytes.par_chunks_mut(storage.bytes() << 12).zip(self.texels().par_chunks(1 << 12));
         match storage {
-            Storage::F16 => channels.flat_map(|v| f16::from_f32(v).to_le_bytes()).collect(),
-            Storage::Snorm16 => channels.flat_map(|v| ((v * 32767.0).round() as i16).to_le_bytes()).collect(),
-            Storage::Snorm8 => channels.map(|v| (v * 127.0).round() as i8 as u8).collect(),
-            Storage::F32 => channels.flat_map(f32::to_le_bytes).collect(),
+            Storage::F16 => rows.for_each(|(to, from)| encode(to, from, |v| f16::from_f32(v).to_le_bytes())),
+            Storage::Snorm16 => rows.for_each(|(to, from)| encode(to, from, |v| ((v * 32767.0).round() as i16).to_le_bytes())),
+            Storage::Snorm8 => rows.for_each(|(to, from)| encode(to, from, |v| [(v * 127.0).round() as i8 as u8])),
+            Storage::F32 => rows.for_each(|(to, from)| encode(to, from, f32::to_le_bytes)),
         }
+        bytes
     }
 
     /// Stored (D / scale, alpha) at map coordinates inside the unit cube, trilinear.
     #[inline(always)]
     pub fn fetch(&self, x: Vec3) -> Vec4 {
-        trilinear(&self.texels, self.size, x * self.top())
+        trilinear(self.texels(), self.size, x * self.top())
     }
 
     /// [`Self::fetch`] at eight points.
@@ -190,7 +266,7 @@ impl DisplacementMap {
             return columns(simd, &texels);
         }
         let p = Vec3x8 { x: x.x * (nx - 1) as f32, y: x.y * (ny - 1) as f32, z: x.z * (nz - 1) as f32 };
-        mix_texels(simd, &self.texels, self.size, &Cells::of(p, self.size, 0))
+        mix_texels(simd, self.texels(), self.size, &Cells::of(p, self.size, 0))
     }
 
     /// The last texel along each axis.
@@ -202,7 +278,7 @@ impl DisplacementMap {
     /// The texels of a line along the map's x axis at map coordinates across it, for [`Self::fetch_line`]; none of a map that is flat.
     pub(super) fn line(&self, y: f32, z: f32) -> Option<Vec<Vec4>> {
         let [_, ny, nz] = self.size.map(|n| (n - 1) as f32);
-        self.size.iter().all(|&n| n > 1).then(|| across(&self.texels, self.size, y * ny, z * nz))
+        self.size.iter().all(|&n| n > 1).then(|| across(self.texels(), self.size, y * ny, z * nz))
     }
 
     /// [`Self::fetch_lanes`] at eight points of a line, to the bit.
@@ -223,7 +299,7 @@ impl DisplacementMap {
             let top = self.top();
             let p = Vec3x8 { x: x.x * top.x, y: x.y * top.y, z: x.z * top.z };
             beside = lanes & !(within(p.x, 1.0, top.x - 1.0) & within(p.y, 1.0, top.y - 1.0) & within(p.z, 1.0, top.z - 1.0));
-            let [inside, dx, dy, dz] = mix_with_differences(simd, &self.texels, self.size, &Cells::of(p, self.size, 1));
+            let [inside, dx, dy, dz] = mix_with_differences(simd, self.texels(), self.size, &Cells::of(p, self.size, 1));
             // Over two texels.
             (value, slopes) = (inside, [scaled(dx, 0.5 * top.x), scaled(dy, 0.5 * top.y), scaled(dz, 0.5 * top.z)]);
         }
@@ -306,7 +382,8 @@ impl DisplacementMap {
         let f = p - Vec3::new(i as f32, j as f32, k as f32);
         let mix = |a: Vec4, b: Vec4, t: f32| a + (b - a) * t;
         let slope = |row: [Vec4; 4], t: f32| mix(row[2] - row[0], row[3] - row[1], t);
-        let row = |j: usize, k: usize| -> &[Vec4] { &self.texels[(k * ny + j) * nx + i - 1..][..4] };
+        let texels = self.texels();
+        let row = |j: usize, k: usize| -> &[Vec4] { &texels[(k * ny + j) * nx + i - 1..][..4] };
         let along = |row: &[Vec4]| mix(row[1], row[2], f.x);
         let four = |row: &[Vec4]| slope([row[0], row[1], row[2], row[3]], f.x);
         let [a, b, c, d] = [row(j, k), row(j + 1, k), row(j, k + 1), row(j + 1, k + 1)];
@@ -329,7 +406,21 @@ impl DisplacementMap {
 
     /// Bytes that the map takes on a GPU.
     pub fn gpu_bytes(&self) -> usize {
-        self.texels.len() * self.storage.bytes()
+        self.size.iter().product::<usize>() * self.storage.bytes()
+    }
+}
+
+/// Whether a box in map coordinates holds the whole cube.
+fn is_all(low: Vec3, high: Vec3) -> bool {
+    low.cmple(Vec3::ZERO).all() && high.cmpge(Vec3::ONE).all()
+}
+
+/// Channels of texels, `N` bytes each.
+fn encode<const N: usize>(to: &mut [u8], from: &[Vec4], channel: impl Fn(f32) -> [u8; N]) {
+    for (to, from) in to.chunks_exact_mut(4 * N).zip(from) {
+        for (to, v) in to.chunks_exact_mut(N).zip(from.to_array()) {
+            to.copy_from_slice(&channel(v));
+        }
     }
 }
 

@@ -17,6 +17,7 @@ pub mod compose;
 pub mod cut;
 pub mod distance;
 pub mod elastic;
+mod formula;
 pub mod health;
 pub mod invert;
 pub mod kinds;
@@ -31,7 +32,8 @@ pub mod stroke;
 pub mod transform;
 
 pub use argument::{Argument, Arguments};
+pub use formula::{FORMULA_NUMBERS, Formula, FormulaKind, Recipe};
 pub use library::Library;
-pub use map::{DisplacementMap, Storage, TexelSample};
+pub use map::{DisplacementMap, Extent, Storage, TexelSample};
 pub use placement::Placement;
 pub use stack::{Cut, Jet, MAX_MAPS, PlacedMap, Stack};

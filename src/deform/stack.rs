@@ -169,6 +169,11 @@ impl PlacedMap {
 }
 
 impl Stack {
+    /// Sees to it that all texels are here before many ask for them.
+    pub fn fetch_texels(&self) {
+        self.maps.iter().for_each(|m| m.map.fetch_texels());
+    }
+
     /// A stack of maps, first applied first.
     pub fn new(mut maps: Vec<PlacedMap>) -> Self {
         // There is nothing before the first map that it could be added to.

@@ -19,6 +19,14 @@ pub enum Program {
     Probe,
     /// A stack at given points, to compose it.
     Compose,
+    /// A formula at the grid points of a map.
+    Sample,
+    /// Those as texels.
+    Encode,
+    /// Bounds on boxes of a map's texels.
+    Bounds,
+    /// Empty space.
+    Classify,
     /// One surface, by rays through its field.
     Surface,
     /// Triangles.
@@ -31,17 +39,19 @@ macro_rules! piece {
     };
 }
 
-const SHARED: [&str; 8] = [
+const SHARED: [&str; 9] = [
     piece!("types/frame.wgsl"),
     piece!("bindings.wgsl"),
     piece!("lib/math.wgsl"),
     piece!("lib/stack.wgsl"),
+    piece!("lib/shape.wgsl"),
     piece!("lib/cut.wgsl"),
     piece!("lib/transfer.wgsl"),
     piece!("lib/volume.wgsl"),
     piece!("lib/shading.wgsl"),
 ];
 
+const NODE: &str = piece!("types/bounds.wgsl");
 const MARCH: &str = piece!("lib/march.wgsl");
 const COMPOSITE: &str = piece!("lib/composite.wgsl");
 
@@ -50,8 +60,22 @@ const SURFACES: [&str; 4] = [piece!("types/surface.wgsl"), piece!("lib/implicit.
 
 impl Program {
     /// All programs.
-    pub const ALL: [Self; 10] =
-        [Self::Raycast, Self::Rays, Self::Slice, Self::Resolve, Self::Opaque, Self::Under, Self::Probe, Self::Compose, Self::Surface, Self::Mesh];
+    pub const ALL: [Self; 14] = [
+        Self::Raycast,
+        Self::Rays,
+        Self::Slice,
+        Self::Resolve,
+        Self::Opaque,
+        Self::Under,
+        Self::Probe,
+        Self::Compose,
+        Self::Sample,
+        Self::Encode,
+        Self::Bounds,
+        Self::Classify,
+        Self::Surface,
+        Self::Mesh,
+    ];
 
     /// The program's whole text; `counting` keeps the sample counts.
     pub fn source(self, counting: bool) -> String {
@@ -65,6 +89,10 @@ impl Program {
             Self::Under => &[piece!("under.wgsl")],
             Self::Probe => &[piece!("probe.wgsl")],
             Self::Compose => &[piece!("compose.wgsl")],
+            Self::Sample => &[piece!("lib/shape.wgsl"), piece!("lib/kinds.wgsl"), piece!("sample.wgsl")],
+            Self::Encode => &[piece!("encode.wgsl")],
+            Self::Bounds => &[NODE, piece!("bounds.wgsl")],
+            Self::Classify => &[NODE, piece!("classify.wgsl")],
             Self::Surface => &[MARCH, count, piece!("surface.wgsl")],
             Self::Mesh => &[MARCH, piece!("lib/deformer.wgsl"), piece!("mesh.wgsl")],
         };
@@ -72,6 +100,8 @@ impl Program {
             Self::Surface | Self::Mesh => &SURFACES,
             _ => &[],
         };
-        SHARED.iter().chain(of_surfaces).chain(own).copied().collect::<Vec<_>>().join("\n")
+        // What makes maps reads no scene.
+        let shared: &[&str] = if matches!(self, Self::Sample | Self::Encode | Self::Bounds) { &[] } else { &SHARED };
+        shared.iter().chain(of_surfaces).chain(own).copied().collect::<Vec<_>>().join("\n")
     }
 }

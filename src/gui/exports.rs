@@ -78,7 +78,7 @@ impl Workstation {
                     *renderer = crate::gpu::Device::open(want).ok().map(crate::render::Renderer::new);
                 }
                 if let Some(renderer) = renderer.as_mut() {
-                    let prepared = Prepared::composed_by(scene, assets, &|stack, points| renderer.evaluate(stack, points));
+                    let prepared = Prepared::on(renderer, scene, assets);
                     match prepared.and_then(|p| renderer.render_until(&p, false, watch)) {
                         Ok(rendered) => return Ok(rendered.picture),
                         Err(Error::Gpu(_)) => {}

@@ -442,7 +442,7 @@ impl Engine {
             } else {
                 // Lost in the middle of a picture, it may be found out by a call that cannot report it.
                 let attempt = || {
-                    let prepared = Prepared::composed_by(&job.scene, &job.assets, &|stack, points| renderer.evaluate(stack, points))?;
+                    let prepared = Prepared::on(renderer, &job.scene, &job.assets)?;
                     let rendered = renderer.render_until(&prepared, counting, watch)?;
                     Ok((prepared, rendered))
                 };

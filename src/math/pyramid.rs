@@ -126,6 +126,16 @@ impl<const C: usize> MinMaxPyramid<C> {
         range
     }
 
+    /// Extent of the grid, points, and log2 of the grid cells per node at level 0.
+    pub fn grid(&self) -> ([usize; 3], u32) {
+        (self.size, self.shift)
+    }
+
+    /// Nodes along each axis and the nodes themselves, x fastest, of each level, the finest first.
+    pub fn levels(&self) -> impl Iterator<Item = ([usize; 3], &[Range<C>])> {
+        self.levels.iter().map(|l| (l.size, &*l.nodes))
+    }
+
     /// The range of the whole grid.
     pub fn whole(&self) -> Range<C> {
         self.levels.last().and_then(|l| l.nodes.first()).copied().unwrap_or(Range::EMPTY)

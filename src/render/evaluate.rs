@@ -1,8 +1,10 @@
 //! The shaders' functions at many points: numbers for tests, and stacks composed on the device.
 
-use super::uniforms::PlacedMapUniform;
+use super::uniforms::{CutShapeUniform, PlacedMapUniform};
 use super::work::Made;
 use super::{Renderer, overrides};
+use crate::deform::compose::Sources;
+use crate::deform::cut::{Cuts, MAX_CUTS};
 use crate::deform::{MAX_MAPS, Stack};
 use crate::gpu::shaders::Program;
 use crate::gpu::{checked, read_buffer};
@@ -31,11 +33,11 @@ impl Renderer {
         })
     }
 
-    /// Source and smallest mask of points under a stack, through every map whatever the masks say: what [`crate::deform::compose`] samples.
+    /// A stack's source points and smallest masks.
     ///
     /// # Errors
     /// More maps than a pass binds; whatever the device reports.
-    pub fn evaluate(&self, stack: &Stack, points: &[Vec3]) -> Result<Vec<(Vec3, f32)>> {
+    pub(super) fn evaluate_stack(&self, stack: &Stack, points: &[Vec3]) -> Result<Sources> {
         let device = &self.device.device;
         let mut results = points.iter().map(|p| (*p, 1.0f32)).collect::<Vec<_>>();
         // The last maps act first; a map that is added to the one before it stays with it.
@@ -53,7 +55,7 @@ impl Renderer {
             let part = Stack::new(stack.maps()[first..end].to_vec());
             let positions: Vec<[f32; 3]> = results.iter().map(|(p, _)| p.to_array()).collect();
             let moved: Vec<[f32; 4]> = checked(device, || {
-                let bindings = self.bind_stack(&part)?;
+                let bindings = self.bind_stack(&part, &Cuts::default())?;
                 let pipeline = self.compute_pipeline(
                     Program::Compose,
                     false,
@@ -70,13 +72,11 @@ impl Renderer {
         Ok(results)
     }
 
-    fn stack_layout(&self) -> wgpu::BindGroupLayout {
+    pub(super) fn stack_layout(&self) -> wgpu::BindGroupLayout {
         let stages = wgpu::ShaderStages::COMPUTE;
         let entry = |binding, ty| wgpu::BindGroupLayoutEntry { binding, visibility: stages, ty, count: None };
-        let mut entries = vec![
-            entry(1, wgpu::BindingType::Buffer { ty: wgpu::BufferBindingType::Uniform, has_dynamic_offset: false, min_binding_size: None }),
-            entry(3, wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering)),
-        ];
+        let uniform = wgpu::BindingType::Buffer { ty: wgpu::BufferBindingType::Uniform, has_dynamic_offset: false, min_binding_size: None };
+        let mut entries = vec![entry(1, uniform), entry(14, uniform), entry(3, wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering))];
         let texture = wgpu::BindingType::Texture {
             sample_type: wgpu::TextureSampleType::Float { filterable: true },
             view_dimension: wgpu::TextureViewDimension::D3,
@@ -86,16 +86,22 @@ impl Renderer {
         self.device.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some("stack"), entries: &entries })
     }
 
-    /// The maps of a stack alone.
-    fn bind_stack(&self, stack: &Stack) -> Result<wgpu::BindGroup> {
+    /// The maps of a stack and shapes that cut, with nothing of the scene.
+    pub(super) fn bind_stack(&self, stack: &Stack, cuts: &Cuts) -> Result<wgpu::BindGroup> {
         let mut placed = [bytemuck::Zeroable::zeroed(); MAX_MAPS];
         for (uniform, map) in placed.iter_mut().zip(stack.maps()) {
             *uniform = PlacedMapUniform::new(map);
         }
-        let uniform = self.buffer_of("placements", bytemuck::cast_slice::<PlacedMapUniform, u8>(&placed), wgpu::BufferUsages::UNIFORM);
+        let mut shapes = [bytemuck::Zeroable::zeroed(); MAX_CUTS];
+        for (shape, cut) in shapes.iter_mut().zip(cuts.primitives()) {
+            *shape = CutShapeUniform::new(cut);
+        }
+        let uniform = self.scratch("placements", bytemuck::cast_slice::<PlacedMapUniform, u8>(&placed), wgpu::BufferUsages::UNIFORM);
+        let shapes = self.scratch("shapes", bytemuck::cast_slice::<CutShapeUniform, u8>(&shapes), wgpu::BufferUsages::UNIFORM);
         let (views, _) = self.upload_maps(stack)?;
         let mut entries = vec![
             wgpu::BindGroupEntry { binding: 1, resource: uniform.as_entire_binding() },
+            wgpu::BindGroupEntry { binding: 14, resource: shapes.as_entire_binding() },
             wgpu::BindGroupEntry { binding: 3, resource: wgpu::BindingResource::Sampler(&self.sampler) },
         ];
         entries.extend(
@@ -125,10 +131,22 @@ impl Renderer {
         layouts: [&wgpu::BindGroupLayout; 2],
         constants: &[(&str, f64)],
     ) -> wgpu::ComputePipeline {
+        self.compute_pipeline_at(program, "main", counting, &layouts, constants)
+    }
+
+    /// A program from one of its entry points.
+    pub(super) fn compute_pipeline_at(
+        &self,
+        program: Program,
+        entry: &str,
+        counting: bool,
+        layouts: &[&wgpu::BindGroupLayout],
+        constants: &[(&str, f64)],
+    ) -> wgpu::ComputePipeline {
         self.tally.count(Made::Pipeline);
         let device = &self.device.device;
-        let layout =
-            device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor { label: None, bind_group_layouts: &layouts.map(Some), immediate_size: 0 });
+        let layouts: Vec<_> = layouts.iter().copied().map(Some).collect();
+        let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor { label: None, bind_group_layouts: &layouts, immediate_size: 0 });
         let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some(&format!("{program:?}")),
             source: wgpu::ShaderSource::Wgsl(program.source(counting).into()),
@@ -137,7 +155,7 @@ impl Renderer {
             label: Some(&format!("{program:?}")),
             layout: Some(&layout),
             module: &module,
-            entry_point: Some("main"),
+            entry_point: Some(entry),
             compilation_options: wgpu::PipelineCompilationOptions { constants, ..Default::default() },
             cache: None,
         })

@@ -1,6 +1,7 @@
 //! What a renderer keeps from picture to picture: uniform buffers, the table's and the macrocells' textures, displacement maps by identity,
 //! targets by size, and the bind groups of all of these. A picture rewrites what has changed and makes what is not there.
 
+use super::prepare::{MapBounds, SampledMap};
 use super::surfaces::Layer;
 use super::uniforms::{CutShapeUniform, FrameUniform, PlacedMapUniform};
 use super::work::{Made, Tally};
@@ -39,6 +40,8 @@ impl Target {
 struct KeptMap {
     map: Arc<DisplacementMap>,
     view: wgpu::TextureView,
+    /// Once something has asked for them.
+    bounds: Option<MapBounds>,
 }
 
 /// What the shaders' shared functions read, with the content that was last written.
@@ -56,6 +59,8 @@ pub(super) struct Kept {
     /// By purpose, the most recently used last.
     targets: Vec<(&'static str, Target)>,
     groups: Vec<Group>,
+    /// By purpose: what is written for every use and grows.
+    scratch: Mutex<Vec<(&'static str, wgpu::Buffer)>>,
     readback: Option<wgpu::Buffer>,
     first_row: Option<wgpu::Buffer>,
     vertices: Option<wgpu::Buffer>,
@@ -216,8 +221,13 @@ impl Renderer {
             return Ok((view, false));
         }
         self.tally.count(Made::Map);
-        let view = self.upload_map(map)?;
-        kept.push(KeptMap { map: map.clone(), view: view.clone() });
+        let made = map.recipe().filter(|_| self.strategy.prepare).and_then(|r| Some((r, r.formula()?)));
+        let (view, bounds) = match made {
+            // Made by a renderer that is gone, or let go of.
+            Some((recipe, formula)) => self.sampled_map(recipe, &formula).map(|made| (made.view, Some(made.bounds)))?,
+            None => (self.upload_map(map)?, None),
+        };
+        kept.push(KeptMap { map: map.clone(), view: view.clone(), bounds });
         let mut bytes: usize = kept.iter().map(|k| k.map.gpu_bytes()).sum();
         let mut count = kept.len();
         let before = count;
@@ -230,6 +240,41 @@ impl Renderer {
             !goes
         });
         Ok((view, count < before))
+    }
+
+    /// Keeps a map that was made here.
+    pub(super) fn keep_map(&self, map: &Arc<DisplacementMap>, made: SampledMap) {
+        self.tally.count(Made::Map);
+        lock(&self.kept.maps).push(KeptMap { map: map.clone(), view: made.view, bounds: Some(made.bounds) });
+    }
+
+    /// Bounds on boxes of the texels of a map that is kept.
+    pub(super) fn bounds_of(&self, map: &Arc<DisplacementMap>) -> Result<MapBounds> {
+        let mut kept = lock(&self.kept.maps);
+        let found = kept.iter_mut().find(|k| Arc::ptr_eq(&k.map, map)).ok_or_else(|| Error::Gpu("a map was let go of".into()))?;
+        match &found.bounds {
+            Some(bounds) => Ok(bounds.clone()),
+            None => Ok(found.bounds.insert(self.bound_texels(map.size, &found.view)).clone()),
+        }
+    }
+
+    /// A buffer of a purpose with its content, kept and overwritten at the next use.
+    pub(super) fn scratch(&self, purpose: &'static str, contents: &[u8], usage: BufferUsages) -> wgpu::Buffer {
+        let buffer = self.scratch_of(purpose, contents.len() as u64, usage | BufferUsages::COPY_DST);
+        self.device.queue.write_buffer(&buffer, 0, contents);
+        buffer
+    }
+
+    /// A buffer of a purpose and at least a size, kept; its content is what it was.
+    pub(super) fn scratch_of(&self, purpose: &'static str, size: u64, usage: BufferUsages) -> wgpu::Buffer {
+        let mut kept = lock(&self.kept.scratch);
+        if let Some((_, buffer)) = kept.iter().find(|(p, b)| *p == purpose && b.size() >= size) {
+            return buffer.clone();
+        }
+        kept.retain(|(p, _)| *p != purpose);
+        let buffer = self.buffer(purpose, size.next_multiple_of(16), usage);
+        kept.push((purpose, buffer.clone()));
+        buffer
     }
 
     /// A stack's maps, and whether others had to go for them; the bindings that it leaves free get the identity.

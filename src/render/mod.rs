@@ -32,6 +32,7 @@ mod clock;
 mod draw;
 mod evaluate;
 mod kept;
+mod prepare;
 mod slices;
 mod strategy;
 mod surfaces;
@@ -92,6 +93,7 @@ pub struct Renderer {
     ray_pipelines: HashMap<Variant, wgpu::ComputePipeline>,
     volume: Option<VolumeTexture>,
     kept: Kept,
+    preparing: prepare::Kept,
     counter: Option<Counter>,
     clock: Option<Arc<Clock>>,
     tally: Tally,
@@ -118,6 +120,7 @@ impl Renderer {
             ray_pipelines: HashMap::new(),
             volume: None,
             kept: Kept::default(),
+            preparing: prepare::Kept::default(),
             counter: None,
             clock: None,
             tally: Tally::default(),

@@ -12,13 +12,17 @@ pub struct Strategy {
     /// Rays are invocations of a compute shader, not fragments. Server GPUs draw fragments on a small part of their processors; llvmpipe is
     /// faster at fragments.
     pub compute_rays: bool,
+    /// Maps are sampled from their formulas, and empty space is found, by the device: an edit waits for no upload. A software driver is no faster than
+    /// the CPU, which asks blocks of cells before their cells.
+    pub prepare: bool,
 }
 
 impl Strategy {
     /// What suits a device.
     pub fn of(device: &Device) -> Self {
         let hardware = !device.is_software();
-        Self { exact_filter: hardware, compute_rays: hardware && device.computes() }
+        let computes = hardware && device.computes();
+        Self { exact_filter: hardware, compute_rays: computes, prepare: computes }
     }
 
     pub(super) fn rays(self) -> Program {

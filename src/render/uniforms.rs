@@ -1,13 +1,14 @@
 //! What the shaders read besides textures: `shaders/types/frame.wgsl` in Rust. A test compares names, offsets and sizes.
 
-use crate::deform::PlacedMap;
+use super::prepare::{MAP_LEVELS, VALUE_LEVELS};
 use crate::deform::cut::Primitive;
+use crate::deform::{FORMULA_NUMBERS, MAX_MAPS, PlacedMap};
 use crate::mesh::Implicit;
 use crate::mesh::deformer::{Deform, Deformer, NormalMethod};
 use crate::mesh::formula::{Join, PlacedSolid, Solid};
 use crate::scene::objects::{Stage, SurfaceObject};
 use crate::scene::surface::{CutModel, Steps};
-use crate::scene::{Prepared, Projection};
+use crate::scene::{CellGrid, Contents, Prepared, Projection};
 use bytemuck::{Pod, Zeroable};
 use glam::{Affine3A, Mat3, Mat4, Vec3};
 
@@ -96,7 +97,7 @@ pub struct PlacedMapUniform {
     pub size: [f32; 3],
     pub added: f32,
     pub reach: [f32; 3],
-    pub padding: f32,
+    pub scale: f32,
 }
 
 fn affine(m: &Affine3A) -> [f32; 16] {
@@ -164,7 +165,7 @@ impl PlacedMapUniform {
             size: Vec3::from(placed.map.size.map(|n| n as f32)).into(),
             added: if placed.added { 1.0 } else { 0.0 },
             reach: placed.reach.into(),
-            padding: 0.0,
+            scale: placed.map.scale,
         }
     }
 }
@@ -327,5 +328,113 @@ impl DeformerUniform {
             }
         };
         u
+    }
+}
+
+/// `NodeBounds` of `shaders/types/bounds.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[allow(missing_docs, reason = "documented in the shader")]
+pub struct NodeBounds {
+    pub low: [f32; 4],
+    pub high: [f32; 4],
+    pub slope_low: [[f32; 4]; 3],
+    pub slope_high: [[f32; 4]; 3],
+}
+
+/// `Recipe` of `shaders/sample.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[allow(missing_docs, reason = "documented in the shader")]
+pub struct RecipeUniform {
+    pub cube_mm: [f32; 3],
+    pub ramp_mm: f32,
+    pub size: [u32; 3],
+    pub kind: u32,
+    pub numbers: [f32; FORMULA_NUMBERS],
+}
+
+/// `Level` of `shaders/bounds.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[allow(missing_docs, reason = "documented in the shader")]
+pub struct LevelUniform {
+    pub size: [u32; 3],
+    pub first: u32,
+    pub below_size: [u32; 3],
+    pub below_first: u32,
+}
+
+/// `Classification` of `shaders/classify.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[allow(missing_docs, reason = "documented in shaders/classify.wgsl")]
+pub struct ClassificationUniform {
+    pub voxel_from_world: [f32; 16],
+    pub origin: [f32; 3],
+    pub looks_back_mm: f32,
+    pub cell_mm: [f32; 3],
+    pub beside_cuts_mm: f32,
+    pub size: [u32; 3],
+    pub cut_margin_mm: f32,
+    pub voxel_low: [f32; 3],
+    pub margin_mm: f32,
+    pub voxel_high: [f32; 3],
+    pub iso: f32,
+    pub table_scale: f32,
+    pub table_offset: f32,
+    pub has_iso: u32,
+    pub grey_faces: u32,
+    pub composite: u32,
+    pub stack_cuts: u32,
+    pub value_shift: u32,
+    pub value_levels: u32,
+    pub value_size: [u32; 3],
+    pub padding: u32,
+    pub values: [[u32; 4]; VALUE_LEVELS],
+    pub maps: [[u32; 4]; MAX_MAPS],
+    pub levels: [[u32; 4]; MAX_MAPS * MAP_LEVELS],
+}
+
+impl ClassificationUniform {
+    /// A grid and what decides about its cells; of the bounds on values, nodes along each axis and the first node of each level.
+    pub fn new(cells: &CellGrid, contents: &Contents, value_levels: &[[u32; 4]]) -> Self {
+        let (value_size, value_shift) = contents.pyramid.grid();
+        let mut values = [[0; 4]; VALUE_LEVELS];
+        values.iter_mut().zip(value_levels).for_each(|(to, from)| *to = *from);
+        Self {
+            voxel_from_world: affine(contents.voxel_from_world),
+            origin: cells.bounds.min.into(),
+            looks_back_mm: contents.looks_back_mm,
+            cell_mm: cells.cell_mm.into(),
+            beside_cuts_mm: contents.beside_cuts_mm,
+            size: cells.size.into(),
+            cut_margin_mm: contents.cut_margin_mm,
+            voxel_low: contents.voxel_box.min.into(),
+            margin_mm: cells.margin_mm,
+            voxel_high: contents.voxel_box.max.into(),
+            iso: contents.iso.unwrap_or(0.0),
+            table_scale: contents.table.scale,
+            table_offset: contents.table.offset,
+            has_iso: u32::from(contents.iso.is_some()),
+            grey_faces: u32::from(contents.grey_faces),
+            composite: u32::from(contents.blend == crate::transfer::Blend::Composite),
+            stack_cuts: u32::from(contents.stack.cuts()),
+            value_shift,
+            value_levels: value_levels.len() as u32,
+            value_size: value_size.map(|n| n as u32),
+            padding: 0,
+            values,
+            maps: Zeroable::zeroed(),
+            levels: Zeroable::zeroed(),
+        }
+    }
+
+    /// The bounds of map `k`, whose nodes begin at `first`.
+    pub fn set_map(&mut self, k: usize, levels: &[[u32; 4]], first: u32, cuts: bool) {
+        self.maps[k] = [levels.len() as u32, u32::from(cuts), 0, 0];
+        for (to, &[x, y, z, at]) in self.levels[k * MAP_LEVELS..][..MAP_LEVELS].iter_mut().zip(levels) {
+            *to = [x, y, z, first + at];
+        }
     }
 }

@@ -45,7 +45,8 @@ impl VolumeTexture {
 }
 
 impl GridVoxels {
-    fn identity(&self) -> usize {
+    /// The address of the voxels, theirs alone as long as they are kept.
+    pub(super) fn identity(&self) -> usize {
         match self {
             Self::U8(v) => Arc::as_ptr(v) as usize,
             Self::U16(v) => Arc::as_ptr(v) as usize,
@@ -208,6 +209,11 @@ impl Renderer {
 
     /// An empty 3D texture.
     pub(super) fn texture_3d(&self, label: &str, size: [usize; 3], format: TextureFormat) -> Result<wgpu::Texture> {
+        self.texture_3d_for(label, size, format, wgpu::TextureUsages::COPY_DST)
+    }
+
+    /// The same to be filled otherwise.
+    pub(super) fn texture_3d_for(&self, label: &str, size: [usize; 3], format: TextureFormat, usage: wgpu::TextureUsages) -> Result<wgpu::Texture> {
         let most = self.device.device.limits().max_texture_dimension_3d as usize;
         if size.iter().any(|&n| n > most) {
             return Err(Error::Gpu(format!(
@@ -222,7 +228,7 @@ impl Renderer {
             sample_count: 1,
             dimension: wgpu::TextureDimension::D3,
             format,
-            usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+            usage: wgpu::TextureUsages::TEXTURE_BINDING | usage,
             view_formats: &[],
         }))
     }

@@ -1,7 +1,7 @@
 //! A scene's deformations as a stack of maps.
 
-use super::{Deformation, ViewFrame};
-use crate::deform::compose::{self, Composed, Evaluate, Resolution};
+use super::{Accelerator, Deformation, ViewFrame};
+use crate::deform::compose::{self, Composed, Resolution};
 use crate::deform::cut::{Cuts, MAX_CUTS, Primitive};
 use crate::deform::kinds::{self, DefaultSize, Inputs, Kind, Sampling};
 use crate::deform::{Arguments, DisplacementMap, Library, MAX_MAPS, PlacedMap, Placement, Stack, Storage, saved};
@@ -55,6 +55,8 @@ pub struct Making<'a> {
     pub storage: Option<Storage>,
     /// Whether removals that nothing moves afterwards are kept as shapes.
     pub exact_cuts: bool,
+    /// What makes maps.
+    pub device: &'a dyn Accelerator,
 }
 
 /// What composing has cost in exactness, for reports.
@@ -176,7 +178,7 @@ pub fn bounded(
     scene_box: &Bounds,
     within_mm: Option<f32>,
     default_mm: f32,
-    evaluate: Evaluate,
+    device: &dyn Accelerator,
 ) -> Result<(Stack, Option<Composition>)> {
     let maps = stack.maps();
     let first = match within_mm {
@@ -193,7 +195,9 @@ pub fn bounded(
     };
     let head = Stack::new(maps[..first].to_vec());
     let Some(Composed { placed, worst_mm, p99_mm }) =
-        compose::stack(&head, scene_box, Resolution::Within(within_mm.unwrap_or(default_mm)), Storage::F16, evaluate)?
+        compose::stack(&head, scene_box, Resolution::Within(within_mm.unwrap_or(default_mm)), Storage::F16, &|stack, points| {
+            device.evaluate(stack, points)
+        })?
     else {
         return Ok((stack, None));
     };
@@ -271,7 +275,7 @@ fn place_kind(deformation: &Deformation, making: &Making) -> Result<PlacedMap> {
     // A formula has the same map wherever its box lies: one that is moved or turned is not sampled, and not uploaded, again.
     let lies = (!kind.is_the_same_anywhere(&deformation.parameters)).then_some(world_from_local);
     let key = format!("{} {:?} {progress} {size_mm:?} {sampling:?} {lies:?}", kind.name, deformation.parameters);
-    let map = making.library.map(key, || kind.map(&values, progress, size_mm, &sampling, &inputs).map(Arc::new))?;
+    let map = making.library.map(key, || making.device.map(kind.recipe(&values, progress, size_mm, &sampling, &inputs)?))?;
     Ok(PlacedMap::new(map, placement.scaled(Vec3::splat(kind.inflate))?))
 }
 

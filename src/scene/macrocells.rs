@@ -191,6 +191,51 @@ impl Contents<'_> {
     }
 }
 
+/// Where the cells of a grid over the deformed scene lie.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CellGrid {
+    /// The box that they fill, mm.
+    pub bounds: Bounds,
+    /// Cells along each axis.
+    pub size: UVec3,
+    /// Edge of a cell along each axis, mm.
+    pub cell_mm: Vec3,
+    /// How much larger than itself a cell is taken for, mm: a sample that lies on its face may be counted to either side.
+    pub margin_mm: f32,
+}
+
+/// What a cell shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Flag {
+    /// Nothing.
+    Empty,
+    /// Something, perhaps.
+    Occupied,
+    /// Something, perhaps, and no cut but the volume's own faces can matter to it.
+    Clear,
+}
+
+impl CellGrid {
+    /// Cells of about `edge` mm.
+    pub fn new(bounds: Bounds, edge: f32) -> Self {
+        let extent = bounds.size();
+        let size = (extent / edge).ceil().max(Vec3::ONE);
+        let cell_mm = extent / size;
+        Self { bounds, size: size.as_uvec3(), cell_mm, margin_mm: 1e-3 * cell_mm.max_element() }
+    }
+
+    /// Cells for a volume of voxels of `voxel_mm`: not much smaller than a few of those, and not too many.
+    pub fn over(bounds: Bounds, voxel_mm: f32) -> Self {
+        Self::new(bounds, (bounds.size().max_element() / MOST_CELLS).max(3.0 * voxel_mm))
+    }
+
+    /// The box between two corners of cells, with the margin.
+    fn between(&self, low: UVec3, high: UVec3) -> Bounds {
+        let corner = |c: UVec3| self.bounds.min + c.as_vec3() * self.cell_mm;
+        Bounds::new(corner(low), corner(high)).grown(self.margin_mm)
+    }
+}
+
 impl Macrocells {
     /// One occupied cell over everything: skips nothing.
     pub fn solid(bounds: Bounds) -> Self {
@@ -206,23 +251,17 @@ impl Macrocells {
 
     /// Classifies a grid over `bounds`, the box of the deformed scene. What a sample sees by looking back counts as seen where the sample is.
     pub fn new(bounds: Bounds, voxel_mm: f32, contents: &Contents) -> Self {
-        let edge = (bounds.size().max_element() / MOST_CELLS).max(3.0 * voxel_mm);
-        Self::classified(bounds, edge, |b| contents.seen(b), |b| contents.near_cuts(b))
+        contents.stack.fetch_texels();
+        Self::classified(CellGrid::over(bounds, voxel_mm), |b| contents.seen(b), |b| contents.near_cuts(b))
     }
 
-    /// A grid of cells of about `edge` mm, those occupied in whose box anything is seen, and of those clear that are not `near_cuts`.
+    /// Cells of a grid, those occupied in whose box anything is seen, and of those clear that are not `near_cuts`.
     ///
     /// Blocks of cells are asked before their cells: what shows nothing, or something throughout, is not asked again.
-    pub fn classified(bounds: Bounds, edge: f32, seen: impl Fn(&Bounds) -> Seen + Sync, near_cuts: impl Fn(&Bounds) -> bool + Sync) -> Self {
-        let extent = bounds.size();
-        let size = (extent / edge).ceil().max(Vec3::ONE);
-        let cell_mm = extent / size;
-        let size = size.as_uvec3();
-        // A sample that lies on a cell's face may be counted to either side.
-        let margin = 1e-3 * cell_mm.max_element();
+    pub fn classified(grid: CellGrid, seen: impl Fn(&Bounds) -> Seen + Sync, near_cuts: impl Fn(&Bounds) -> bool + Sync) -> Self {
+        let size = grid.size;
         let blocks = UVec3::from(size.to_array().map(|n| n.div_ceil(BLOCK)));
-        let corner = |c: UVec3| bounds.min + c.as_vec3() * cell_mm;
-        let between = |low: UVec3, high: UVec3| Bounds::new(corner(low), corner(high)).grown(margin);
+        let between = |low: UVec3, high: UVec3| grid.between(low, high);
         let found: Vec<[Vec<UVec3>; 2]> = (0..blocks.element_product())
             .into_par_iter()
             .map(|index| {
@@ -236,19 +275,32 @@ impl Macrocells {
                 [cells, near]
             })
             .collect();
-        let mut occupied = vec![false; size.element_product() as usize];
+        let mut flags = vec![Flag::Empty; size.element_product() as usize];
         let index = |cell: UVec3| ((cell.z * size.y + cell.y) * size.x + cell.x) as usize;
-        let mut all: Option<(UVec3, UVec3)> = None;
         for &cell in found.iter().flat_map(|[cells, _]| cells) {
-            occupied[index(cell)] = true;
-            all = Some(all.map_or((cell, cell), |(low, high)| (low.min(cell), high.max(cell))));
+            flags[index(cell)] = Flag::Clear;
+        }
+        for &cell in found.iter().flat_map(|[_, near]| near) {
+            let at = &mut flags[index(cell)];
+            *at = if *at == Flag::Clear { Flag::Occupied } else { *at };
+        }
+        Self::of_flags(&grid, &flags)
+    }
+
+    /// Cells of a grid by what they show, x fastest.
+    pub fn of_flags(grid: &CellGrid, flags: &[Flag]) -> Self {
+        let CellGrid { bounds, size, cell_mm, .. } = *grid;
+        let occupied: Vec<bool> = flags.iter().map(|f| *f != Flag::Empty).collect();
+        let mut all: Option<(UVec3, UVec3)> = None;
+        for (n, row) in occupied.chunks(size.x as usize).enumerate() {
+            if let (Some(first), Some(last)) = (row.iter().position(|o| *o), row.iter().rposition(|o| *o)) {
+                let (y, z) = (n as u32 % size.y, n as u32 / size.y);
+                let (first, last) = (UVec3::new(first as u32, y, z), UVec3::new(last as u32, y, z));
+                all = Some(all.map_or((first, last), |(low, high)| (low.min(first), high.max(last))));
+            }
         }
         let mut distance = chessboard_distance(&occupied, size);
-        distance.iter_mut().filter(|d| **d == 0).for_each(|d| *d = CLEAR);
-        for &cell in found.iter().flat_map(|[_, near]| near) {
-            let at = &mut distance[index(cell)];
-            *at = if *at == CLEAR { 0 } else { *at };
-        }
+        distance.iter_mut().zip(flags).filter(|(_, f)| **f == Flag::Clear).for_each(|(d, _)| *d = CLEAR);
         let of_cells =
             |(low, high): (UVec3, UVec3)| Bounds::new(bounds.min + low.as_vec3() * cell_mm, bounds.min + high.as_vec3() * cell_mm + cell_mm);
         Self::of_distances(bounds.min, cell_mm, size, distance, all.map_or(Bounds::EMPTY, of_cells))
@@ -471,7 +523,7 @@ mod tests {
         let bounds = Bounds::new(Vec3::new(-3.0, 1.0, 2.0), Vec3::new(37.0, 31.0, 34.0));
         let ball = |b: &Bounds, radius: f32| (b.center() - bounds.center()).length() < radius;
         let seen = |b: &Bounds| if b.size().max_element() > 3.0 || ball(b, 13.0) { Seen::Perhaps } else { Seen::Nothing };
-        let cells = Macrocells::classified(bounds, 2.0, seen, |b| b.size().max_element() > 3.0 || !ball(b, 10.0));
+        let cells = Macrocells::classified(CellGrid::new(bounds, 2.0), seen, |b| b.size().max_element() > 3.0 || !ball(b, 10.0));
         let clear_at = |p: Vec3| cells.distance[cells.index(p)] == CLEAR;
         let (mut empties, mut clears, mut others, mut longest) = (0, 0, 0, 0.0f32);
         for n in 0..600 {

@@ -3,6 +3,7 @@
 //! A [`Scene`] names a volume and never holds voxels. [`Prepared`] is the scene resolved against a loaded volume: tables, maps,
 //! camera and the empty-space grid, the same for every backend.
 
+mod accelerator;
 mod camera;
 pub mod command;
 pub mod deformations;
@@ -17,8 +18,9 @@ mod prepared;
 mod sampled;
 pub mod surface;
 
+pub use accelerator::{Accelerator, Unaided};
 pub use camera::{Camera, Projection, View, ViewFrame};
-pub use macrocells::Macrocells;
+pub use macrocells::{CellGrid, Contents, Flag, Macrocells};
 pub use prepared::{Assets, Deformed, Frame, MAX_PICTURE_EDGE, Picture, Prepared, RenderStats, Rendered, Stages};
 
 use crate::deform::{Arguments, Storage};

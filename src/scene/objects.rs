@@ -1,7 +1,7 @@
 //! Surfaces resolved for rendering: every `[[mesh]]`, and the volume's own surface where the mode asks for it, as an implicit solid, as
 //! triangles, or both.
 
-use super::macrocells::{Macrocells, Seen};
+use super::macrocells::{CellGrid, Macrocells, Seen};
 use super::surface::{Appearance, CutModel, DeformerSource, Look, MeshPlace, MeshSource, Representation, ShapeSource, Steps, SurfaceSettings};
 use super::{Assets, Mode, Scene, Size};
 use crate::Watch;
@@ -652,7 +652,7 @@ impl Casting<'_> {
                 Seen::Nothing
             }
         };
-        let grid = Macrocells::classified(deformed, edge, seen, |_| true);
+        let grid = Macrocells::classified(CellGrid::new(deformed, edge), seen, |_| true);
         use rayon::prelude::*;
         let slope = (0..grid.distance.len())
             .into_par_iter()

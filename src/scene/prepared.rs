@@ -1,10 +1,10 @@
 //! A scene resolved for rendering, and the picture that comes out: the same types for every backend.
 
+use super::accelerator::{Accelerator, Unaided};
 use super::deformations::{self, Composition, Making};
 use super::objects::{Objects, Surfaces};
 use super::sampled::Sampled;
 use super::{CutFaces, Light, Macrocells, Mode, Normals, RenderSettings, Scene, ViewFrame, inside, macrocells::Contents};
-use crate::deform::compose::{self, Evaluate};
 use crate::deform::cut::Cuts;
 use crate::deform::{Library, PlacedMap, Stack, Storage};
 use crate::math::{Bounds, normalize_or, to_f32};
@@ -267,10 +267,10 @@ impl Deformed {
     pub fn new(scene: &Scene, assets: &Assets) -> Result<Self> {
         check_settings(&scene.render, &scene.light)?;
         let view = scene.camera.frame(&assets.scene_box(), scene.render.size)?;
-        Self::with(scene, assets, &view, Vec::new(), &compose::evaluate)
+        Self::with(scene, assets, &view, Vec::new(), &Unaided)
     }
 
-    fn with(scene: &Scene, assets: &Assets, view: &ViewFrame, more: Vec<PlacedMap>, evaluate: Evaluate) -> Result<Self> {
+    fn with(scene: &Scene, assets: &Assets, view: &ViewFrame, more: Vec<PlacedMap>, device: &dyn Accelerator) -> Result<Self> {
         let settings = &scene.render;
         let scene_box = assets.scene_box();
         let reference_mm = assets.volume.spacing_mm().min_element() as f32;
@@ -281,6 +281,7 @@ impl Deformed {
             view,
             storage: None,
             exact_cuts: settings.exact_cuts,
+            device,
         };
         let undeformed = more.is_empty() && !scene.deformation.iter().any(|d| d.enabled);
         let (inside, proxy_mesh) = match inside::of_scene(scene, assets, &scene_box, making.least_ramp_mm)? {
@@ -288,7 +289,7 @@ impl Deformed {
             None => (Vec::new(), None),
         };
         let (stack, cuts) = deformations::stack(&scene.deformation, &making, inside, more)?;
-        let (stack, composition) = deformations::bounded(stack, &scene_box, settings.precompose, UNSEEN * reference_mm, evaluate)?;
+        let (stack, composition) = deformations::bounded(stack, &scene_box, settings.precompose, UNSEEN * reference_mm, device)?;
         Ok(Self { stack, cuts, composition, proxy_mesh })
     }
 
@@ -300,7 +301,8 @@ impl Deformed {
         let scene_box = assets.scene_box();
         let view = scene.camera.frame(&scene_box, scene.render.size)?;
         let least_ramp_mm = 1.5 * assets.volume.spacing_mm().min_element() as f32;
-        let making = Making { library: &assets.library, scene_box, least_ramp_mm, view: &view, storage: Some(Storage::F32), exact_cuts };
+        let (library, device) = (&assets.library, &Unaided);
+        let making = Making { library, scene_box, least_ramp_mm, view: &view, storage: Some(Storage::F32), exact_cuts, device };
         let inside = inside::of_scene(scene, assets, &scene_box, least_ramp_mm)?.map_or_else(Vec::new, |i| i.maps);
         let (stack, cuts) = deformations::stack(&scene.deformation, &making, inside, Vec::new())?;
         Ok(Self { stack, cuts, composition: None, proxy_mesh: None })
@@ -374,12 +376,12 @@ impl<'a> Prepared<'a> {
         Self::with_maps(scene, assets, Vec::new())
     }
 
-    /// As [`Self::new`]; where maps have to be composed into one, `evaluate` does it.
+    /// As [`Self::new`] by a device that takes over what it does well.
     ///
     /// # Errors
-    /// As [`Self::new`].
-    pub fn composed_by(scene: &Scene, assets: &'a Assets, evaluate: Evaluate) -> Result<Self> {
-        Self::with(scene, assets, Vec::new(), evaluate)
+    /// As [`Self::new`]; whatever the device reports.
+    pub fn on(device: &dyn Accelerator, scene: &Scene, assets: &'a Assets) -> Result<Self> {
+        Self::with(scene, assets, Vec::new(), device)
     }
 
     /// Resolves a scene and applies further maps, made by other means than a kind, after its own.
@@ -387,10 +389,10 @@ impl<'a> Prepared<'a> {
     /// # Errors
     /// As [`Self::new`].
     pub fn with_maps(scene: &Scene, assets: &'a Assets, more: Vec<PlacedMap>) -> Result<Self> {
-        Self::with(scene, assets, more, &compose::evaluate)
+        Self::with(scene, assets, more, &Unaided)
     }
 
-    fn with(scene: &Scene, assets: &'a Assets, more: Vec<PlacedMap>, evaluate: Evaluate) -> Result<Self> {
+    fn with(scene: &Scene, assets: &'a Assets, more: Vec<PlacedMap>, device: &dyn Accelerator) -> Result<Self> {
         let mut stages = Stages::default();
         let settings = scene.render.clone();
         check_settings(&settings, &scene.light)?;
@@ -421,7 +423,7 @@ impl<'a> Prepared<'a> {
         let reference_mm = volume.spacing_mm().min_element() as f32;
         let step_mm = settings.step * reference_mm;
         let blend_mm = blend_mm(settings.step, reference_mm);
-        let Deformed { stack, cuts, composition, proxy_mesh } = stages.time("maps", || Deformed::with(scene, assets, &view, more, evaluate))?;
+        let Deformed { stack, cuts, composition, proxy_mesh } = stages.time("maps", || Deformed::with(scene, assets, &view, more, device))?;
         let span = (volume.range[1] - volume.range[0]).max(f64::MIN_POSITIVE);
         let normalised = |v: f64| ((v - volume.range[0]) / span) as f32;
         let iso = settings.iso.map(normalised);
@@ -437,10 +439,10 @@ impl<'a> Prepared<'a> {
         let deformed = stack.deformed_bounds(&volume.bounds_in_world());
         let macrocells = stages.time("macrocells", || {
             if settings.mode == Mode::Surface || !assets.has_volume {
-                return Macrocells::solid(Bounds::EMPTY).into();
+                return Ok(Macrocells::solid(Bounds::EMPTY).into());
             }
             if !settings.empty_space_skipping {
-                return Macrocells::solid(deformed).into();
+                return Ok(Macrocells::solid(deformed).into());
             }
             let slant = scene.camera.slant(settings.size);
             let step_back_mm = 1.01 * step_mm * slant;
@@ -460,8 +462,8 @@ impl<'a> Prepared<'a> {
                 blend: function.blend,
             };
             // What looks back a step may lie beyond the box of the scene itself.
-            shown.macrocells(deformed.grown(contents.reach_mm()), reference_mm, &contents)
-        });
+            shown.macrocells(deformed.grown(contents.reach_mm()), reference_mm, &contents, device)
+        })?;
         let light = scene.light.clone();
         let d = Vec3::from(light.direction);
         let to_light = if light.follows_camera {

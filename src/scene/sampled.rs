@@ -1,6 +1,8 @@
 //! A grid, and what is derived from its voxels and kept between pictures.
 
-use super::macrocells::{Contents, Inputs, Macrocells};
+use super::Accelerator;
+use super::macrocells::{CellGrid, Contents, Inputs, Macrocells};
+use crate::Result;
 use crate::math::pyramid::Range;
 use crate::math::{Bounds, MinMaxPyramid};
 use crate::volume::{GradientVolume, Grid, GridVoxels, Voxel};
@@ -30,7 +32,10 @@ impl Sampled {
     }
 
     /// [`Macrocells::new`], or those that are kept of the same inputs: a camera or a light changes nothing about empty space.
-    pub fn macrocells(&self, bounds: Bounds, voxel_mm: f32, contents: &Contents) -> Arc<Macrocells> {
+    ///
+    /// # Errors
+    /// Whatever a device reports that finds them.
+    pub fn macrocells(&self, bounds: Bounds, voxel_mm: f32, contents: &Contents, device: &dyn Accelerator) -> Result<Arc<Macrocells>> {
         let inputs = Inputs::of(bounds, voxel_mm, contents);
         // Entries are only ever added whole.
         let lock = || self.macrocells.lock().unwrap_or_else(PoisonError::into_inner);
@@ -43,15 +48,20 @@ impl Sampled {
                 cells
             })
         };
-        found.unwrap_or_else(|| {
-            let cells = Arc::new(Macrocells::new(bounds, voxel_mm, contents));
-            let mut kept = lock();
-            if kept.len() == KEPT_MACROCELLS {
-                kept.remove(0);
-            }
-            kept.push((inputs, cells.clone()));
-            cells
-        })
+        if let Some(cells) = found {
+            return Ok(cells);
+        }
+        let grid = CellGrid::over(bounds, voxel_mm);
+        let cells = Arc::new(match device.classify(&grid, contents, &self.grid)? {
+            Some(flags) => Macrocells::of_flags(&grid, &flags),
+            None => Macrocells::new(bounds, voxel_mm, contents),
+        });
+        let mut kept = lock();
+        if kept.len() == KEPT_MACROCELLS {
+            kept.remove(0);
+        }
+        kept.push((inputs, cells.clone()));
+        Ok(cells)
     }
 
     /// The gradients of all voxels, if there is a volume of them: it is made when a second picture asks, since one picture alone costs less

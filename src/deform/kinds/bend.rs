@@ -4,7 +4,7 @@
 //! sin ks). Angle and radius about the centre of the arc give x and s back exactly. Above the upper face the bend goes on straight. Matter
 //! beyond the centre of the arc would pass through itself; it is cut away.
 
-use super::{Amount, Backward, Build, DefaultSize, Field, Kind, Parameter, UNCUT, Unit};
+use super::{Amount, Backward, Build, DefaultSize, Field, Formula, FormulaKind, Kind, Parameter, UNCUT, Unit};
 use glam::{Vec2, Vec3};
 
 pub(super) const KIND: Kind = Kind {
@@ -67,5 +67,9 @@ impl Field for Bend {
         let turn = (s * self.curvature).min(self.height * self.curvature);
         let to = Vec2::from_angle(turn).rotate(Vec2::new(radius - x, s - turn * radius));
         Some(Vec3::new(self.sense * (radius - to.x), q.y, to.y - self.half_z))
+    }
+
+    fn formula(&self) -> Option<Formula> {
+        Some(Formula::new(FormulaKind::Bend, &[self.curvature, self.sense, self.half_z, self.height]))
     }
 }

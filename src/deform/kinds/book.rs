@@ -4,7 +4,7 @@
 //! lies behind the spine, [90°, 180°], is compressed into what is left. Radius and y stay; the inverse is exact. Unlike `seam` nothing
 //! fades: the box should enclose the matter with room for the covers.
 
-use super::{Amount, Backward, Build, DefaultSize, Field, Gaps, Kind, Parameter, Unit};
+use super::{Amount, Backward, Build, DefaultSize, Field, Formula, FormulaKind, Gaps, Kind, Parameter, Unit};
 use glam::{Vec2, Vec3};
 use std::f32::consts::{FRAC_PI_2, PI};
 
@@ -74,5 +74,9 @@ impl Field for Book {
         let rigid_end = FRAC_PI_2 + self.angle;
         let to = if beta <= FRAC_PI_2 { beta + self.angle } else { rigid_end + (beta - FRAC_PI_2) * (PI - rigid_end) / FRAC_PI_2 };
         Some(self.at_angle(q, r, to.copysign(v.x)))
+    }
+
+    fn formula(&self) -> Option<Formula> {
+        Some(Formula::new(FormulaKind::Book, &[self.angle, self.spine_z, self.gaps.ramp_mm, self.gaps.texel_mm]))
     }
 }

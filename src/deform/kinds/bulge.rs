@@ -3,7 +3,7 @@
 //! With u the position over the half sizes and ρ = |u|, the source of u is u (1 - a (1 - ρ²)²): at the centre matter is 1 / (1 - a) times as
 //! large. ρ (1 - a (1 - ρ²)²) rises for -1.25 < a < 1, so along each ray from the centre the inverse is one monotone equation.
 
-use super::{Amount, Backward, Build, DefaultSize, Field, Kind, Parameter, UNCUT, Unit, solve_rising};
+use super::{Amount, Backward, Build, DefaultSize, Field, Formula, FormulaKind, Kind, Parameter, UNCUT, Unit, solve_rising};
 use glam::Vec3;
 
 pub(super) const KIND: Kind = Kind {
@@ -51,5 +51,9 @@ impl Field for Bulge {
         }
         let to = solve_rising(rho, 0.0, 1.0, |r| r * self.factor(r));
         Some(q * (to / rho))
+    }
+
+    fn formula(&self) -> Option<Formula> {
+        Some(Formula::new(FormulaKind::Bulge, &[self.amount, self.half.x, self.half.y, self.half.z]))
     }
 }

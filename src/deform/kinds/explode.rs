@@ -3,7 +3,7 @@
 //! Each axis is independent: with n pieces and a gap g, the box holds n pieces of (L - (n-1) g) / n and the gaps between them, so that everything
 //! in it is seen; a piece keeps its shape, and in a gap D goes on from one piece's end, which is the next one's beginning.
 
-use super::{Amount, Backward, Build, DefaultSize, Field, Gaps, Kind, Parameter, Unit};
+use super::{Amount, Backward, Build, DefaultSize, Field, Formula, FormulaKind, Gaps, Kind, Parameter, Unit};
 use glam::Vec3;
 
 const fn pieces(name: &'static str, about: &'static str) -> Parameter {
@@ -96,5 +96,13 @@ impl Field for Explode {
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
         Some(Vec3::from_array(std::array::from_fn(|a| self.axes[a].forward(q[a]))))
+    }
+
+    fn formula(&self) -> Option<Formula> {
+        let [x, y, z] = &self.axes;
+        Some(Formula::new(
+            FormulaKind::Explode,
+            &[self.gaps.ramp_mm, self.gaps.texel_mm, x.count, x.gap, x.piece, y.count, y.gap, y.piece, z.count, z.gap, z.piece],
+        ))
     }
 }

@@ -3,7 +3,7 @@
 //! The half opening o(y, z) is a lens along the cut, widest in the middle, growing from nothing at the cut's floor to `opening`/2 at
 //! the box's upper part. Matter from the plane x = 0 to the box's side is compressed linearly into what is left: x = X (|x'| - o)/(X - o).
 
-use super::{Amount, Backward, Build, DefaultSize, Field, Gaps, Kind, Parameter, Unit};
+use super::{Amount, Backward, Build, DefaultSize, Field, Formula, FormulaKind, Gaps, Kind, Parameter, Unit};
 use glam::Vec3;
 
 pub(super) const KIND: Kind = Kind {
@@ -80,5 +80,12 @@ impl Field for Knife {
         let x = q.x.abs();
         let to = if x >= self.half_x { x } else { open + x * (self.half_x - open) / self.half_x };
         Some(Vec3::new(to.copysign(q.x), q.y, q.z))
+    }
+
+    fn formula(&self) -> Option<Formula> {
+        Some(Formula::new(
+            FormulaKind::Knife,
+            &[self.half_length, self.depth, self.half_opening, self.half_x, self.top, self.gaps.ramp_mm, self.gaps.texel_mm],
+        ))
     }
 }

@@ -36,7 +36,7 @@ mod wave;
 pub use modifiers::vary_everywhere;
 
 use super::cut::Shape;
-use super::{Argument, Arguments, DisplacementMap, Library, Storage, TexelSample};
+use super::{Argument, Arguments, DisplacementMap, Formula, FormulaKind, Library, Recipe, Storage};
 use crate::error::suggestion;
 use crate::math::Bounds;
 use crate::{Error, Result};
@@ -58,6 +58,11 @@ pub trait Field: Send + Sync {
 
     /// Where a source point goes; none if it is removed or another one covers it.
     fn forward(&self, source: Vec3) -> Option<Vec3>;
+
+    /// The same as numbers that a device can sample, where they say all.
+    fn formula(&self) -> Option<Formula> {
+        None
+    }
 }
 
 /// A parameter's unit.
@@ -394,6 +399,14 @@ impl Kind {
     /// # Errors
     /// As [`Self::field`].
     pub fn map(&self, values: &[f32], progress: f32, size_mm: Vec3, sampling: &Sampling, inputs: &Inputs) -> Result<DisplacementMap> {
+        Ok(self.recipe(values, progress, size_mm, sampling, inputs)?.map())
+    }
+
+    /// What [`Self::map`] samples.
+    ///
+    /// # Errors
+    /// As [`Self::field`].
+    pub fn recipe(&self, values: &[f32], progress: f32, size_mm: Vec3, sampling: &Sampling, inputs: &Inputs) -> Result<Recipe> {
         let (mut grid, mut context) = self.context(values, progress, size_mm, sampling);
         if modifiers::vary_everywhere(inputs.settings) && self.varies != [true; 3] {
             // Round cuts and spared labels vary along all axes, whatever the kind does.
@@ -401,13 +414,7 @@ impl Kind {
             (grid, context) = all.context(values, progress, size_mm, sampling);
         }
         let field = self.modified(&context, inputs)?;
-        let cube_mm = size_mm * self.inflate;
-        let ramp_mm = context.ramp_mm;
-        Ok(DisplacementMap::from_fn(grid, sampling.storage, |x| {
-            let local = (x - 0.5) * cube_mm;
-            let b = field.backward(local);
-            TexelSample { displacement: (b.source - local) / cube_mm, alpha: (0.5 + 0.5 * b.cut_mm / ramp_mm).clamp(0.0, 1.0) }
-        }))
+        Ok(Recipe { size: grid, storage: sampling.storage, cube_mm: size_mm * self.inflate, ramp_mm: context.ramp_mm, field })
     }
 
     /// The kind's own settings that are no numbers.

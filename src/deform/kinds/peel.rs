@@ -8,7 +8,7 @@
 //! neither in the *slot* (where the layer used to lie) nor within a thin band around the roll above the layer. The band keeps rolled
 //! and undisplaced matter from touching: between them D must run from the roll's value to zero, and that may only happen unseen.
 
-use super::{Amount, Backward, Build, Context, DefaultSize, Field, Kind, Parameter, UNCUT, Unit};
+use super::{Amount, Backward, Build, Context, DefaultSize, Field, Formula, FormulaKind, Kind, Parameter, UNCUT, Unit};
 use glam::{Vec2, Vec3};
 use std::f32::consts::{FRAC_PI_2, TAU};
 
@@ -185,5 +185,12 @@ impl Field for Peel {
         let theta = along / self.radius;
         let rho = self.radius - height;
         Some(Vec3::new(self.hinge + rho * theta.sin(), q.y, self.floor + self.radius - rho * theta.cos()))
+    }
+
+    fn formula(&self) -> Option<Formula> {
+        Some(Formula::new(
+            FormulaKind::Peel,
+            &[self.floor, self.depth, self.radius, self.hinge, self.end, self.flap, self.slot_half_y, self.texel, self.clearance],
+        ))
     }
 }

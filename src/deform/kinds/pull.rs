@@ -3,7 +3,7 @@
 //! The paper's amplitude (the whole box on the axis) maps the axis to one point; here it is the length `amount` by which matter at
 //! the upper face has been pulled, so that the pull stays invertible while `amount` is less than the box is high. σ is a length.
 
-use super::{Amount, Backward, Build, DefaultSize, Field, Kind, Parameter, UNCUT, Unit};
+use super::{Amount, Backward, Build, DefaultSize, Field, Formula, FormulaKind, Kind, Parameter, UNCUT, Unit};
 use glam::{Vec3, Vec3Swizzles};
 
 pub(super) const KIND: Kind = Kind {
@@ -62,5 +62,9 @@ impl Field for Pull {
     fn forward(&self, q: Vec3) -> Option<Vec3> {
         let factor = self.factor(q);
         (factor > 1e-4).then(|| Vec3::new(q.x, q.y, (q.z + self.half_z) / factor - self.half_z))
+    }
+
+    fn formula(&self) -> Option<Formula> {
+        Some(Formula::new(FormulaKind::Pull, &[self.half_z, self.strength, self.sigma]))
     }
 }

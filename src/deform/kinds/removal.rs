@@ -3,7 +3,7 @@
 //! The map's cube is larger than the shape (`inflate`), so that the cut lies inside the map; the half-space's is as large as the scene
 //! at any angle. The distances are those of `deform::cut`, which takes over where nothing moves afterwards. `progress` grows the shape from nothing (for the half-space: moves the plane down from the box's top).
 
-use super::{Amount, Backward, Build, Context, DefaultSize, Field, Kind, Parameter, UNCUT, Unit};
+use super::{Amount, Backward, Build, Context, DefaultSize, Field, Formula, FormulaKind, Kind, Parameter, UNCUT, Unit};
 use crate::deform::cut::{Primitive, Shape};
 use glam::{Affine3A, Vec3};
 
@@ -29,6 +29,12 @@ impl Field for Removal {
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
         self.shape.is_none_or(|s| s.kept(q) >= 0.0).then_some(q)
+    }
+
+    fn formula(&self) -> Option<Formula> {
+        // A shape without strength removes nothing.
+        let numbers = self.shape.map_or([-1.0, 0.0, 0.0, 0.0, 0.0], |s| [s.shape as u32 as f32, s.half.x, s.half.y, s.half.z, s.half_angle]);
+        Some(Formula::new(FormulaKind::Removal, &numbers))
     }
 }
 

@@ -4,7 +4,7 @@
 //! μ of its own. Matter from μ = 0 to the ellipse that just fits the box is compressed linearly into μ0 to there: the lips stay smooth, the
 //! ends tear nowhere, and the inverse is exact. The opening narrows with depth to nothing at the cut's floor.
 
-use super::{Amount, Backward, Build, DefaultSize, Field, Gaps, Kind, Parameter, UNCUT, Unit};
+use super::{Amount, Backward, Build, DefaultSize, Field, Formula, FormulaKind, Gaps, Kind, Parameter, UNCUT, Unit};
 use crate::math::smoothstep;
 use glam::{Vec2, Vec3};
 
@@ -114,5 +114,9 @@ impl Field for Retractor {
             return Some(q);
         }
         Some(self.cartesian(open + e.x * (self.last - open) / self.last, e.y, q.z))
+    }
+
+    fn formula(&self) -> Option<Formula> {
+        Some(Formula::new(FormulaKind::Retractor, &[self.focus, self.last, self.open, self.depth, self.top, self.gaps.ramp_mm, self.gaps.texel_mm]))
     }
 }

@@ -5,7 +5,7 @@
 //! linearly: matter swings aside and is compressed towards β_e, below which nothing moves. φ fades with the radius and towards the
 //! ends of the seam; r and y stay, so the inverse is exact.
 
-use super::{Amount, Backward, Build, DefaultSize, Field, Gaps, Kind, Parameter, Unit, window};
+use super::{Amount, Backward, Build, DefaultSize, Field, Formula, FormulaKind, Gaps, Kind, Parameter, Unit, window};
 use crate::math::smoothstep;
 use glam::{Vec2, Vec3};
 
@@ -90,5 +90,12 @@ impl Field for Seam {
         let open = self.opening(r, q.y);
         let to = if beta >= self.last_angle { beta } else { open + beta * (self.last_angle - open) / self.last_angle };
         Some(self.at_angle(q, r, to.copysign(v.x)))
+    }
+
+    fn formula(&self) -> Option<Formula> {
+        Some(Formula::new(
+            FormulaKind::Seam,
+            &[self.last_angle, self.angle, self.half_y, self.hinge_z, self.radius, self.gaps.ramp_mm, self.gaps.texel_mm],
+        ))
     }
 }

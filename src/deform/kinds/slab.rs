@@ -4,7 +4,7 @@
 //! source plane), so the map is continuous and the mask alone says where the gaps are. What lies beyond the last gap moves with it:
 //! the box should enclose the matter, with room for the spread.
 
-use super::{Amount, Backward, Build, DefaultSize, Field, Gaps, Kind, Parameter, Unit};
+use super::{Amount, Backward, Build, DefaultSize, Field, Formula, FormulaKind, Gaps, Kind, Parameter, Unit};
 use glam::Vec3;
 
 pub(super) const KIND: Kind = Kind {
@@ -73,5 +73,9 @@ impl Field for Slab {
         let z = q.z - self.fixed_z + self.thickness / 2.0;
         let n = (z / self.thickness).floor();
         Some(Vec3::new(q.x, q.y, q.z + n * self.gap))
+    }
+
+    fn formula(&self) -> Option<Formula> {
+        Some(Formula::new(FormulaKind::Slab, &[self.thickness, self.gap, self.fixed_z, self.gaps.ramp_mm, self.gaps.texel_mm]))
     }
 }

@@ -4,7 +4,7 @@
 //! at the lower face, the upper side has twice that support, as of elastic matter that is squeezed ahead of the pull. The product vanishes
 //! on all six faces. Along z the inverse is one monotone equation.
 
-use super::{Amount, Backward, Build, DefaultSize, Field, Kind, Parameter, UNCUT, Unit, solve_rising};
+use super::{Amount, Backward, Build, DefaultSize, Field, Formula, FormulaKind, Kind, Parameter, UNCUT, Unit, solve_rising};
 use glam::Vec3;
 
 pub(super) const KIND: Kind = Kind {
@@ -67,5 +67,9 @@ impl Field for SplinePull {
         let across = self.across(q);
         let reach = across.abs() + 1.0;
         Some(Vec3::new(q.x, q.y, solve_rising(q.z, q.z - reach, q.z + reach, |z| self.source_z(across, z))))
+    }
+
+    fn formula(&self) -> Option<Formula> {
+        Some(Formula::new(FormulaKind::SplinePull, &[self.amount, self.half.x, self.half.y, self.half.z]))
     }
 }

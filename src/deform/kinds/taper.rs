@@ -1,6 +1,6 @@
 //! Taper and shear: linear in x and y, by the height above the box's lower face (Barr 1984; \[GG42\]). Both inverses are exact.
 
-use super::{Amount, Backward, Build, DefaultSize, Field, Kind, Parameter, UNCUT, Unit};
+use super::{Amount, Backward, Build, DefaultSize, Field, Formula, FormulaKind, Kind, Parameter, UNCUT, Unit};
 use glam::Vec3;
 
 pub(super) const TAPER: Kind = Kind {
@@ -45,6 +45,10 @@ impl Field for Taper {
     fn forward(&self, q: Vec3) -> Option<Vec3> {
         let s = self.scale(q.z);
         Some(Vec3::new(q.x * s, q.y * s, q.z))
+    }
+
+    fn formula(&self) -> Option<Formula> {
+        Some(Formula::new(FormulaKind::Taper, &[self.growth, self.height]))
     }
 }
 
@@ -95,5 +99,9 @@ impl Field for Shear {
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
         Some(q + self.slope * (q.z + self.half_z))
+    }
+
+    fn formula(&self) -> Option<Formula> {
+        Some(Formula::new(FormulaKind::Shear, &[self.slope.x, self.slope.y, self.half_z]))
     }
 }

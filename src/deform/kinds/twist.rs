@@ -3,7 +3,7 @@
 //! Height and radius do not change, so the inverse is the twist by the opposite angle, exactly (not the negated displacement that
 //! \[DS07\] prints), and volume is preserved: det J = 1.
 
-use super::{Amount, Backward, Build, DefaultSize, Field, Kind, Parameter, UNCUT, Unit, window};
+use super::{Amount, Backward, Build, DefaultSize, Field, Formula, FormulaKind, Kind, Parameter, UNCUT, Unit, window};
 use glam::{Vec2, Vec3, Vec3Swizzles};
 
 pub(super) const KIND: Kind = Kind {
@@ -67,5 +67,9 @@ impl Field for Twist {
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
         Some(self.turned(q, 1.0))
+    }
+
+    fn formula(&self) -> Option<Formula> {
+        Some(Formula::new(FormulaKind::Twist, &[self.angle, self.falloff, self.size_z, self.radius]))
     }
 }

@@ -3,7 +3,7 @@
 //! The displacement fades to nothing at the box's faces; along z the fade makes the map z' = z + a(r) w(z'), whose inverse is a
 //! monotone equation in one unknown.
 
-use super::{Amount, Backward, Build, Context, DefaultSize, Field, Kind, Parameter, UNCUT, Unit, solve_rising, window};
+use super::{Amount, Backward, Build, Context, DefaultSize, Field, Formula, FormulaKind, Kind, Parameter, UNCUT, Unit, solve_rising, window};
 use glam::{Vec3, Vec3Swizzles};
 
 /// Share of the half height over which the displacement fades at both ends.
@@ -101,5 +101,11 @@ impl Field for Wave {
         let rise = self.rise(q);
         let reach = rise.abs() + 1.0;
         Some(Vec3::new(q.x, q.y, solve_rising(q.z, q.z - reach, q.z + reach, |z| self.source_z(rise, z))))
+    }
+
+    fn formula(&self) -> Option<Formula> {
+        let Vec3 { x, y, z } = self.half;
+        let radial = f32::from(u8::from(self.radial));
+        Some(Formula::new(FormulaKind::Wave, &[self.amplitude, self.wave_number, self.phase, x, y, z, radial]))
     }
 }

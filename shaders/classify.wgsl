@@ -1,0 +1,346 @@
+// Which cells of a grid over the deformed scene show anything, and for which of those cuts do not matter. Counterpart of Contents in
+// src/scene/macrocells.rs and of src/deform/bounds.rs, with one difference: a box that a map's cube holds a part of is carried back as one box, not as the
+// part inside and the part outside. Every bound holds; what it says to be occupied may show nothing.
+
+struct Classification {
+    // Affine; the last row is unused.
+    voxel_from_world: mat4x4<f32>,
+    origin: vec3<f32>,
+    // How far every sample looks back, and a sample beside a cut does; how near a shape matters to a sample.
+    looks_back_mm: f32,
+    cell_mm: vec3<f32>,
+    beside_cuts_mm: f32,
+    size: vec3<u32>,
+    cut_margin_mm: f32,
+    // The volume's box in voxels.
+    voxel_low: vec3<f32>,
+    // A sample that lies on a cell's face may be counted to either side.
+    margin_mm: f32,
+    voxel_high: vec3<f32>,
+    iso: f32,
+    table_scale: f32,
+    table_offset: f32,
+    // 1: only the surface at iso is shown.
+    has_iso: u32,
+    grey_faces: u32,
+    // 1: only what has opacity shows.
+    composite: u32,
+    // 1: some mask takes something away.
+    stack_cuts: u32,
+    // log2 of the voxels of a node along each axis, and how many levels there are.
+    value_shift: u32,
+    value_levels: u32,
+    value_size: vec3<u32>,
+    padding: u32,
+    // Nodes along each axis, and the place of the first.
+    values: array<vec4<u32>, 12>,
+    // Of each map: how many levels there are, and whether its mask takes anything away.
+    maps: array<vec4<u32>, 8>,
+    // Of each map, eight levels: nodes along each axis, and the place of the first.
+    levels: array<vec4<u32>, 64>,
+}
+
+@group(1) @binding(0) var<uniform> grid: Classification;
+// Lowest and highest normalised value.
+@group(1) @binding(1) var<storage, read> value_nodes: array<vec2<f32>>;
+@group(1) @binding(2) var<storage, read> map_nodes: array<NodeBounds>;
+// How many of a table's first entries show something.
+@group(1) @binding(3) var<storage, read> visible_entries: array<u32>;
+// 0 empty, 1 occupied, 2 occupied and no cut matters.
+@group(1) @binding(4) var<storage, read_write> flags: array<u32>;
+
+// As SAME of src/deform/bounds.rs: where displacements differ by less than this share of a box, a bound by slopes is no better.
+const SAME: f32 = 0.25;
+const LAST_ENTRY: f32 = 4095.0;
+
+struct Box {
+    low: vec3<f32>,
+    high: vec3<f32>,
+}
+
+// What a map, or several added to each other, does to the points of a box; as Moves of src/deform/bounds.rs.
+struct Moves {
+    all: Box,
+    mask: vec2<f32>,
+    at_center: vec3<f32>,
+    slope: mat3x3<f32>,
+    spread: mat3x3<f32>,
+    beside: vec3<f32>,
+}
+
+struct Contained {
+    something: bool,
+    beside_a_cut: bool,
+}
+
+fn grown(b: Box, by: vec3<f32>) -> Box {
+    return Box(b.low - by, b.high + by);
+}
+
+fn overlap(a: Box, b: Box) -> Box {
+    return Box(max(a.low, b.low), min(a.high, b.high));
+}
+
+fn is_empty(b: Box) -> bool {
+    return any(b.low > b.high);
+}
+
+fn largest(v: vec3<f32>) -> f32 {
+    return max(v.x, max(v.y, v.z));
+}
+
+fn absolute(m: mat3x3<f32>) -> mat3x3<f32> {
+    return mat3x3<f32>(abs(m[0]), abs(m[1]), abs(m[2]));
+}
+
+fn transformed(m: mat4x4<f32>, b: Box) -> Box {
+    let center = transform_point(m, (b.low + b.high) * 0.5);
+    let half = absolute(linear_part(m)) * ((b.high - b.low) * 0.5);
+    return Box(center - half, center + half);
+}
+
+fn no_moves() -> Moves {
+    let none = mat3x3<f32>(vec3<f32>(0.0), vec3<f32>(0.0), vec3<f32>(0.0));
+    return Moves(Box(vec3<f32>(0.0), vec3<f32>(0.0)), vec2<f32>(1.0), vec3<f32>(0.0), none, none, vec3<f32>(0.0));
+}
+
+fn reach_of(k: u32) -> Box {
+    return Box(-maps[k].reach, 1.0 + maps[k].reach);
+}
+
+// Bounds on a map's texels that samples in a box, in map coordinates, can mix.
+fn texels_within(k: u32, b: Box) -> NodeBounds {
+    let last_cell = max(maps[k].size - 2.0, vec3<f32>(0.0));
+    let low = vec3<u32>(clamp(floor(b.low * (maps[k].size - 1.0)), vec3<f32>(0.0), last_cell)) / 4u;
+    let high = vec3<u32>(clamp(floor(b.high * (maps[k].size - 1.0)), vec3<f32>(0.0), last_cell)) / 4u;
+    let wide = high - low;
+    var level = 0u;
+    while (max(wide.x, max(wide.y, wide.z)) >> level) > 2u && level + 1u < grid.maps[k].x {
+        level += 1u;
+    }
+    let nodes = grid.levels[k * 8u + level];
+    let first = low >> vec3<u32>(level);
+    let last = min(high >> vec3<u32>(level), nodes.xyz - 1u);
+    var all = map_nodes[nodes.w + (first.z * nodes.y + first.y) * nodes.x + first.x];
+    for (var z = first.z; z <= last.z; z += 1u) {
+        for (var y = first.y; y <= last.y; y += 1u) {
+            for (var x = first.x; x <= last.x; x += 1u) {
+                let at = nodes.w + (z * nodes.y + y) * nodes.x + x;
+                all.low = min(all.low, map_nodes[at].low);
+                all.high = max(all.high, map_nodes[at].high);
+                for (var axis = 0u; axis < 3u; axis += 1u) {
+                    all.slope_low[axis] = min(all.slope_low[axis], map_nodes[at].slope_low[axis]);
+                    all.slope_high[axis] = max(all.slope_high[axis], map_nodes[at].slope_high[axis]);
+                }
+            }
+        }
+    }
+    return all;
+}
+
+fn moves_of(k: u32, b: Box) -> Moves {
+    // A hundredth of a texel for rounding.
+    let texel = 0.01 / max(maps[k].size, vec3<f32>(2.0));
+    let in_map = grown(transformed(maps[k].map_from_world, b), texel);
+    let inside = overlap(in_map, reach_of(k));
+    if is_empty(inside) {
+        return no_moves();
+    }
+    let outside = any(in_map.low < inside.low) || any(in_map.high > inside.high);
+    let texels = texels_within(k, inside);
+    let linear = linear_part(maps[k].world_from_stored);
+    let middle = linear * ((texels.low.xyz + texels.high.xyz) * 0.5);
+    let half = absolute(linear) * ((texels.high.xyz - texels.low.xyz) * 0.5);
+    var all = Box(middle - half, middle + half);
+    var mask = vec2<f32>(texels.low.w, texels.high.w);
+    if outside {
+        // What lies beside the cube stays where it is.
+        all = Box(min(all.low, vec3<f32>(0.0)), max(all.high, vec3<f32>(0.0)));
+        mask.y = 1.0;
+    }
+    var m = no_moves();
+    m.all = all;
+    m.mask = mask;
+    if outside || largest(all.high - all.low) < SAME * largest(b.high - b.low) {
+        m.at_center = (all.low + all.high) * 0.5;
+        m.beside = (all.high - all.low) * 0.5;
+        return m;
+    }
+    var slopes = mat3x3<f32>(vec3<f32>(0.0), vec3<f32>(0.0), vec3<f32>(0.0));
+    var spreads = slopes;
+    // Beyond the cube its outermost texels go on.
+    let flat_too = any(in_map.low < vec3<f32>(0.0)) || any(in_map.high > vec3<f32>(1.0));
+    for (var axis = 0u; axis < 3u; axis += 1u) {
+        var low = texels.slope_low[axis].xyz;
+        var high = texels.slope_high[axis].xyz;
+        if flat_too {
+            low = min(low, vec3<f32>(0.0));
+            high = max(high, vec3<f32>(0.0));
+        }
+        slopes[axis] = (low + high) * 0.5;
+        spreads[axis] = (high - low) * 0.5;
+    }
+    let map_from_world = linear_part(maps[k].map_from_world);
+    m.at_center = linear * fetch(k, transform_point(maps[k].map_from_world, (b.low + b.high) * 0.5)).xyz;
+    m.slope = linear * slopes * map_from_world;
+    m.spread = absolute(linear) * spreads * absolute(map_from_world);
+    m.beside = (absolute(m.slope) + m.spread) * (absolute(linear) * texel / maps[k].scale);
+    return m;
+}
+
+fn plus(a: Moves, b: Moves) -> Moves {
+    return Moves(
+        Box(a.all.low + b.all.low, a.all.high + b.all.high),
+        min(a.mask, b.mask),
+        a.at_center + b.at_center,
+        a.slope + b.slope,
+        a.spread + b.spread,
+        a.beside + b.beside,
+    );
+}
+
+// Where the points of a box came from: what both bounds allow.
+fn source_of(m: Moves, b: Box) -> Box {
+    let one = mat3x3<f32>(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0);
+    let center = (b.low + b.high) * 0.5 + m.at_center;
+    let half = (absolute(one + m.slope) + m.spread) * ((b.high - b.low) * 0.5) + m.beside;
+    return overlap(Box(b.low + m.all.low, b.high + m.all.high), Box(center - half, center + half));
+}
+
+fn values_within(low: vec3<f32>, high: vec3<f32>) -> vec2<f32> {
+    let last_cell = max(vec3<f32>(grid.value_size) - 2.0, vec3<f32>(0.0));
+    let a = vec3<u32>(clamp(floor(low), vec3<f32>(0.0), last_cell)) >> vec3<u32>(grid.value_shift);
+    let b = vec3<u32>(clamp(floor(high), vec3<f32>(0.0), last_cell)) >> vec3<u32>(grid.value_shift);
+    let wide = b - a;
+    var level = 0u;
+    while (max(wide.x, max(wide.y, wide.z)) >> level) > 1u && level + 1u < grid.value_levels {
+        level += 1u;
+    }
+    let nodes = grid.values[level];
+    let first = a >> vec3<u32>(level);
+    let last = min(b >> vec3<u32>(level), nodes.xyz - 1u);
+    var range = vec2<f32>(3e38, -3e38);
+    for (var z = first.z; z <= last.z; z += 1u) {
+        for (var y = first.y; y <= last.y; y += 1u) {
+            for (var x = first.x; x <= last.x; x += 1u) {
+                let node = value_nodes[nodes.w + (z * nodes.y + y) * nodes.x + x];
+                range = vec2<f32>(min(range.x, node.x), max(range.y, node.y));
+            }
+        }
+    }
+    return range;
+}
+
+// Whether an entry of the table that values in a range mix shows something. Without a margin: the background's value often is the last that shows nothing.
+fn any_visible(range: vec2<f32>) -> bool {
+    let at = clamp(range * grid.table_scale + grid.table_offset, vec2<f32>(0.0), vec2<f32>(1.0)) * LAST_ENTRY;
+    let first = u32(floor(min(at.x, at.y)));
+    let last = u32(ceil(max(at.x, at.y)));
+    return visible_entries[last + 1u] > visible_entries[first];
+}
+
+// Whether anything of a box of the source can be seen; `whole` if nothing of it is cut away.
+fn shows_source(source: Box, whole: bool, most_alpha: f32) -> bool {
+    if most_alpha < 0.5 {
+        return false;
+    }
+    let inside = overlap(grown(transformed(grid.voxel_from_world, source), vec3<f32>(0.01)), Box(grid.voxel_low, grid.voxel_high));
+    if is_empty(inside) {
+        return false;
+    }
+    if grid.composite == 0u || (grid.grey_faces != 0u && !whole) {
+        return true;
+    }
+    let range = values_within(inside.low, inside.high);
+    if grid.has_iso != 0u {
+        return range.y >= grid.iso;
+    }
+    return any_visible(range);
+}
+
+// Lowest and highest distance from what shapes remove.
+fn kept_within(b: Box) -> vec2<f32> {
+    if CUTS == 0u {
+        return vec2<f32>(1e30);
+    }
+    let middle = cuts_kept((b.low + b.high) * 0.5);
+    let radius = length(b.high - b.low) * 0.5;
+    return vec2<f32>(middle - radius, middle + radius);
+}
+
+fn contained(b: Box) -> Contained {
+    let kept = kept_within(b);
+    if kept.y < 0.0 {
+        return Contained(false, false);
+    }
+    var at = b;
+    var together = no_moves();
+    var alpha = vec2<f32>(1.0);
+    for (var i = MAPS; i > 0u; i -= 1u) {
+        let m = moves_of(i - 1u, at);
+        alpha = min(alpha, m.mask);
+        together = plus(together, m);
+        if maps[i - 1u].added < 0.5 {
+            at = source_of(together, at);
+            together = no_moves();
+        }
+    }
+    return Contained(shows_source(at, kept.x >= 0.0 && alpha.x >= 0.5, alpha.y), alpha.x < 1.0);
+}
+
+fn shows(cell: Box) -> bool {
+    let own = contained(grown(cell, vec3<f32>(grid.looks_back_mm)));
+    if own.something || grid.beside_cuts_mm <= grid.looks_back_mm {
+        return own.something;
+    }
+    let reached = grown(cell, vec3<f32>(grid.beside_cuts_mm));
+    let kept = kept_within(reached);
+    if own.beside_a_cut || (kept.x < 0.0 && kept.y >= 0.0) {
+        return contained(reached).something;
+    }
+    return false;
+}
+
+// Whether a texel within one of a box's, in world coordinates, is not that of matter.
+fn mask_of_map_varies(k: u32, b: Box) -> bool {
+    if grid.maps[k].y == 0u {
+        return false;
+    }
+    let texel = 1.01 / max(maps[k].size - 1.0, vec3<f32>(1.0));
+    let around = overlap(grown(transformed(maps[k].map_from_world, b), texel), reach_of(k));
+    return !is_empty(around) && texels_within(k, around).low.w < 1.0;
+}
+
+fn mask_varies(deformed: Box) -> bool {
+    if grid.stack_cuts == 0u {
+        return false;
+    }
+    var b = deformed;
+    var at = deformed;
+    for (var i = MAPS; i > 0u; i -= 1u) {
+        if mask_of_map_varies(i - 1u, at) {
+            return true;
+        }
+        let m = moves_of(i - 1u, at);
+        b = Box(b.low + m.all.low, b.high + m.all.high);
+        if maps[i - 1u].added < 0.5 {
+            at = b;
+        }
+    }
+    return false;
+}
+
+@compute @workgroup_size(4, 4, 4)
+fn classify(@builtin(global_invocation_id) id: vec3<u32>) {
+    if any(id >= grid.size) {
+        return;
+    }
+    let low = grid.origin + vec3<f32>(id) * grid.cell_mm;
+    let cell = grown(Box(low, low + grid.cell_mm), vec3<f32>(grid.margin_mm));
+    var flag = 0u;
+    if shows(cell) {
+        let reached = grown(cell, vec3<f32>(grid.beside_cuts_mm));
+        flag = select(2u, 1u, mask_varies(reached) || kept_within(reached).x < grid.cut_margin_mm);
+    }
+    flags[(id.z * grid.size.y + id.y) * grid.size.x + id.x] = flag;
+}

@@ -1,0 +1,44 @@
+// A map's texels from a formula, its scale, and bounds on boxes of texels: what src/deform/map.rs makes of a recipe on the CPU.
+
+struct Recipe {
+    cube_mm: vec3<f32>,
+    ramp_mm: f32,
+    // Grid points along x, y, z.
+    size: vec3<u32>,
+    kind: u32,
+    numbers: array<vec4<f32>, 4>,
+}
+
+@group(0) @binding(0) var<uniform> recipe: Recipe;
+// D and alpha.
+@group(0) @binding(1) var<storage, read_write> samples: array<vec4<f32>>;
+// Bits of the largest component of D: of numbers that are not negative these sort as the numbers do.
+@group(0) @binding(2) var<storage, read_write> largest: atomic<u32>;
+
+var<workgroup> largest_of_group: atomic<u32>;
+
+fn grid_coordinate(i: u32, points: u32) -> f32 {
+    return select(0.5, f32(i) / f32(max(points, 2u) - 1u), points > 1u);
+}
+
+@compute @workgroup_size(4, 4, 4)
+fn sample(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocation_index) first: u32) {
+    var bits = 0u;
+    if all(id < recipe.size) {
+        let x = vec3<f32>(grid_coordinate(id.x, recipe.size.x), grid_coordinate(id.y, recipe.size.y), grid_coordinate(id.z, recipe.size.z));
+        let local = (x - 0.5) * recipe.cube_mm;
+        let b = backward_of(local);
+        var t = vec4<f32>((b.xyz - local) / recipe.cube_mm, clamp(0.5 + 0.5 * b.w / recipe.ramp_mm, 0.0, 1.0));
+        // What is not finite is no displacement and no matter; compared by bits, since a shader need not know infinities.
+        if any((bitcast<vec4<u32>>(t) & vec4<u32>(0x7F800000u)) == vec4<u32>(0x7F800000u)) {
+            t = vec4<f32>(0.0);
+        }
+        samples[(id.z * recipe.size.y + id.y) * recipe.size.x + id.x] = t;
+        bits = bitcast<u32>(max(abs(t.x), max(abs(t.y), abs(t.z))));
+    }
+    atomicMax(&largest_of_group, bits);
+    workgroupBarrier();
+    if first == 0u {
+        atomicMax(&largest, atomicLoad(&largest_of_group));
+    }
+}

@@ -1,0 +1,42 @@
+//! What of preparing a scene a device may take over: sampling maps, finding empty space, evaluating stacks that are composed.
+
+use super::macrocells::{CellGrid, Contents, Flag};
+use crate::Result;
+use crate::deform::compose::{self, Sources};
+use crate::deform::{DisplacementMap, Recipe, Stack};
+use crate::volume::Grid;
+use glam::Vec3;
+use std::sync::Arc;
+
+/// A device that takes over what it does well; what it leaves is done by the CPU.
+pub trait Accelerator {
+    /// Source and smallest mask of points under a stack, through every map whatever the masks say: what [`compose`] samples.
+    ///
+    /// # Errors
+    /// Whatever the device reports.
+    fn evaluate(&self, stack: &Stack, points: &[Vec3]) -> Result<Sources> {
+        compose::evaluate(stack, points)
+    }
+
+    /// The map of a recipe.
+    ///
+    /// # Errors
+    /// Whatever the device reports.
+    fn map(&self, recipe: Recipe) -> Result<Arc<DisplacementMap>> {
+        Ok(recipe.map().into())
+    }
+
+    /// What each cell of a grid over the deformed scene shows of a volume, x fastest; none if the CPU is to find out.
+    ///
+    /// # Errors
+    /// Whatever the device reports.
+    fn classify(&self, cells: &CellGrid, contents: &Contents, volume: &Grid) -> Result<Option<Vec<Flag>>> {
+        let _ = (cells, contents, volume);
+        Ok(None)
+    }
+}
+
+/// None: the CPU does all.
+pub struct Unaided;
+
+impl Accelerator for Unaided {}
