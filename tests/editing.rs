@@ -5,7 +5,7 @@ use crate::parity::with_renderer;
 use crate::scenes;
 use glam::Vec3;
 use incise::gpu::{Device, Want};
-use incise::render::{Renderer, Work};
+use incise::render::{Renderer, Strategy, Work};
 use incise::scene::{Assets, Deformation, Mode, Picture, Prepared, Projection, Scene};
 
 /// Two moving maps over a small head.
@@ -55,7 +55,7 @@ pub fn edits_upload_what_changed() {
         work_of(&mut renderer, &scene, &assets);
         // The second picture of a volume brings its gradients, and with them the bind groups: of the scene, and of the slices' mask.
         let work = work_of(&mut renderer, &scene, &assets);
-        let bind_groups_created = if mode == Mode::Slice { 2 } else { 1 };
+        let bind_groups_created = if mode == Mode::Slice || renderer.strategy().compute_rays { 2 } else { 1 };
         assert_eq!(work, Work { volume_uploads: 1, textures_created: 1, bind_groups_created, ..nothing }, "{mode:?}");
         for (name, edit, allowed) in &edits {
             edit(&mut scene);
@@ -87,6 +87,44 @@ pub fn edits_upload_what_changed() {
             assert!(n < 2 || (work.textures_created, work.bind_groups_created) == (0, 0), "{mode:?}, size {n}: {work:?}");
         }
     }
+}
+
+/// By kind of edit: what a device that prepares scenes does for the next picture. It asks for nothing that is there.
+pub fn edits_prepare_what_changed() {
+    let mut renderer = Renderer::new(Device::open(Want::Any).unwrap());
+    renderer.set_strategy(Strategy { exact_filter: true, compute_rays: true, prepare: true });
+    let mut scene = scene(Mode::Raycast);
+    let assets = scenes::assets(&scene);
+    let mut work = |scene: &Scene| {
+        let before = renderer.work();
+        let prepared = Prepared::on(&renderer, scene, &assets).unwrap();
+        renderer.render(&prepared, false, &|_| ()).unwrap();
+        renderer.work().since(&before)
+    };
+    assert_eq!(work(&scene).map_uploads, 2);
+    work(&scene);
+    type Edit = (&'static str, fn(&mut Scene), u32);
+    let edits: [Edit; 5] = [
+        ("the camera", |s| s.camera.view = "35,15".parse().unwrap(), 0),
+        ("the light", |s| s.light.direction = Vec3::new(0.3, -0.5, 0.8).to_array(), 0),
+        ("a placement", |s| s.deformation[1].center = Some([0.0, 0.0, 21.0]), 0),
+        ("a parameter", |s| s.deformation[0].progress = Some(0.7), 1),
+        ("both maps", |s| s.deformation.iter_mut().for_each(|d| d.progress = Some(0.6)), 2),
+    ];
+    for (name, edit, maps) in edits {
+        edit(&mut scene);
+        let done = work(&scene);
+        println!("{name}: {done:?}");
+        assert_eq!((done.map_uploads, done.pipelines_compiled, done.volume_uploads, done.table_uploads), (maps, 0, 0, 0), "{name}");
+        // The bounds of each map beside it; what is written anew for every edit is kept.
+        assert!(done.buffers_created == maps && done.cell_uploads <= 1, "{name}: {done:?}");
+        if matches!(name, "the camera" | "the light") {
+            assert_eq!(done, Work::default(), "{name}");
+        }
+    }
+    // None of it was asked of the CPU.
+    let prepared = Prepared::on(&renderer, &scene, &assets).unwrap();
+    assert!(prepared.stack.maps().iter().all(|m| m.map.recipe().is_some()));
 }
 
 /// Segments and shifted samples: the same by rays and by slabs, which meet the same samples without perspective; and no more than a finer

@@ -13,7 +13,31 @@ fn lookup(value: f32) -> vec4<f32> {
 
 // As lookup, of the segment between two samples.
 fn lookup_segment(front: f32, back: f32) -> vec4<f32> {
-    return preintegrated_entry(front * frame.table_scale + frame.table_offset, back * frame.table_scale + frame.table_offset);
+    let ends = vec2<f32>(front, back) * frame.table_scale + frame.table_offset;
+    return vec4<f32>(preintegrated_entry(ends.x, ends.y).rgb, segment_depth(ends));
+}
+
+// The optical depth at a position in entries, its integral up to the entry before, and from there.
+fn depth_at(x: f32) -> vec3<f32> {
+    let i = min(i32(x), TABLE_ENTRIES - 2);
+    let t = x - f32(i);
+    let tau = table_entry(i, 0).a;
+    let here = mix(tau, table_entry(i + 1, 0).a, t);
+    return vec3<f32>(here, table_entry(i, 2).r, 0.5 * (tau + here) * t);
+}
+
+// Mean optical depth between two table coordinates.
+fn segment_depth(ends: vec2<f32>) -> f32 {
+    let at = clamp(ends, vec2<f32>(0.0), vec2<f32>(1.0)) * f32(TABLE_ENTRIES - 1);
+    let a = min(at.x, at.y);
+    let b = max(at.x, at.y);
+    if b - a < 1.0 {
+        // Differences of integrals would be of their last digits.
+        return depth_at(0.5 * (a + b)).x;
+    }
+    let low = depth_at(a);
+    let high = depth_at(b);
+    return max(((high.y - low.y) + (high.z - low.z)) / (b - a), 0.0);
 }
 
 fn falling_side(value: f32) -> f32 {

@@ -352,10 +352,15 @@ impl Renderer {
         Ok(view)
     }
 
-    /// Row 0: colour and optical depth; row 1: gradient factors.
+    /// Row 0: colour and optical depth; row 1: gradient factors; row 2: the optical depth's integral from the first entry.
     fn table(&mut self, table: &Table) -> wgpu::TextureView {
         let mut texels = table.entries.clone();
-        texels.resize(2 * TABLE_ENTRIES, [0.0; 4]);
+        texels.resize(3 * TABLE_ENTRIES, [0.0; 4]);
+        let mut sum = 0.0;
+        for n in 1..TABLE_ENTRIES {
+            sum += 0.5 * (f64::from(texels[n - 1][3]) + f64::from(texels[n][3]));
+            texels[2 * TABLE_ENTRIES + n][0] = sum as f32;
+        }
         for (n, factor) in table.gradient.iter().take(GRADIENT_ENTRIES).enumerate() {
             texels[TABLE_ENTRIES + n][0] = *factor;
         }
@@ -368,7 +373,7 @@ impl Renderer {
             Some((target, _)) => target,
             None => Target::new(self.texture(&wgpu::TextureDescriptor {
                 label: Some("transfer function"),
-                size: wgpu::Extent3d { width: TABLE_ENTRIES as u32, height: 2, depth_or_array_layers: 1 },
+                size: wgpu::Extent3d { width: TABLE_ENTRIES as u32, height: 3, depth_or_array_layers: 1 },
                 mip_level_count: 1,
                 sample_count: 1,
                 dimension: wgpu::TextureDimension::D2,
@@ -381,7 +386,7 @@ impl Renderer {
         self.device.queue.write_texture(
             target.texture.as_image_copy(),
             bytemuck::cast_slice(&texels),
-            wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(TABLE_ENTRIES as u32 * 16), rows_per_image: Some(2) },
+            wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(TABLE_ENTRIES as u32 * 16), rows_per_image: Some(3) },
             target.texture.size(),
         );
         let view = target.view.clone();

@@ -20,7 +20,10 @@
 //! | none: the second picture of a volume | its gradients, if it is lit by them | their texture, bind groups |
 //! | size of the picture | none | targets, for the first time; two sizes are kept |
 //!
-//! What suits one device does not suit another: whether rays are fragments or invocations, and who mixes texels, is a [`Strategy`].
+//! What suits one device does not suit another: whether rays are fragments or invocations, who mixes texels, and who prepares scenes is a [`Strategy`].
+//! Where the device does ([`Accelerator`](crate::scene::Accelerator)), a map of a formula is not uploaded but sampled there, and empty space is found there by
+//! bounds that are made there: on an H100 with 16 cores beside it an edited peel took 12 ms to the next picture, of which 1 for the map and 2 for the rays,
+//! where the CPU took 21 ms for the map and 13 for empty space. What a device keeps for that is counted as well.
 //!
 //! The gradient volume takes the place of six fetches at each sample that is lit by one; without room for it, or a format that holds it, those are
 //! made. On request passes are timed by the GPU's own clock ([`Renderer::time_passes`]).
@@ -131,6 +134,11 @@ impl Renderer {
     /// The device.
     pub fn device(&self) -> &Device {
         &self.device
+    }
+
+    /// How pictures are made.
+    pub fn strategy(&self) -> Strategy {
+        self.strategy
     }
 
     /// How the next pictures are made, and how the last ones were; a renderer begins with what suits its device.

@@ -18,6 +18,7 @@ use crate::math::{Bounds, MinMaxPyramid};
 use crate::transfer::{Blend, Table};
 use glam::{Affine3A, UVec3, Vec3};
 use rayon::prelude::*;
+use std::sync::OnceLock;
 
 /// Most cells along an axis.
 const MOST_CELLS: f32 = 64.0;
@@ -41,7 +42,8 @@ pub struct Macrocells {
     /// The box of the occupied cells, mm; empty if there is none.
     pub occupied: Bounds,
     /// What lanes ask: as `distance`, but for clear cells [`IN_CLEAR`] more than their chessboard distance to the nearest cell that is not clear.
-    blocks: Vec<u8>,
+    /// Found when first asked for: a GPU does not.
+    blocks: OnceLock<Vec<u8>>,
     cells_per_mm: Vec3,
 }
 
@@ -243,10 +245,24 @@ impl Macrocells {
     }
 
     fn of_distances(origin: Vec3, cell_mm: Vec3, size: UVec3, distance: Vec<u8>, occupied: Bounds) -> Self {
-        let other: Vec<bool> = distance.iter().map(|d| *d != CLEAR).collect();
-        let blocks = distance.iter().zip(chessboard_distance(&other, size));
-        let blocks = blocks.map(|(&d, inside)| if d == CLEAR { IN_CLEAR + inside.min(IN_CLEAR - 1) } else { d.min(IN_CLEAR - 1) }).collect();
-        Self { origin, cell_mm, size, distance, occupied, blocks, cells_per_mm: cell_mm.recip() }
+        Self { origin, cell_mm, size, distance, occupied, blocks: OnceLock::new(), cells_per_mm: cell_mm.recip() }
+    }
+
+    #[inline(always)]
+    fn blocks(&self) -> &[u8] {
+        match self.blocks.get() {
+            Some(blocks) => blocks,
+            None => self.find_blocks(),
+        }
+    }
+
+    #[cold]
+    fn find_blocks(&self) -> &[u8] {
+        self.blocks.get_or_init(|| {
+            let other: Vec<bool> = self.distance.iter().map(|d| *d != CLEAR).collect();
+            let blocks = self.distance.iter().zip(chessboard_distance(&other, self.size));
+            blocks.map(|(&d, inside)| if d == CLEAR { IN_CLEAR + inside.min(IN_CLEAR - 1) } else { d.min(IN_CLEAR - 1) }).collect()
+        })
     }
 
     /// Classifies a grid over `bounds`, the box of the deformed scene. What a sample sees by looking back counts as seen where the sample is.
@@ -376,9 +392,10 @@ impl Macrocells {
         let ((x, i), (y, j), (z, k)) = (self.cells_along(p.x, 0), self.cells_along(p.y, 1), self.cells_along(p.z, 2));
         let size = self.size.as_ivec3();
         let index = (k * size.y + j) * size.x + i;
+        let of_cells = self.blocks();
         let mut blocks = [0; LANES];
         for n in 0..LANES {
-            blocks[n] = i32::from(self.blocks[index[n] as usize]);
+            blocks[n] = i32::from(of_cells[index[n] as usize]);
         }
         let blocks = i32x8::load_array(simd, blocks);
         let clear = blocks.simd_ge(i32::from(IN_CLEAR));
@@ -422,64 +439,39 @@ fn cell_box(bounds: &Bounds, size: UVec3, cell_mm: Vec3, index: u32) -> Bounds {
     Bounds::new(low, low + cell_mm)
 }
 
-/// Chessboard distance to the nearest occupied cell; saturates below [`CLEAR`].
-///
-/// Cells at distance d are those that the d-th dilation by one cell along every axis adds. A row of cells is a row of bits, so that one dilation
-/// of 64^3 cells takes some ten thousand operations.
+/// Chessboard distance of each cell to the nearest occupied one, at most 254: two passes over the rows, forwards and backwards, each of which takes
+/// the least of the neighbours that it has been to, plus one (Rosenfeld and Pfaltz 1968: exact for this metric).
 fn chessboard_distance(occupied: &[bool], size: UVec3) -> Vec<u8> {
+    const FAR: u8 = CLEAR - 1;
     let [nx, ny, nz] = size.to_array().map(|n| n as usize);
-    let words = nx.div_ceil(64);
-    let row_of = |j: usize, k: usize| (k * ny + j) * words;
-    // Of the last word of a row, the bits that are cells.
-    let used = |w: usize| if w + 1 < words || nx % 64 == 0 { u64::MAX } else { (1 << (nx % 64)) - 1 };
-    let mut near = vec![0u64; words * ny * nz];
-    for (n, _) in occupied.iter().enumerate().filter(|(_, o)| **o) {
-        near[row_of(n / nx % ny, n / (nx * ny)) + n % nx / 64] |= 1 << (n % nx % 64);
-    }
-    let mut distance: Vec<u8> = occupied.iter().map(|&o| if o { 0 } else { CLEAR - 1 }).collect();
-    let mut wider = near.clone();
-    for d in 1..CLEAR {
-        for row in 0..ny * nz {
-            for w in 0..words {
-                let at = row * words + w;
-                let before = if w > 0 { near[at - 1] >> 63 } else { 0 };
-                let after = if w + 1 < words { near[at + 1] << 63 } else { 0 };
-                wider[at] = (near[at] | near[at] << 1 | near[at] >> 1 | before | after) & used(w);
+    let mut distance: Vec<u8> = occupied.iter().map(|&o| if o { 0 } else { FAR }).collect();
+    // The least of the rows around one, with a cell more at both ends.
+    let mut least = vec![FAR; nx + 2];
+    for backwards in [false, true] {
+        for n in 0..ny * nz {
+            let n = if backwards { ny * nz - 1 - n } else { n };
+            let (j, k) = ((n % ny) as isize, (n / ny) as isize);
+            let before = if backwards { 1 } else { -1 };
+            least.fill(FAR);
+            for (j, k) in [(j + before, k), (j - 1, k + before), (j, k + before), (j + 1, k + before)] {
+                if (0..ny as isize).contains(&j) && (0..nz as isize).contains(&k) {
+                    let row = &distance[(k as usize * ny + j as usize) * nx..][..nx];
+                    least[1..=nx].iter_mut().zip(row).for_each(|(l, d)| *l = (*l).min(*d));
+                }
             }
-        }
-        let along_x = wider.clone();
-        spread(&along_x, &mut wider, words, ny);
-        let along_y = wider.clone();
-        spread(&along_y, &mut wider, words * ny, nz);
-        let mut grew = false;
-        for (at, (new, old)) in wider.iter().zip(&mut near).enumerate() {
-            let mut bits = new & !*old;
-            grew |= bits != 0;
-            *old = *new;
-            while bits != 0 {
-                distance[at / words * nx + at % words * 64 + bits.trailing_zeros() as usize] = d;
-                bits &= bits - 1;
+            let row = &mut distance[n * nx..][..nx];
+            for ((d, l), (m, r)) in row.iter_mut().zip(&least).zip(least[1..].iter().zip(&least[2..])) {
+                *d = (*d).min((*l).min(*m).min(*r).saturating_add(1));
             }
-        }
-        if !grew {
-            break;
+            let mut last = FAR;
+            let along = |d: &mut u8| {
+                last = (*d).min(last.saturating_add(1));
+                *d = last;
+            };
+            if backwards { row.iter_mut().rev().for_each(along) } else { row.iter_mut().for_each(along) }
         }
     }
     distance
-}
-
-/// Adds to each of `count` runs of `stride` words, one after another in blocks of `count`, the run before and after it in its block.
-fn spread(from: &[u64], to: &mut [u64], stride: usize, count: usize) {
-    for block in (0..from.len()).step_by(stride * count) {
-        for n in 0..count {
-            for other in [n.checked_sub(1), Some(n + 1).filter(|m| *m < count)].into_iter().flatten() {
-                let (at, other) = (block + n * stride, block + other * stride);
-                for w in 0..stride {
-                    to[at + w] |= from[other + w];
-                }
-            }
-        }
-    }
 }
 
 #[cfg(test)]

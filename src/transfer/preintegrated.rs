@@ -9,6 +9,9 @@
 //! gradient opacity apply to a segment as they do to a sample. The weights inside a segment are those of the step that the table is made for;
 //! its opacity is right for any.
 //!
+//! A segment's depth comes from the curve's integral at its ends, not from the table of segments, which is coarser than the curve: between the table's
+//! values it would show a little of what the curve shows beside a value, and air is often such a value.
+//!
 //! *How to call it*: [`Preintegrated::new`] with the length of a step; anew when the curve or the step changes. Integrals over the curve's own
 //! entries make it exact for τ, and a segment's colour is the sum of at most [`PARTS`] parts.
 
@@ -24,6 +27,8 @@ const PARTS: usize = 16;
 pub struct Preintegrated {
     /// Red, green, blue and mean τ; the back value varies fastest.
     pub entries: Vec<[f32; 4]>,
+    /// τ of the curve's entries, and its integral from the first entry to each.
+    pub depths: Vec<[f32; 2]>,
 }
 
 /// Integrals from the curve's start: of τ, of τ times colour, and of colour.
@@ -74,10 +79,31 @@ impl Preintegrated {
             .into_par_iter()
             .map(|n| segment(&integrals, position(n / PREINTEGRATED_SIZE), position(n % PREINTEGRATED_SIZE), f64::from(length)))
             .collect();
-        Self { entries }
+        let depths = table.entries.iter().zip(&integrals.0).map(|(e, to)| [e[3], to[0] as f32]).collect();
+        Self { entries, depths }
     }
 
-    /// Colour and optical depth of a segment by the table coordinates of its ends, bilinear.
+    /// Mean τ between two table coordinates.
+    fn depth(&self, front: f32, back: f32) -> f32 {
+        let last = self.depths.len() - 1;
+        let [a, b] = [front.min(back), front.max(back)].map(|x| x.clamp(0.0, 1.0) * last as f32);
+        // τ and its integral at a position, entries.
+        let at = |x: f32| {
+            let i = (x as usize).min(last - 1);
+            let t = x - i as f32;
+            let [[tau, sum], [next, _]] = [self.depths[i], self.depths[i + 1]];
+            let here = tau + (next - tau) * t;
+            (here, sum, 0.5 * (tau + here) * t)
+        };
+        if b - a < 1.0 {
+            // Differences of integrals would be of their last digits.
+            return at(0.5 * (a + b)).0;
+        }
+        let ((_, low, beyond_low), (_, high, beyond_high)) = (at(a), at(b));
+        (((high - low) + (beyond_high - beyond_low)) / (b - a)).max(0.0)
+    }
+
+    /// Colour and optical depth of a segment by the table coordinates of its ends; the colour bilinear.
     pub fn lookup(&self, front: f32, back: f32) -> [f32; 4] {
         let last = PREINTEGRATED_SIZE - 1;
         let split = |x: f32| {
@@ -88,10 +114,11 @@ impl Preintegrated {
         let ((f, tf), (b, tb)) = (split(front), split(back));
         let at = |f: usize, b: usize| self.entries[f * PREINTEGRATED_SIZE + b];
         let (low, high) = ([at(f, b), at(f, b + 1)], [at(f + 1, b), at(f + 1, b + 1)]);
-        std::array::from_fn(|c| {
+        let mix = |c: usize| {
             let (near, far) = (low[0][c] + (low[1][c] - low[0][c]) * tb, high[0][c] + (high[1][c] - high[0][c]) * tb);
             near + (far - near) * tf
-        })
+        };
+        [mix(0), mix(1), mix(2), self.depth(front, back)]
     }
 }
 
@@ -154,6 +181,22 @@ mod tests {
                 let [r, g, b, _] = t.lookup(front, back).map(f64::from);
                 assert!((r - want).abs() < 4e-3 && (g + r - 1.0).abs() < 1e-4 && (b - 0.5).abs() < 1e-4, "{length} {front} {back}: {r}, {want}");
             }
+        }
+    }
+
+    /// What the curve does not show is not shown, however near to it the curve begins; and the depth is the curve's mean.
+    #[test]
+    fn nothing_is_shown_beside_what_the_curve_shows() {
+        let curve = table(&[(0.0, [1.0; 3], 0.0), (0.041, [1.0; 3], 0.0), (0.042, [1.0; 3], 0.9), (1.0, [1.0; 3], 0.3)]);
+        let t = Preintegrated::new(&curve, 1.0);
+        for (front, back) in [(0.04, 0.04), (0.0405, 0.038), (0.0, 0.0409)] {
+            assert_eq!(t.lookup(front, back)[3], 0.0, "{front} {back}");
+        }
+        for (front, back) in [(0.2f32, 0.7f32), (0.9, 0.0), (0.05, 0.0501), (0.3, 0.3)] {
+            let parts = 20_000;
+            let mean = (0..parts).map(|n| f64::from(curve.lookup(front + (back - front) * (n as f32 + 0.5) / parts as f32)[3])).sum::<f64>()
+                / f64::from(parts);
+            assert!((f64::from(t.lookup(front, back)[3]) - mean).abs() < 2e-3 * mean.max(0.1), "{front} {back}: {mean}");
         }
     }
 
