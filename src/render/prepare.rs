@@ -29,6 +29,8 @@ const CELLS_PER_NODE: usize = 4;
 /// Levels of boxes that `shaders/classify.wgsl` takes: of a map, and of the volume.
 pub(super) const MAP_LEVELS: usize = 8;
 pub(super) const VALUE_LEVELS: usize = 12;
+/// Bytes of samples that are kept room for: those of a map of 128^3 points, and some more.
+const KEPT_SAMPLES: u64 = 64 << 20;
 /// Distance between uniforms that are chosen by an offset.
 const STRIDE: u64 = 256;
 
@@ -207,7 +209,11 @@ impl Renderer {
             RecipeUniform { cube_mm: recipe.cube_mm.into(), ramp_mm: recipe.ramp_mm, size, kind: formula.kind as u32, numbers: formula.numbers };
         let own = self.scratch("recipe", bytemuck::bytes_of(&own), BufferUsages::UNIFORM);
         let edge = self.scratch("size of a map", bytemuck::bytes_of(&[size[0], size[1], size[2], 0]), BufferUsages::UNIFORM);
-        let samples = self.scratch_of("samples", points * 16, BufferUsages::STORAGE);
+        let samples = if points * 16 <= KEPT_SAMPLES {
+            self.scratch_of("samples", points * 16, BufferUsages::STORAGE)
+        } else {
+            self.buffer("samples", points * 16, BufferUsages::STORAGE)
+        };
         let largest = self.scratch("largest displacement", &[0; 16], BufferUsages::STORAGE | BufferUsages::COPY_SRC);
         let (own, edge, all, most) = (own.as_entire_binding(), edge.as_entire_binding(), samples.as_entire_binding(), largest.as_entire_binding());
         let sampling = self.bind_in_order("sampling", &pipelines.sample.layout, &[own, all.clone(), most.clone()]);
@@ -337,6 +343,10 @@ impl Accelerator for Renderer {
         let map = Arc::new(DisplacementMap::made_elsewhere(recipe, made.scale, made.whole));
         self.keep_map(&map, made);
         Ok(map)
+    }
+
+    fn wants_texels(&self) -> bool {
+        !self.strategy.prepare
     }
 
     fn classify(&self, cells: &CellGrid, contents: &Contents, volume: &Grid) -> Result<Option<Vec<Flag>>> {

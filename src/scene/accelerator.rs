@@ -26,6 +26,11 @@ pub trait Accelerator {
         Ok(recipe.map().into())
     }
 
+    /// Whether texels are wanted here, also of maps that a device has made before.
+    fn wants_texels(&self) -> bool {
+        true
+    }
+
     /// What each cell of a grid over the deformed scene shows of a volume, x fastest; none if the CPU is to find out.
     ///
     /// # Errors

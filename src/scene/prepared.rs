@@ -423,7 +423,13 @@ impl<'a> Prepared<'a> {
         let reference_mm = volume.spacing_mm().min_element() as f32;
         let step_mm = settings.step * reference_mm;
         let blend_mm = blend_mm(settings.step, reference_mm);
-        let Deformed { stack, cuts, composition, proxy_mesh } = stages.time("maps", || Deformed::with(scene, assets, &view, more, device))?;
+        let Deformed { stack, cuts, composition, proxy_mesh } = stages.time("maps", || -> Result<_> {
+            let deformed = Deformed::with(scene, assets, &view, more, device)?;
+            if device.wants_texels() {
+                deformed.stack.fetch_texels();
+            }
+            Ok(deformed)
+        })?;
         let span = (volume.range[1] - volume.range[0]).max(f64::MIN_POSITIVE);
         let normalised = |v: f64| ((v - volume.range[0]) / span) as f32;
         let iso = settings.iso.map(normalised);
