@@ -432,7 +432,7 @@ fn empty_space_agrees() {
         // Each takes boxes of texels together in its own way, and the device what of a box lies inside and outside of a cube: most, of six maps.
         assert!(both > 500 && lost * 50 <= both && more * 4 <= both, "{name}: {both} {more} {lost}");
         assert!(also_clear * 20 <= both && clear_in_both * 10 >= clear_in_cpus * 9, "{name}: {clear_in_both} of {clear_in_cpus}, {also_clear}");
-        empty_is_empty(&name, &by_device);
+        empty_is_empty(name, &by_device);
         agree(&format!("{name}, prepared by the device"), &by_device);
         // What is left out would not have shown.
         let picture = |prepared: &Prepared| with_strategy(PREPARE, |r| r.render(prepared, false, &|_| ()).unwrap()).picture;
