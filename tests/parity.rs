@@ -164,7 +164,6 @@ fn numbers_of(kind: &str, prepared: &Prepared, assets: &incise::scene::Assets) {
         }
     }
     assert!(moved > 100, "{kind} touched only {moved} points");
-    // Hardware that filters with 8-bit weights is coarser than a software driver; both stay far below a voxel.
     let bound = [0.05, 0.01, 0.02, 0.01, 0.02];
     assert!(worst.iter().zip(bound).all(|(w, b)| *w <= b), "{kind}: {worst:?} against {bound:?}");
 }
