@@ -257,6 +257,14 @@ fn counts_agree() {
     assert!(close(by_cpu.samples_taken, by_gpu.samples_taken), "{by_cpu:?} {by_gpu:?}");
     assert!(close(by_cpu.samples_skipped, by_gpu.samples_skipped), "{by_cpu:?} {by_gpu:?}");
     assert!(close(by_cpu.samples_terminated, by_gpu.samples_terminated), "{by_cpu:?} {by_gpu:?}");
+    // By invocations each pixel is counted once as well, also where a band does not end with the picture.
+    scene.render.size = [700, 397];
+    let prepared = Prepared::new(&scene, &assets).unwrap();
+    let fragments = with_strategy(Strategy { compute_rays: false, ..PREPARE }, |r| r.render(&prepared, true, &|_| ()).unwrap()).stats.unwrap();
+    let invocations = with_strategy(PREPARE, |r| r.render(&prepared, true, &|_| ()).unwrap()).stats.unwrap();
+    let same = |a: u64, b: u64| a > 0 && (a as f64 - b as f64).abs() <= 1e-4 * a as f64;
+    assert!(same(fragments.samples_taken, invocations.samples_taken), "{fragments:?} {invocations:?}");
+    assert!(same(fragments.samples_skipped, invocations.samples_skipped), "{fragments:?} {invocations:?}");
 }
 
 /// A stack composed on the device is the one composed by the CPU: eleven maps, some of them added, in two passes.

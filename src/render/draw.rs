@@ -118,7 +118,8 @@ impl Renderer {
         let variant = draw.variant(self, program);
         let bands = (program == Program::Rays).then(|| self.bands(draw));
         let pixels = PIXELS_PER_BAND[usize::from(self.device.is_software())];
-        let rows = (pixels / width).clamp(1, height);
+        // Whole workgroups: what one band does is not done, and counted, by the next one as well.
+        let rows = (pixels / width).clamp(1, height).next_multiple_of(RAYS_ACROSS);
         let mut under_way = UnderWay::default();
         for top in (0..height).step_by(rows as usize) {
             let count = rows.min(height - top);
