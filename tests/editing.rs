@@ -122,6 +122,13 @@ pub fn edits_prepare_what_changed() {
             assert_eq!(done, Work::default(), "{name}");
         }
     }
+    // A hand that drags for long does not fill the device.
+    for n in 0..40 {
+        scene.deformation[0].progress = Some(0.2 + 0.01 * n as f32);
+        let prepared = Prepared::on(&renderer, &scene, &assets).unwrap();
+        renderer.render(&prepared, false, &|_| ()).unwrap();
+    }
+    assert!(renderer.maps_kept() <= 32, "{} maps", renderer.maps_kept());
     // None of it was asked of the CPU.
     let prepared = Prepared::on(&renderer, &scene, &assets).unwrap();
     assert!(prepared.stack.maps().iter().all(|m| m.map.recipe().is_some()));

@@ -51,7 +51,7 @@
 //! ms here against 102, 753, 171 and 1030 ms for rays by Mesa's llvmpipe on the same two cores, and on another machine 25, 217, 38 and 323 against 52,
 //! 428, 109 and 486. The CPU renderer is taken.
 //!
-//! `shaders/raycast.wgsl` and `shaders/lib` say the same in the same words.
+//! `shaders/lib` says the same in the same words.
 
 pub mod packet;
 pub mod pick;

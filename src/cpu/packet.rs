@@ -1,7 +1,7 @@
 //! Eight rays, four across and two down, marched together.
 //!
 //! *Theory*: neighbouring rays ask the same questions at nearly the same places, so eight of them share every instruction: one lane each
-//! ([`crate::math::lanes`]). As in `shaders/raycast.wgsl` there are two loops: lanes look until each has found something to shade or is
+//! ([`crate::math::lanes`]). As in `shaders/lib/composite.wgsl` there are two loops: lanes look until each has found something to shade or is
 //! through (or, in haze, until half of them have), then those that have found something shade together. A ray thus waits for its neighbours,
 //! never for their shading.
 //!

@@ -11,7 +11,7 @@ use crate::scene::Prepared;
 use crate::transfer::Blend;
 use crate::{Result, Watch};
 use std::collections::VecDeque;
-use wgpu::TextureFormat;
+use wgpu::{BufferUsages, TextureFormat};
 
 /// Pixels per submission of rays: on hardware, and on a processor, where a band is long enough to be told to stop within.
 const PIXELS_PER_BAND: [u32; 2] = [1 << 18, 1 << 16];
@@ -151,7 +151,7 @@ impl Renderer {
 
     /// What rays by invocations bind besides the scene.
     fn bands(&mut self, draw: &Draw) -> Bands {
-        let first_row = self.first_row();
+        let first_row = self.scratch_of("first row", 16, BufferUsages::UNIFORM | BufferUsages::COPY_DST);
         let layout = Self::bands_layout(&self.device.device, draw.counter.is_some());
         let mut others = vec![(2, first_row.as_entire_binding())];
         others.extend(draw.counter.map(|c| (0, c.buffer.as_entire_binding())));

@@ -62,7 +62,6 @@ pub(super) struct Kept {
     /// By purpose: what is written for every use and grows.
     scratch: Mutex<Vec<(&'static str, wgpu::Buffer)>>,
     readback: Option<wgpu::Buffer>,
-    first_row: Option<wgpu::Buffer>,
     vertices: Option<wgpu::Buffer>,
 }
 
@@ -168,17 +167,6 @@ impl Renderer {
         }
     }
 
-    /// Where the first row of a band of rays is written.
-    pub(super) fn first_row(&mut self) -> wgpu::Buffer {
-        match &self.kept.first_row {
-            Some(buffer) => buffer.clone(),
-            None => {
-                let buffer = self.buffer_of("first row", &[0; 16], BufferUsages::UNIFORM);
-                self.kept.first_row.insert(buffer).clone()
-            }
-        }
-    }
-
     /// Corners of slices, in a buffer that grows.
     pub(super) fn slice_vertices(&mut self, contents: &[u8]) -> wgpu::Buffer {
         match &self.kept.vertices {
@@ -211,14 +199,14 @@ impl Renderer {
         Ok(texture.create_view(&wgpu::TextureViewDescriptor::default()))
     }
 
-    /// A map by its identity; whether others had to go for it.
-    fn map(&self, map: &Arc<DisplacementMap>, in_use: &Stack) -> Result<(wgpu::TextureView, bool)> {
+    /// A map by its identity.
+    fn map(&self, map: &Arc<DisplacementMap>) -> Result<wgpu::TextureView> {
         let mut kept = lock(&self.kept.maps);
         if let Some(at) = kept.iter().position(|k| Arc::ptr_eq(&k.map, map)) {
             let entry = kept.remove(at);
             let view = entry.view.clone();
             kept.push(entry);
-            return Ok((view, false));
+            return Ok(view);
         }
         self.tally.count(Made::Map);
         let made = map.recipe().filter(|_| self.strategy.prepare).and_then(|r| Some((r, r.formula()?)));
@@ -228,18 +216,30 @@ impl Renderer {
             None => (self.upload_map(map)?, None),
         };
         kept.push(KeptMap { map: map.clone(), view: view.clone(), bounds });
-        let mut bytes: usize = kept.iter().map(|k| k.map.gpu_bytes()).sum();
+        Ok(view)
+    }
+
+    /// Lets go of the maps that were used longest ago, beyond what is kept; whether there were any.
+    fn forget_maps(&self, in_use: &Stack) -> bool {
+        let mut kept = lock(&self.kept.maps);
+        let bytes_of = |k: &KeptMap| k.map.gpu_bytes() + k.bounds.as_ref().map_or(0, MapBounds::bytes);
+        let mut bytes: usize = kept.iter().map(bytes_of).sum();
         let mut count = kept.len();
         let before = count;
         kept.retain(|k| {
             let goes = (bytes > KEPT_MAP_BYTES || count > KEPT_MAPS) && !in_use.maps().iter().any(|m| Arc::ptr_eq(&m.map, &k.map));
             if goes {
-                bytes -= k.map.gpu_bytes();
+                bytes -= bytes_of(k);
                 count -= 1;
             }
             !goes
         });
-        Ok((view, count < before))
+        count < before
+    }
+
+    /// Maps on the device now.
+    pub fn maps_kept(&self) -> usize {
+        lock(&self.kept.maps).len()
     }
 
     /// Keeps a map that was made here.
@@ -280,12 +280,10 @@ impl Renderer {
     /// A stack's maps, and whether others had to go for them; the bindings that it leaves free get the identity.
     pub(super) fn upload_maps(&self, stack: &Stack) -> Result<(Vec<wgpu::TextureView>, bool)> {
         let mut views = Vec::with_capacity(MAX_MAPS);
-        let mut replaced = false;
         for placed in stack.maps().iter().take(MAX_MAPS) {
-            let (view, others_went) = self.map(&placed.map, stack)?;
-            views.push(view);
-            replaced |= others_went;
+            views.push(self.map(&placed.map)?);
         }
+        let replaced = self.forget_maps(stack);
         let mut unused = lock(&self.kept.unused_map);
         let unused = match &*unused {
             Some(view) => view.clone(),

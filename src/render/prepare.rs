@@ -49,6 +49,13 @@ pub(super) struct MapBounds {
     levels: Vec<[u32; 4]>,
 }
 
+impl MapBounds {
+    /// What they take on the device.
+    pub(super) fn bytes(&self) -> usize {
+        self.nodes.size() as usize
+    }
+}
+
 /// A map that was made here.
 pub(super) struct SampledMap {
     pub view: wgpu::TextureView,
