@@ -42,10 +42,15 @@
 //! colours where most show something ([`packet::Habit`]); in haze half of the lanes are enough to shade, and in the midst of matter macrocells are not
 //! asked ([`crate::scene::Macrocells::blocks_lanes`]). Without any volume of gradients surfaces now take the same time, and haze a tenth more.
 //!
+//! Then, alternating in one run again: 157 became 128 and 221 became 182 as haze, 20 became 19 and 32 became 31 as surfaces, and 221 became 198 for the
+//! CT twisted, as haze. What eight rays will ask two steps later the cache is told to fetch now: an eighth of haze's time (one step is too late, the maps'
+//! texels are there anyway, surfaces gain nothing). Interpolation by fused operations: a twentieth. Differences beside values from where a third, not a half,
+//! of the looks find something: the fiftieth.
+//!
 //! *The ceiling*: this machine fetches 431 to 437 million trilinear samples a second on two threads, eight at once and without anything else
 //! (`benches/growth.rs`; 301 million before the checks were one a cell); rays through surfaces take 26 (256 x 256) to 53 million, 6 to 12 % of it. Of
-//! the haze's time a third goes to values and differences, mostly waiting for memory; 14 in a hundred to where rays enter matter and the gradients
-//! there, 7 to the transfer function, 8 to light, 8 to empty space; the rest is spread over what keeps eight rays together, of which 6.7 look at once.
+//! the haze's time a fifth goes to values and differences, 13 in a hundred to where rays enter matter, 9 to gradients elsewhere, 11 to the transfer
+//! function, 7 to light, 5 to empty space, 4 to what is fetched ahead; the rest is spread over what keeps eight rays together, of which 6.7 look at once.
 //!
 //! What `--backend auto` takes where the only adapter is a software one was decided by the same scenes in runs of `benches/peers`: 72, 470, 94 and 624
 //! ms here against 102, 753, 171 and 1030 ms for rays by Mesa's llvmpipe on the same two cores, and on another machine 25, 217, 38 and 323 against 52,

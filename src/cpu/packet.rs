@@ -32,6 +32,9 @@ pub struct Packet<S: Simd> {
     pub until: f32x8<S>,
 }
 
+/// How many steps before a sample its texels are asked into the cache: by one they would come too late.
+const AHEAD: f32 = 2.0;
+
 /// How many of the looks of the packets so far found something to shade. Where few do, differences are fetched for those alone, not beside every value.
 /// The picture is the same either way.
 #[derive(Clone, Copy, Debug, Default)]
@@ -43,7 +46,7 @@ pub struct Habit {
 impl Habit {
     /// Whether differences are worth fetching beside values: a value alone costs about half of what it costs with them.
     fn shades_mostly(self) -> bool {
-        self.shades * 2 >= self.looks
+        self.shades * 3 >= self.looks
     }
 }
 
@@ -111,8 +114,8 @@ fn first_sample_after<S: Simd>(t: f32x8<S>, step: f32x8<S>) -> f32x8<S> {
 /// A colour under light where there is a surface, under even light where there is none.
 #[inline(always)]
 fn lit<S: Simd>(color: f32x8<S>, even: f32, diffuse: f32x8<S>, highlight: f32x8<S>, confidence: f32x8<S>) -> f32x8<S> {
-    let (dull, lit) = (color * even, color * diffuse + highlight);
-    (dull + (lit - dull) * confidence).max(0.0).min(1.0)
+    let (dull, lit) = (color * even, color.mul_add(diffuse, highlight));
+    (lit - dull).mul_add(confidence, dull).max(0.0).min(1.0)
 }
 
 #[inline(always)]
@@ -247,6 +250,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         let (mut clear, mut clear_until) = (nobody, never);
         let (mut skipped, mut terminated) = (zero, zero);
         let fused = self.sampler.has_gradients() && habit.shades_mostly();
+        let ahead = direction.mapped(&Mat3::from(frame.voxel_from_world.matrix3)) * (step * AHEAD);
         while live.any_true() {
             let (mut looking, mut found) = (live, nobody);
             let mut at = Looks {
@@ -327,6 +331,9 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                 }
                 habit.looks += 1;
                 let mut look = self.look(simd, p, asked, fused);
+                if fused {
+                    self.sampler.prefetch(simd, look.in_voxel + ahead);
+                }
                 if !self.composite {
                     projection.insert(look.value, look.present);
                     continue;
@@ -620,7 +627,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         let zero = f32x8::splat(simd, 0.0);
         let even = light.ambient + EVEN_LIGHT * light.diffuse;
         let facing = normal.dot(to_light);
-        let diffuse = facing.max(0.0) * light.diffuse + light.ambient;
+        let diffuse = facing.max(0.0).mul_add(light.diffuse, light.ambient);
         let mut highlight = zero;
         if light.specular > 0.0 {
             let cosine = normal.dot(half);

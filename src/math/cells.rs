@@ -102,7 +102,7 @@ pub fn flat<S: Simd>(i: i32x8<S>, j: i32x8<S>, k: i32x8<S>, [nx, ny, nz]: [usize
 /// `a` at 0, `b` at 1.
 #[inline(always)]
 pub fn mix<S: Simd>(a: f32x8<S>, b: f32x8<S>, t: f32x8<S>) -> f32x8<S> {
-    a + (b - a) * t
+    (b - a).mul_add(t, a)
 }
 
 /// The mix of the rows of a cell (near low, near high, far low, far high) in the order of [`mix_texels`]: the second axis, the third, the first.
@@ -166,7 +166,7 @@ pub fn mix_texels<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3], ce
         let near = mix(T::pair_at(simd, cell, 0), T::pair_at(simd, cell, up), y);
         let far = mix(T::pair_at(simd, cell, on), T::pair_at(simd, cell, on + up), y);
         let (low, high) = simd.split_f32x8(mix(near, far, z));
-        mixed[n] = *(low + (high - low) * f32x4::splat(simd, cells.f.x[n]));
+        mixed[n] = *((high - low).mul_add(f32x4::splat(simd, cells.f.x[n]), low));
     }
     columns(simd, &mixed)
 }
@@ -179,7 +179,7 @@ pub fn mix_line<S: Simd>(simd: S, line: &[Vec4], x: f32x8<S>) -> Fours<S> {
     let mut mixed = [[0.0; 4]; LANES];
     for n in 0..LANES {
         let (low, high) = simd.split_f32x8(Vec4::pair_at(simd, line, cell[n] as usize));
-        mixed[n] = *(low + (high - low) * f32x4::splat(simd, x[n]));
+        mixed[n] = *((high - low).mul_add(f32x4::splat(simd, x[n]), low));
     }
     columns(simd, &mixed)
 }
@@ -195,8 +195,33 @@ pub fn across(texels: &[Vec4], [nx, ny, nz]: [usize; 3], y: f32, z: f32) -> Vec<
     let ((j, y), (k, z)) = (cell(y, ny), cell(z, nz));
     let row = |j: usize, k: usize| &texels[(k * ny + j) * nx..][..nx];
     let rows = [row(j, k), row(j + 1, k), row(j, k + 1), row(j + 1, k + 1)];
-    let mix = |a: Vec4, b: Vec4, t: f32| a + (b - a) * t;
-    (0..nx).map(|i| mix(mix(rows[0][i], rows[1][i], y), mix(rows[2][i], rows[3][i], y), z)).collect()
+    let mut line = vec![Vec4::ZERO; nx];
+    with_simd(Across { rows, y, z, line: &mut line });
+    line
+}
+
+/// Four rows of texels, the weights of the second and the fourth and of the last two, and their mix.
+struct Across<'a> {
+    rows: [&'a [Vec4]; 4],
+    y: f32,
+    z: f32,
+    line: &'a mut [Vec4],
+}
+
+impl OverSimd for Across<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        let [a, b, c, d] = self.rows;
+        let (y, z) = (f32x4::splat(simd, self.y), f32x4::splat(simd, self.z));
+        for (to, (((a, b), c), d)) in self.line.iter_mut().zip(a.iter().zip(b).zip(c).zip(d)) {
+            let (a, b) = (f32x4::load_array(simd, a.to_array()), f32x4::load_array(simd, b.to_array()));
+            let (c, d) = (f32x4::load_array(simd, c.to_array()), f32x4::load_array(simd, d.to_array()));
+            let (near, far) = ((b - a).mul_add(y, a), (d - c).mul_add(y, c));
+            *to = (far - near).mul_add(z, near).to_array().into();
+        }
+    }
 }
 
 /// The first three of [`mix_texels`]'s numbers as vectors, and their derivatives along the three axes, per cell.
@@ -214,15 +239,15 @@ pub fn mix_with_slopes<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3
         let near_slope = T::pair_at(simd, cell, up) - near;
         let far = T::pair_at(simd, cell, on);
         let far_slope = T::pair_at(simd, cell, on + up) - far;
-        let near = near + near_slope * y;
-        let along_z = far + far_slope * y - near;
-        let (low, high) = simd.split_f32x8(near + along_z * z);
-        value[n] = *(low + (high - low) * x);
+        let near = near_slope.mul_add(y, near);
+        let along_z = far_slope.mul_add(y, far) - near;
+        let (low, high) = simd.split_f32x8(along_z.mul_add(z, near));
+        value[n] = *((high - low).mul_add(x, low));
         dx[n] = *(high - low);
         let (low, high) = simd.split_f32x8(mix(near_slope, far_slope, z));
-        dy[n] = *(low + (high - low) * x);
+        dy[n] = *((high - low).mul_add(x, low));
         let (low, high) = simd.split_f32x8(along_z);
-        dz[n] = *(low + (high - low) * x);
+        dz[n] = *((high - low).mul_add(x, low));
     }
     (vectors(simd, &value), [vectors(simd, &dx), vectors(simd, &dy), vectors(simd, &dz)])
 }
@@ -272,7 +297,7 @@ pub fn mix_with_differences<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usi
 #[inline(always)]
 fn mix_cell<S: Simd>(simd: S, [a, b, c, d]: [f32x8<S>; 4], x: f32x4<S>, y: f32x8<S>, z: f32x8<S>) -> [f32; 4] {
     let (low, high) = simd.split_f32x8(mix(mix(a, b, y), mix(c, d, y), z));
-    *(low + (high - low) * x)
+    *((high - low).mul_add(x, low))
 }
 
 /// The first three columns of a matrix of eight rows.

@@ -373,10 +373,9 @@ impl Macrocells {
     /// Parameters at which rays leave the slabs of `reach` - 1 cells to both sides of theirs.
     #[inline(always)]
     fn leaves<S: Simd>(&self, cell: f32x8<S>, reach: f32x8<S>, origin: f32x8<S>, inverse: f32x8<S>, axis: usize) -> f32x8<S> {
-        let low = (cell - (reach - 1.0)) * self.cell_mm[axis] + self.origin[axis];
-        let high = (cell + reach) * self.cell_mm[axis] + self.origin[axis];
-        // A ray along a face of the block divides zero by zero there: the other face tells.
-        ((low - origin) * inverse).max_precise((high - origin) * inverse)
+        // The face that a ray goes towards. One along a face of the block multiplies zero by infinity: no number, which the other axes outdo.
+        let face = (cell + 0.5) + (reach - 0.5).copysign(inverse);
+        face.mul_add(self.cell_mm[axis], -origin + self.origin[axis]) * inverse
     }
 
     /// As [`Self::empty_until`] for eight points: which lie in empty cells, which in clear ones, and where rays leave the block of empty or of clear cells

@@ -118,7 +118,7 @@ impl Table {
     /// Entries below eight values, and where between those and the next ones they lie.
     #[inline(always)]
     fn places<S: Simd>(&self, value: f32x8<S>) -> ([usize; LANES], f32x8<S>) {
-        let x = (value * self.scale + self.offset).max(0.0).min(1.0) * (TABLE_ENTRIES - 1) as f32;
+        let x = value.mul_add(self.scale, self.offset).max(0.0).min(1.0) * (TABLE_ENTRIES - 1) as f32;
         let entry = x.to_int::<i32x8<S>>().max(0).min(TABLE_ENTRIES as i32 - 2);
         let mut places = [0; LANES];
         for n in 0..LANES {
@@ -143,7 +143,7 @@ impl Table {
         let (p, q, r, s) = (f32x4::load_array(simd, p), f32x4::load_array(simd, q), f32x4::load_array(simd, r), f32x4::load_array(simd, s));
         let a = simd.combine_f32x4(simd.unzip_low_f32x4(p, q), simd.unzip_low_f32x4(r, s));
         let b = simd.combine_f32x4(simd.unzip_high_f32x4(p, q), simd.unzip_high_f32x4(r, s));
-        a + (b - a) * t
+        (b - a).mul_add(t, a)
     }
 
     /// Colours of eight normalised values.
@@ -160,7 +160,7 @@ impl Table {
         for n in 0..LANES {
             let pair = &self.entries[entry[n]..][..2];
             let (a, b) = (f32x4::load_array(simd, pair[0]), f32x4::load_array(simd, pair[1]));
-            mixed[n] = *(a + (b - a) * f32x4::splat(simd, t[n]));
+            mixed[n] = *(b - a).mul_add(f32x4::splat(simd, t[n]), a);
         }
         let [x, y, z, depth] = columns(simd, &mixed);
         (Vec3x8 { x, y, z }, depth)

@@ -11,6 +11,7 @@ use super::grid::Around;
 use super::{GradientFilter, Sampler, Voxel};
 use crate::math::cells::{Cells, Strides, mix_rows, mix_texels};
 use crate::math::lanes::*;
+use prefetch_index::prefetch_index;
 
 impl<T: Voxel> Sampler<'_, T> {
     /// Whether every axis has at least `n` voxels.
@@ -30,7 +31,7 @@ impl<T: Voxel> Sampler<'_, T> {
             return f32x8::load_array(simd, values);
         }
         let Cells { base, f } = Cells::of(p, self.size, 0);
-        mix_rows(T::cells(simd, self.voxels, &base, Strides::of(self.size)), f) * self.scale + self.offset
+        mix_rows(T::cells(simd, self.voxels, &base, Strides::of(self.size)), f).mul_add(self.scale, self.offset)
     }
 
     /// Normalised values at eight positions in voxels, and the differences f(+1) - f(-1) of stored values if those are kept: what
@@ -40,9 +41,26 @@ impl<T: Voxel> Sampler<'_, T> {
         match self.texels {
             Some(texels) if self.is_at_least(2) => {
                 let [value, x, y, z] = mix_texels(simd, texels, self.size, &Cells::of(p, self.size, 0));
-                (value * self.scale + self.offset, Vec3x8 { x, y, z })
+                (value.mul_add(self.scale, self.offset), Vec3x8 { x, y, z })
             }
             _ => (self.sample_lanes(simd, p), Vec3x8::splat(simd, glam::Vec3::ZERO)),
+        }
+    }
+
+    /// Has the cache fetch what [`Self::sample_with_differences`] will ask at eight neighbouring positions, four in each of two rows: around those
+    /// at the corners, between which little else lies.
+    #[inline(always)]
+    pub fn prefetch<S: Simd>(&self, _simd: S, p: Vec3x8<S>) {
+        if let Some(texels) = self.texels
+            && self.is_at_least(2)
+        {
+            let Strides { up, on } = Strides::of(self.size);
+            let base = Cells::of(p, self.size, 0).base;
+            for n in [0, 3, 4, 7] {
+                for row in [0, up, on, on + up] {
+                    prefetch_index(texels, base[n] + row);
+                }
+            }
         }
     }
 
