@@ -53,16 +53,20 @@ class Case:
     view: tuple[float, float] = (40.0, 20.0)
     size: int = 512
     light: Light = HEADLIGHT
+    step: float = 1.0
+    """In voxels."""
+    voxels: int = 1
+    """Over how many voxels the opacities hold."""
 
     def points(self) -> list[Point]:
-        """The transfer function."""
-        points = TRANSFER[self.transfer]
+        """The transfer function, opacities over one voxel."""
+        points = [(value, color, 1.0 - (1.0 - opacity) ** (1.0 / self.voxels)) for value, color, opacity in TRANSFER[self.transfer]]
         return [(value, WHITE, opacity) for value, _, opacity in points] if self.light is FLAT else points
 
 
 def scene_toml(case: Case, azimuth_deg: float, mode: str = "raycast", deformation: str = "") -> str:
     """The case as incise's scene; `azimuth_deg` is added to the view. The worker puts the loaded volume in."""
-    points = ",\n".join(f"  {{ value = {v:.1f}, color = [{r}, {g}, {b}], opacity = {a} }}" for v, (r, g, b), a in case.points())
+    points = ",\n".join(f"  {{ value = {v:.1f}, color = [{r}, {g}, {b}], opacity = {a:.6g} }}" for v, (r, g, b), a in case.points())
     return f"""incise = 1
 
 [volume]
@@ -88,7 +92,7 @@ two_sided = true
 [render]
 mode = "{mode}"
 size = [{case.size}, {case.size}]
-step = 1.0
+step = {case.step}
 background = [0.0, 0.0, 0.0, 1.0]
 
 {deformation}"""
