@@ -2,7 +2,7 @@
 //! targets by size, and the bind groups of all of these. A picture rewrites what has changed and makes what is not there.
 
 use super::prepare::{MapBounds, SampledMap};
-use super::surfaces::Layer;
+use super::surfaces::{KeptObject, Layer};
 use super::uniforms::{CutShapeUniform, FrameUniform, PlacedMapUniform};
 use super::work::{Made, Tally};
 use super::{Renderer, extent};
@@ -61,6 +61,8 @@ pub(super) struct Kept {
     groups: Vec<Group>,
     /// By purpose: what is written for every use and grows.
     scratch: Mutex<Vec<(&'static str, wgpu::Buffer)>>,
+    /// Surfaces, by their place in the scene.
+    pub(super) objects: Vec<Option<KeptObject>>,
     readback: Option<wgpu::Buffer>,
     vertices: Option<wgpu::Buffer>,
 }

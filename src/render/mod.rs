@@ -211,6 +211,7 @@ impl Renderer {
         let shared = stages.time("bind", || self.shared(scene))?;
         let counter = counting.then(|| self.fresh_counter());
         let behind = if scene.surfaces.objects.is_empty() {
+            self.forget_large_fields();
             None
         } else {
             Some(stages.time("surfaces drawn", || self.draw_surfaces(scene, &shared, counter.as_ref(), watch))?)

@@ -5,24 +5,29 @@
 //! their number.
 //! An object in two stages has its triangles drawn into a layer beside, which its rays read and blend with.
 
-use super::kept::Shared;
+use super::kept::{Shared, Target};
 use super::uniforms::{DeformerUniform, PlacedSolidUniform, SurfaceObjectUniform};
+use super::work::Made;
 use super::{Counter, Renderer, Variant, extent, overrides};
 use crate::gpu::shaders::Program;
 use crate::mesh::Implicit;
 use crate::mesh::deformer::MOST_DEFORMERS;
 use crate::mesh::formula::MOST_SOLIDS;
 use crate::scene::Prepared;
-use crate::scene::objects::{Stage, SurfaceObject};
+use crate::scene::objects::{Stage, SurfaceObject, Triangles};
+use crate::scene::surface_cells::SurfaceCells;
 use crate::{Result, Watch};
 use half::f16;
 use rayon::prelude::*;
+use std::sync::Arc;
 use wgpu::TextureFormat;
 
 /// Depth of a layer: the test between objects.
 const DEPTH: TextureFormat = TextureFormat::Depth32Float;
 /// No surface; as in `shaders/bindings.wgsl`.
 const FAR_AWAY: f64 = 1e30;
+/// Bytes of fields that are kept while none is drawn.
+const KEPT_FIELD_BYTES: u64 = 256 << 20;
 /// Rows of a picture per submission of rays.
 const ROWS_AT_ONCE: u32 = 128;
 
@@ -46,6 +51,27 @@ impl Layer {
 /// A corner of a triangle: position and normal.
 type MeshCorner = [[f32; 3]; 2];
 
+/// Triangles on the device.
+#[derive(Clone)]
+struct Corners {
+    of: Arc<Triangles>,
+    buffer: wgpu::Buffer,
+    count: u32,
+}
+
+/// What the device has of an object, by its place in the scene.
+pub(super) struct KeptObject {
+    /// The object's own, its solids and its deformers.
+    uniforms: [wgpu::Buffer; 3],
+    /// What the field's texture holds; none of formulas.
+    sampled: Option<Implicit>,
+    field: Target,
+    of_cells: Arc<SurfaceCells>,
+    cells: Target,
+    corners: Option<Corners>,
+    group: wgpu::BindGroup,
+}
+
 impl Renderer {
     /// A layer of a purpose: its colour, distance and depth by name. Its content is what it was.
     pub(super) fn layer(&mut self, purpose: [&'static str; 3], width: u32, height: u32) -> Layer {
@@ -62,18 +88,14 @@ impl Renderer {
         self.clear(&layer);
         let count = scene.surfaces.objects.len();
         for (n, object) in scene.surfaces.objects.iter().enumerate() {
-            let group = self.bind_object(scene, object)?;
-            let triangles = object.triangles.as_ref().map(|t| {
-                let corners: Vec<MeshCorner> = t.undeformed.iter().flatten().map(|(p, n)| [p.to_array(), n.to_array()]).collect();
-                (corners.len() as u32, self.vertices(bytemuck::cast_slice(&corners)))
-            });
+            let (group, corners) = self.bind_object(n, scene, object)?;
             let nothing_behind = self.group(shared, None);
-            match (object.stage, triangles) {
-                (Stage::Triangles, Some((count, vertices))) => self.draw_mesh(scene, &layer, &nothing_behind, &group, &vertices, count)?,
-                (Stage::Both(_), Some((count, vertices))) => {
+            match (object.stage, &corners) {
+                (Stage::Triangles, Some(corners)) => self.draw_mesh(scene, &layer, &nothing_behind, &group, corners)?,
+                (Stage::Both(_), Some(corners)) => {
                     let drawn = self.layer(["triangles: colour", "triangles: distance", "triangles: depth"], width, height);
                     self.clear(&drawn);
-                    self.draw_mesh(scene, &drawn, &nothing_behind, &group, &vertices, count)?;
+                    self.draw_mesh(scene, &drawn, &nothing_behind, &group, corners)?;
                     let behind = self.group(shared, Some(&drawn));
                     self.cast(scene, &layer, &behind, &group, counter)?;
                 }
@@ -82,11 +104,8 @@ impl Renderer {
             (watch.progress)((n + 1) as f32 / count as f32);
             watch.check()?;
         }
+        self.kept.objects.truncate(count);
         Ok(layer)
-    }
-
-    fn vertices(&self, contents: &[u8]) -> wgpu::Buffer {
-        self.buffer_of("triangles", contents, wgpu::BufferUsages::VERTEX)
     }
 
     fn clear(&self, layer: &Layer) {
@@ -127,15 +146,7 @@ impl Renderer {
         self.device.queue.submit([encoder.finish()]);
     }
 
-    fn draw_mesh(
-        &mut self,
-        scene: &Prepared,
-        layer: &Layer,
-        shared: &wgpu::BindGroup,
-        group: &wgpu::BindGroup,
-        vertices: &wgpu::Buffer,
-        count: u32,
-    ) -> Result<()> {
+    fn draw_mesh(&mut self, scene: &Prepared, layer: &Layer, shared: &wgpu::BindGroup, group: &wgpu::BindGroup, corners: &Corners) -> Result<()> {
         let variant = self.variant(scene, Program::Mesh, false);
         self.compile_surface(variant);
         let pipeline = &self.pipelines[&variant];
@@ -143,8 +154,8 @@ impl Renderer {
             pass.set_pipeline(pipeline);
             pass.set_bind_group(0, shared, &[]);
             pass.set_bind_group(2, group, &[]);
-            pass.set_vertex_buffer(0, vertices.slice(..));
-            pass.draw(0..count, 0..1);
+            pass.set_vertex_buffer(0, corners.buffer.slice(..));
+            pass.draw(0..corners.count, 0..1);
         });
         crate::gpu::wait(&self.device.device)
     }
@@ -185,9 +196,12 @@ impl Renderer {
         })
     }
 
-    /// Field, empty space, formulas and deformers of one object.
-    fn bind_object(&self, scene: &Prepared, object: &SurfaceObject) -> Result<wgpu::BindGroup> {
-        let uniform = |contents: &[u8]| self.buffer_of("object", contents, wgpu::BufferUsages::UNIFORM);
+    /// Field, empty space, formulas, deformers and triangles of one object: what the device has of it is kept, and what has changed is written.
+    fn bind_object(&mut self, n: usize, scene: &Prepared, object: &SurfaceObject) -> Result<(wgpu::BindGroup, Option<Corners>)> {
+        if self.kept.objects.len() <= n {
+            self.kept.objects.resize_with(n + 1, || None);
+        }
+        let before = self.kept.objects[n].take();
         let own = SurfaceObjectUniform::new(scene, object);
         let mut solids: [PlacedSolidUniform; MOST_SOLIDS] = [bytemuck::Zeroable::zeroed(); MOST_SOLIDS];
         if let Some(Implicit::Formula(f)) = &object.implicit {
@@ -195,30 +209,76 @@ impl Renderer {
         }
         let mut deformers: [DeformerUniform; MOST_DEFORMERS] = [bytemuck::Zeroable::zeroed(); MOST_DEFORMERS];
         deformers.iter_mut().zip(&object.deformers).for_each(|(u, d)| *u = DeformerUniform::new(d));
-        let (own, solids) = (uniform(bytemuck::bytes_of(&own)), uniform(bytemuck::cast_slice(&solids)));
-        let deformers = uniform(bytemuck::cast_slice(&deformers));
-        let field = self.upload_field(object.implicit.as_ref())?;
-        let grid = &object.cells.grid;
-        let size = grid.size.to_array().map(|n| n as usize);
-        let cells: Vec<[f32; 2]> = grid.distance.iter().zip(&object.cells.slope).map(|(d, s)| [f32::from(*d), *s]).collect();
-        let cells_texture = self.texture_3d("cells of a surface", size, TextureFormat::Rg32Float)?;
-        self.write_layers(&cells_texture, 0, bytemuck::cast_slice(&cells), size);
-        let cells = cells_texture.create_view(&wgpu::TextureViewDescriptor::default());
-        Ok(self.bind_group(
-            "object",
-            &self.object_layout(),
-            &[
-                wgpu::BindGroupEntry { binding: 0, resource: own.as_entire_binding() },
-                wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::TextureView(&field) },
-                wgpu::BindGroupEntry { binding: 2, resource: wgpu::BindingResource::TextureView(&cells) },
-                wgpu::BindGroupEntry { binding: 3, resource: solids.as_entire_binding() },
-                wgpu::BindGroupEntry { binding: 4, resource: deformers.as_entire_binding() },
-            ],
-        ))
+        let contents: [&[u8]; 3] = [bytemuck::bytes_of(&own), bytemuck::cast_slice(&solids), bytemuck::cast_slice(&deformers)];
+        let uniforms = match &before {
+            Some(kept) => {
+                kept.uniforms.iter().zip(contents).for_each(|(buffer, bytes)| self.device.queue.write_buffer(buffer, 0, bytes));
+                kept.uniforms.clone()
+            }
+            None => contents.map(|bytes| self.buffer_of("object", bytes, wgpu::BufferUsages::UNIFORM)),
+        };
+        let sampled = object.implicit.clone().filter(|i| !matches!(i, Implicit::Formula(_)));
+        let field = match &before {
+            Some(kept) if kept.sampled == sampled => kept.field.clone(),
+            _ => self.upload_field(sampled.as_ref())?,
+        };
+        let cells = match &before {
+            Some(kept) if Arc::ptr_eq(&kept.of_cells, &object.cells) => kept.cells.clone(),
+            _ => self.upload_cells(&object.cells, before.as_ref().map(|kept| &kept.cells))?,
+        };
+        let corners = object.triangles.as_ref().map(|t| match before.as_ref().and_then(|kept| kept.corners.as_ref()) {
+            Some(corners) if Arc::ptr_eq(&corners.of, t) => corners.clone(),
+            _ => self.upload_corners(t),
+        });
+        let group = match &before {
+            Some(kept) if (&kept.field, &kept.cells) == (&field, &cells) => kept.group.clone(),
+            _ => self.bind_group(
+                "object",
+                &self.object_layout(),
+                &[
+                    wgpu::BindGroupEntry { binding: 0, resource: uniforms[0].as_entire_binding() },
+                    wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::TextureView(&field.view) },
+                    wgpu::BindGroupEntry { binding: 2, resource: wgpu::BindingResource::TextureView(&cells.view) },
+                    wgpu::BindGroupEntry { binding: 3, resource: uniforms[1].as_entire_binding() },
+                    wgpu::BindGroupEntry { binding: 4, resource: uniforms[2].as_entire_binding() },
+                ],
+            ),
+        };
+        let bound = (group.clone(), corners.clone());
+        self.kept.objects[n] = Some(KeptObject { uniforms, sampled, field, of_cells: object.cells.clone(), cells, corners, group });
+        Ok(bound)
+    }
+
+    /// Lets go of large fields where no surface is drawn; small ones wait for the next picture that shows them.
+    pub(super) fn forget_large_fields(&mut self) {
+        let bytes: u64 = self.kept.objects.iter().flatten().map(|kept| crate::gpu::texture_bytes(&kept.field.texture)).sum();
+        if bytes > KEPT_FIELD_BYTES {
+            self.kept.objects.clear();
+        }
+    }
+
+    /// Triangles as the vertex shader takes them.
+    fn upload_corners(&self, triangles: &Arc<Triangles>) -> Corners {
+        let corners: Vec<MeshCorner> = triangles.undeformed.iter().flatten().map(|(p, n)| [p.to_array(), n.to_array()]).collect();
+        let buffer = self.buffer_of("triangles", bytemuck::cast_slice(&corners), wgpu::BufferUsages::VERTEX);
+        Corners { of: triangles.clone(), buffer, count: corners.len() as u32 }
+    }
+
+    /// The cells around an object, into the texture that there is if they fit.
+    fn upload_cells(&self, cells: &SurfaceCells, before: Option<&Target>) -> Result<Target> {
+        let size = cells.grid.size.to_array().map(|n| n as usize);
+        let target = match before {
+            Some(target) if target.texture.size() == extent(size) => target.clone(),
+            _ => Target::new(self.texture_3d("cells of a surface", size, TextureFormat::Rg32Float)?),
+        };
+        self.tally.count(Made::Cells);
+        let texels: Vec<[f32; 2]> = cells.grid.distance.iter().zip(&cells.slope).map(|(d, s)| [f32::from(*d), *s]).collect();
+        self.write_layers(&target.texture, 0, bytemuck::cast_slice(&texels), size);
+        Ok(target)
     }
 
     /// A field in half precision, whose steps are finest where it matters, at the surface.
-    fn upload_field(&self, implicit: Option<&Implicit>) -> Result<wgpu::TextureView> {
+    fn upload_field(&self, implicit: Option<&Implicit>) -> Result<Target> {
         let (size, values): ([usize; 3], &[f32]) = match implicit {
             Some(Implicit::Grid(g)) => (g.size, &g.distance_mm),
             Some(Implicit::Depth(d)) => ([d.size, d.size, d.faces.len()], &d.depth_mm),
@@ -230,6 +290,7 @@ impl Renderer {
             _ => TextureFormat::R16Float,
         };
         let texture = self.texture_3d("distance field", size, format)?;
+        self.tally.count(Made::Field);
         let layer = size[0] * size[1];
         let layers_at_once = ((16 << 20) / (layer * 4)).max(1);
         for first in (0..size[2]).step_by(layers_at_once) {
@@ -242,14 +303,14 @@ impl Renderer {
             }
         }
         debug_assert_eq!(texture.size(), extent(size));
-        Ok(texture.create_view(&wgpu::TextureViewDescriptor::default()))
+        Ok(Target::new(texture))
     }
 
     fn compile_surface(&mut self, variant: Variant) {
         if self.pipelines.contains_key(&variant) {
             return;
         }
-        self.tally.count(super::work::Made::Pipeline);
+        self.tally.count(Made::Pipeline);
         let device = &self.device.device;
         let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some(&format!("{:?}", variant.program)),

@@ -21,6 +21,8 @@ pub struct Work {
     pub table_uploads: u32,
     /// Macrocells written to their texture.
     pub cell_uploads: u32,
+    /// Fields of surfaces written to a texture.
+    pub field_uploads: u32,
 }
 
 impl Work {
@@ -35,6 +37,7 @@ impl Work {
             map_uploads: self.map_uploads.wrapping_sub(before.map_uploads),
             table_uploads: self.table_uploads.wrapping_sub(before.table_uploads),
             cell_uploads: self.cell_uploads.wrapping_sub(before.cell_uploads),
+            field_uploads: self.field_uploads.wrapping_sub(before.field_uploads),
         }
     }
 }
@@ -50,11 +53,12 @@ pub(super) enum Made {
     Map,
     Table,
     Cells,
+    Field,
 }
 
 /// The counters. Atomic because a device evaluates stacks for those who only borrow the renderer.
 #[derive(Default)]
-pub(super) struct Tally([AtomicU32; 8]);
+pub(super) struct Tally([AtomicU32; 9]);
 
 impl Tally {
     pub(super) fn count(&self, made: Made) {
@@ -72,6 +76,7 @@ impl Tally {
             map_uploads: n(Made::Map),
             table_uploads: n(Made::Table),
             cell_uploads: n(Made::Cells),
+            field_uploads: n(Made::Field),
         }
     }
 }

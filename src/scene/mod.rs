@@ -17,6 +17,7 @@ mod paths;
 mod prepared;
 mod sampled;
 pub mod surface;
+pub mod surface_cells;
 
 pub use accelerator::{Accelerator, Unaided};
 pub use camera::{Camera, Projection, View, ViewFrame};

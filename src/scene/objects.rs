@@ -1,8 +1,8 @@
 //! Surfaces resolved for rendering: every `[[mesh]]`, and the volume's own surface where the mode asks for it, as an implicit solid, as
 //! triangles, or both.
 
-use super::macrocells::{CellGrid, Macrocells, Seen};
 use super::surface::{Appearance, CutModel, DeformerSource, Look, MeshPlace, MeshSource, Representation, ShapeSource, Steps, SurfaceSettings};
+use super::surface_cells::{Casting, KeptCells, SurfaceCells};
 use super::{Assets, Mode, Scene, Size};
 use crate::Watch;
 use crate::deform::cut::Cuts;
@@ -19,10 +19,8 @@ use crate::mesh::{Implicit, Mesh, Tree, load};
 use crate::{Error, Result};
 use glam::{Affine3A, Mat3, Vec3};
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
-/// Cells of the empty-space grid along an object's longest edge.
-const CELLS: f32 = 64.0;
 /// Triangles that tessellation stops at.
 const MOST_TESSELLATED: usize = 4_000_000;
 /// Most objects of a scene.
@@ -35,6 +33,7 @@ pub struct Objects {
     fields: Mutex<HashMap<String, Arc<DistanceGrid>>>,
     triangles: Mutex<HashMap<String, Arc<Triangles>>>,
     depths: Mutex<HashMap<String, Arc<DepthMaps>>>,
+    cells: KeptCells,
 }
 
 fn lock<T>(m: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -65,14 +64,6 @@ pub enum Stage {
     Triangles,
 }
 
-/// Empty space around an object, and how fast the deformation changes, per cell.
-pub struct SurfaceCells {
-    /// The grid.
-    pub grid: Macrocells,
-    /// A bound on |J v| in each cell.
-    pub slope: Vec<f32>,
-}
-
 /// One surface.
 pub struct SurfaceObject {
     /// Its name in messages.
@@ -98,7 +89,7 @@ pub struct SurfaceObject {
     /// Length of an even step, mm.
     pub step_mm: f32,
     /// Empty space.
-    pub cells: SurfaceCells,
+    pub cells: Arc<SurfaceCells>,
 }
 
 /// All surfaces of a scene.
@@ -533,8 +524,7 @@ impl Assets {
         let general = &scene.surface;
         check(general)?;
         let shown = self.shown(scene);
-        let untouched = Stack::default();
-        let slopes = Slopes::new(if shown.iter().all(|s| s.rigid) { &untouched } else { stack });
+        let slopes = OnceLock::new();
         let objects = shown.iter().enumerate().map(|(n, source)| {
             let object = || -> Result<SurfaceObject> {
                 source.check()?;
@@ -545,7 +535,15 @@ impl Assets {
         Ok(Surfaces { objects: objects.collect::<Result<_>>()?, steps: general.steps, threshold: general.threshold })
     }
 
-    fn object(&self, scene: &Scene, source: &MeshSource, n: usize, stack: &Stack, cuts: &Cuts, slopes: &Slopes) -> Result<SurfaceObject> {
+    fn object<'a>(
+        &self,
+        scene: &Scene,
+        source: &MeshSource,
+        n: usize,
+        stack: &'a Stack,
+        cuts: &'a Cuts,
+        slopes: &'a OnceLock<Slopes<'a>>,
+    ) -> Result<SurfaceObject> {
         let general = &scene.surface;
         let look = source.appearance.resolve(&general.appearance)?;
         let only_triangles = source.representation() == Representation::Triangles;
@@ -576,18 +574,19 @@ impl Assets {
             (Some(_), true) => Stage::Both(general.seam * cell_mm),
             (Some(_), false) => Stage::Rays,
         };
-        let view = Casting {
-            implicit: implicit.as_ref(),
+        let casting = Casting {
+            implicit: implicit.clone(),
+            bounds,
             stack: if source.rigid { None } else { Some(stack) },
             cuts,
-            slopes,
             model: look.model,
             thickness_mm,
             skip_cuts: general.cut_skipping,
             only_boxes: matches!(stage, Stage::Both(_)),
             cell_mm,
+            skipping: scene.render.empty_space_skipping,
         };
-        let cells = view.cells(&bounds, scene.render.empty_space_skipping);
+        let cells = self.objects.cells.of(&casting, slopes);
         let deformers = if triangles.is_some() { deformers(&source.deformer, &self.objects.placed(self, source)?.bounds())? } else { Vec::new() };
         Ok(SurfaceObject {
             name: source.label(n),
@@ -618,86 +617,4 @@ fn check(general: &SurfaceSettings) -> Result<()> {
         return Err(Error::value("surface.resolution", format!("{} is outside 16 to 1024 points", general.resolution)));
     }
     Ok(())
-}
-
-/// What decides where a ray can meet an object.
-struct Casting<'a> {
-    implicit: Option<&'a Implicit>,
-    /// None for an object that deformations pass by.
-    stack: Option<&'a Stack>,
-    cuts: &'a Cuts,
-    slopes: &'a Slopes<'a>,
-    model: CutModel,
-    thickness_mm: f32,
-    skip_cuts: bool,
-    only_boxes: bool,
-    cell_mm: f32,
-}
-
-impl Casting<'_> {
-    fn cells(&self, bounds: &Bounds, skipping: bool) -> SurfaceCells {
-        let deformed = self.stack.map_or(*bounds, |s| s.deformed_bounds(bounds)).grown(0.5 * self.cell_mm);
-        if deformed.is_empty() || self.implicit.is_none() {
-            return SurfaceCells { grid: Macrocells::solid(Bounds::EMPTY), slope: vec![1.0] };
-        }
-        let edge = (deformed.size().max_element() / CELLS).max(self.cell_mm);
-        // Without skipping every cell counts as occupied; their slopes are needed all the same.
-        let seen = |b: &Bounds| {
-            // Fields have no bound that says that a surface is everywhere.
-            if !skipping {
-                Seen::Throughout
-            } else if self.visible(b) {
-                Seen::Perhaps
-            } else {
-                Seen::Nothing
-            }
-        };
-        let grid = Macrocells::classified(CellGrid::new(deformed, edge), seen, |_| true);
-        use rayon::prelude::*;
-        let slope = (0..grid.distance.len())
-            .into_par_iter()
-            .map(|n| if grid.is_occupied(n) && self.stack.is_some() { self.slopes.bound(&grid.cell_box(n)) } else { 1.0 })
-            .collect();
-        SurfaceCells { grid, slope }
-    }
-
-    /// Whether a ray can meet the surface in a box of the deformed scene.
-    fn visible(&self, deformed: &Bounds) -> bool {
-        let Some(implicit) = self.implicit else { return false };
-        let Some(stack) = self.stack else { return self.visible_in_source(implicit, deformed, true) };
-        let [least_kept, most_kept] = self.cuts.bounds(deformed);
-        if self.skip_cuts && most_kept < 0.0 {
-            return false;
-        }
-        if self.only_boxes && self.cuts.is_empty() && !stack.maps().iter().any(|m| !m.bounds_in_world().intersection(deformed).is_empty()) {
-            return false;
-        }
-        let mut visible = false;
-        stack.source_parts(deformed, &mut |source, [least, most]| {
-            let gone = self.skip_cuts && most < 0.5;
-            visible |= !gone && self.visible_in_source(implicit, source, least_kept >= 0.0 && least >= 0.5);
-        });
-        visible
-    }
-
-    /// Whether a ray can meet it in what a box of the source has become, `whole` if nothing of that is cut away.
-    fn visible_in_source(&self, implicit: &Implicit, source: &Bounds, mut whole: bool) -> bool {
-        if source.intersection(&implicit.bounds()).is_empty() {
-            return false;
-        }
-        if !implicit.is_distance() {
-            return true;
-        }
-        // Interpolation between the points of a field strays by less than a cell.
-        let (f, r) = (implicit.value(source.center()), source.size().length() * 0.5 + self.cell_mm);
-        if f + r < 0.0 {
-            return false;
-        }
-        // A thin shell has nothing inside whatever cuts it.
-        whole |= self.model == CutModel::Hollow;
-        match self.model {
-            CutModel::Thick => !(f - r > self.thickness_mm || (whole && f - r > 0.0 && f + r < self.thickness_mm)),
-            _ => !(whole && f - r > 0.0),
-        }
-    }
 }

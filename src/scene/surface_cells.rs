@@ -1,0 +1,161 @@
+//! Where rays may meet a surface: empty space around each object, in deformed space, and how fast the deformation changes there.
+//!
+//! Neither depends on the camera: cells are kept until the deformation, a cut or the object changes.
+
+use super::macrocells::{CellGrid, Macrocells, Seen};
+use super::surface::CutModel;
+use crate::deform::Stack;
+use crate::deform::cut::Cuts;
+use crate::deform::slope::Slopes;
+use crate::math::Bounds;
+use crate::mesh::Implicit;
+use rayon::prelude::*;
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+
+/// Cells along an object's longest edge.
+const CELLS: f32 = 64.0;
+/// Cells that are kept at most: those of a scene of so many objects, or of a few states of a smaller one.
+const KEPT: usize = 64;
+
+/// Empty space around an object, and how fast the deformation changes, per cell.
+pub struct SurfaceCells {
+    /// The grid.
+    pub grid: Macrocells,
+    /// A bound on |J v| in each cell.
+    pub slope: Vec<f32>,
+}
+
+/// What decides where a ray can meet an object.
+pub(super) struct Casting<'a> {
+    pub implicit: Option<Implicit>,
+    /// Of the undeformed object.
+    pub bounds: Bounds,
+    /// None for an object that deformations pass by.
+    pub stack: Option<&'a Stack>,
+    pub cuts: &'a Cuts,
+    pub model: CutModel,
+    pub thickness_mm: f32,
+    pub skip_cuts: bool,
+    pub only_boxes: bool,
+    pub cell_mm: f32,
+    /// Whether empty space is skipped at all.
+    pub skipping: bool,
+}
+
+/// A [`Casting`] with what it borrows: cells of equal ones are equal.
+#[derive(PartialEq)]
+struct Inputs {
+    implicit: Option<Implicit>,
+    bounds: Bounds,
+    stack: Option<Stack>,
+    cuts: Cuts,
+    model: CutModel,
+    thickness_mm: f32,
+    skip_cuts: bool,
+    only_boxes: bool,
+    cell_mm: f32,
+    skipping: bool,
+}
+
+/// Cells of objects, the most recently used last.
+#[derive(Default)]
+pub(super) struct KeptCells(Mutex<Vec<(Inputs, Arc<SurfaceCells>)>>);
+
+impl KeptCells {
+    /// The cells of an object. `slopes` are those of the scene's stack, once something has asked for them.
+    pub fn of<'a>(&self, casting: &Casting<'a>, slopes: &OnceLock<Slopes<'a>>) -> Arc<SurfaceCells> {
+        let inputs = casting.inputs();
+        // Entries are only ever added whole.
+        let lock = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut kept = lock();
+        if let Some(at) = kept.iter().position(|(of, _)| *of == inputs) {
+            kept[at..].rotate_left(1);
+            return kept[kept.len() - 1].1.clone();
+        }
+        drop(kept);
+        let cells = Arc::new(casting.cells(slopes));
+        let mut kept = lock();
+        if kept.len() == KEPT {
+            kept.remove(0);
+        }
+        kept.push((inputs, cells.clone()));
+        cells
+    }
+}
+
+impl<'a> Casting<'a> {
+    fn inputs(&self) -> Inputs {
+        let Self { bounds, stack, cuts, model, thickness_mm, skip_cuts, only_boxes, cell_mm, skipping, .. } = *self;
+        let (implicit, stack, cuts) = (self.implicit.clone(), stack.cloned(), cuts.clone());
+        Inputs { implicit, bounds, stack, cuts, model, thickness_mm, skip_cuts, only_boxes, cell_mm, skipping }
+    }
+
+    fn cells(&self, slopes: &OnceLock<Slopes<'a>>) -> SurfaceCells {
+        let deformed = self.stack.map_or(self.bounds, |s| s.deformed_bounds(&self.bounds)).grown(0.5 * self.cell_mm);
+        if deformed.is_empty() || self.implicit.is_none() {
+            return SurfaceCells { grid: Macrocells::solid(Bounds::EMPTY), slope: vec![1.0] };
+        }
+        let edge = (deformed.size().max_element() / CELLS).max(self.cell_mm);
+        // Without skipping every cell counts as occupied; their slopes are needed all the same.
+        let seen = |b: &Bounds| {
+            // Fields have no bound that says that a surface is everywhere.
+            if !self.skipping {
+                Seen::Throughout
+            } else if self.visible(b) {
+                Seen::Perhaps
+            } else {
+                Seen::Nothing
+            }
+        };
+        let grid = Macrocells::classified(CellGrid::new(deformed, edge), seen, |_| true);
+        let slopes = self.stack.map(|stack| slopes.get_or_init(|| Slopes::new(stack)));
+        let slope = (0..grid.distance.len())
+            .into_par_iter()
+            .map(|n| match slopes {
+                Some(slopes) if grid.is_occupied(n) => slopes.bound(&grid.cell_box(n)),
+                _ => 1.0,
+            })
+            .collect();
+        SurfaceCells { grid, slope }
+    }
+
+    /// Whether a ray can meet the surface in a box of the deformed scene.
+    fn visible(&self, deformed: &Bounds) -> bool {
+        let Some(implicit) = &self.implicit else { return false };
+        let Some(stack) = self.stack else { return self.visible_in_source(implicit, deformed, true) };
+        let [least_kept, most_kept] = self.cuts.bounds(deformed);
+        if self.skip_cuts && most_kept < 0.0 {
+            return false;
+        }
+        if self.only_boxes && self.cuts.is_empty() && !stack.maps().iter().any(|m| !m.bounds_in_world().intersection(deformed).is_empty()) {
+            return false;
+        }
+        let mut visible = false;
+        stack.source_parts(deformed, &mut |source, [least, most]| {
+            let gone = self.skip_cuts && most < 0.5;
+            visible |= !gone && self.visible_in_source(implicit, source, least_kept >= 0.0 && least >= 0.5);
+        });
+        visible
+    }
+
+    /// Whether a ray can meet it in what a box of the source has become, `whole` if nothing of that is cut away.
+    fn visible_in_source(&self, implicit: &Implicit, source: &Bounds, mut whole: bool) -> bool {
+        if source.intersection(&implicit.bounds()).is_empty() {
+            return false;
+        }
+        if !implicit.is_distance() {
+            return true;
+        }
+        // Interpolation between the points of a field strays by less than a cell.
+        let (f, r) = (implicit.value(source.center()), source.size().length() * 0.5 + self.cell_mm);
+        if f + r < 0.0 {
+            return false;
+        }
+        // A thin shell has nothing inside whatever cuts it.
+        whole |= self.model == CutModel::Hollow;
+        match self.model {
+            CutModel::Thick => !(f - r > self.thickness_mm || (whole && f - r > 0.0 && f + r < self.thickness_mm)),
+            _ => !(whole && f - r > 0.0),
+        }
+    }
+}
