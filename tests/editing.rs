@@ -6,6 +6,7 @@ use crate::scenes;
 use glam::Vec3;
 use incise::gpu::{Device, Want};
 use incise::render::{Renderer, Strategy, Work};
+use incise::scene::surface::{MeshSource, Representation, ShapeSource};
 use incise::scene::{Assets, Deformation, Mode, Picture, Prepared, Projection, Scene};
 
 /// Two moving maps over a small head.
@@ -132,6 +133,71 @@ pub fn edits_prepare_what_changed() {
     // None of it was asked of the CPU.
     let prepared = Prepared::on(&renderer, &scene, &assets).unwrap();
     assert!(prepared.stack.maps().iter().all(|m| m.map.recipe().is_some()));
+}
+
+/// By kind of edit: what a picture of surfaces may do, a field, a formula and triangles. What it keeps shows the same as what is made anew.
+pub fn edits_of_surfaces_upload_what_changed() {
+    let mut renderer = Renderer::new(Device::open(Want::Any).unwrap());
+    let mut scene = scene(Mode::Surface);
+    let bunny = concat!(env!("CARGO_MANIFEST_DIR"), "/volumes/bunny.obj");
+    scene.mesh = vec![
+        MeshSource { iso: Some(300.0), ..MeshSource::default() },
+        MeshSource {
+            shape: vec![ShapeSource {
+                kind: "sphere".into(),
+                join: None,
+                center: Some([60.0, 0.0, 0.0]),
+                rotate: None,
+                size: None,
+                radius: Some(20.0),
+                tube: None,
+                length: None,
+                period: None,
+                wall: None,
+            }],
+            ..MeshSource::default()
+        },
+        MeshSource { representation: Some(Representation::Triangles), ..MeshSource::of_file(bunny) },
+    ];
+    scene.mesh[2].place.size = Some(60.0);
+    let assets = scenes::assets(&scene);
+    let first = work_of(&mut renderer, &scene, &assets);
+    assert!(first.field_uploads == 1 && first.cell_uploads >= 2 && first.map_uploads >= 2, "{first:?}");
+    let nothing = Work::default();
+    let edits: [Edit; 9] = [
+        ("nothing", |_| (), nothing),
+        ("the camera", |s| s.camera.view = "35,15".parse().unwrap(), nothing),
+        ("the light", |s| s.light.direction = Vec3::new(0.3, -0.5, 0.8).to_array(), nothing),
+        ("a colour", |s| s.mesh[0].appearance.color = Some([0.2, 0.5, 0.9]), nothing),
+        ("the solid's place", |s| s.mesh[1].shape[0].center = Some([58.0, 0.0, 0.0]), Work { cell_uploads: 1, ..nothing }),
+        ("a placement turned", |s| s.deformation[1].rotate = Some([0.0, 0.0, 10.0]), Work { cell_uploads: 2, ..nothing }),
+        (
+            "a parameter of a map",
+            |s| s.deformation[0].progress = Some(0.7),
+            Work { cell_uploads: 2, map_uploads: 1, textures_created: 1, bind_groups_created: 1, ..nothing },
+        ),
+        (
+            "the surface's value",
+            |s| s.mesh[0].iso = Some(600.0),
+            Work { cell_uploads: 1, field_uploads: 1, textures_created: 1, bind_groups_created: 1, ..nothing },
+        ),
+        ("an object less", |s| drop(s.mesh.pop()), nothing),
+    ];
+    for (name, edit, allowed) in edits {
+        edit(&mut scene);
+        let mut work = work_of(&mut renderer, &scene, &assets);
+        println!("{name}: {work:?}");
+        // Grids of cells follow the deformed boxes: another size is another texture, with its bind group.
+        let grids = work.textures_created.saturating_sub(allowed.textures_created).min(work.cell_uploads);
+        work.textures_created -= grids;
+        work.bind_groups_created -= grids.min(work.bind_groups_created.saturating_sub(allowed.bind_groups_created));
+        assert_eq!(work, Work { cell_uploads: work.cell_uploads.min(allowed.cell_uploads), ..allowed }, "{name}");
+        let prepared = Prepared::new(&scene, &assets).unwrap();
+        let kept = renderer.render(&prepared, false, &|_| ()).unwrap().picture;
+        let anew = Renderer::new(Device::open(Want::Any).unwrap()).render(&Prepared::new(&scene, &scenes::assets(&scene)).unwrap(), false, &|_| ());
+        assert!(kept == anew.unwrap().picture, "{name}: what is kept shows something else");
+        assert!(kept.pixels.iter().any(|p| p[3] > 0.0), "{name}: an empty picture");
+    }
 }
 
 /// Segments and shifted samples: the same by rays and by slabs, which meet the same samples without perspective; and no more than a finer

@@ -58,6 +58,7 @@ pub fn trials() -> Vec<Trial> {
     all.push(gpu("parity::one_deformation_on_the_gpu".into(), Box::new(one_deformation_on_the_gpu)));
     all.push(gpu("parity::counts_agree".into(), Box::new(counts_agree)));
     all.push(gpu("editing::edits_upload_what_changed".into(), Box::new(crate::editing::edits_upload_what_changed)));
+    all.push(gpu("editing::edits_of_surfaces_upload_what_changed".into(), Box::new(crate::editing::edits_of_surfaces_upload_what_changed)));
     all.push(gpu("editing::edits_prepare_what_changed".into(), Box::new(crate::editing::edits_prepare_what_changed)));
     all.push(gpu("editing::segments_and_shifts_agree_between_modes".into(), Box::new(crate::editing::segments_and_shifts_agree_between_modes)));
     all.push(gpu("parity::eight_maps_agree".into(), Box::new(eight_maps_agree)));

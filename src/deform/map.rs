@@ -180,7 +180,7 @@ impl DisplacementMap {
     }
 
     #[inline(always)]
-    fn texels(&self) -> &[Vec4] {
+    pub(super) fn texels(&self) -> &[Vec4] {
         &self.detail().texels
     }
 

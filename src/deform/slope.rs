@@ -6,8 +6,11 @@
 //! over the box that the later maps can carry the deformed box to, bounds the stack's.
 
 use super::{PlacedMap, Stack};
+use crate::math::cells::columns;
+use crate::math::lanes::*;
 use crate::math::{Bounds, MinMaxPyramid};
-use glam::{Mat3, Vec3, Vec4Swizzles};
+use glam::{Mat3, Vec3, Vec4};
+use rayon::prelude::*;
 
 /// Bounds for every map of a stack.
 pub struct Slopes<'a> {
@@ -36,31 +39,128 @@ impl PlacedMap {
     fn slopes(&self) -> MinMaxPyramid<1> {
         let size = self.map.size;
         let cells = size.map(|n| n.max(2) - 1);
+        let texels = self.map.texels();
         let (world_from_map, map_from_world) = (self.placement.world_from_map, self.placement.map_from_world);
-        let (linear, inverse) = (Mat3::from(world_from_map.matrix3) * self.map.scale, Mat3::from(map_from_world.matrix3));
-        let texel = |c: [usize; 3]| self.map.texel(std::array::from_fn(|a| c[a].min(size[a] - 1))).xyz();
-        MinMaxPyramid::new(cells, 1, |i, j, k| {
-            let at = [i, j, k];
-            let mut mean = [Vec3::ZERO; 3];
-            let mut deviation = 0.0f32;
-            for axis in 0..3 {
-                let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-                let differences: [Vec3; 4] = std::array::from_fn(|n| {
-                    let mut low = at;
-                    low[u] += n & 1;
-                    low[v] += n >> 1;
-                    let mut high = low;
-                    high[axis] += 1;
-                    // Along map space in world mm.
-                    linear * (texel(high) - texel(low)) * (size[axis].max(2) - 1) as f32
-                });
-                mean[axis] = differences.iter().sum::<Vec3>() / 4.0;
-                deviation += differences.iter().map(|d| (*d - mean[axis]).length_squared()).fold(0.0, f32::max);
-            }
-            let m = Mat3::IDENTITY + Mat3::from_cols(mean[0], mean[1], mean[2]) * inverse;
-            [spectral_norm(m) + deviation.sqrt() * spectral_norm(inverse)]
-        })
+        // In axes along the map's own, where most deformations have theirs: a rotation of both spaces changes no norm.
+        let world_from_map = Mat3::from(world_from_map.matrix3);
+        let x = world_from_map.x_axis.normalize_or(Vec3::X);
+        let y = world_from_map.y_axis.reject_from_normalized(x).normalize_or(x.any_orthonormal_vector());
+        let turned = Mat3::from_cols(x, y, x.cross(y));
+        let (linear, inverse) = (turned.transpose() * world_from_map * self.map.scale, Mat3::from(map_from_world.matrix3) * turned);
+        let shared = Shared { linear, inverse, norm_of_inverse: spectral_norm(inverse), per_unit: Vec3::from(cells.map(|n| n as f32)) };
+        let mut bounds = vec![0.0; cells.iter().product()];
+        bounds.par_chunks_mut(cells[0]).enumerate().for_each(|(n, bounds)| {
+            let (j, k) = (n % cells[1], n / cells[1]);
+            // A flat axis has one texel on both sides.
+            let (up, on) = ((j + 1).min(size[1] - 1), (k + 1).min(size[2] - 1));
+            let row = |j: usize, k: usize| &texels[(k * size[1] + j) * size[0]..][..size[0]];
+            with_simd(Row { rows: [row(j, k), row(up, k), row(j, on), row(up, on)], shared: &shared, bounds });
+        });
+        MinMaxPyramid::new(cells, 1, |i, j, k| [bounds[(k * cells[1] + j) * cells[0] + i]])
     }
+}
+
+/// What all rows of a map share.
+struct Shared {
+    /// Stored displacements to mm, in axes of its own.
+    linear: Mat3,
+    /// Mm to map units, and its norm.
+    inverse: Mat3,
+    norm_of_inverse: f32,
+    /// Cells per map unit.
+    per_unit: Vec3,
+}
+
+/// A row of a map's cells: the four rows of texels around it (along y, then z), and a bound for each cell.
+struct Row<'a> {
+    rows: [&'a [Vec4]; 4],
+    shared: &'a Shared,
+    bounds: &'a mut [f32],
+}
+
+impl OverSimd for Row<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    #[allow(clippy::needless_range_loop, reason = "lanes have numbers")]
+    fn run<S: Simd>(self, simd: S) {
+        let Self { rows: [a, b, c, d], shared, bounds } = self;
+        let mut first = 0;
+        while first < bounds.len() {
+            let bound = bound_of_eight(simd, [a, b, c, d], first, shared);
+            let many = LANES.min(bounds.len() - first);
+            for n in 0..many {
+                bounds[first + n] = bound[n];
+            }
+            first += LANES;
+        }
+    }
+}
+
+/// Displacements in mm at eight texels of a row, those beyond its end being its last.
+#[inline(always)]
+fn displacements<S: Simd>(simd: S, row: &[Vec4], first: usize, linear: &Mat3) -> Vec3x8<S> {
+    let mut texels = [[0.0; 4]; LANES];
+    for n in 0..LANES {
+        texels[n] = row[(first + n).min(row.len() - 1)].to_array();
+    }
+    let [x, y, z, _] = columns(simd, &texels);
+    Vec3x8 { x, y, z }.mapped(linear)
+}
+
+/// The mean of four differences, and the largest square of what one differs from it.
+#[inline(always)]
+fn spread<S: Simd>(a: Vec3x8<S>, b: Vec3x8<S>, c: Vec3x8<S>, d: Vec3x8<S>, per_unit: f32) -> (Vec3x8<S>, f32x8<S>) {
+    let token = a.x.token();
+    let mean = (a + b + c + d) * f32x8::splat(token, 0.25);
+    let (a, b, c, d) = (a - mean, b - mean, c - mean, d - mean);
+    let most = a.dot(a).max(b.dot(b)).max(c.dot(c).max(d.dot(d)));
+    (mean * f32x8::splat(token, per_unit), most * (per_unit * per_unit))
+}
+
+/// The largest eigenvalue of symmetric matrices that have no negative one, from above: the largest sum of a row's absolute values (Gershgorin 1931), from
+/// where Newton's method on the characteristic polynomial comes down to it and never below, for there the polynomial rises and is convex.
+#[inline(always)]
+fn largest_eigenvalue<S: Simd>([a, b, c]: [f32x8<S>; 3], [ab, ac, bc]: [f32x8<S>; 3]) -> f32x8<S> {
+    let of_rows = (a + ab.abs() + ac.abs()).max(b + ab.abs() + bc.abs()).max(c + ac.abs() + bc.abs());
+    let trace = a + b + c;
+    let minors = a * b - ab * ab + (a * c - ac * ac) + (b * c - bc * bc);
+    let determinant = a * (b * c - bc * bc) - ab * (ab * c - bc * ac) + ac * (ab * bc - b * ac);
+    let mut largest = of_rows;
+    for _ in 0..2 {
+        let value = ((largest - trace) * largest + minors) * largest - determinant;
+        let slope = (largest * 3.0 - trace * 2.0) * largest + minors;
+        // Beside a multiple root both vanish, and little is to be won.
+        let usable = slope.simd_gt(trace * trace * 0.002) & value.simd_gt(0.0);
+        largest = usable.select(largest - value / slope, largest);
+    }
+    largest
+}
+
+/// A column of I + M A⁻¹, of M's columns and that of A⁻¹.
+#[inline(always)]
+fn column<S: Simd>(unit: Vec3, [x, y, z]: [Vec3x8<S>; 3], v: Vec3) -> Vec3x8<S> {
+    let token = x.x.token();
+    let (p, q, r) = (f32x8::splat(token, v.x), f32x8::splat(token, v.y), f32x8::splat(token, v.z));
+    Vec3x8::splat(token, unit) + x * p + y * q + z * r
+}
+
+/// Bounds on |J_G| in eight cells of a row: |M| by [`largest_eigenvalue`], and what the deviations add.
+#[inline(always)]
+fn bound_of_eight<S: Simd>(simd: S, [a, b, c, d]: [&[Vec4]; 4], first: usize, shared: &Shared) -> f32x8<S> {
+    let Shared { linear, inverse, norm_of_inverse, per_unit } = shared;
+    let (a0, a1) = (displacements(simd, a, first, linear), displacements(simd, a, first + 1, linear));
+    let (b0, b1) = (displacements(simd, b, first, linear), displacements(simd, b, first + 1, linear));
+    let (c0, c1) = (displacements(simd, c, first, linear), displacements(simd, c, first + 1, linear));
+    let (d0, d1) = (displacements(simd, d, first, linear), displacements(simd, d, first + 1, linear));
+    let (x, of_x) = spread(a1 - a0, b1 - b0, c1 - c0, d1 - d0, per_unit.x);
+    let (y, of_y) = spread(b0 - a0, b1 - a1, d0 - c0, d1 - c1, per_unit.y);
+    let (z, of_z) = spread(c0 - a0, c1 - a1, d0 - b0, d1 - b1, per_unit.z);
+    let p = column(Vec3::X, [x, y, z], inverse.x_axis);
+    let q = column(Vec3::Y, [x, y, z], inverse.y_axis);
+    let r = column(Vec3::Z, [x, y, z], inverse.z_axis);
+    let largest = largest_eigenvalue([p.dot(p), q.dot(q), r.dot(r)], [p.dot(q), p.dot(r), q.dot(r)]);
+    largest.sqrt() + (of_x + of_y + of_z).sqrt() * *norm_of_inverse
 }
 
 impl<'a> Slopes<'a> {
@@ -130,6 +230,27 @@ mod tests {
             let bound = slopes.bound(&Bounds::new(low, low + edge));
             let apart = stack.walk_through(p).0.distance(stack.walk_through(q).0);
             prop_assert!(apart <= bound * p.distance(q) * 1.001 + 1e-3, "{} apart, {} x {}", apart, bound, p.distance(q));
+        }
+    }
+
+    /// Of linear maps the bound is the norm, to what two steps of Newton's method leave.
+    #[test]
+    fn bounds_of_linear_maps() {
+        for size in [[2, 3, 11], [9, 17, 4], [18, 1, 2]] {
+            let bound = |f: fn(Vec3) -> Vec3| {
+                let map = DisplacementMap::from_fn(size, Storage::F32, |x| TexelSample { displacement: f(x - 0.5), alpha: 1.0 });
+                let placement = Placement::new(Vec3::X, Vec3::splat(40.0), Vec3::new(20.0, 40.0, -10.0)).unwrap_or_else(|e| panic!("{e}"));
+                let stack = Stack::new(vec![PlacedMap::new(Arc::new(map), placement)]);
+                Slopes::new(&stack).bound(&Bounds::new(Vec3::splat(-4.0), Vec3::splat(4.0)))
+            };
+            let stretched = bound(|x| Vec3::new(0.75 * x.x, 0.0, 0.5 * x.z));
+            assert!((stretched - 1.75).abs() < 1e-5, "{size:?}: {stretched}");
+            let shrunk = bound(|x| -0.5 * x);
+            assert!((shrunk - 1.0).abs() < 1e-5, "{size:?}: {shrunk}");
+            let (sheared, golden) = (bound(|x| Vec3::new(x.z, 0.0, 0.0)), 0.5 + 1.25f32.sqrt());
+            assert!(sheared >= golden - 1e-5 && sheared < 1.005 * golden, "{size:?}: {sheared}");
+            let turned = bound(|x| Mat3::from_rotation_y(0.4) * x - x);
+            assert!((turned - 1.0).abs() < 1e-4, "{size:?}: {turned}");
         }
     }
 

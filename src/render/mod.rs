@@ -204,7 +204,9 @@ impl Renderer {
         }
         stages.time("upload", || -> Result<()> {
             self.upload_volume(scene.grid, scene.colors)?;
-            self.upload_gradients(scene)?;
+            if shows_volume {
+                self.upload_gradients(scene)?;
+            }
             wait(&self.device.device)
         })?;
         let notices: Vec<String> = self.volume.as_ref().and_then(|v| v.notice.clone()).filter(|_| shows_volume).into_iter().collect();

@@ -290,7 +290,9 @@ impl Renderer {
             _ => TextureFormat::R16Float,
         };
         let texture = self.texture_3d("distance field", size, format)?;
-        self.tally.count(Made::Field);
+        if implicit.is_some() {
+            self.tally.count(Made::Field);
+        }
         let layer = size[0] * size[1];
         let layers_at_once = ((16 << 20) / (layer * 4)).max(1);
         for first in (0..size[2]).step_by(layers_at_once) {
