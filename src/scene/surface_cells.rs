@@ -86,7 +86,9 @@ impl KeptCells {
 impl<'a> Casting<'a> {
     fn inputs(&self) -> Inputs {
         let Self { bounds, stack, cuts, model, thickness_mm, skip_cuts, only_boxes, cell_mm, skipping, .. } = *self;
-        let (implicit, stack, cuts) = (self.implicit.clone(), stack.cloned(), cuts.clone());
+        let implicit = self.implicit.clone();
+        // Where no ray is cast nothing else matters.
+        let (stack, cuts) = if implicit.is_some() { (stack.cloned(), cuts.clone()) } else { Default::default() };
         Inputs { implicit, bounds, stack, cuts, model, thickness_mm, skip_cuts, only_boxes, cell_mm, skipping }
     }
 
