@@ -2,7 +2,7 @@
 //! (`model.md` section 9).
 //!
 //! Within a cell of a map's grid each column of J lies in the hull of the differences along four edges. With M their mean, |J| ≤ |M| + the
-//! Frobenius norm of the largest deviations; |M| is the root of the largest eigenvalue of MᵀM. The product of the maps' bounds, each
+//! Frobenius norm of the largest deviations; |M| is the root of the largest eigenvalue of MᵀM, approached from above. The product of the maps' bounds, each
 //! over the box that the later maps can carry the deformed box to, bounds the stack's.
 
 use super::{PlacedMap, Stack};

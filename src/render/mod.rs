@@ -13,8 +13,10 @@
 //! | edit | uploads besides uniforms | made anew |
 //! |---|---|---|
 //! | nothing, light, camera | none (slicing: its polygons) | nothing |
-//! | a placement | macrocells | nothing; their texture if the deformed box needs more or fewer cells |
-//! | a map's parameter | that map, macrocells | the map's texture, a bind group |
+//! | a surface's look, a solid's place | a solid's cells | nothing |
+//! | a surface's mesh, value or labels | its field or triangles, its cells | textures, a bind group |
+//! | a placement | macrocells, surfaces' cells | nothing; their texture if the deformed box needs more or fewer cells |
+//! | a map's parameter | that map, macrocells, surfaces' cells | the map's texture, a bind group |
 //! | transfer function | table, macrocells | nothing |
 //! | volume | the volume, and what depends on it | its texture, a bind group |
 //! | none: the second picture of a volume | its gradients, if it is lit by them | their texture, bind groups |

@@ -1,6 +1,7 @@
 //! Where rays may meet a surface: empty space around each object, in deformed space, and how fast the deformation changes there.
 //!
-//! Neither depends on the camera: cells are kept until the deformation, a cut or the object changes.
+//! Neither depends on the camera: cells are kept until the deformation, a cut or the object changes. Made for every picture they took 170 ms of a twisted
+//! frame's 286 on a software GPU (512 x 512, a map of 64^3); an edited peel of 128^3 spends 35 ms on them, 600 before slopes were bounded eight cells at once.
 
 use super::macrocells::{CellGrid, Macrocells, Seen};
 use super::surface::CutModel;
@@ -14,8 +15,9 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 /// Cells along an object's longest edge.
 const CELLS: f32 = 64.0;
-/// Cells that are kept at most: those of a scene of so many objects, or of a few states of a smaller one.
+/// Cells that are kept at most, and of how many deformations: each keeps its maps.
 const KEPT: usize = 64;
+const KEPT_STACKS: usize = 4;
 
 /// Empty space around an object, and how fast the deformation changes, per cell.
 pub struct SurfaceCells {
@@ -79,6 +81,13 @@ impl KeptCells {
             kept.remove(0);
         }
         kept.push((inputs, cells.clone()));
+        let mut recent: Vec<Option<Stack>> = Vec::with_capacity(KEPT_STACKS);
+        for (of, _) in kept.iter().rev() {
+            if recent.len() < KEPT_STACKS && !recent.contains(&of.stack) {
+                recent.push(of.stack.clone());
+            }
+        }
+        kept.retain(|(of, _)| recent.contains(&of.stack));
         cells
     }
 }
@@ -159,5 +168,47 @@ impl<'a> Casting<'a> {
             CutModel::Thick => !(f - r > self.thickness_mm || (whole && f - r > 0.0 && f + r < self.thickness_mm)),
             _ => !(whole && f - r > 0.0),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::deform::{DisplacementMap, PlacedMap, Placement};
+    use crate::mesh::formula::Formula;
+    use glam::Vec3;
+
+    /// The same question gets the same cells; another deformation or thickness gets others; of many deformations a few are kept, and their maps with them.
+    #[test]
+    fn cells_are_kept_while_nothing_changes() {
+        let maps: Vec<Arc<DisplacementMap>> = (0..10).map(|_| Arc::new(DisplacementMap::identity([4; 3]))).collect();
+        let stack = |n: usize, x: f32| {
+            let placement = Placement::new(Vec3::X * x, Vec3::splat(30.0), Vec3::ZERO).unwrap_or_else(|e| panic!("{e}"));
+            Stack::new(vec![PlacedMap::new(maps[n].clone(), placement)])
+        };
+        let (kept, cuts) = (KeptCells::default(), Cuts::default());
+        let cells_of = |stack: &Stack, thickness_mm: f32| {
+            let casting = Casting {
+                implicit: Some(Implicit::Formula(Formula::default())),
+                bounds: Bounds::new(Vec3::ZERO, Vec3::splat(20.0)),
+                stack: Some(stack),
+                cuts: &cuts,
+                model: CutModel::Thick,
+                thickness_mm,
+                skip_cuts: true,
+                only_boxes: false,
+                cell_mm: 1.0,
+                skipping: true,
+            };
+            kept.of(&casting, &OnceLock::new())
+        };
+        let first = cells_of(&stack(0, 0.0), 1.0);
+        assert!(Arc::ptr_eq(&first, &cells_of(&stack(0, 0.0), 1.0)));
+        assert!(!Arc::ptr_eq(&first, &cells_of(&stack(0, 1.0), 1.0)) && !Arc::ptr_eq(&first, &cells_of(&stack(0, 0.0), 2.0)));
+        assert!(Arc::ptr_eq(&first, &cells_of(&stack(0, 0.0), 1.0)));
+        (1..10).for_each(|n| drop(cells_of(&stack(n, 0.0), 1.0)));
+        let counts: Vec<usize> = maps.iter().map(Arc::strong_count).collect();
+        assert_eq!(counts, [1, 1, 1, 1, 1, 1, 2, 2, 2, 2]);
+        assert!(!Arc::ptr_eq(&first, &cells_of(&stack(0, 0.0), 1.0)));
     }
 }
