@@ -332,7 +332,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                 habit.looks += 1;
                 let mut look = self.look(simd, p, asked, fused);
                 if fused {
-                    self.sampler.prefetch(simd, look.in_voxel + ahead);
+                    self.sampler.prefetch(look.in_voxel + ahead);
                 }
                 if !self.composite {
                     projection.insert(look.value, look.present);

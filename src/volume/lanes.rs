@@ -50,7 +50,7 @@ impl<T: Voxel> Sampler<'_, T> {
     /// Has the cache fetch what [`Self::sample_with_differences`] will ask at eight neighbouring positions, four in each of two rows: around those
     /// at the corners, between which little else lies.
     #[inline(always)]
-    pub fn prefetch<S: Simd>(&self, _simd: S, p: Vec3x8<S>) {
+    pub fn prefetch<S: Simd>(&self, p: Vec3x8<S>) {
         if let Some(texels) = self.texels
             && self.is_at_least(2)
         {
