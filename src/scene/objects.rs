@@ -26,11 +26,39 @@ const MOST_TESSELLATED: usize = 4_000_000;
 /// Most objects of a scene.
 const MOST_OBJECTS: usize = 64;
 
-/// Loaded meshes and computed fields, kept as long as a scene's assets are.
+/// Bytes of fields that are kept though nothing shows them: a hand that drags an iso-value leaves one for each.
+const KEPT_FIELD_BYTES: usize = 512 << 20;
+
+/// Computed fields by what decides them, the most recently used last.
+#[derive(Default)]
+struct KeptFields(Vec<(String, Arc<DistanceGrid>)>);
+
+impl KeptFields {
+    fn get(&mut self, key: &str) -> Option<Arc<DistanceGrid>> {
+        let at = self.0.iter().position(|(of, _)| of == key)?;
+        self.0[at..].rotate_left(1);
+        self.0.last().map(|(_, field)| field.clone())
+    }
+
+    /// Keeps a field, and lets go of those that were used longest ago where they are too many.
+    fn insert(&mut self, key: String, field: Arc<DistanceGrid>, most_bytes: usize) {
+        self.0.retain(|(of, _)| *of != key);
+        self.0.push((key, field));
+        let bytes_of = |field: &DistanceGrid| size_of_val(&*field.distance_mm);
+        let mut bytes: usize = self.0.iter().map(|(_, field)| bytes_of(field)).sum();
+        self.0.retain(|(_, field)| {
+            let goes = bytes > most_bytes && Arc::strong_count(field) == 1;
+            bytes -= if goes { bytes_of(field) } else { 0 };
+            !goes
+        });
+    }
+}
+
+/// Loaded meshes and computed fields, kept as long as a scene's assets are; fields as far as there is room.
 #[derive(Default)]
 pub struct Objects {
     meshes: Mutex<HashMap<String, Arc<Mesh>>>,
-    fields: Mutex<HashMap<String, Arc<DistanceGrid>>>,
+    fields: Mutex<KeptFields>,
     triangles: Mutex<HashMap<String, Arc<Triangles>>>,
     depths: Mutex<HashMap<String, Arc<DepthMaps>>>,
     cells: KeptCells,
@@ -294,7 +322,7 @@ impl Objects {
             _ => {
                 let key = format!("{} {resolution} {} {region:?}", source.mesh_key(), source.exact);
                 if let Some(f) = lock(&self.fields).get(&key) {
-                    return Ok(Implicit::Grid(f.clone()));
+                    return Ok(Implicit::Grid(f));
                 }
                 let settings = FieldSettings { resolution, region, exact: source.exact, ..FieldSettings::default() };
                 let path = assets.library.path(source.path.as_deref().unwrap_or_default());
@@ -307,7 +335,7 @@ impl Objects {
                     ));
                 }
                 let grid = Arc::new(field.grid);
-                lock(&self.fields).insert(key, grid.clone());
+                lock(&self.fields).insert(key, grid.clone(), KEPT_FIELD_BYTES);
                 Ok(Implicit::Grid(grid))
             }
         }
@@ -317,7 +345,7 @@ impl Objects {
     fn of_volume(&self, assets: &Assets, source: &MeshSource) -> Result<Arc<DistanceGrid>> {
         let key = format!("{:?} {:?} {:?}", source.volume, source.iso, source.label);
         if let Some(f) = lock(&self.fields).get(&key) {
-            return Ok(f.clone());
+            return Ok(f);
         }
         let volume = match &source.volume {
             Some(path) => assets.library.load_volume(path)?,
@@ -340,7 +368,7 @@ impl Objects {
             return Err(Error::value("iso, label", "what they name is too thin to have an inside"));
         }
         let grid = Arc::new(grid);
-        lock(&self.fields).insert(key, grid.clone());
+        lock(&self.fields).insert(key, grid.clone(), KEPT_FIELD_BYTES);
         Ok(grid)
     }
 }
@@ -617,4 +645,23 @@ fn check(general: &SurfaceSettings) -> Result<()> {
         return Err(Error::value("surface.resolution", format!("{} is outside 16 to 1024 points", general.resolution)));
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Fields that nothing shows are let go of beyond what is kept, those that something shows never.
+    #[test]
+    fn fields_are_kept_as_far_as_there_is_room() {
+        let field = || Arc::new(DistanceGrid::new([2; 3], vec![0.0; 8], Affine3A::IDENTITY));
+        let (mut kept, shown) = (KeptFields::default(), field());
+        kept.insert("shown".into(), shown.clone(), 4 * 32);
+        for name in ["a", "b", "c", "d", "e"] {
+            kept.insert(name.into(), field(), 4 * 32);
+            assert!(kept.get(name).is_some());
+        }
+        assert!(kept.get("a").is_none() && kept.get("b").is_none() && kept.get("c").is_some(), "{}", kept.0.len());
+        assert!(Arc::ptr_eq(&shown, &kept.get("shown").unwrap_or_else(field)));
+    }
 }

@@ -8,10 +8,12 @@ use super::surface::CutModel;
 use crate::deform::Stack;
 use crate::deform::cut::Cuts;
 use crate::deform::slope::Slopes;
-use crate::math::Bounds;
+use crate::math::{Bounds, DistanceGrid};
 use crate::mesh::Implicit;
+use crate::mesh::depth_map::DepthMaps;
+use crate::mesh::formula::Formula;
 use rayon::prelude::*;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 
 /// Cells along an object's longest edge.
 const CELLS: f32 = 64.0;
@@ -44,10 +46,38 @@ pub(super) struct Casting<'a> {
     pub skipping: bool,
 }
 
+/// Which solid it was, without keeping its field in memory: nothing else takes its address while it is remembered.
+enum Solid {
+    Grid(Weak<DistanceGrid>),
+    Formula(Formula),
+    Depth(Weak<DepthMaps>),
+}
+
+impl From<&Implicit> for Solid {
+    fn from(implicit: &Implicit) -> Self {
+        match implicit {
+            Implicit::Grid(g) => Self::Grid(Arc::downgrade(g)),
+            Implicit::Formula(f) => Self::Formula(f.clone()),
+            Implicit::Depth(d) => Self::Depth(Arc::downgrade(d)),
+        }
+    }
+}
+
+impl PartialEq for Solid {
+    fn eq(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Grid(a), Self::Grid(b)) => a.ptr_eq(b),
+            (Self::Formula(a), Self::Formula(b)) => a == b,
+            (Self::Depth(a), Self::Depth(b)) => a.ptr_eq(b),
+            _ => false,
+        }
+    }
+}
+
 /// A [`Casting`] with what it borrows: cells of equal ones are equal.
 #[derive(PartialEq)]
 struct Inputs {
-    implicit: Option<Implicit>,
+    solid: Option<Solid>,
     bounds: Bounds,
     stack: Option<Stack>,
     cuts: Cuts,
@@ -95,10 +125,10 @@ impl KeptCells {
 impl<'a> Casting<'a> {
     fn inputs(&self) -> Inputs {
         let Self { bounds, stack, cuts, model, thickness_mm, skip_cuts, only_boxes, cell_mm, skipping, .. } = *self;
-        let implicit = self.implicit.clone();
+        let solid = self.implicit.as_ref().map(Solid::from);
         // Where no ray is cast nothing else matters.
-        let (stack, cuts) = if implicit.is_some() { (stack.cloned(), cuts.clone()) } else { Default::default() };
-        Inputs { implicit, bounds, stack, cuts, model, thickness_mm, skip_cuts, only_boxes, cell_mm, skipping }
+        let (stack, cuts) = if solid.is_some() { (stack.cloned(), cuts.clone()) } else { Default::default() };
+        Inputs { solid, bounds, stack, cuts, model, thickness_mm, skip_cuts, only_boxes, cell_mm, skipping }
     }
 
     fn cells(&self, slopes: &OnceLock<Slopes<'a>>) -> SurfaceCells {
@@ -175,7 +205,6 @@ impl<'a> Casting<'a> {
 mod tests {
     use super::*;
     use crate::deform::{DisplacementMap, PlacedMap, Placement};
-    use crate::mesh::formula::Formula;
     use glam::Vec3;
 
     /// The same question gets the same cells; another deformation or thickness gets others; of many deformations a few are kept, and their maps with them.
