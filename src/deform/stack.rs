@@ -459,7 +459,7 @@ pub(super) mod tests {
         assert!(moved > 1000, "{moved}");
     }
 
-    /// Many walks are the walks one by one, to rounding, cut points and maps added to each other among them.
+    /// Many walks are the walks one by one, to the bit by lanes and to rounding by scalar code, cut points and maps added to each other among them.
     #[test]
     fn many_walks_are_single_walks() {
         let mut s = stack();
@@ -469,6 +469,7 @@ pub(super) mod tests {
             let many = s.walk_many(&points);
             assert!(many.len() == points.len() && many.iter().any(|w| w.1 < 0.5));
             for (p, got) in points.iter().zip(many) {
+                assert_eq!(s.walk_many(&[*p]), [got], "{p}");
                 let want = s.walk(*p);
                 assert!(got.0.abs_diff_eq(want.0, 2e-5) && (got.1 - want.1).abs() < 1e-6, "{p}: {got:?} for {want:?}");
             }
