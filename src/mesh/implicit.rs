@@ -17,18 +17,6 @@ pub enum Implicit {
     Depth(Arc<DepthMaps>),
 }
 
-impl PartialEq for Implicit {
-    /// Whether it is the very same field, or a formula of the same solids.
-    fn eq(&self, other: &Self) -> bool {
-        match (self, other) {
-            (Self::Grid(a), Self::Grid(b)) => Arc::ptr_eq(a, b),
-            (Self::Formula(a), Self::Formula(b)) => a == b,
-            (Self::Depth(a), Self::Depth(b)) => Arc::ptr_eq(a, b),
-            _ => false,
-        }
-    }
-}
-
 impl Implicit {
     /// f at a world point, mm.
     #[inline]

@@ -15,7 +15,7 @@ use crate::mesh::deformer::MOST_DEFORMERS;
 use crate::mesh::formula::MOST_SOLIDS;
 use crate::scene::Prepared;
 use crate::scene::objects::{Stage, SurfaceObject, Triangles};
-use crate::scene::surface_cells::SurfaceCells;
+use crate::scene::surface_cells::{Solid, SurfaceCells};
 use crate::{Result, Watch};
 use half::f16;
 use rayon::prelude::*;
@@ -64,7 +64,7 @@ pub(super) struct KeptObject {
     /// The object's own, its solids and its deformers.
     uniforms: [wgpu::Buffer; 3],
     /// What the field's texture holds; none of formulas.
-    sampled: Option<Implicit>,
+    sampled: Option<Solid>,
     field: Target,
     of_cells: Arc<SurfaceCells>,
     cells: Target,
@@ -217,10 +217,11 @@ impl Renderer {
             }
             None => contents.map(|bytes| self.buffer_of("object", bytes, wgpu::BufferUsages::UNIFORM)),
         };
-        let sampled = object.implicit.clone().filter(|i| !matches!(i, Implicit::Formula(_)));
+        let implicit = object.implicit.as_ref().filter(|i| !matches!(i, Implicit::Formula(_)));
+        let sampled = implicit.map(Solid::from);
         let field = match &before {
             Some(kept) if kept.sampled == sampled => kept.field.clone(),
-            _ => self.upload_field(sampled.as_ref())?,
+            _ => self.upload_field(implicit)?,
         };
         let cells = match &before {
             Some(kept) if Arc::ptr_eq(&kept.of_cells, &object.cells) => kept.cells.clone(),

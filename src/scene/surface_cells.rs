@@ -47,9 +47,12 @@ pub(super) struct Casting<'a> {
 }
 
 /// Which solid it was, without keeping its field in memory: nothing else takes its address while it is remembered.
-enum Solid {
+pub enum Solid {
+    /// The very same field.
     Grid(Weak<DistanceGrid>),
+    /// The same solids.
     Formula(Formula),
+    /// The very same depth maps.
     Depth(Weak<DepthMaps>),
 }
 
