@@ -138,6 +138,6 @@ fn preintegrated_entry(front: f32, back: f32) -> vec4<f32> {
     return textureSampleLevel(preintegrated, linear_clamp, (clamp(vec2<f32>(back, front), vec2<f32>(0.0), vec2<f32>(1.0)) * (size - 1.0) + 0.5) / size, 0.0);
 }
 
-fn cell_distance(cell: vec3<i32>) -> u32 {
+fn cell_block(cell: vec3<i32>) -> u32 {
     return textureLoad(cells, cell, 0).r;
 }

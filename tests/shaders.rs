@@ -101,6 +101,7 @@ pub fn counterparts_exist() {
         ("shaders/bounds.wgsl", "src/render/prepare.rs", &[("CELLS: u32 = 4u", "CELLS_PER_NODE: usize = 4")][..]),
         ("shaders/lib/cut.wgsl", "src/deform/cut.rs", &[("ROOT_STEPS: i32 = 4", "ROOT_STEPS: u32 = 4")][..]),
         ("shaders/lib/composite.wgsl", "src/cpu/mod.rs", &[("OPAQUE: f32 = 1.0 / 512.0", "OPAQUE: f32 = 1.0 / 512.0")][..]),
+        ("shaders/lib/march.wgsl", "src/scene/macrocells.rs", &[("IN_CLEAR: u32 = 128u", "IN_CLEAR: u8 = 128")][..]),
         (
             "shaders/lib/transfer.wgsl",
             "src/transfer/table.rs",

@@ -1,6 +1,7 @@
 // A stretch of a ray, front to back. Counterpart of march in src/cpu/packet.rs; a ray is one stretch, a slab of slices a short one.
 
 const OPAQUE: f32 = 1.0 / 512.0;
+const NEVER: f32 = -1e30;
 
 struct Stretch {
     // Premultiplied.
@@ -48,6 +49,9 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Str
     // What a Front says of the last sample that was looked at, and the number of the one behind it.
     var last_depth = 0.0;
     var last_at = -2;
+    // Whether the ray is in a block of clear cells, and until where: there cells are not asked.
+    var clear = false;
+    var clear_until = NEVER;
     while i < end {
         // Two loops instead of a branch: neighbouring rays run in lockstep, and shading costs far more than looking. This way the rays of a
         // group look until each has something to shade, then shade together.
@@ -56,18 +60,20 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Str
         var at: Look;
         var share = 1.0;
         var front: Front;
-        var clear = false;
         while i < end && !stop {
-            let deformed = ray.origin + ray.direction * ((f32(i) + 0.5) * step);
-            let t = empty_until(deformed, ray.origin, inverse_direction);
-            if t >= 0.0 {
-                let next = min(max(first_sample_after(t, step), i + 1), end);
-                skipped += u32(next - i);
-                i = next;
-                continue;
+            let middle = (f32(i) + 0.5) * step;
+            if !(middle < clear_until) {
+                let block = block_around(ray.origin + ray.direction * middle, ray.origin, inverse_direction);
+                if block.empty {
+                    let next = min(max(first_sample_after(block.until, step), i + 1), end);
+                    skipped += u32(next - i);
+                    i = next;
+                    continue;
+                }
+                clear = block.clear;
+                clear_until = select(NEVER, block.until, clear);
             }
-            clear = t == CLEAR;
-            let part = kept_part(ray.origin, ray.direction, (f32(i) + 0.5) * step, step);
+            let part = kept_part(ray.origin, ray.direction, middle, step);
             i += 1;
             taken += 1u;
             if part.share <= 0.0 {

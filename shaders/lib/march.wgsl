@@ -1,4 +1,4 @@
-// Counterpart of src/scene/camera.rs (ray), src/scene/macrocells.rs (empty_until) and the helpers of src/cpu/mod.rs.
+// Counterpart of src/scene/camera.rs (ray), src/scene/macrocells.rs (blocks_lanes) and the helpers of src/cpu/mod.rs.
 
 struct Ray {
     origin: vec3<f32>,
@@ -20,23 +20,27 @@ fn first_sample_after(t: f32, step: f32) -> i32 {
     return i32(max(ceil(t / step - 0.5), 0.0));
 }
 
-// In occupied cells, and in those of them where no mask varies and no shape is near.
-const OCCUPIED: f32 = -1.0;
-const CLEAR: f32 = -2.0;
-const CLEAR_CELL: u32 = 255u;
+// The block of cells of one kind around a point.
+struct Block {
+    // Nothing is seen in it.
+    empty: bool,
+    // Something may be seen, but no mask varies and no shape is near.
+    clear: bool,
+    // Parameter at which a ray leaves it, if it is one or the other.
+    until: f32,
+}
 
-// Parameter at which a ray leaves the block of empty cells around p, or one of the numbers above.
-fn empty_until(p: vec3<f32>, origin: vec3<f32>, inverse_direction: vec3<f32>) -> f32 {
+const IN_CLEAR: u32 = 128u;
+
+fn block_around(p: vec3<f32>, origin: vec3<f32>, inverse_direction: vec3<f32>) -> Block {
     let cell = clamp(floor((p - frame.cells_origin) / frame.cell_mm), vec3<f32>(0.0), vec3<f32>(frame.cells) - 1.0);
-    let d = cell_distance(vec3<i32>(cell));
-    if d == 0u || d == CLEAR_CELL {
-        return select(CLEAR, OCCUPIED, d == 0u);
-    }
-    let reach = f32(d);
+    let d = cell_block(vec3<i32>(cell));
+    let reach = f32(d & (IN_CLEAR - 1u));
     let low = frame.cells_origin + (cell - (reach - 1.0)) * frame.cell_mm;
     let high = frame.cells_origin + (cell + reach) * frame.cell_mm;
     let far = max((low - origin) * inverse_direction, (high - origin) * inverse_direction);
-    return min(far.x, min(far.y, far.z));
+    let clear = d >= IN_CLEAR;
+    return Block(d > 0u && !clear, clear, min(far.x, min(far.y, far.z)));
 }
 
 // Colour of a sample after light, premultiplied by its opacity over `length` reference lengths. `depth` is its own optical depth, if it

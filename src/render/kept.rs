@@ -330,10 +330,10 @@ impl Renderer {
 
     /// The macrocells' texture.
     fn cells(&mut self, scene: &Prepared) -> Result<wgpu::TextureView> {
-        let (size, distance) = (scene.macrocells.size.to_array().map(|n| n as usize), &scene.macrocells.distance);
+        let (size, blocks) = (scene.macrocells.size.to_array().map(|n| n as usize), scene.macrocells.blocks());
         let target = match self.kept.cells.take() {
             Some((target, written)) if target.texture.size() == extent(size) => {
-                if written == *distance {
+                if written == blocks {
                     let view = target.view.clone();
                     self.kept.cells = Some((target, written));
                     return Ok(view);
@@ -346,9 +346,9 @@ impl Renderer {
             }
         };
         self.tally.count(Made::Cells);
-        self.write_layers(&target.texture, 0, distance, size);
+        self.write_layers(&target.texture, 0, blocks, size);
         let view = target.view.clone();
-        self.kept.cells = Some((target, distance.clone()));
+        self.kept.cells = Some((target, blocks.to_vec()));
         Ok(view)
     }
 

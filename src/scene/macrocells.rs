@@ -41,8 +41,7 @@ pub struct Macrocells {
     pub distance: Vec<u8>,
     /// The box of the occupied cells, mm; empty if there is none.
     pub occupied: Bounds,
-    /// What lanes ask: as `distance`, but for clear cells [`IN_CLEAR`] more than their chessboard distance to the nearest cell that is not clear.
-    /// Found when first asked for: a GPU does not.
+    /// See [`Self::blocks`].
     blocks: OnceLock<Vec<u8>>,
     cells_per_mm: Vec3,
 }
@@ -248,8 +247,10 @@ impl Macrocells {
         Self { origin, cell_mm, size, distance, occupied, blocks: OnceLock::new(), cells_per_mm: cell_mm.recip() }
     }
 
+    /// What renderers ask: as `distance`, but for clear cells [`IN_CLEAR`] more than their chessboard distance to the nearest cell that is not clear.
+    /// Found when first asked for.
     #[inline(always)]
-    fn blocks(&self) -> &[u8] {
+    pub fn blocks(&self) -> &[u8] {
         match self.blocks.get() {
             Some(blocks) => blocks,
             None => self.find_blocks(),
