@@ -41,6 +41,13 @@ fn whole(folder: &Path) -> Value {
         assert!(number("milliseconds") <= number("milliseconds_max") && number("rendering_milliseconds") <= number("milliseconds_max"));
         let stages: f64 = run["stages"].as_array().unwrap().iter().map(|s| s["milliseconds"].as_f64().unwrap()).sum();
         assert!(stages > 0.0 && stages <= number("milliseconds") * 1.01, "stages of {run:#}");
+        // What was typed, in both.
+        let step = run["step_voxels"].to_string();
+        assert!(
+            step.len() < 7 && read(folder, "runs.csv").contains(&format!(",{},{},", run["backend"].as_str().unwrap(), step.trim_end_matches(".0")))
+        );
+        let memory = |key: &str| run["memory"][key].as_u64().unwrap_or_else(|| panic!("{key} of {run:#}"));
+        assert!(memory("volume_bytes") > 0 && memory("gradient_bytes") % 8 == 0);
         assert!(run["samples"]["taken"].as_u64().is_some_and(|n| n > 0), "{run:#}");
         assert!(!cfg!(target_os = "linux") || run["memory"]["peak_bytes"].as_u64().is_some_and(|n| n > 1 << 20));
     }
@@ -87,7 +94,12 @@ pub fn a_sweep_is_whole_and_converges() {
         let step = renderer["step_voxels"].as_f64().unwrap();
         assert!((0.5 - 1e-9..=2.0).contains(&step) && renderer["rendering_milliseconds"].as_f64().unwrap() > 0.0, "{renderer:#}");
     }
+    // Gradients of 40^3 voxels, kept for all; the first preparation is told apart from what runs find kept.
+    assert!(runs.iter().all(|r| r["memory"]["gradient_bytes"].as_u64() == Some(40 * 40 * 40 * 8)));
+    let first = report["protocol"]["first_preparation"].as_array().unwrap();
+    assert!(first.iter().any(|s| s["name"] == "maps" && s["milliseconds"].as_f64().unwrap() > 0.0), "{first:?}");
     let page = read(&f, "index.html");
+    assert!(page.contains("Preparing the scene for the first time took"));
     for plot in ["Time by step", "Error by step", "Time against error", "Time by stage"] {
         assert!(page.contains(&format!("aria-label=\"{plot}")), "no plot \"{plot}\"");
     }
@@ -136,6 +148,7 @@ pub fn what_cannot_be_compared_is_told() {
     std::fs::write(f.join("file"), "precious").unwrap();
     std::fs::write(f.join("tet.obj"), "v 0 0 0\nv 60 0 0\nv 0 60 0\nv 0 0 60\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n").unwrap();
     std::fs::create_dir(f.join("slices")).unwrap();
+    std::fs::create_dir_all(f.join("taken/runs.csv")).unwrap();
     for n in 0..3 {
         image::GrayImage::from_pixel(4, 4, image::Luma([n * 40])).save(f.join(format!("slices/{n}.png"))).unwrap();
     }
@@ -159,7 +172,9 @@ pub fn what_cannot_be_compared_is_told() {
         (1, &["--threads", "0"], "--threads"),
         (1, &["--deform", "peal"], "peel"),
         (1, &["--antialias", "9"], "antialias"),
+        (1, &["--antialias", "4", "--sizes", "8000x4000"], "--antialias"),
         (1, &["--stats", "no/such/s.json"], "no/such/s.json"),
+        (1, &["--stats", "lab/index.html"], "lab/index.html"),
     ];
     let before = || -> usize { walkdir(f) };
     let files = before();
@@ -180,6 +195,7 @@ pub fn what_cannot_be_compared_is_told() {
         (&["phantom:ball:size=12", "-o", "file/lab"], "file"),
         (&["tet.obj", "-o", "lab", "--modes", "slice"], "--modes slice"),
         (&["slices", "-o", "slices"], "slices"),
+        (&["phantom:ball:size=12", "-o", "taken"], "runs.csv"),
     ] {
         let output = compare(f, &[arguments, &common].concat());
         assert_eq!(output.status.code(), Some(1), "{arguments:?}: {}", stderr(&output));
@@ -248,6 +264,9 @@ fn a_gpu_is_compared_with_the_cpu() {
     assert_eq!(names, ["slice cpu", "slice gpu", "raycast cpu", "raycast gpu"]);
     assert!(report["protocol"]["gpu"].as_str().is_some_and(|n| !n.is_empty()));
     assert!(runs.iter().all(|r| (r["backend"] == "gpu") == r["warm_up_milliseconds"].is_f64()), "{runs:#?}");
+    // What a device holds is its own: software ones take 8 bits as 16.
+    let bytes = |n: usize| runs[n]["memory"]["volume_bytes"].as_u64().unwrap();
+    assert!(bytes(1) >= bytes(0) && bytes(1) <= 2 * bytes(0), "{} {}", bytes(0), bytes(1));
     // Where the device has a clock, most of a GPU's time passes on it.
     let device = incise::gpu::Device::open(incise::gpu::Want::Any).unwrap();
     let has_clock = device.device.features().contains(wgpu::Features::TIMESTAMP_QUERY);

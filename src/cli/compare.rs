@@ -6,7 +6,7 @@ use super::progress::Progress;
 use crate::compare::lab::{self, Gpu, Plan, REFERENCE_STEP};
 use crate::compare::plot::number;
 use crate::compare::{Report, write_files};
-use crate::export::{Output, protect};
+use crate::export::{Output, protect, same_file};
 use crate::scene::{Mode, Scene, View};
 use crate::{Error, Result};
 use clap::{Args, ValueEnum};
@@ -141,15 +141,22 @@ impl Arguments {
             return Err(Error::file(nearest, "is a file; --output names a folder below it"));
         }
         Output::create(&nearest.join("index.html"))?;
-        self.protect(scene, ["index.html", "picture.png"].into_iter())
+        self.protect(scene, ["index.html", "report.json", "runs.csv", "pairs.csv", "picture.png"].into_iter())
     }
 
-    /// Nothing is ever written to a file that is read.
-    fn protect<'a>(&self, scene: &Scene, names: impl Iterator<Item = &'a str>) -> Result<()> {
+    /// Nothing is ever written to a file that is read, nor two things to one file.
+    fn protect<'a>(&self, scene: &Scene, names: impl Iterator<Item = &'a str> + Clone) -> Result<()> {
         let read = scene.files();
         let read = || read.iter().map(PathBuf::as_path).chain([self.common.input.as_path()]);
         if let Some(stats) = self.common.stats.as_ref().filter(|p| *p != Path::new("-")) {
             protect("--stats", stats, read().collect::<Vec<_>>())?;
+            let is_stats = |name: &str| {
+                let file = self.output.join(name);
+                same_file(stats, &file) || std::path::absolute(stats).ok().is_some_and(|stats| std::path::absolute(file).ok() == Some(stats))
+            };
+            if names.clone().any(is_stats) {
+                return Err(Error::value(format!("--stats {}", stats.display()), "is a file of the report; choose another name"));
+            }
         }
         let paths: Vec<&Path> = read().collect();
         names.into_iter().try_for_each(|name| protect("--output", &self.output.join(name), paths.iter().copied()))

@@ -8,16 +8,18 @@
 //!   a run's at step 1; gaps thinner than a step, which only fine steps meet, make it more.
 //! - *Speed at equal error*: a renderer can always be made faster by a coarser step. Over a sweep of steps the time of each is interpolated
 //!   where all err alike, on logarithmic axes, where such curves are nearly straight. The common error is the smallest that all of them
-//!   reach, that of the worst one at its finest step: as near to a picture that one would use as the measurements go. Nothing is extrapolated.
+//!   reach: as near to a picture that one would use as the measurements go. A measured step that errs no more and is cheaper counts too. Nothing is
+//!   extrapolated.
 //! - *Time* is the median of repetitions. On a GPU a first picture, which uploads the volume and compiles shaders, is rendered and not timed.
-//!   Curves show the time after the scene was prepared, because preparing is the same work for all.
+//!   Curves show the time after the scene was prepared, because preparing is the same work for all. What is kept from picture to picture (maps, empty
+//!   space, tables) is kept here too; what it takes to make it the first time is told once.
 //!
 //! *How to call it*: a [`Plan`], [`Assets`] loaded for [`Plan::loading`], [`Gpu::open`] if there is to be one, [`run`].
 
 use super::Times;
 use super::metrics::difference;
 use super::report::{Protocol, Report, Run, Shown, mode_name};
-use crate::scene::{Assets, Camera, MAX_PICTURE_EDGE, Mode, Prepared, Rendered, Scene};
+use crate::scene::{Assets, Camera, MAX_PICTURE_EDGE, MAX_PIXELS, Mode, Prepared, Rendered, Scene};
 use crate::{Error, Result, Watch};
 use std::collections::BTreeSet;
 use std::time::Instant;
@@ -109,6 +111,19 @@ impl Plan {
         if let Some([w, h]) = self.sizes.iter().find(|s| s.iter().any(|n| !(1..=MAX_PICTURE_EDGE).contains(n))) {
             return Err(Error::value("--sizes", format!("{w}x{h} cannot be made; each edge is 1 to {MAX_PICTURE_EDGE} pixels")));
         }
+        let antialias = self.scene.render.antialias.clamp(1, 4);
+        let too_large = |[w, h]: &&[u32; 2]| {
+            let [w, h] = [w.saturating_mul(antialias), h.saturating_mul(antialias)];
+            w.max(h) > MAX_PICTURE_EDGE || u64::from(w) * u64::from(h) > MAX_PIXELS
+        };
+        if let Some([w, h]) = self.sizes.iter().find(too_large) {
+            let sampled =
+                if antialias > 1 { format!(", and {antialias} by {antialias} samples a pixel (--antialias) count as pixels") } else { String::new() };
+            return Err(Error::value(
+                "--sizes",
+                format!("{w}x{h} cannot be made; an edge is at most {MAX_PICTURE_EDGE} pixels, a picture {MAX_PIXELS}{sampled}"),
+            ));
+        }
         if !(1..=MOST_REPETITIONS).contains(&self.repeat) {
             return Err(Error::value("--repeat", format!("{} is outside 1 to {MOST_REPETITIONS}", self.repeat)));
         }
@@ -198,6 +213,10 @@ impl Gpu {
     fn render(&mut self, scene: &Prepared, counting: bool, watch: &Watch) -> Result<Rendered> {
         self.renderer.render_until(scene, counting, watch)
     }
+
+    fn volume_bytes(&self) -> [u64; 2] {
+        self.renderer.volume_bytes()
+    }
 }
 
 /// No GPU: there is never one.
@@ -228,6 +247,10 @@ impl Gpu {
     fn render(&mut self, _scene: &Prepared, _counting: bool, _watch: &Watch) -> Result<Rendered> {
         match self.never {}
     }
+
+    fn volume_bytes(&self) -> [u64; 2] {
+        match self.never {}
+    }
 }
 
 /// Renders everything of a plan and compares what can be compared. `tell` is told what is being rendered, and the share of all that is done.
@@ -239,6 +262,7 @@ pub fn run(plan: &Plan, assets: &Assets, mut gpu: Option<Gpu>, title: &str, tell
     let mut progress = Progress { tell, done: 0.0, all: work(plan, gpu.is_some()) };
     let mut notices = Vec::new();
     let mut runs: Vec<Run> = Vec::new();
+    let first_preparation = first_preparation(plan, assets)?;
     for camera in &plan.cameras {
         for &size in &plan.sizes {
             let first = runs.len();
@@ -278,6 +302,7 @@ pub fn run(plan: &Plan, assets: &Assets, mut gpu: Option<Gpu>, title: &str, tell
                     let scene = plan.at(mode, step, size, camera);
                     let part = progress.part("reference", area(size) / step);
                     let name = plan.name(&format!("{} reference", mode_name(mode)), &scene, false);
+                    Prepared::new(&scene, assets)?;
                     let share = |share: f32| part.tell(share);
                     let reference = Run { is_reference: true, ..super::run_on_cpu(&scene, assets, &name, &Watch::telling(&share))? };
                     progress.done = part.end;
@@ -298,9 +323,25 @@ pub fn run(plan: &Plan, assets: &Assets, mut gpu: Option<Gpu>, title: &str, tell
         gpu: gpu.as_ref().map(Gpu::name),
         repeat: plan.repeat,
         reference_step: plan.reference,
+        first_preparation,
         notices,
     });
     Ok(report)
+}
+
+/// Stages of preparing a plan's modes while nothing of them is kept.
+fn first_preparation(plan: &Plan, assets: &Assets) -> Result<Vec<(String, f64)>> {
+    let mut stages: Vec<(String, f64)> = Vec::new();
+    for &mode in &plan.modes {
+        let prepared = Prepared::new(&plan.at(mode, plan.steps[0], plan.sizes[0], &plan.cameras[0]), assets)?;
+        for (name, milliseconds) in super::owned(&[&prepared.stages]) {
+            match stages.iter_mut().find(|s| s.0 == name) {
+                Some(stage) => stage.1 += milliseconds,
+                None => stages.push((name, milliseconds)),
+            }
+        }
+    }
+    Ok(stages)
 }
 
 /// How much of the whole work is done.
@@ -376,7 +417,10 @@ fn on_gpu(plan: &Plan, scene: &Scene, assets: &Assets, gpu: &mut Gpu, part: &Par
         let rendered = gpu.render(&prepared, counting, &Watch::telling(&share))?;
         let all = start.elapsed().as_secs_f64() * 1e3;
         let notices = rendered.notices.clone();
-        let run = Run { name: name.clone(), backend: "gpu".to_owned(), ..super::once(scene, &prepared, rendered, [before, all]) };
+        let mut run = Run { name: name.clone(), backend: "gpu".to_owned(), ..super::once(scene, &prepared, rendered, [before, all]) };
+        let [volume, gradients] = gpu.volume_bytes();
+        run.memory.volume_bytes = if scene.volume.is_some() { volume } else { 0 };
+        run.memory.gradient_bytes = gradients;
         Ok((run, notices))
     };
     let (first, told) = once(0, false)?;
@@ -491,10 +535,11 @@ pub fn equal_errors(runs: &[Run]) -> Vec<EqualError> {
     views(runs).into_iter().filter_map(at_one).collect()
 }
 
-/// Points that a logarithmic axis can show, with errors that say something.
+/// Points that logarithms can be taken of, those whose errors are rounding at the least error that says something.
 fn usable(points: &[Point]) -> impl Iterator<Item = Point> {
     let positive = |v: f64| v.is_finite() && v > 0.0;
-    points.iter().copied().filter(move |p| positive(p.step) && p.error.is_finite() && p.error >= LEAST_ERROR && positive(p.milliseconds))
+    let usable = points.iter().copied().filter(move |p| positive(p.step) && p.error.is_finite() && positive(p.milliseconds));
+    usable.map(|p| Point { error: p.error.max(LEAST_ERROR), ..p })
 }
 
 /// The smallest error that all curves reach; none for fewer than two curves, or if one has no point that can be used.
@@ -502,14 +547,17 @@ pub fn common_error(curves: &[Curve]) -> Option<f64> {
     if curves.len() < 2 {
         return None;
     }
-    let finest = |c: &Curve| usable(&c.points).map(|p| p.error).reduce(f64::min);
-    curves.iter().map(finest).try_fold(0.0f64, |worst, finest| Some(worst.max(finest?)))
+    let best = |c: &Curve| usable(&c.points).map(|p| p.error).reduce(f64::min);
+    curves.iter().map(best).try_fold(0.0f64, |worst, best| Some(worst.max(best?)))
 }
 
-/// Where a curve has an error: step and milliseconds interpolated between two measured points around it, all three by their logarithms. Where
-/// the error goes up and down over the steps, the cheapest such place. None if it lies beyond what was measured.
+/// Where a curve has an error: step and milliseconds interpolated between two measured points around it, all three by their logarithms, or a measured
+/// point that errs no more, whichever is cheapest. None if it lies beyond what was measured, as it does where the coarsest step is better.
 pub fn at_error(points: &[Point], error: f64) -> Option<Point> {
     let points: Vec<Point> = usable(points).collect();
+    if points.len() < 2 || points[0].error < error {
+        return None;
+    }
     let between = |[a, b]: [Point; 2]| {
         if !(a.error.min(b.error)..=a.error.max(b.error)).contains(&error) {
             return None;
@@ -521,7 +569,7 @@ pub fn at_error(points: &[Point], error: f64) -> Option<Point> {
         Some(Point { step: mix(a.step, b.step), error, milliseconds, spread: [milliseconds; 2] })
     };
     let found = points.windows(2).filter_map(|w| between([w[0], w[1]]));
-    found.min_by(|a, b| a.milliseconds.total_cmp(&b.milliseconds))
+    found.chain(points.iter().copied().filter(|p| p.error <= error)).min_by(|a, b| a.milliseconds.total_cmp(&b.milliseconds))
 }
 
 #[cfg(test)]
@@ -570,13 +618,15 @@ mod tests {
             assert_eq!(at_error(&curve.points, beyond), None, "{beyond} was not measured");
         }
         assert_eq!(at_error(&curve.points[..1], 24.0), None);
-        // Rounding is no error of sampling.
+        // Rounding is no error of sampling: whatever it is, it is better than errors are.
         let rounding = power(Mode::Slice, 1e-4, 1.0, 20.0, &steps);
-        assert_eq!((at_error(&rounding.points, 1e-4), common_error(&[curve, rounding])), (None, None));
+        let common = common_error(&[curve, rounding.clone()]).unwrap();
+        assert!((common - 3.0 * 0.5f64.powf(1.5)).abs() < 1e-12 && at_error(&rounding.points, common).is_none());
+        assert_eq!(common_error(&[rounding.clone(), rounding]), Some(LEAST_ERROR));
     }
 
     #[test]
-    fn the_common_error_is_that_of_the_worst_at_its_finest() {
+    fn the_common_error_is_the_least_that_all_reach() {
         let steps = [2.0, 1.0, 0.5];
         let [good, bad] = [power(Mode::Raycast, 1.0, 2.0, 30.0, &steps), power(Mode::Slice, 2.0, 2.0, 10.0, &steps)];
         let common = common_error(&[good.clone(), bad.clone()]).unwrap();
@@ -584,8 +634,16 @@ mod tests {
         // The good one meets it at a step of √½, the bad one at its own finest.
         let [good_at, bad_at] = [&good, &bad].map(|c| at_error(&c.points, common).unwrap());
         assert!((good_at.milliseconds - 30.0 / 0.5f64.sqrt()).abs() < 1e-9 && (bad_at.milliseconds - 20.0).abs() < 1e-9);
-        let nothing = Curve { points: vec![Point { step: 1.0, error: 0.0, milliseconds: 1.0, spread: [1.0; 2] }], ..good.clone() };
-        assert_eq!((common_error(std::slice::from_ref(&good)), common_error(&[good, nothing])), (None, None));
+        let nothing = Curve { points: vec![Point { step: 1.0, error: f64::NAN, milliseconds: 1.0, spread: [1.0; 2] }], ..good.clone() };
+        assert_eq!((common_error(std::slice::from_ref(&good)), common_error(&[good.clone(), nothing])), (None, None));
+        // One that is exact at its finest step has an error that the other reaches, too.
+        let exact = Curve {
+            points: vec![Point { error: 5.0, ..good.points[0] }, Point { error: 5.0, ..good.points[1] }, Point { error: 0.0, ..good.points[2] }],
+            ..good
+        };
+        let common = common_error(&[exact.clone(), bad]).unwrap();
+        let at = at_error(&exact.points, common).unwrap();
+        assert!((common - 0.5).abs() < 1e-12 && (0.5..1.0).contains(&at.step) && at.error == common, "{at:?}");
     }
 
     #[test]
@@ -595,6 +653,9 @@ mod tests {
         let at = at_error(&points, 4.0).unwrap();
         assert!((at.step - 2f64.sqrt()).abs() < 1e-9, "{at:?}");
         assert!((at_error(&points, 2.0).unwrap().step - 1.0).abs() < 1e-9);
+        // A measured step that is better and cheaper than where the curve has the error.
+        let points = [Point { milliseconds: 3.0, ..point(2.0, 4.1) }, point(1.0, 8.0), Point { milliseconds: 2.0, ..point(0.5, 3.9) }];
+        assert_eq!(at_error(&points, 4.0).map(|p| (p.step, p.milliseconds)), Some((0.5, 2.0)));
     }
 
     #[test]

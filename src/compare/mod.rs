@@ -20,7 +20,7 @@ pub use metrics::{Difference, difference, difference_picture};
 pub use report::{Pair, Protocol, Report, Run, Shown, write_files};
 
 use crate::scene::{Assets, Prepared, Rendered, Scene, Stages};
-use crate::volume::GridVoxels;
+use crate::volume::{Colors, GridVoxels};
 use crate::{Result, Watch, cpu};
 use std::time::Instant;
 
@@ -49,8 +49,10 @@ impl Times {
 /// Bytes that a picture needs, in the process that made it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Memory {
-    /// The volume's values as they are sampled.
+    /// The volume's values and colours as they are sampled, by this renderer.
     pub volume_bytes: u64,
+    /// The gradients of all voxels, where the renderer keeps them.
+    pub gradient_bytes: u64,
     /// All displacement maps, as a GPU holds them.
     pub map_bytes: u64,
     /// Distance fields of surfaces, as a GPU holds them.
@@ -60,16 +62,18 @@ pub struct Memory {
 }
 
 impl Memory {
-    /// What a prepared scene holds now.
-    pub fn of(scene: &Prepared) -> Self {
+    /// What a scene holds that was prepared and rendered on the CPU; without a volume if it has none of its own.
+    pub fn of(scene: &Prepared, has_volume: bool) -> Self {
         let volume = match &scene.grid.voxels {
             GridVoxels::U8(v) => size_of_val(v.as_slice()),
             GridVoxels::U16(v) => size_of_val(v.as_slice()),
             GridVoxels::I16(v) => size_of_val(v.as_slice()),
             GridVoxels::F32(v) => size_of_val(v.as_slice()),
         };
+        let colors = scene.colors.map_or(0, Colors::size_in_bytes);
         Self {
-            volume_bytes: volume as u64,
+            volume_bytes: if has_volume { (volume + colors) as u64 } else { 0 },
+            gradient_bytes: scene.kept_gradients().map_or(0, |g| size_of_val(&*g.texels) as u64),
             map_bytes: scene.stack.maps().iter().map(|m| m.map.gpu_bytes() as u64).sum(),
             surface_bytes: scene.surfaces.objects.iter().filter_map(|o| o.implicit.as_ref()).map(|i| i.gpu_bytes() as u64).sum(),
             peak_bytes: peak_memory_bytes(),
@@ -117,7 +121,7 @@ fn once(scene: &Scene, prepared: &Prepared, rendered: Rendered, [before, all]: [
         warm_up: None,
         stages: owned(&[&prepared.stages, &rendered.stages]),
         stats: rendered.stats,
-        memory: Memory::of(prepared),
+        memory: Memory::of(prepared, scene.volume.is_some()),
         error: None,
         is_reference: false,
         picture: rendered.picture,

@@ -18,7 +18,7 @@ impl Report {
         let mut page = format!(
             "<!doctype html>\n<html lang=\"en\">\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" content=\"width=device-width\">\n\
              <title>{title}</title>\n<style>{STYLE}{}</style>\n<h1>{title}</h1>\n\
-             <p>{how_large}: the same volume, transfer function, light and deformations in every picture, and the same view in all that are \
+             <p>{how_large}: the same matter, transfer function, light and deformations in every picture, and the same view in all that are \
              compared. incise {VERSION}.</p>\n",
             plot::STYLE
         );
@@ -154,9 +154,9 @@ impl Report {
             }
             text.push_str("</table></div>\n");
         }
-        text + "<p class=\"note\">The common error is the smallest that every renderer reaches: that of the worst at its finest step. Time and step are \
-                interpolated between the two steps around it, on logarithmic axes, never beyond what was measured; “less than” where the coarsest \
-                step was better already.</p>\n"
+        text + "<p class=\"note\">The common error is the smallest that every renderer reaches. Time and step are those of the cheapest step that errs no \
+                more, or interpolated between the two steps around it, on logarithmic axes, never beyond what was measured; “less than” where the \
+                coarsest step was better already.</p>\n"
     }
 
     fn run_table(&self) -> String {
@@ -164,7 +164,7 @@ impl Report {
         let mut table = String::from(
             "<h2>Cost</h2>\n<div class=\"wide\"><table>\n<tr><th>Run</th><th>Backend</th><th>Step, voxels</th><th>Time, ms</th><th>least to most</th>\
              <th>Rendering, ms</th><th>Mean error, of 255</th><th>Largest</th><th>PSNR, dB</th><th>SSIM</th>\
-             <th>Samples taken</th><th>skipped</th><th>terminated</th><th>Maps, MB</th><th>Peak, MB</th>",
+             <th>Samples taken</th><th>skipped</th><th>terminated</th><th>Volume, MB</th><th>Gradients, MB</th><th>Maps, MB</th><th>Peak, MB</th>",
         );
         for stage in &stages {
             table.push_str(&format!("<th>{}, ms</th>", escaped(stage)));
@@ -186,22 +186,24 @@ impl Report {
             for count in samples(run) {
                 table.push_str(&cell(count.map(grouped)));
             }
-            table.push_str(&cell(Some(megabytes(run.memory.map_bytes + run.memory.surface_bytes))));
+            let memory = run.memory;
+            for bytes in [memory.volume_bytes, memory.gradient_bytes, memory.map_bytes + memory.surface_bytes] {
+                table.push_str(&cell(Some(megabytes(bytes))));
+            }
             table.push_str(&cell(run.memory.peak_bytes.map(megabytes)));
             for stage in &stages {
                 table.push_str(&cell(stage_milliseconds(run, stage).map(number)));
             }
             table.push_str("</tr>\n");
         }
-        let volume = self.runs.iter().map(|run| run.memory.volume_bytes).max().unwrap_or(0);
-        table.push_str(&format!(
+        table.push_str(
             "</table></div>\n<p class=\"note\">Time is that of a whole picture: the scene prepared (transfer function, maps, empty space) and rendered; \
-             rendering is the part after preparing, with uploads and reading back. Stages are those of the median. Errors are against the \
-             reference. Skipped samples lie in cells that show nothing, terminated ones behind what is opaque. The volume takes {} MB; maps are with \
-             distance fields of surfaces; the peak is the largest resident size of the whole process up to then, so it never falls. A dash: not \
+             rendering is the part after preparing, with uploads and reading back. What a second picture finds kept, runs find kept. Stages are those of \
+             the median. Errors are against the \
+             reference. Skipped samples lie in cells that show nothing, terminated ones behind what is opaque. The volume and the gradients of its voxels are \
+             as the renderer holds them, on a GPU in its memory; maps are with distance fields of surfaces; the peak is the largest resident size of the whole process up to then, so it never falls. A dash: not \
              measured, or no such stage.</p>\n",
-            megabytes(volume)
-        ));
+        );
         table
     }
 
@@ -246,6 +248,16 @@ fn protocol_text(protocol: &Protocol) -> String {
         text.push_str(", on the GPU after a first picture that is not timed (it uploads the volume and compiles shaders); the GPU counts samples in a picture of its own");
     }
     text.push_str(". ");
+    let first: f64 = protocol.first_preparation.iter().map(|s| s.1).sum();
+    if first > 0.0 {
+        let stages: Vec<String> =
+            protocol.first_preparation.iter().filter(|s| s.1 >= 0.05).map(|(name, ms)| format!("{} {}", escaped(name), number(*ms))).collect();
+        text.push_str(&format!(
+            "Preparing the scene for the first time took {} ms on the CPU ({}); runs find kept of it what any second picture finds. ",
+            number(first),
+            stages.join(", ")
+        ));
+    }
     match protocol.reference_step {
         Some(step) => text.push_str(&format!(
             "Errors are against references at a step of {step} voxels on the CPU: rays for slices and rays through the volume, and for surfaces, \

@@ -148,7 +148,8 @@ pub fn bars(title: &str, label: &str, parts: &[&str], bars: &[Bar]) -> String {
     let of_part = |b: &Bar, n: usize| b.parts.iter().filter(|p| p.0 == n && p.1.is_finite() && p.1 > 0.0).map(|p| p.1).sum::<f64>();
     let kept: Vec<usize> = (0..parts.len()).filter(|n| bars.iter().any(|b| of_part(b, *n) >= LEAST_PART * longest)).collect();
     let names = (bars.iter().map(|b| b.name.chars().count()).max().unwrap_or(0) as f64 * CHARACTER + 12.0).clamp(60.0, NAMES);
-    let right = WIDTH - RIGHT;
+    let longest_part = kept.iter().map(|n| parts[*n].chars().count()).max().unwrap_or(0);
+    let right = WIDTH - (longest_part as f64 * CHARACTER + 40.0).clamp(RIGHT, 0.4 * WIDTH);
     let rows = (bars.len() as f64 * ROW).max(18.0 * (kept.len() + 1) as f64);
     let height = TOP + rows + BOTTOM;
     let mut svg = opening(title, height);
@@ -179,14 +180,14 @@ pub fn bars(title: &str, label: &str, parts: &[&str], bars: &[Bar]) -> String {
                 x += wide;
             }
         };
-        for (color, &n) in kept.iter().enumerate() {
-            part(format!("c{}", color % (COLORS - 1)), parts[n], of_part(bar, n));
+        for &n in &kept {
+            part(format!("c{}", n % (COLORS - 1)), parts[n], of_part(bar, n));
         }
         let other: f64 = (0..parts.len()).filter(|n| !kept.contains(n)).map(|n| of_part(bar, n)).sum();
         part(format!("c{}", COLORS - 1), "other", other);
         let _ = write!(svg, "<text x=\"{:.1}\" y=\"{:.1}\">{}</text>", x + 5.0, top + 14.0, number(length(bar)));
     }
-    let legend = kept.iter().enumerate().map(|(color, &n)| (color % (COLORS - 1), parts[n]));
+    let legend = kept.iter().map(|&n| (n % (COLORS - 1), parts[n]));
     let other = (kept.len() < parts.len()).then_some((COLORS - 1, "other"));
     for (n, (color, name)) in legend.chain(other).enumerate() {
         let (x, y) = (right + 14.0, TOP + 18.0 * n as f64);

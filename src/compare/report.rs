@@ -99,6 +99,8 @@ pub struct Protocol {
     pub repeat: usize,
     /// Step of the references, voxels, if there are any.
     pub reference_step: Option<f32>,
+    /// Stages of preparing the scene for the first time, as for the picture after loading, and their milliseconds. Runs find kept what any second picture finds.
+    pub first_preparation: Vec<(String, f64)>,
     /// What a reader should know, one sentence each.
     pub notices: Vec<String>,
 }
@@ -202,14 +204,13 @@ impl Report {
 
     fn json(&self, pictures: &[Encoded], differences: &[Encoded], equal: &[EqualError]) -> Value {
         let row = |(run, picture): (&Run, &Encoded)| {
-            let stages: Vec<Value> = run.stages.iter().map(|(name, ms)| json!({ "name": name, "milliseconds": ms })).collect();
             let samples = run.stats.map(|s| json!({ "taken": s.samples_taken, "skipped": s.samples_skipped, "terminated": s.samples_terminated }));
             let reference = run.error.and_then(|_| self.runs.iter().find(|r| r.is_reference && r.shown == run.shown)).map(|r| &r.name);
             json!({
                 "name": run.name,
                 "mode": run.mode,
                 "backend": run.backend,
-                "step_voxels": run.step,
+                "step_voxels": as_written(run.step),
                 "size": run.shown.size,
                 "camera": run.shown.camera,
                 "milliseconds": run.milliseconds.median,
@@ -220,10 +221,11 @@ impl Report {
                 "rendering_milliseconds_max": run.rendering.max,
                 "repetitions": run.repetitions,
                 "warm_up_milliseconds": run.warm_up,
-                "stages": stages,
+                "stages": stage_list(&run.stages),
                 "samples": samples,
                 "memory": {
                     "volume_bytes": run.memory.volume_bytes,
+                    "gradient_bytes": run.memory.gradient_bytes,
                     "map_bytes": run.memory.map_bytes,
                     "surface_bytes": run.memory.surface_bytes,
                     "peak_bytes": run.memory.peak_bytes,
@@ -257,7 +259,7 @@ impl Report {
         let protocol = self
             .protocol
             .as_ref()
-            .map(|p| json!({ "cpu": p.cpu, "gpu": p.gpu, "repeat": p.repeat, "reference_step_voxels": p.reference_step, "notices": p.notices }));
+            .map(|p| json!({ "cpu": p.cpu, "gpu": p.gpu, "repeat": p.repeat, "reference_step_voxels": p.reference_step.map(as_written), "first_preparation": stage_list(&p.first_preparation), "notices": p.notices }));
         json!({
             "incise": VERSION,
             "title": self.title,
@@ -289,8 +291,8 @@ impl Report {
     fn runs_csv(&self, pictures: &[Encoded]) -> String {
         let stages = self.stage_names();
         let columns = "name,mode,backend,step_voxels,width,height,camera,milliseconds,milliseconds_min,milliseconds_max,rendering_milliseconds,\
-                       repetitions,warm_up_milliseconds,samples_taken,samples_skipped,samples_terminated,volume_bytes,map_bytes,surface_bytes,\
-                       peak_bytes,error_mean,error_max,error_rms,error_psnr_db,error_ssim,reference,picture";
+                       rendering_milliseconds_min,rendering_milliseconds_max,repetitions,warm_up_milliseconds,samples_taken,samples_skipped,\
+                       samples_terminated,volume_bytes,gradient_bytes,map_bytes,surface_bytes,peak_bytes,error_mean,error_max,error_rms,error_psnr_db,error_ssim,reference,picture";
         let mut header: Vec<String> = columns.split(',').map(String::from).collect();
         header.extend(stages.iter().map(|stage| format!("milliseconds {stage}")));
         let mut text = csv_line(&header);
@@ -298,11 +300,11 @@ impl Report {
             let mut line = vec![run.name.clone(), mode_name(run.mode).to_owned(), run.backend.clone(), run.step.to_string()];
             line.extend(run.shown.size.map(|n| n.to_string()));
             line.push(run.shown.camera.clone());
-            let Times { median, min, max } = run.milliseconds;
-            line.extend([median, min, max, run.rendering.median].map(|ms| ms.to_string()));
+            line.extend([run.milliseconds, run.rendering].iter().flat_map(|t| [t.median, t.min, t.max]).map(|ms| ms.to_string()));
             line.extend([run.repetitions.to_string(), optional(run.warm_up)]);
             line.extend(samples(run).map(optional));
-            line.extend([run.memory.volume_bytes, run.memory.map_bytes, run.memory.surface_bytes].map(|n| n.to_string()));
+            let memory = run.memory;
+            line.extend([memory.volume_bytes, memory.gradient_bytes, memory.map_bytes, memory.surface_bytes].map(|n| n.to_string()));
             line.push(optional(run.memory.peak_bytes));
             line.extend(run.error.map_or([None; 5], |d| [d.mean, d.max, d.rms(), d.psnr_db, d.ssim].map(Some)).map(optional));
             line.extend([run.is_reference.to_string(), picture.file.clone()]);
@@ -328,10 +330,23 @@ impl Report {
 /// Writes files into a folder, which is made if it does not exist, in their order.
 ///
 /// # Errors
-/// A folder that cannot be made or written.
+/// A folder that cannot be made or written, or holds a folder where a file is to be; then nothing is written.
 pub fn write_files(folder: &Path, files: &[(String, Vec<u8>)]) -> Result<()> {
+    if let Some(path) = files.iter().map(|(file, _)| folder.join(file)).find(|path| path.is_dir()) {
+        return Err(Error::file(&path, "is a folder where a file is to be written; remove it, or choose another folder"));
+    }
     std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "making", e))?;
     files.iter().try_for_each(|(file, content)| Output::create(&folder.join(file))?.finish(content))
+}
+
+/// Names of stages with their milliseconds.
+fn stage_list(stages: &[(String, f64)]) -> Vec<Value> {
+    stages.iter().map(|(name, ms)| json!({ "name": name, "milliseconds": ms })).collect()
+}
+
+/// A number of single precision as people write it: the nearest double has digits that nobody typed.
+fn as_written(value: f32) -> f64 {
+    value.to_string().parse().unwrap_or(f64::from(value))
 }
 
 /// JSON has no infinity.
@@ -408,7 +423,7 @@ mod tests {
             warm_up: None,
             shown: Shown { camera: "anterior".to_owned(), size: [4, 3], surface: false },
             mode: Mode::Slice,
-            memory: Memory { volume_bytes: 64, map_bytes: 0, surface_bytes: 0, peak_bytes: None },
+            memory: Memory { volume_bytes: 64, gradient_bytes: 0, map_bytes: 0, surface_bytes: 0, peak_bytes: None },
             error: None,
             is_reference: false,
             stages: vec![("maps".to_owned(), 2.0), ("render".to_owned(), 10.0)],

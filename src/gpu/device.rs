@@ -44,6 +44,9 @@ impl Device {
         let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
         adapters.retain(|a| want == Want::Any || a.get_info().device_type != DeviceType::Cpu);
         adapters.retain(|a| a.get_downlevel_capabilities().flags.contains(wgpu::DownlevelFlags::FRAGMENT_WRITABLE_STORAGE));
+        // Surfaces leave their distances in such a texture.
+        let draws = |a: &wgpu::Adapter, format| a.get_texture_format_features(format).allowed_usages.contains(wgpu::TextureUsages::RENDER_ATTACHMENT);
+        adapters.retain(|a| draws(a, wgpu::TextureFormat::R32Float) && draws(a, wgpu::TextureFormat::Rgba16Float));
         adapters.sort_by_key(|a| {
             let info = a.get_info();
             let kind = match info.device_type {

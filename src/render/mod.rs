@@ -154,6 +154,17 @@ impl Renderer {
         self.clock = if on { Clock::new(&self.device.device, &self.tally).map(Arc::new) } else { None };
     }
 
+    fn restart_clock(&self) {
+        if let Some(clock) = &self.clock {
+            clock.restart();
+        }
+    }
+
+    /// What the GPU drew for since [`Self::restart_clock`], by its own clock, milliseconds.
+    fn clocked(&self) -> Result<Option<f64>> {
+        self.clock.as_ref().map_or(Ok(None), |clock| clock.milliseconds(self))
+    }
+
     /// What was made and uploaded since the renderer was made.
     pub fn work(&self) -> Work {
         self.tally.work()
@@ -218,7 +229,12 @@ impl Renderer {
             self.forget_large_fields();
             None
         } else {
-            Some(stages.time("surfaces drawn", || self.draw_surfaces(scene, &shared, counter.as_ref(), watch))?)
+            self.restart_clock();
+            let drawn = stages.time("surfaces drawn", || self.draw_surfaces(scene, &shared, counter.as_ref(), watch))?;
+            if let Some(drawing) = self.clocked()? {
+                stages.divide("surfaces drawn", "surfaces drawn, by the GPU's clock", drawing);
+            }
+            Some(drawn)
         };
         let target = if let (false, Some(layer)) = (shows_volume, &behind) {
             layer.color.clone()
@@ -236,17 +252,13 @@ impl Renderer {
                 watch,
                 clock: clock.as_deref(),
             };
-            if let Some(clock) = &clock {
-                clock.restart();
-            }
+            self.restart_clock();
             stages.time("draw", || match scene.settings.mode {
                 Mode::Raycast => self.draw_rays(&draw),
                 Mode::Slice => self.draw_slices(&draw),
                 Mode::Surface => Ok(()),
             })?;
-            if let Some(clock) = &clock
-                && let Some(drawing) = clock.milliseconds(self)?
-            {
+            if let Some(drawing) = self.clocked()? {
                 stages.divide("draw", "draw, by the GPU's clock", drawing);
             }
             target.texture

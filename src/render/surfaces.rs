@@ -5,6 +5,7 @@
 //! their number.
 //! An object in two stages has its triangles drawn into a layer beside, which its rays read and blend with.
 
+use super::clock::Clock;
 use super::kept::{Shared, Target};
 use super::uniforms::{DeformerUniform, PlacedSolidUniform, SurfaceObjectUniform};
 use super::work::Made;
@@ -137,7 +138,7 @@ impl Renderer {
                     }),
                     stencil_ops: None,
                 }),
-                timestamp_writes: None,
+                timestamp_writes: self.clock.as_deref().and_then(Clock::next),
                 occlusion_query_set: None,
                 multiview_mask: None,
             });

@@ -126,6 +126,16 @@ impl Renderer {
         Ok(())
     }
 
+    /// Bytes of the volume's textures that are on the device: values with colours, and gradients.
+    pub fn volume_bytes(&self) -> [u64; 2] {
+        let bytes = |view: &wgpu::TextureView| {
+            let texture = view.texture();
+            let texels = u64::from(texture.width()) * u64::from(texture.height()) * u64::from(texture.depth_or_array_layers());
+            texels * u64::from(texture.format().block_copy_size(None).unwrap_or(0))
+        };
+        self.volume.as_ref().map_or([0; 2], |v| [bytes(&v.view) + v.colors.as_ref().map_or(0, bytes), v.gradients.as_ref().map_or(0, bytes)])
+    }
+
     /// Puts the scene's gradient volume beside the volume, where there is one, the volume is shown whole, and the device can filter it.
     pub(super) fn upload_gradients(&mut self, scene: &Prepared) -> Result<()> {
         let size = scene.grid.size;

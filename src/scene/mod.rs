@@ -22,7 +22,7 @@ pub mod surface_cells;
 pub use accelerator::{Accelerator, Unaided};
 pub use camera::{Camera, Projection, View, ViewFrame};
 pub use macrocells::{CellGrid, Contents, Flag, Macrocells};
-pub use prepared::{Assets, Deformed, Frame, MAX_PICTURE_EDGE, Picture, Prepared, RenderStats, Rendered, Stages};
+pub use prepared::{Assets, Deformed, Frame, MAX_PICTURE_EDGE, MAX_PIXELS, Picture, Prepared, RenderStats, Rendered, Stages};
 
 use crate::deform::{Arguments, Storage};
 use crate::transfer::TransferSettings;

@@ -23,7 +23,7 @@ use std::time::Instant;
 /// Largest edge of a picture, pixels.
 pub const MAX_PICTURE_EDGE: u32 = 16_384;
 /// Most pixels of a picture: its floating-point form takes 16 bytes each.
-const MAX_PIXELS: u64 = 1 << 27;
+pub const MAX_PIXELS: u64 = 1 << 27;
 /// Composing maps that one pass cannot hold may err by this share of a voxel.
 const UNSEEN: f32 = 0.2;
 /// A cut's normal takes over within one sample of the cut and has faded out after this many.
@@ -554,6 +554,11 @@ impl<'a> Prepared<'a> {
     pub fn gradients(&self) -> Option<&'a GradientVolume> {
         let wanted = (self.is_lit() || self.uses_gradient_opacity()) && self.gradient_filter() == GradientFilter::Central;
         wanted.then(|| self.shown.gradients()).flatten()
+    }
+
+    /// The gradients of all voxels, if they have been made.
+    pub fn kept_gradients(&self) -> Option<&'a GradientVolume> {
+        self.shown.kept_gradients()
     }
 
     /// Makes the gradients of all voxels now, if they are wanted, rather than for the second picture.

@@ -72,6 +72,11 @@ impl Sampled {
         }
         self.gradients.get_or_init(|| GradientVolume::new(&self.grid)).as_ref()
     }
+
+    /// The gradients of all voxels, if they have been made.
+    pub fn kept_gradients(&self) -> Option<&GradientVolume> {
+        self.gradients.get()?.as_ref()
+    }
 }
 
 /// Bounds of the values of a grid.

@@ -48,6 +48,14 @@ impl Colors {
         Self::Rgb(Arc::new(values))
     }
 
+    /// Bytes that they take in memory.
+    pub fn size_in_bytes(&self) -> usize {
+        match self {
+            Self::Rgb(values) | Self::Rgba(values) => values.len(),
+            Self::Labels { labels, table } => labels.len() * labels.bytes_per_voxel() + table.len() * 4,
+        }
+    }
+
     /// The colours of labels 1 to `highest`: those of the table, else one that its neighbours in number do not have.
     pub fn of_labels(labels: Voxels, highest: usize, stated: &[Label]) -> Self {
         let mut table: Vec<[u8; 4]> = (0..=highest).map(|n| if n == 0 { [0; 4] } else { label_color(n) }).collect();
