@@ -78,6 +78,9 @@ pub fn counterparts_exist() {
             "src/cpu/shading.rs",
             &[
                 ("EVEN_LIGHT: f32 = 0.6", "EVEN_LIGHT: f32 = 0.6"),
+                ("BACK_TO_CUT: f32 = 0.9", "BACK_TO_CUT: f32 = 0.9"),
+                ("FARTHEST_BACK: f32 = 4.0", "FARTHEST_BACK: f32 = 4.0"),
+                ("BACK_STEPS: i32 = 4", "BACK_STEPS: u32 = 4"),
                 ("ENTRY_STEPS: i32 = 4", "ENTRY_STEPS: u32 = 4"),
                 ("FACE_STEPS: i32 = 10", "FACE_STEPS: u32 = 10"),
                 ("SURFACE_LOW: f32 = 0.004", "SURFACE: [f32; 2] = [0.004, 0.04]"),

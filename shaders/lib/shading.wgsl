@@ -288,6 +288,33 @@ struct Seen {
     clear: bool,
 }
 
+const BACK_TO_CUT: f32 = 0.9;
+const FARTHEST_BACK: f32 = 4.0;
+const BACK_STEPS: i32 = 4;
+
+// A cut near a sample in the midst of matter, if the ray came out of it; none if it came through another surface since, or goes towards it.
+fn seen_cut(cut: Cut, s: Sample, direction: vec3<f32>) -> Cut {
+    if NORMALS != 3u || cut.distance_mm >= frame.blend_far_mm {
+        return cut;
+    }
+    let facing = -dot(cut.normal, direction);
+    if facing <= 0.0 {
+        return NO_CUT;
+    }
+    var way = min(BACK_TO_CUT * max(cut.distance_mm, 0.0) / facing, FARTHEST_BACK * frame.blend_far_mm);
+    for (var n = 0; n < BACK_STEPS; n += 1) {
+        let back = dense(s.deformed - direction * way, s.depth).depth;
+        if back >= 0.0 {
+            return cut;
+        }
+        if back > -1.5 {
+            return NO_CUT;
+        }
+        way *= 0.5;
+    }
+    return cut;
+}
+
 // Shades what is seen.
 fn shade_seen(e: Seen, direction: vec3<f32>) -> Shaded {
     let color = own_color(e.s.in_voxel, e.s.color);
@@ -311,6 +338,9 @@ fn shade_seen(e: Seen, direction: vec3<f32>) -> Shaded {
     var cut = NO_CUT;
     if (!e.entered || e.through_cut) && !far {
         cut = or_shape(nearest_cut(j, e.s.in_voxel), e.s.deformed);
+        if !e.entered {
+            cut = seen_cut(cut, e.s, direction);
+        }
     }
     var falling = 1.0;
     if frame.two_sided == 0u {

@@ -13,7 +13,7 @@
 //! known without a look; the distance to the shapes of cuts changes no faster than the point moves, so that between two evaluations it is
 //! bounded; the Jacobian is the identity outside all maps.
 
-use super::shading::{self, ENTRY_STEPS, EVEN_LIGHT, SURFACE};
+use super::shading::{self, BACK_TO_CUT, ENTRY_STEPS, EVEN_LIGHT, FARTHEST_BACK, SURFACE};
 use super::{OPAQUE, Projection, shading::Sample};
 use crate::math::lanes::*;
 use crate::scene::{Mode, Normals, Prepared, RenderStats};
@@ -608,8 +608,13 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         if scene.settings.normals == Normals::Blended && beside.any_true() {
             let (distance, outward) = self.nearest_face(simd, at.in_voxel);
             let own = smoothstep(scene.frame.blend_mm[0], scene.frame.blend_mm[1], distance);
-            let beside = beside & own.simd_lt(1.0);
+            let facing = -outward.dot(rays.direction);
+            let mut beside = beside & own.simd_lt(1.0) & facing.simd_gt(0.0);
             if beside.any_true() {
+                // As shading::seen_cut.
+                let way = (distance * BACK_TO_CUT / facing).min(FARTHEST_BACK * scene.frame.blend_mm[1]);
+                let back = self.look(simd, sampled - rays.direction * way, beside, false);
+                beside &= back.present & back.depth.simd_ge(at.depth * 0.5);
                 let of_face = one - own;
                 let blended = (normal * (own * confidence) + outward * of_face).normalized();
                 normal = Vec3x8::select(beside, blended, normal);

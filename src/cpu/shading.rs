@@ -7,7 +7,8 @@
 //! - The blend runs over distance to the cut in samples, not over the mask's value, so that it does not depend on a map's
 //!   resolution: the cut's normal alone within one sample (the first one a ray finds behind a cut), none of it after 2.5.
 //! - A ray that enters matter through a surface of the volume's own, beside a cut, sees that surface: its normal is not blended. Only
-//!   where the ray comes out of a cut is the cut what is seen. Without this every cut has a dark rim.
+//!   where the ray comes out of a cut is the cut what is seen: where from the cut's face on, along the ray, there is matter at least half as dense as
+//!   here ([`seen_cut`]). Without this every cut has a dark rim, and one behind thin matter shows through it, the more the finer the step.
 //! - The faces of the volume's own box are cuts too: matter that a scan's edge cuts off is lit like any other cut.
 //! - A sample next to a cut stands for the part of its length that is matter: (1/2 + d/ℓ) of it, ℓ being the step's share along the
 //!   cut's normal. The sum over a ray is then the exact path through a planar cut, wherever the samples fall: no rings on cuts.
@@ -86,10 +87,41 @@ pub fn shade<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, sample: &Sample, 
     let share = path_share(scene, sampler, &cut, sample.deformed, direction, step_mm);
     let mut shaded = match entry(scene, sampler, sample, direction, step_mm) {
         Some(entry) => shade_entry(scene, sampler, &entry, direction),
-        None => shade_with(scene, sampler, sample, &jet_here, &or_shape(scene, cut, sample.deformed), direction),
+        None => {
+            let cut = seen_cut(scene, sampler, sample, or_shape(scene, cut, sample.deformed), direction);
+            shade_with(scene, sampler, sample, &jet_here, &cut, direction)
+        }
     };
     shaded.depth_factor *= share;
     shaded
+}
+
+/// How far back to the face of a cut one looks for the matter that it cuts: not onto the face itself, which the distance to it tells to first order only.
+pub(super) const BACK_TO_CUT: f32 = 0.9;
+/// The farthest that is looked, in reaches of the blend: along a face that a ray grazes nothing is told of what lies farther.
+pub(super) const FARTHEST_BACK: f32 = 4.0;
+/// How often half of that is tried where it is too far.
+const BACK_STEPS: u32 = 4;
+
+/// A cut near a sample in the midst of matter, if the ray came out of it; none if it came through another surface since, or goes towards it.
+fn seen_cut<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, sample: &Sample, cut: Cut, direction: Vec3) -> Cut {
+    if scene.settings.normals != Normals::Blended || cut.distance_mm >= scene.frame.blend_mm[1] {
+        return cut;
+    }
+    let facing = -cut.normal.dot(direction);
+    if facing <= 0.0 {
+        return Cut::NONE;
+    }
+    let mut way = (BACK_TO_CUT * cut.distance_mm.max(0.0) / facing).min(FARTHEST_BACK * scene.frame.blend_mm[1]);
+    for _ in 0..BACK_STEPS {
+        let back = super::look(scene, sampler, sample.deformed - direction * way);
+        if back.present {
+            return if scene.table.lookup(back.value)[3] >= 0.5 * sample.depth { cut } else { Cut::NONE };
+        }
+        // Beyond the face: it is not as flat as it is taken for.
+        way *= 0.5;
+    }
+    cut
 }
 
 /// Shades the point at which a ray enters matter.
