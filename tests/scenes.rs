@@ -84,6 +84,24 @@ pub fn halving_the_step_changes_little() {
     }
 }
 
+/// What a mesh makes of the volume in it is made once, whatever the camera does, and anew when the mesh is placed elsewhere.
+pub fn what_holds_a_volume_is_kept() {
+    let mut scene = load("head-in-bent-hull");
+    let assets = assets(&scene);
+    let stack = |scene: &Scene| Prepared::new(scene, &assets).unwrap().stack;
+    let first = stack(&scene);
+    assert_eq!(first.maps().len(), 2, "the mask and the deformers' inverse");
+    scene.camera.view = "35,15".parse().unwrap();
+    // Equal are stacks of the very same maps. A coarse picture does not take the place of the full one's.
+    assert!(stack(&scene) == first);
+    scene.render.step = 2.0;
+    assert!(stack(&scene) != first && stack(&scene) == stack(&scene));
+    scene.render.step = 1.0;
+    assert!(stack(&scene) == first);
+    scene.volume.as_mut().unwrap().inside.as_mut().unwrap().invert = true;
+    assert!(stack(&scene) != first);
+}
+
 /// Cuts and the volume's own faces are lit as much alike at every step as surfaces are: what a cut does to normals beside it must not depend on how
 /// often a ray looks on its way through what lies in front of the cut.
 pub fn cuts_are_lit_alike_at_every_step() {

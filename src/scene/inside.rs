@@ -21,7 +21,7 @@ use crate::mesh::{Mesh, load};
 use crate::volume::GridGeometry;
 use crate::{Error, Result};
 use glam::{DAffine3, DVec3, Vec3};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Texels of the mask along its longest axis, at most.
 const MASK: f32 = 192.0;
@@ -39,13 +39,40 @@ pub struct Inside {
     pub proxy: Option<Arc<Mesh>>,
 }
 
+/// What meshes that hold a volume made of it, kept by what it was made of, the last used last: distances and inverses take a second, and no camera changes
+/// them.
+#[derive(Default)]
+pub struct KeptInsides(Mutex<Vec<(Made, Arc<Inside>)>>);
+
+/// What an [`Inside`] was made of: the settings, the scene's box, the least ramp.
+type Made = (InsideMesh, Bounds, f32);
+
+/// A coarse picture while something moves, and the full one after it.
+const KEPT: usize = 2;
+
 /// What the mesh that holds the scene's volume makes of it, if there is one.
 ///
 /// # Errors
 /// As [`resolve`].
-pub fn of_scene(scene: &Scene, assets: &Assets, scene_box: &Bounds, least_ramp_mm: f32) -> Result<Option<Inside>> {
-    let mesh = scene.volume.as_ref().and_then(|v| v.inside.as_ref());
-    mesh.map(|mesh| resolve(assets, mesh, scene_box, least_ramp_mm)).transpose()
+pub fn of_scene(scene: &Scene, assets: &Assets, scene_box: &Bounds, least_ramp_mm: f32) -> Result<Option<Arc<Inside>>> {
+    let Some(mesh) = scene.volume.as_ref().and_then(|v| v.inside.as_ref()) else { return Ok(None) };
+    let made = (mesh.clone(), *scene_box, least_ramp_mm);
+    let lock = || assets.insides.0.lock().unwrap_or_else(PoisonError::into_inner);
+    let known = {
+        let mut kept = lock();
+        let at = kept.iter().position(|k| k.0 == made);
+        at.map(|n| kept.remove(n).1)
+    };
+    let inside = match known {
+        Some(inside) => inside,
+        None => Arc::new(resolve(assets, mesh, scene_box, least_ramp_mm)?),
+    };
+    let mut kept = lock();
+    kept.retain(|k| k.0 != made);
+    kept.push((made, inside.clone()));
+    let more = kept.len().saturating_sub(KEPT);
+    kept.drain(..more);
+    Ok(Some(inside))
 }
 
 /// Resolves the mesh that holds a volume.

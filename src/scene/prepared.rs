@@ -2,9 +2,10 @@
 
 use super::accelerator::{Accelerator, Unaided};
 use super::deformations::{self, Composition, Making};
+use super::inside::{self, KeptInsides};
 use super::objects::{Objects, Surfaces};
 use super::sampled::Sampled;
-use super::{CutFaces, Light, Macrocells, Mode, Normals, RenderSettings, Scene, ViewFrame, inside, macrocells::Contents};
+use super::{CutFaces, Light, Macrocells, Mode, Normals, RenderSettings, Scene, ViewFrame, macrocells::Contents};
 use crate::deform::cut::Cuts;
 use crate::deform::{Library, PlacedMap, Stack, Storage};
 use crate::math::{Bounds, normalize_or, to_f32};
@@ -69,6 +70,8 @@ pub struct Assets {
     pub library: Arc<Library>,
     /// Meshes and distance fields.
     pub objects: Objects,
+    /// What a mesh that holds the volume makes of it.
+    pub(super) insides: KeptInsides,
     /// Whether there is a volume, or an empty one stands in its place.
     pub has_volume: bool,
     /// The box around all meshes, mm; empty without any.
@@ -191,6 +194,7 @@ impl Assets {
                 Arc::new(Library::new(b.volume.clone(), scene.folder.clone()))
             },
             objects: Objects::default(),
+            insides: KeptInsides::default(),
             has_volume: true,
             mesh_box: Bounds::EMPTY,
             stages: Stages::default(),
@@ -217,6 +221,7 @@ impl Assets {
             label_map: None,
             labels: OnceLock::new(),
             objects: Objects::default(),
+            insides: KeptInsides::default(),
             has_volume: true,
             mesh_box: Bounds::EMPTY,
             stages,
@@ -285,7 +290,7 @@ impl Deformed {
         };
         let undeformed = more.is_empty() && !scene.deformation.iter().any(|d| d.enabled);
         let (inside, proxy_mesh) = match inside::of_scene(scene, assets, &scene_box, making.least_ramp_mm)? {
-            Some(inside) => (inside.maps, inside.proxy.filter(|_| undeformed)),
+            Some(inside) => (inside.maps.clone(), inside.proxy.clone().filter(|_| undeformed)),
             None => (Vec::new(), None),
         };
         let (stack, cuts) = deformations::stack(&scene.deformation, &making, inside, more)?;
@@ -303,7 +308,7 @@ impl Deformed {
         let least_ramp_mm = 1.5 * assets.volume.spacing_mm().min_element() as f32;
         let (library, device) = (&assets.library, &Unaided);
         let making = Making { library, scene_box, least_ramp_mm, view: &view, storage: Some(Storage::F32), exact_cuts, device };
-        let inside = inside::of_scene(scene, assets, &scene_box, least_ramp_mm)?.map_or_else(Vec::new, |i| i.maps);
+        let inside = inside::of_scene(scene, assets, &scene_box, least_ramp_mm)?.map_or_else(Vec::new, |i| i.maps.clone());
         let (stack, cuts) = deformations::stack(&scene.deformation, &making, inside, Vec::new())?;
         Ok(Self { stack, cuts, composition: None, proxy_mesh: None })
     }
