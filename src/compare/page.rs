@@ -199,9 +199,9 @@ impl Report {
         table.push_str(
             "</table></div>\n<p class=\"note\">Time is that of a whole picture: the scene prepared (transfer function, maps, empty space) and rendered; \
              rendering is the part after preparing, with uploads and reading back. What a second picture finds kept, runs find kept. Stages are those of \
-             the median. Errors are against the \
-             reference. Skipped samples lie in cells that show nothing, terminated ones behind what is opaque. The volume and the gradients of its voxels are \
-             as the renderer holds them, on a GPU in its memory; maps are with distance fields of surfaces; the peak is the largest resident size of the whole process up to then, so it never falls. A dash: not \
+             the median. Errors are against the reference. Skipped samples lie in cells that show nothing, terminated ones behind what is opaque. The \
+             volume and the gradients of its voxels are as the renderer holds them, on a GPU in its memory; maps are with distance fields of surfaces; \
+             the peak is the largest resident size of the whole process up to then, so it never falls. A dash: not \
              measured, or no such stage.</p>\n",
         );
         table

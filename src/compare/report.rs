@@ -99,7 +99,8 @@ pub struct Protocol {
     pub repeat: usize,
     /// Step of the references, voxels, if there are any.
     pub reference_step: Option<f32>,
-    /// Stages of preparing the scene for the first time, as for the picture after loading, and their milliseconds. Runs find kept what any second picture finds.
+    /// Stages of preparing the scene for the first time, as for the picture after loading, and their milliseconds. Runs find kept what any second
+    /// picture finds.
     pub first_preparation: Vec<(String, f64)>,
     /// What a reader should know, one sentence each.
     pub notices: Vec<String>,
@@ -256,10 +257,12 @@ impl Report {
                 "renderers": e.entries.iter().map(entry).collect::<Vec<_>>(),
             })
         };
-        let protocol = self
-            .protocol
-            .as_ref()
-            .map(|p| json!({ "cpu": p.cpu, "gpu": p.gpu, "repeat": p.repeat, "reference_step_voxels": p.reference_step.map(as_written), "first_preparation": stage_list(&p.first_preparation), "notices": p.notices }));
+        let protocol = self.protocol.as_ref().map(|p| {
+            json!({
+                "cpu": p.cpu, "gpu": p.gpu, "repeat": p.repeat, "reference_step_voxels": p.reference_step.map(as_written),
+                "first_preparation": stage_list(&p.first_preparation), "notices": p.notices,
+            })
+        });
         json!({
             "incise": VERSION,
             "title": self.title,
@@ -292,7 +295,8 @@ impl Report {
         let stages = self.stage_names();
         let columns = "name,mode,backend,step_voxels,width,height,camera,milliseconds,milliseconds_min,milliseconds_max,rendering_milliseconds,\
                        rendering_milliseconds_min,rendering_milliseconds_max,repetitions,warm_up_milliseconds,samples_taken,samples_skipped,\
-                       samples_terminated,volume_bytes,gradient_bytes,map_bytes,surface_bytes,peak_bytes,error_mean,error_max,error_rms,error_psnr_db,error_ssim,reference,picture";
+                       samples_terminated,volume_bytes,gradient_bytes,map_bytes,surface_bytes,peak_bytes,\
+                       error_mean,error_max,error_rms,error_psnr_db,error_ssim,reference,picture";
         let mut header: Vec<String> = columns.split(',').map(String::from).collect();
         header.extend(stages.iter().map(|stage| format!("milliseconds {stage}")));
         let mut text = csv_line(&header);

@@ -8,7 +8,7 @@
 //!   resolution: the cut's normal alone within one sample (the first one a ray finds behind a cut), none of it after 2.5.
 //! - A ray that enters matter through a surface of the volume's own, beside a cut, sees that surface: its normal is not blended. Only
 //!   where the ray comes out of a cut is the cut what is seen: where from the cut's face on, along the ray, there is matter at least half as dense as
-//!   here ([`seen_cut`]). Without this every cut has a dark rim, and one behind thin matter shows through it, the more the finer the step.
+//!   here (`seen_cut`). Without this every cut has a dark rim, and one behind thin matter shows through it, the more the finer the step.
 //! - The faces of the volume's own box are cuts too: matter that a scan's edge cuts off is lit like any other cut.
 //! - A sample next to a cut stands for the part of its length that is matter: (1/2 + d/ℓ) of it, ℓ being the step's share along the
 //!   cut's normal. The sum over a ray is then the exact path through a planar cut, wherever the samples fall: no rings on cuts.
