@@ -247,7 +247,7 @@ impl Macrocells {
         Self { origin, cell_mm, size, distance, occupied, blocks: OnceLock::new(), cells_per_mm: cell_mm.recip() }
     }
 
-    /// What renderers ask: as `distance`, but for clear cells [`IN_CLEAR`] more than their chessboard distance to the nearest cell that is not clear.
+    /// What renderers ask: as `distance`, but for clear cells `IN_CLEAR` (128) more than their chessboard distance to the nearest cell that is not clear.
     /// Found when first asked for.
     #[inline(always)]
     pub fn blocks(&self) -> &[u8] {
