@@ -61,7 +61,7 @@ impl Device {
         let adapter = adapters.into_iter().next().ok_or_else(|| {
             Error::Gpu(match want {
                 Want::Hardware => "no hardware GPU found".into(),
-                Want::Any => "no graphics driver found; install one (on Debian: mesa-vulkan-drivers) or use --backend cpu".into(),
+                Want::Any => "no usable graphics driver found; install one (on Debian: mesa-vulkan-drivers) or use --backend cpu".into(),
             })
         })?;
         let features = WISHES.into_iter().filter(|f| adapter.features().contains(*f)).fold(Features::empty(), |all, f| all | f);
