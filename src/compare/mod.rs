@@ -4,7 +4,7 @@
 //! Volume Visualization 2000: algorithms can be compared only where they are given the same optical model, the same view and the same
 //! transfer function, and their pictures are put side by side with what they cost. Here all runs of a report are one scene; they differ in
 //! mode, backend, step, size or camera. Their opacities are corrected to the same length, so that a different step shows the error of
-//! sampling alone. Beyond the paper's pictures and times there are numbers for how far pictures are apart ([`Difference`]), errors against a
+//! sampling alone (above one voxel the blend of normals at cuts widens with the step, too). Beyond the paper's pictures and times there are numbers for how far pictures are apart ([`Difference`]), errors against a
 //! reference of a much finer step, and what a renderer costs where all are equally wrong ([`lab`]).
 //!
 //! *How to call it*: [`lab::Plan`] and [`lab::run`] for all of it; or a [`Run`] for every renderer ([`run_on_cpu`], or made from what another
