@@ -60,18 +60,22 @@ pub fn of_scene(scene: &Scene, assets: &Assets, scene_box: &Bounds, least_ramp_m
     let lock = || assets.insides.0.lock().unwrap_or_else(PoisonError::into_inner);
     let known = {
         let mut kept = lock();
+        // To the end: it is the one used last.
         let at = kept.iter().position(|k| k.0 == made);
-        at.map(|n| kept.remove(n).1)
+        at.and_then(|n| {
+            kept[n..].rotate_left(1);
+            kept.last().map(|k| k.1.clone())
+        })
     };
-    let inside = match known {
-        Some(inside) => inside,
-        None => Arc::new(resolve(assets, mesh, scene_box, least_ramp_mm)?),
-    };
+    if known.is_some() {
+        return Ok(known);
+    }
+    let inside = Arc::new(resolve(assets, mesh, scene_box, least_ramp_mm)?);
     let mut kept = lock();
-    kept.retain(|k| k.0 != made);
+    if kept.len() >= KEPT {
+        kept.remove(0);
+    }
     kept.push((made, inside.clone()));
-    let more = kept.len().saturating_sub(KEPT);
-    kept.drain(..more);
     Ok(Some(inside))
 }
 
