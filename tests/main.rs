@@ -27,6 +27,27 @@ mod workstation;
 
 use libtest_mimic::{Arguments, Trial};
 
+/// Tests that measure the time and the memory of their process have one of their own: beside others, work waits for threads that draw
+/// somebody else's pictures, and memory is anybody's. Each is the name of the trial that runs it.
+const ALONE: &[(&str, fn())] = &[
+    ("damage::mutated_files_do_no_harm", damage::mutated_files_do_no_harm),
+    #[cfg(feature = "gui")]
+    ("workstation::a_monkey_does_no_harm", workstation::a_monkey_does_no_harm),
+];
+
+/// The environment variable that names the one of `ALONE` which a child process runs.
+const ALONE_VARIABLE: &str = "INCISE_TEST_ALONE";
+
+fn alone() -> impl Iterator<Item = Trial> {
+    ALONE.iter().map(|&(name, _)| {
+        Trial::test(name, move || {
+            let program = std::env::current_exe()?;
+            let status = std::process::Command::new(program).env(ALONE_VARIABLE, name).status()?;
+            if status.success() { Ok(()) } else { Err(format!("{status}; what it said is above").into()) }
+        })
+    })
+}
+
 /// A test by the name of its function.
 macro_rules! trials {
     ($module:ident: $($name:ident),* $(,)?) => {
@@ -39,8 +60,13 @@ fn main() {
     if std::env::var_os(workstation::CHILD).is_some() {
         return workstation::edit_until_killed();
     }
+    if let Some(name) = std::env::var_os(ALONE_VARIABLE) {
+        let (_, test) = ALONE.iter().find(|(known, _)| name == *known).unwrap();
+        return test();
+    }
     let arguments = Arguments::from_args();
     let mut all: Vec<Trial> = Vec::new();
+    all.extend(alone());
     all.extend(trials!(architecture: modules_name_only_those_before_them, files_are_of_readable_size));
     all.extend(trials!(metrics: equal_pictures_are_equal, the_comparer_rejects));
     all.extend(contract::trials());
@@ -60,7 +86,7 @@ fn main() {
     all.extend(trials!(readers:
         one_phantom_in_every_format, scans_are_what_peers_read, real_series_have_their_geometry, orientations_are_one_world,
         series_are_listed_and_chosen, loads_are_watched, several_values_per_voxel, a_gigabyte_needs_little_more));
-    all.extend(trials!(damage: damaged_files_are_named, mutated_files_do_no_harm));
+    all.extend(trials!(damage: damaged_files_are_named));
     all.extend(trials!(surfaces:
         distances_of_closed_forms, broken_meshes_keep_their_inside, thin_flat_and_far_things, a_part_is_part_of_the_whole, deformed_sphere_is_the_ellipsoid,
         narrow_pull_is_found_by_jacobian_steps, three_modes_share_one_deformation, two_stages_are_one_picture, skipping_changes_no_surface,
@@ -82,7 +108,7 @@ fn main() {
     #[cfg(feature = "gui")]
     all.extend(trials!(workstation:
         every_panel_is_there, a_peel_is_placed_undone_saved_and_opened_again, lasso_cuts_and_restores, renderers_are_compared_and_reported,
-        broken_files_are_told, loading_is_cancelled, dragging_never_waits, the_last_save_opens_after_a_crash, a_monkey_does_no_harm,
+        broken_files_are_told, loading_is_cancelled, dragging_never_waits, the_last_save_opens_after_a_crash,
         slices_show_deformed_and_source, a_brush_paints_and_a_map_is_used_again, the_transfer_function_is_edited, measures_ride_along,
         exports_are_written, unsaved_work_is_asked_about, a_missing_file_is_located, the_palette_finds_commands, views_turn_pan_and_zoom));
     #[cfg(feature = "gui")]
