@@ -79,10 +79,10 @@ fn mixed(t: texture_3d<f32>, p: vec3<f32>) -> vec4<f32> {
     return mix(near, far, f.z);
 }
 
-// A texture that spans `size` voxels at a position in voxels.
-fn sample_texture(t: texture_3d<f32>, p: vec3<f32>, size: vec3<f32>) -> vec4<f32> {
+// A texture that spans `size` voxels at a position in voxels. Divisions by its size, in every sample, are worth their own uniform.
+fn sample_texture(t: texture_3d<f32>, p: vec3<f32>, size: vec3<f32>, per_size: vec3<f32>) -> vec4<f32> {
     if EXACT == 0u {
-        return textureSampleLevel(t, linear_clamp, (p + 0.5) / size, 0.0);
+        return textureSampleLevel(t, linear_clamp, (p + 0.5) * per_size, 0.0);
     }
     let texels = vec3<f32>(textureDimensions(t));
     return mixed(t, select((p + 0.5) * texels / size - 0.5, p, texels == size));
@@ -90,26 +90,26 @@ fn sample_texture(t: texture_3d<f32>, p: vec3<f32>, size: vec3<f32>) -> vec4<f32
 
 // Normalised value at a position in voxels.
 fn sample_volume(p: vec3<f32>) -> f32 {
-    return sample_texture(volume, p, frame.texture_size).r * frame.value_scale + frame.value_offset;
+    return sample_texture(volume, p, frame.texture_size, frame.per_texture_size).r * frame.value_scale + frame.value_offset;
 }
 
-// f(+1) - f(-1) along i, j, k of stored values, as shares of 32767.
-fn sample_gradients(p: vec3<f32>) -> vec3<f32> {
-    return sample_texture(gradients, p, frame.texture_size).gba;
+// f(+1) - f(-1) along i, j, k of stored values, as shares of 32767, and the normalised value.
+fn sample_gradients(p: vec3<f32>) -> vec4<f32> {
+    let t = sample_texture(gradients, p, frame.texture_size, frame.per_texture_size);
+    return vec4<f32>(t.gba, t.r * (2.0 * frame.gradient_scale) + frame.stored_offset);
 }
 
 fn sample_colors(p: vec3<f32>) -> vec4<f32> {
-    return sample_texture(colors, p, frame.texture_size);
+    return sample_texture(colors, p, frame.texture_size, frame.per_texture_size);
 }
 
 // Grid points lie on the cube's faces.
 fn sample_map(map: texture_3d<f32>, k: u32, x: vec3<f32>) -> vec4<f32> {
-    let size = maps[k].size;
-    let p = x * (size - 1.0);
+    let p = x * (maps[k].size - 1.0);
     if EXACT != 0u {
         return mixed(map, p);
     }
-    return textureSampleLevel(map, linear_clamp, (p + 0.5) / size, 0.0);
+    return textureSampleLevel(map, linear_clamp, (p + 0.5) * maps[k].per_size, 0.0);
 }
 
 // Stored (D / scale, alpha) of map k; x inside the unit cube.

@@ -50,7 +50,7 @@ pub fn uniforms_match_their_structs() {
     same_layout!(&m, "Frame", FrameUniform: clip_from_world, voxel_from_world, eye, perspective, forward, step_mm, right, reference_mm, up,
         blend_near_mm, to_light, blend_far_mm, proxy_min, ambient, proxy_max, diffuse, grid_size, specular, cells_origin, shininess, cell_mm,
         value_scale, cells, value_offset, picture, table_scale, table_offset, gradient_top, two_sided, has_holes, early_termination, grey_low, grey_high, iso, jitter, texture_size, gradient_scale, face,
-        padding_2);
+        stored_offset, per_texture_size, padding);
     same_layout!(&m, "CutShape", CutShapeUniform: local_from_world, half, shape, half_angle, sense, joined, and_group);
     let s = module(Program::Surface, false);
     same_layout!(&s, "SurfaceObject", SurfaceObjectUniform: grid_from_world, world_from_grid, size, kind, cells_origin, resolution_mm, cell_mm, step_mm,
@@ -58,7 +58,7 @@ pub fn uniforms_match_their_structs() {
         seam_mm, rigid, both, deformers, normal_method, beside_mm, padding);
     same_layout!(&s, "PlacedSolid", PlacedSolidUniform: local_from_world, numbers, solid, join, period, wall);
     same_layout!(&s, "Deformer", DeformerUniform: local_from_world, numbers, half, kind, offsets);
-    same_layout!(&m, "PlacedMap", PlacedMapUniform: map_from_world, world_from_stored, size, added, reach, scale);
+    same_layout!(&m, "PlacedMap", PlacedMapUniform: map_from_world, world_from_stored, size, added, reach, scale, per_size, padding);
     let c = module(Program::Classify, false);
     same_layout!(&c, "Classification", ClassificationUniform: voxel_from_world, origin, looks_back_mm, cell_mm, beside_cuts_mm, size, cut_margin_mm, voxel_low,
         margin_mm, voxel_high, iso, table_scale, table_offset, has_iso, grey_faces, composite, stack_cuts, value_shift, value_levels, value_size, padding,

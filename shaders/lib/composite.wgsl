@@ -36,6 +36,7 @@ fn pixel_shift(pixel: vec2<u32>) -> f32 {
 fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Stretch {
     let inverse_direction = 1.0 / ray.direction;
     let length = step / frame.reference_mm;
+    let half = half_way(ray.direction);
     var i = first;
     var color = vec4<f32>(0.0);
     var projected = select(0.0, select(-1e30, 1e30, BLEND == 2u), BLEND != 3u);
@@ -81,7 +82,8 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Str
             }
             share = part.share;
             let sampled = ray.origin + ray.direction * part.t;
-            at = look(sampled);
+            // Matter comes in runs: what lies behind something visible is likely to be shaded too.
+            at = look_at(sampled, BLEND == 0u && i - 1 == last_at && last_depth > 0.0);
             // The same point, to the bit, whether or not it was looked at.
             front = Front(sampled - ray.direction * step, -3.0);
             if share == 1.0 {
@@ -135,7 +137,7 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Str
             if ISO != 0u {
                 continue;
             }
-            color += shaded_sample(at, found, front, clear, ray.direction, step, length * share) * (1.0 - color.a);
+            color += shaded_sample(at, found, front, clear, ray.direction, half, step, length * share) * (1.0 - color.a);
             if 1.0 - color.a < OPAQUE && frame.early_termination != 0u {
                 terminated += u32(max(end - i, 0));
                 break;

@@ -9,7 +9,7 @@
 fn grid_distance(world: vec3<f32>) -> f32 {
     let p = transform_point(object.grid_from_world, world);
     let nearest = clamp(p, vec3<f32>(0.0), object.size - 1.0);
-    let f = sample_texture(field, nearest, object.size).r;
+    let f = sample_texture(field, nearest, object.size, 1.0 / object.size).r;
     let beyond = p - nearest;
     if all(beyond == vec3<f32>(0.0)) {
         return f;
@@ -24,7 +24,7 @@ fn depth_height(n: f32, face: u32, world: vec3<f32>, x: vec3<f32>) -> f32 {
     let uv = select(select(x.xy, x.xz, axis == 1u), x.yz, axis == 0u);
     let depth = select(object.high[axis] - world[axis], world[axis] - object.low[axis], face % 2u == 0u);
     let p = vec3<f32>(clamp(uv, vec2<f32>(0.0), vec2<f32>(1.0)) * (object.size.xy - 1.0), n);
-    return depth - sample_texture(field, p, object.size).r;
+    return depth - sample_texture(field, p, object.size, 1.0 / object.size).r;
 }
 
 fn depth_value(world: vec3<f32>) -> f32 {

@@ -45,7 +45,7 @@ fn block_around(p: vec3<f32>, origin: vec3<f32>, inverse_direction: vec3<f32>) -
 
 // Colour of a sample after light, premultiplied by its opacity over `length` reference lengths. `depth` is its own optical depth, if it
 // shows anything, and in a clear cell if `clear`; if not, it is near a cut, and what lies between the cut and it is looked for.
-fn shaded_sample(at: Look, s: Sample, front: Front, clear: bool, direction: vec3<f32>, step: f32, length: f32) -> vec4<f32> {
+fn shaded_sample(at: Look, s: Sample, front: Front, clear: bool, direction: vec3<f32>, half: vec3<f32>, step: f32, length: f32) -> vec4<f32> {
     var depth = s.depth;
     var seen: Seen;
     if depth > 0.0 {
@@ -57,7 +57,7 @@ fn shaded_sample(at: Look, s: Sample, front: Front, clear: bool, direction: vec3
             return vec4<f32>(0.0);
         }
     }
-    let shaded = shade_seen(seen, direction);
+    let shaded = shade_seen(seen, direction, half);
     let alpha = 1.0 - exp2(-depth * shaded.depth_factor * length);
     return vec4<f32>(shaded.color * alpha, alpha);
 }

@@ -16,6 +16,9 @@ struct Sample {
     color: vec3<f32>,
     depth: f32,
     value: f32,
+    // As those of a Look.
+    gradient: vec3<f32>,
+    has_gradient: bool,
 }
 
 struct Normal {
@@ -65,10 +68,10 @@ fn path_share(cut: Cut, deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32)
 fn dense(deformed: vec3<f32>, depth: f32) -> Sample {
     let v = look(deformed);
     if !v.present {
-        return Sample(deformed, v.in_voxel, vec3<f32>(0.0), -2.0, 0.0);
+        return Sample(deformed, v.in_voxel, vec3<f32>(0.0), -2.0, 0.0, NOT_FETCHED, false);
     }
     let t = lookup(v.value);
-    return Sample(deformed, v.in_voxel, t.rgb, select(-1.0, t.a, t.a >= 0.5 * depth), v.value);
+    return Sample(deformed, v.in_voxel, t.rgb, select(-1.0, t.a, t.a >= 0.5 * depth), v.value, v.gradient, v.has_gradient);
 }
 
 struct Entry {
@@ -127,7 +130,7 @@ fn shaded_normal(d_source_d_deformed: mat3x3<f32>, gradient_in_source: vec3<f32>
     if frame.two_sided != 0u && dot(normal, direction) > 0.0 {
         normal = -normal;
     }
-    if NORMALS == 3u {
+    if NORMALS == 3u && cut.distance_mm < frame.blend_far_mm {
         let own = smoothstep(frame.blend_near_mm, frame.blend_far_mm, cut.distance_mm);
         normal = normalize_or(normal * (own * confidence) + cut.normal * (1.0 - own), cut.normal);
         confidence = max(own * confidence, 1.0 - own);
@@ -135,14 +138,18 @@ fn shaded_normal(d_source_d_deformed: mat3x3<f32>, gradient_in_source: vec3<f32>
     return Normal(normal, confidence);
 }
 
-fn light(n: Normal, direction: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
+// Where highlights are: half-way between the light and the eye.
+fn half_way(direction: vec3<f32>) -> vec3<f32> {
+    return normalize_or(frame.to_light - direction, frame.to_light);
+}
+
+fn light(n: Normal, half: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
     let even = frame.ambient + EVEN_LIGHT * frame.diffuse;
     let facing = dot(n.normal, frame.to_light);
     let diffuse = frame.ambient + frame.diffuse * max(facing, 0.0);
-    let half_way = normalize_or(frame.to_light - direction, frame.to_light);
     var highlight = 0.0;
     if facing > 0.0 {
-        highlight = frame.specular * pow(max(dot(n.normal, half_way), 0.0), frame.shininess);
+        highlight = frame.specular * pow(max(dot(n.normal, half), 0.0), frame.shininess);
     }
     let lit = color * diffuse + highlight;
     return clamp(mix(color * even, lit, n.confidence), vec3<f32>(0.0), vec3<f32>(1.0));
@@ -151,19 +158,19 @@ fn light(n: Normal, direction: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
 // The sample at a point that was looked at; depth 0 if it shows nothing.
 fn visible(at: Look, deformed: vec3<f32>) -> Sample {
     if !at.present {
-        return Sample(deformed, at.in_voxel, vec3<f32>(0.0), 0.0, 0.0);
+        return Sample(deformed, at.in_voxel, vec3<f32>(0.0), 0.0, 0.0, NOT_FETCHED, false);
     }
     let t = lookup(at.value);
-    return Sample(deformed, at.in_voxel, t.rgb, t.a, at.value);
+    return Sample(deformed, at.in_voxel, t.rgb, t.a, at.value, at.gradient, at.has_gradient);
 }
 
 // As visible, with colour and depth of the segment from a front value.
 fn visible_segment(at: Look, front: f32, deformed: vec3<f32>) -> Sample {
     if !at.present {
-        return Sample(deformed, at.in_voxel, vec3<f32>(0.0), 0.0, 0.0);
+        return Sample(deformed, at.in_voxel, vec3<f32>(0.0), 0.0, 0.0, NOT_FETCHED, false);
     }
     let t = lookup_segment(front, at.value);
-    return Sample(deformed, at.in_voxel, t.rgb, t.a, at.value);
+    return Sample(deformed, at.in_voxel, t.rgb, t.a, at.value, at.gradient, at.has_gradient);
 }
 
 // The colour that a voxel has of its own, if it has one, in place of another.
@@ -272,7 +279,7 @@ fn iso_surface(deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> vec3<
         cut = or_shape(nearest_cut(j, hit.in_voxel), inside);
     }
     let n = shaded_normal(j.d_source_d_deformed, voxel_covector(gradient(hit.in_voxel)), cut, direction);
-    return light(n, direction, color);
+    return light(n, half_way(direction), color);
 }
 
 // What one call of shade_seen needs of samples, entries and slivers.
@@ -315,13 +322,17 @@ fn seen_cut(cut: Cut, s: Sample, direction: vec3<f32>) -> Cut {
     return cut;
 }
 
-// Shades what is seen.
-fn shade_seen(e: Seen, direction: vec3<f32>) -> Shaded {
+// Shades what is seen. half: that of half_way, the same all along a ray.
+fn shade_seen(e: Seen, direction: vec3<f32>, half: vec3<f32>) -> Shaded {
     let color = own_color(e.s.in_voxel, e.s.color);
     if !is_lit() && !uses_gradient_opacity() {
         return Shaded(color, e.share);
     }
-    let gradient_in_source = voxel_covector(gradient(e.s.in_voxel));
+    var per_voxel = e.s.gradient;
+    if !e.s.has_gradient {
+        per_voxel = gradient(e.s.in_voxel);
+    }
+    let gradient_in_source = voxel_covector(per_voxel);
     var depth_factor = e.share;
     if uses_gradient_opacity() {
         depth_factor *= gradient_factor(length(gradient_in_source));
@@ -347,7 +358,7 @@ fn shade_seen(e: Seen, direction: vec3<f32>) -> Shaded {
         falling = falling_side(e.s.value);
     }
     let n = shaded_normal(j.d_source_d_deformed, gradient_in_source * falling, cut, direction);
-    return Shaded(light(n, direction, color), depth_factor);
+    return Shaded(light(n, half, color), depth_factor);
 }
 
 // A visible sample.
@@ -370,7 +381,7 @@ fn far_from_faces(in_voxel: vec3<f32>) -> bool {
 
 // Matter between a cut and a sample that shows nothing, thinner than a step; depth 0 if there is none.
 fn sliver(deformed: vec3<f32>, present: bool, direction: vec3<f32>, step_mm: f32) -> Seen {
-    var found = Seen(Sample(deformed, vec3<f32>(0.0), vec3<f32>(0.0), 0.0, 0.0), true, undisplaced(deformed), false, present, 0.0, false);
+    var found = Seen(Sample(deformed, vec3<f32>(0.0), vec3<f32>(0.0), 0.0, 0.0, NOT_FETCHED, false), true, undisplaced(deformed), false, present, 0.0, false);
     let before = deformed - direction * step_mm;
     let at_before = look(before);
     if at_before.present == present || visible(at_before, before).depth > 0.0 {

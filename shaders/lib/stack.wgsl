@@ -87,7 +87,7 @@ fn difference(k: u32, x: vec3<f32>, axis: vec3<f32>) -> vec4<f32> {
     let low = clamp(at - step, 0.0, 1.0 - step);
     let high = clamp(at + step, step, 1.0);
     let across = x * (1.0 - axis);
-    return (fetch(k, across + axis * high) - fetch(k, across + axis * low)) / (high - low);
+    return (fetch(k, across + axis * high) - fetch(k, across + axis * low)) * (1.0 / (high - low));
 }
 
 fn jet(deformed: vec3<f32>) -> Jet {

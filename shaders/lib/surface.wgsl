@@ -227,7 +227,7 @@ fn surface_light(normal_in: vec3<f32>, direction: vec3<f32>, color: vec3<f32>) -
     let away = max(dot(normal_in, direction), 0.0);
     let normal = normalize_or(normal_in - direction * away, -direction);
     let facing = dot(normal, frame.to_light);
-    let half = normalize_or(frame.to_light - direction, frame.to_light);
+    let half = half_way(direction);
     let highlight = select(0.0, object.highlight * pow(max(dot(normal, half), 0.0), object.shininess), facing > 0.0);
     return clamp(color * (frame.ambient + frame.diffuse * max(facing, 0.0)) + highlight, vec3<f32>(0.0), vec3<f32>(1.0));
 }

@@ -8,19 +8,33 @@ struct Look {
     present: bool,
     // Smallest mask on the way: strictly between 0 and 1 near a cut.
     alpha: f32,
+    // That of gradient() here, if it came with the value.
+    gradient: vec3<f32>,
+    has_gradient: bool,
 }
 
+const NOT_FETCHED: vec3<f32> = vec3<f32>(0.0);
+
 fn look(deformed: vec3<f32>) -> Look {
+    return look_at(deformed, false);
+}
+
+// With the gradient, if it is kept beside the values and wanted.
+fn look_at(deformed: vec3<f32>, with_gradient: bool) -> Look {
     if CUTS > 0u && cuts_kept(deformed) < 0.0 {
-        return Look(vec3<f32>(0.0), 0.0, false, 0.0);
+        return Look(vec3<f32>(0.0), 0.0, false, 0.0, NOT_FETCHED, false);
     }
     let source = walk(deformed);
     let in_voxel = transform_point(frame.voxel_from_world, source.xyz);
     if source.w < 0.5 || any(in_voxel < vec3<f32>(-0.5)) || any(in_voxel > frame.grid_size - 0.5) {
-        return Look(in_voxel, 0.0, false, source.w);
+        return Look(in_voxel, 0.0, false, source.w, NOT_FETCHED, false);
+    }
+    if with_gradient && GRADIENT == 0u && frame.gradient_scale != 0.0 {
+        let both = sample_gradients(in_voxel);
+        return Look(in_voxel, both.w, frame.has_holes == 0u || both.w >= -1e-4, source.w, both.xyz * frame.gradient_scale, is_in_grid(in_voxel));
     }
     let value = sample_volume(in_voxel);
-    return Look(in_voxel, value, frame.has_holes == 0u || value >= -1e-4, source.w);
+    return Look(in_voxel, value, frame.has_holes == 0u || value >= -1e-4, source.w, NOT_FETCHED, false);
 }
 
 fn central(p: vec3<f32>) -> vec3<f32> {
@@ -34,12 +48,16 @@ fn central(p: vec3<f32>) -> vec3<f32> {
     ) * 0.5;
 }
 
+// Beside the volume's faces a difference is taken at the face.
+fn is_in_grid(p: vec3<f32>) -> bool {
+    return all(p >= vec3<f32>(0.0)) && all(p <= frame.grid_size - 1.0);
+}
+
 // Gradient of the normalised value per voxel along i, j, k.
 fn gradient(p: vec3<f32>) -> vec3<f32> {
     if GRADIENT == 0u {
-        // Beside the volume's faces a difference is taken at the face.
-        if frame.gradient_scale != 0.0 && all(p >= vec3<f32>(0.0)) && all(p <= frame.grid_size - 1.0) {
-            return sample_gradients(p) * frame.gradient_scale;
+        if frame.gradient_scale != 0.0 && is_in_grid(p) {
+            return sample_gradients(p).xyz * frame.gradient_scale;
         }
         return central(p);
     }

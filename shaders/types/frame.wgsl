@@ -51,7 +51,11 @@ struct Frame {
     gradient_scale: f32,
     // Voxels along each axis nearer to the volume's faces than which those may be seen as cuts, wherever the deformation has brought them.
     face: vec3<f32>,
-    padding_2: f32,
+    // Normalised value = 2 gradient_scale * the first number of such a texel + stored_offset.
+    stored_offset: f32,
+    // 1 / texture_size.
+    per_texture_size: vec3<f32>,
+    padding: f32,
 }
 
 // A cut that is a shape (src/deform/cut.rs).
@@ -80,4 +84,7 @@ struct PlacedMap {
     reach: vec3<f32>,
     // Map units per stored unit of displacement.
     scale: f32,
+    // 1 / size.
+    per_size: vec3<f32>,
+    padding: f32,
 }

@@ -55,7 +55,9 @@ pub struct FrameUniform {
     pub texture_size: [f32; 3],
     pub gradient_scale: f32,
     pub face: [f32; 3],
-    pub padding_2: f32,
+    pub stored_offset: f32,
+    pub per_texture_size: [f32; 3],
+    pub padding: f32,
 }
 
 /// `CutShape` of the shaders.
@@ -98,6 +100,8 @@ pub struct PlacedMapUniform {
     pub added: f32,
     pub reach: [f32; 3],
     pub scale: f32,
+    pub per_size: [f32; 3],
+    pub padding: f32,
 }
 
 fn affine(m: &Affine3A) -> [f32; 16] {
@@ -150,7 +154,9 @@ impl FrameUniform {
             texture_size,
             gradient_scale,
             face: scene.voxels_beside_deformed_faces().into(),
-            padding_2: 0.0,
+            stored_offset: scene.grid.offset,
+            per_texture_size: texture_size.map(f32::recip),
+            padding: 0.0,
         }
     }
 }
@@ -166,6 +172,8 @@ impl PlacedMapUniform {
             added: if placed.added { 1.0 } else { 0.0 },
             reach: placed.reach.into(),
             scale: placed.map.scale,
+            per_size: placed.map.size.map(|n| (n as f32).recip()),
+            padding: 0.0,
         }
     }
 }
