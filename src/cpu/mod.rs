@@ -122,9 +122,12 @@ fn rows<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, watch: &Watch) -> (Pic
     } else {
         [[0, width as usize], [0, height as usize]]
     };
-    let stats = pixels
-        .par_chunks_mut(width as usize * strip_rows)
-        .enumerate()
+    let mut strips: Vec<_> = pixels.chunks_mut(width as usize * strip_rows).enumerate().collect();
+    // From the middle outwards: what takes long is begun first, and threads end together on what takes little.
+    strips.sort_by_key(|&(n, _)| (2 * n * strip_rows + strip_rows).abs_diff(lines[0] + lines[1]));
+    let stats = strips
+        .into_iter()
+        .par_bridge()
         .map(|(n, pixels)| {
             if watch.stopped() {
                 return RenderStats::default();
