@@ -8,6 +8,7 @@ use super::sampled::Sampled;
 use super::{CutFaces, Light, Macrocells, Mode, Normals, RenderSettings, Scene, ViewFrame, macrocells::Contents};
 use crate::deform::cut::Cuts;
 use crate::deform::{Library, PlacedMap, Stack, Storage};
+use crate::math::lanes::*;
 use crate::math::{Bounds, normalize_or, to_f32};
 use crate::mesh::Mesh;
 use crate::transfer::{Blend, OWN_COLORS, Table, default_preset};
@@ -674,18 +675,30 @@ impl Picture {
         let [r, g, b, back_alpha] = background;
         let behind = [r * back_alpha, g * back_alpha, b * back_alpha, back_alpha];
         let mut bytes = vec![[0; 4]; self.pixels.len()];
-        bytes.par_chunks_mut(1 << 14).zip(self.pixels.par_chunks(1 << 14)).for_each(|(bytes, pixels)| {
-            for (byte, p) in bytes.iter_mut().zip(pixels) {
-                let (mut all, clear) = (*p, 1.0 - p[3]);
-                for (c, behind) in all.iter_mut().zip(behind) {
-                    *c += behind * clear;
-                }
-                let alpha = all[3].max(1e-6);
-                for ((byte, c), divisor) in byte.iter_mut().zip(all).zip([alpha, alpha, alpha, 1.0]) {
-                    *byte = ((c / divisor).clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
-                }
-            }
-        });
+        bytes.par_chunks_mut(1 << 14).zip(self.pixels.par_chunks(1 << 14)).for_each(|(bytes, pixels)| with_simd(Over { behind, pixels, bytes }));
         bytes.into_flattened()
+    }
+}
+
+/// Pixels over what is behind them, premultiplied both, as bytes that are not.
+struct Over<'a> {
+    behind: [f32; 4],
+    pixels: &'a [[f32; 4]],
+    bytes: &'a mut [[u8; 4]],
+}
+
+impl OverSimd for Over<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        let behind = f32x4::load_array(simd, self.behind);
+        for (byte, pixel) in self.bytes.iter_mut().zip(self.pixels) {
+            let all = behind * (1.0 - pixel[3]) + f32x4::load_array(simd, *pixel);
+            let alpha = all[3].max(1e-6);
+            let share = (all / f32x4::load_array(simd, [alpha, alpha, alpha, 1.0])).max(0.0).min(1.0);
+            let [r, g, b, a] = (share * 255.0 + 0.5).to_int::<i32x4<S>>().to_array();
+            *byte = [r as u8, g as u8, b as u8, a as u8];
+        }
     }
 }
