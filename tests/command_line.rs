@@ -92,7 +92,9 @@ pub fn bad_input_is_named_and_leaves_no_file() {
         assert!(!message.contains("panicked"), "{arguments:?}: {message}");
         assert_eq!(std::fs::read_dir(f).unwrap().count(), before, "{arguments:?} left a file");
     }
-    for (place, culprit) in [("no/such/folder/out.png", "no/such"), (".", "."), ("out.jpg", "png"), ("/proc/out.png", "/proc/out.png")] {
+    for (place, culprit) in
+        [("no/such/folder/out.png", "there is no folder no/such/folder"), (".", "."), ("out.jpg", "png"), ("/proc/out.png", "/proc/out.png")]
+    {
         let output = incise(f, &["render", "good.nii", "-o", place, "--backend", "cpu"]);
         assert_eq!(output.status.code(), Some(1), "{place}");
         assert!(stderr(&output).contains(culprit) && stderr(&output).trim().lines().count() == 1, "{place}: {}", stderr(&output));

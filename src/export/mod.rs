@@ -84,6 +84,9 @@ pub fn protect<'a>(option: &str, output: &Path, read: impl IntoIterator<Item = &
 /// A temporary file in the folder of `path`.
 fn beside(path: &Path) -> Result<tempfile::NamedTempFile> {
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    if !folder.is_dir() {
+        return Err(Error::file(path, format!("there is no folder {}; make it, or choose another place", folder.display())));
+    }
     let mut builder = tempfile::Builder::new();
     builder.prefix(".incise-").suffix(".part");
     #[cfg(unix)]
