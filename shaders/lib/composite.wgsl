@@ -37,6 +37,7 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Str
     let inverse_direction = 1.0 / ray.direction;
     let length = step / frame.reference_mm;
     let half = half_way(ray.direction);
+    let gradients_wanted = BLEND == 0u && ISO == 0u && (is_lit() || uses_gradient_opacity());
     var i = first;
     var color = vec4<f32>(0.0);
     var projected = select(0.0, select(-1e30, 1e30, BLEND == 2u), BLEND != 3u);
@@ -83,7 +84,7 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Str
             share = part.share;
             let sampled = ray.origin + ray.direction * part.t;
             // Matter comes in runs: what lies behind something visible is likely to be shaded too.
-            at = look_at(sampled, BLEND == 0u && i - 1 == last_at && last_depth > 0.0);
+            at = look_at(sampled, gradients_wanted && i - 1 == last_at && last_depth > 0.0);
             // The same point, to the bit, whether or not it was looked at.
             front = Front(sampled - ray.direction * step, -3.0);
             if share == 1.0 {
