@@ -50,8 +50,8 @@
 //! Strips are begun from the middle of the picture outwards, so that threads end together on what takes little: up to 8 in a hundred. Halving the
 //! way to where a ray enters matter by looks that do not wait for each other, three for every two, cost 1 to 4: what counts there is work, not waiting.
 //!
-//! *The ceiling*: this machine fetches 431 to 437 million trilinear samples a second on two threads, eight at once and without anything else
-//! (`benches/growth.rs`; 301 million before the checks were one a cell); rays through surfaces take 26 (256 x 256) to 53 million, 6 to 12 % of it. Of
+//! *The ceiling*: two threads fetch 626 to 665 million trilinear samples a second, eight at once and without anything else (`benches/growth.rs`; 431 to 437
+//! million on a slower day, 301 before the checks were one a cell); rays through surfaces take 32 (256 x 256) to 62 million, 5 to 10 % of it. Of
 //! the haze's time a fifth goes to values and differences, 13 in a hundred to where rays enter matter, 9 to gradients elsewhere, 11 to the transfer
 //! function, 7 to light, 5 to empty space, 4 to what is fetched ahead; the rest is spread over what keeps eight rays together, of which 6.7 look at once.
 //!
