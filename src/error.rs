@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// A file could not be opened, read or written.
-    #[error("{path}: {doing} failed: {source}{hint}")]
+    #[error("{}: {doing} failed: {source}{hint}", shown(path))]
     Io {
         /// The file.
         path: PathBuf,
@@ -18,7 +18,7 @@ pub enum Error {
         hint: &'static str,
     },
     /// A file was read but its content is not usable.
-    #[error("{path}: {problem}")]
+    #[error("{}: {problem}", shown(path))]
     File {
         /// The file.
         path: PathBuf,
@@ -43,6 +43,11 @@ pub enum Error {
 
 /// A result with this crate's [`Error`].
 pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+/// A path in a message: names of files may hold what moves a terminal's cursor.
+fn shown(path: &Path) -> String {
+    path.to_string_lossy().replace(char::is_control, "\u{fffd}")
+}
 
 impl Error {
     /// An [`Error::Io`] with a hint for the commonest causes.

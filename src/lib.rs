@@ -10,7 +10,7 @@
 //!   camera, light ────────────┘                      └── render (slices and rays on a GPU, on top of gpu)
 //! ```
 //!
-//! Modules, each knowing only those before it: [`math`] ← [`volume`], [`mesh`] ← [`transfer`], [`deform`] ← [`scene`] ← [`cpu`],
+//! Modules, each knowing only those before it: [`files`] ← [`math`] ← [`volume`], [`mesh`] ← [`transfer`], [`deform`] ← [`scene`] ← [`cpu`],
 //! ([`gpu`] ← [`render`]) ← [`export`] ← [`compare`] ← [`cli`], [`gui`] (the workstation), which do not know each other.
 //!
 //! *Theory*: backward displacement maps with a discontinuity mask, \[DDM06\] = Correa, Silver, Chen, "Discontinuous Displacement
@@ -30,6 +30,7 @@ pub mod cpu;
 pub mod deform;
 mod error;
 pub mod export;
+pub mod files;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 #[cfg(feature = "gui")]

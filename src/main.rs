@@ -18,6 +18,6 @@ fn workstation(file: Option<std::path::PathBuf>) -> ExitCode {
 #[cfg(not(feature = "gui"))]
 fn workstation(file: Option<std::path::PathBuf>) -> ExitCode {
     let what = file.map_or_else(|| "FILE".to_owned(), |f| f.display().to_string());
-    eprintln!("incise: this build has no workstation; render a picture with: incise render {what} -o picture.png (see incise --help)");
+    cli::tell(format_args!("this build has no workstation; render a picture with: incise render {what} -o picture.png (see incise --help)"));
     ExitCode::from(2)
 }

@@ -2,20 +2,21 @@
 
 use std::path::{Path, PathBuf};
 
-const ORDER: [(&str, &[&str]); 13] = [
-    ("math", &[]),
-    ("volume", &["math"]),
-    ("mesh", &["math", "volume"]),
-    ("transfer", &["math", "volume"]),
-    ("deform", &["math", "volume"]),
-    ("scene", &["math", "volume", "mesh", "transfer", "deform"]),
-    ("cpu", &["math", "volume", "mesh", "transfer", "deform", "scene"]),
-    ("gpu", &["math"]),
-    ("render", &["math", "volume", "mesh", "transfer", "deform", "scene", "gpu"]),
-    ("export", &["math", "volume", "deform", "scene"]),
-    ("compare", &["math", "volume", "scene", "cpu", "gpu", "render", "export"]),
-    ("cli", &["math", "volume", "mesh", "transfer", "deform", "scene", "cpu", "gpu", "render", "export", "compare"]),
-    ("gui", &["math", "volume", "mesh", "transfer", "deform", "scene", "cpu", "gpu", "render", "export", "compare"]),
+const ORDER: [(&str, &[&str]); 14] = [
+    ("files", &[]),
+    ("math", &["files"]),
+    ("volume", &["files", "math"]),
+    ("mesh", &["files", "math", "volume"]),
+    ("transfer", &["files", "math", "volume"]),
+    ("deform", &["files", "math", "volume"]),
+    ("scene", &["files", "math", "volume", "mesh", "transfer", "deform"]),
+    ("cpu", &["files", "math", "volume", "mesh", "transfer", "deform", "scene"]),
+    ("gpu", &["files", "math"]),
+    ("render", &["files", "math", "volume", "mesh", "transfer", "deform", "scene", "gpu"]),
+    ("export", &["files", "math", "volume", "deform", "scene"]),
+    ("compare", &["files", "math", "volume", "scene", "cpu", "gpu", "render", "export"]),
+    ("cli", &["files", "math", "volume", "mesh", "transfer", "deform", "scene", "cpu", "gpu", "render", "export", "compare"]),
+    ("gui", &["files", "math", "volume", "mesh", "transfer", "deform", "scene", "cpu", "gpu", "render", "export", "compare"]),
 ];
 
 fn files(folder: &Path, extension: &str) -> Vec<PathBuf> {
@@ -58,6 +59,46 @@ pub fn modules_name_only_those_before_them() {
         }
     }
     assert!(names_seen > 40, "the test sees only {names_seen} names");
+}
+
+/// Readers open their files, and writers make theirs, in one place: what is promised there holds for all.
+pub fn only_one_module_opens_files() {
+    const WORDS: [&str; 10] = [
+        "File::open",
+        "File::create",
+        "OpenOptions",
+        "fs::read(",
+        "fs::read_to_string",
+        "fs::write",
+        "fs::copy",
+        "fs::rename",
+        "NamedTempFile",
+        "load_gltf",
+    ];
+    // What is no user's file, and what has its reason beside it.
+    const EXCEPTIONS: [(&str, &str); 6] = [
+        ("compare/mod.rs", "/proc/"),
+        ("gui/session.rs", "lock"),
+        ("gui/session.rs", "File::open(path)"),
+        ("gui/panels/editor.rs", "aside"),
+        ("export/clip.rs", "folder.path().join(&file)"),
+        ("deform/transform/itk.rs", "hdf5_pure::File::open"),
+    ];
+    let mut exceptions = 0;
+    for file in files(&root().join("src"), "rs") {
+        let name = file.strip_prefix(root().join("src")).unwrap().to_string_lossy().into_owned();
+        if name.starts_with("files/") {
+            continue;
+        }
+        let text = std::fs::read_to_string(&file).unwrap();
+        let code = text.split("#[cfg(test)]").next().unwrap();
+        for line in code.lines().filter(|l| !l.trim_start().starts_with("//") && WORDS.iter().any(|w| l.contains(w))) {
+            let excepted = EXCEPTIONS.iter().any(|(of, word)| name == *of && line.contains(word));
+            assert!(excepted, "{name} opens a file itself: {line}");
+            exceptions += 1;
+        }
+    }
+    assert!(exceptions >= 5, "{exceptions}");
 }
 
 pub fn files_are_of_readable_size() {

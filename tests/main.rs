@@ -22,6 +22,8 @@ mod scenes;
 #[cfg(feature = "gpu")]
 mod shaders;
 mod surfaces;
+#[cfg(unix)]
+mod trust;
 #[cfg(feature = "gui")]
 mod workstation;
 
@@ -67,7 +69,7 @@ fn main() {
     let arguments = Arguments::from_args();
     let mut all: Vec<Trial> = Vec::new();
     all.extend(alone());
-    all.extend(trials!(architecture: modules_name_only_those_before_them, files_are_of_readable_size));
+    all.extend(trials!(architecture: modules_name_only_those_before_them, only_one_module_opens_files, files_are_of_readable_size));
     all.extend(trials!(metrics: equal_pictures_are_equal, the_comparer_rejects));
     all.extend(contract::trials());
     all.extend(trials!(closed_forms:
@@ -97,6 +99,10 @@ fn main() {
     all.extend(trials!(command_line:
         bad_input_is_named_and_leaves_no_file, bad_deformations_are_named, maps_and_bakes_by_the_command_line, same_bytes_for_any_number_of_threads, cpu_is_used_without_a_driver, stats_are_complete,
         an_existing_file_is_replaced_whole, meshes_and_fields_by_the_command_line, info_tells_what_is_needed, usage_errors_exit_with_2));
+    #[cfg(unix)]
+    all.extend(trials!(trust:
+        every_writer_into_every_place, standard_output_takes_a_picture, what_cannot_be_printed_is_an_error, nothing_unfinished_is_left,
+        every_reader_of_every_kind_of_file, files_do_not_reach_outside, names_that_are_no_text));
     all.extend(trials!(comparison:
         a_sweep_is_whole_and_converges, only_like_is_compared_with_like, what_cannot_be_compared_is_told, a_missing_gpu_is_told));
     #[cfg(feature = "gpu")]

@@ -2,12 +2,15 @@
 
 use super::arguments;
 use super::progress::Progress;
-use crate::export::{Output, bake, protect};
+use crate::export::{bake, protect};
+use crate::files::Output;
+use crate::files::path_text::text_of;
 use crate::scene::{Assets, Deformed, Scene};
 use crate::volume::save::Format;
 use crate::{Error, Result};
 use clap::{Args, ValueEnum};
-use std::path::PathBuf;
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum InterpolationName {
@@ -28,7 +31,7 @@ pub struct Arguments {
     output: PathBuf,
     /// A deformation, applied after those of the scene; repeatable, in order.
     #[arg(long, value_name = "KIND[:name=value,...]")]
-    deform: Vec<String>,
+    deform: Vec<OsString>,
     /// Write the composed displacement (source minus deformed point, mm, LPS) instead of the volume.
     #[arg(long)]
     field: bool,
@@ -52,7 +55,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut scene = Scene::of_input(&arguments.input)?;
     arguments.volume.apply(&mut scene)?;
     for text in &arguments.deform {
-        scene.deformation.push(arguments::deformation(text)?);
+        scene.deformation.push(arguments::deformation(&text_of(Path::new(text)))?);
     }
     let read = scene.files();
     protect("--output", &arguments.output, read.iter().map(PathBuf::as_path).chain([arguments.input.as_path()]))?;
@@ -65,16 +68,17 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         return Err(Error::file(&arguments.input, "has no volume to bake; its meshes are rendered, not baked"));
     }
     let assets = Assets::load(&scene, &|what, share| bar.set(what, share))?;
+    output.check()?;
     let volume = &assets.volume;
     let Deformed { stack, cuts, .. } = Deformed::exact(&scene, &assets, true)?;
     let deformation = bake::Deformation { stack: &stack, cuts: &cuts };
     if !arguments.quiet {
         for note in volume.warnings.iter().map(|w| format!("{}: {w}", scene.volume_name())).chain(assets.library.notices()) {
-            eprintln!("incise: {note}");
+            super::tell(note);
         }
     }
     if volume.colors.is_some() && !arguments.field && !arguments.quiet {
-        eprintln!("incise: {}: colours are not baked; the file gets their brightness (--channel chooses one channel)", scene.volume_name());
+        super::tell(format_args!("{}: colours are not baked; the file gets their brightness (--channel chooses one channel)", scene.volume_name()));
     }
     let grid = if arguments.enlarge { bake::enlarged(volume, &stack) } else { volume.geometry() };
     let interpolation = match arguments.interpolation {
@@ -96,7 +100,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     })?;
     bar.finish();
     if cut > 0 && !arguments.quiet {
-        eprintln!("incise: {cut} points of the field are cut away; a field cannot say so, and goes on there as beside the cut");
+        super::tell(format_args!("{cut} points of the field are cut away; a field cannot say so, and goes on there as beside the cut"));
     }
     Ok(())
 }

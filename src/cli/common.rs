@@ -2,11 +2,13 @@
 
 use super::arguments;
 use super::progress::Progress;
-use crate::export::Output;
+use crate::files::Output;
+use crate::files::path_text::text_of;
 use crate::scene::surface::CutModel;
 use crate::scene::{Assets, Camera, InsideMesh, Mode, Projection, Scene, View};
 use crate::{Error, Result};
 use clap::{Args, ValueEnum};
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 /// How the scene is sampled.
@@ -85,7 +87,7 @@ pub struct Common {
     level: Option<f64>,
     /// A deformation, applied after those of the scene; repeatable, in order.
     #[arg(long, value_name = "KIND[:name=value,...]")]
-    deform: Vec<String>,
+    deform: Vec<OsString>,
     /// Compose all deformations into one map that is this exact, mm.
     #[arg(long, value_name = "MM")]
     precompose: Option<f32>,
@@ -100,7 +102,7 @@ pub struct Common {
     cut_model: Option<CutModelName>,
     /// A closed mesh: the volume is shown inside of it.
     #[arg(long, value_name = "MESH")]
-    inside: Option<String>,
+    inside: Option<PathBuf>,
     /// R,G,B[,A] (0..1 or 0..255), #rrggbb or transparent.
     #[arg(long, value_parser = arguments::background)]
     background: Option<[f32; 4]>,
@@ -168,11 +170,11 @@ impl Common {
         if let Some(mesh) = &self.inside {
             let volume = scene.volume.as_mut().ok_or_else(|| Error::value("--inside", "needs a volume to show inside of the mesh"))?;
             // As typed, from where it was typed; a scene's own paths start at the scene.
-            let path = std::path::absolute(mesh).map_err(|e| Error::io(Path::new(mesh), "reading", e))?;
-            volume.inside = Some(InsideMesh { path: path.to_string_lossy().into_owned(), ..InsideMesh::default() });
+            let path = std::path::absolute(mesh).map_err(|e| Error::io(mesh, "reading", e))?;
+            volume.inside = Some(InsideMesh { path: text_of(&path), ..InsideMesh::default() });
         }
         for text in &self.deform {
-            scene.deformation.push(arguments::deformation(text)?);
+            scene.deformation.push(arguments::deformation(&text_of(Path::new(text)))?);
         }
         Ok(scene)
     }
@@ -209,8 +211,13 @@ impl Common {
     /// Tells on stderr, unless it is to be quiet.
     pub fn tell<T: std::fmt::Display>(&self, notices: impl IntoIterator<Item = T>) {
         if !self.quiet {
-            notices.into_iter().for_each(|notice| eprintln!("incise: {notice}"));
+            notices.into_iter().for_each(super::tell);
         }
+    }
+
+    /// Whether `--stats` or `--json` write to standard output.
+    pub fn reports_to_standard_output(&self) -> bool {
+        self.json || self.stats.as_deref() == Some(Path::new("-"))
     }
 
     /// The file that `--stats` names, unless it is standard output.
@@ -226,8 +233,8 @@ impl Common {
     /// # Errors
     /// A full disk.
     pub fn write_stats(&self, text: &str, file: Option<Output>) -> Result<()> {
-        if self.json || self.stats.as_deref() == Some(Path::new("-")) {
-            super::print(text);
+        if self.reports_to_standard_output() {
+            super::print(text)?;
         }
         file.map_or(Ok(()), |file| file.finish(text.as_bytes()))
     }

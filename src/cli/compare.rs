@@ -6,7 +6,8 @@ use super::progress::Progress;
 use crate::compare::lab::{self, Gpu, Plan, REFERENCE_STEP};
 use crate::compare::plot::number;
 use crate::compare::{Report, write_files};
-use crate::export::{Output, protect, same_file};
+use crate::export::protect;
+use crate::files::{Output, check_distinct};
 use crate::scene::{Mode, Scene, View};
 use crate::{Error, Result};
 use clap::{Args, ValueEnum};
@@ -150,13 +151,7 @@ impl Arguments {
         let read = || read.iter().map(PathBuf::as_path).chain([self.common.input.as_path()]);
         if let Some(stats) = self.common.stats.as_ref().filter(|p| *p != Path::new("-")) {
             protect("--stats", stats, read().collect::<Vec<_>>())?;
-            let is_stats = |name: &str| {
-                let file = self.output.join(name);
-                same_file(stats, &file) || std::path::absolute(stats).ok().is_some_and(|stats| std::path::absolute(file).ok() == Some(stats))
-            };
-            if names.clone().any(is_stats) {
-                return Err(Error::value(format!("--stats {}", stats.display()), "is a file of the report; choose another name"));
-            }
+            names.clone().try_for_each(|name| check_distinct(&self.output.join(name), "--stats", stats))?;
         }
         let paths: Vec<&Path> = read().collect();
         names.into_iter().try_for_each(|name| protect("--output", &self.output.join(name), paths.iter().copied()))
@@ -185,6 +180,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     };
     let bar = Progress::new(common.quiet);
     let assets = common.load(&plan.loading(), &bar)?;
+    if let Some(file) = &stats_file {
+        file.check()?;
+    }
     let title = common.input.file_name().unwrap_or(common.input.as_os_str()).to_string_lossy();
     let report = lab::run(&plan, &assets, gpu, &title, &|what, share| bar.set(what, share))?;
     bar.finish();
@@ -206,7 +204,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 fn summary(report: &Report) {
     for run in report.runs.iter().filter(|run| !run.is_reference) {
         let error = run.error.map_or(String::new(), |d| format!(", RMS error {} of 255", number(d.rms())));
-        eprintln!("incise: {}: {:.1} ms{error}", run.name, run.milliseconds.median);
+        super::tell(format_args!("{}: {:.1} ms{error}", run.name, run.milliseconds.median));
     }
 }
 

@@ -2,7 +2,9 @@
 
 use super::progress::Progress;
 use crate::deform::kinds::{self, Kind, Unit};
-use crate::export::{Output, png};
+use crate::export::png;
+use crate::files::Output;
+use crate::files::path_text::text_of;
 use crate::scene::{Assets, Prepared, Scene, example};
 use crate::{Error, Result, cpu};
 use clap::Args;
@@ -39,9 +41,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         return Err(Error::value("--edge", format!("{} is outside 16 to 2048 pixels", arguments.edge)));
     }
     std::fs::create_dir_all(&arguments.output).map_err(|e| Error::io(&arguments.output, "making", e))?;
-    let own = arguments.volume.to_str().ok_or_else(|| Error::file(&arguments.volume, "has a name that is not valid Unicode; rename it"))?;
+    let own = text_of(&arguments.volume);
     let bar = Progress::new(arguments.quiet);
-    let volumes = [("volume", own), ("checker", "phantom:checker")];
+    let volumes = [("volume", own.as_str()), ("checker", "phantom:checker")];
     let loaded = volumes.map(|(_, path)| Assets::load(&Scene::of_volume(path), &|_, _| ()));
     let [a, b] = loaded;
     let assets = [a?, b?];
@@ -90,7 +92,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     bar.finish();
     if !arguments.quiet {
         for note in notes {
-            eprintln!("incise: {note}");
+            super::tell(note);
         }
     }
     Ok(())

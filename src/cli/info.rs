@@ -3,6 +3,7 @@
 use super::arguments::VolumeArguments;
 use super::progress::Progress;
 use crate::deform::kinds::{self, Unit};
+use crate::files::path_text::path_of;
 use crate::scene::Scene;
 use crate::scene::deformations::FILE_KINDS;
 use crate::scene::surface::{DEFORMERS, LOOKS};
@@ -50,15 +51,14 @@ pub fn run(arguments: &Arguments) -> Result<()> {
                 // The one that cannot be read is one of several.
                 (Err(error), Some(series)) if series.len() > 1 => {
                     let report = json!({ "kind": "volume", "format": "DICOM", "all_series": series });
-                    super::print(&if arguments.json { format!("{report:#}") } else { plain(&report) });
+                    super::print(&if arguments.json { format!("{report:#}") } else { plain(&report) })?;
                     return Err(error);
                 }
                 (Err(error), _) => return Err(error),
             }
         }
     };
-    super::print(&if arguments.json { format!("{report:#}") } else { plain(&report) });
-    Ok(())
+    super::print(&if arguments.json { format!("{report:#}") } else { plain(&report) })
 }
 
 /// What a file holds, and every series of it.
@@ -162,7 +162,7 @@ fn scene_report(path: &Path) -> Result<Value> {
         .mesh
         .iter()
         .filter_map(|m| m.path.as_ref())
-        .map(|p| -> Result<Value> { Ok(json!({ "path": p, "report": mesh_report(&mesh::load::mesh(&scene.folder.join(p))?) })) });
+        .map(|p| -> Result<Value> { Ok(json!({ "path": p, "report": mesh_report(&mesh::load::mesh(&scene.folder.join(path_of(p)))?) })) });
     Ok(json!({
         "kind": "scene",
         "volume": volume.map(|v| json!({ "path": scene.volume_name(), "report": volume_report(&v) })),

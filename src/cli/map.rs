@@ -5,7 +5,9 @@ use super::progress::Progress;
 use crate::deform::health::Examined;
 use crate::deform::transform::{Context, Step, Transform, VectorField};
 use crate::deform::{PlacedMap, Storage, compose, invert, saved};
-use crate::export::{Output, png_rgb, protect};
+use crate::export::{png_rgb, protect};
+use crate::files::path_text::text_of;
+use crate::files::{Output, check_distinct};
 use crate::math::Bounds;
 use crate::scene::{Assets, Deformed, Scene, deformations::FILE_KINDS};
 use crate::volume::load::{self, Choice};
@@ -14,6 +16,7 @@ use crate::{Error, Result, Watch};
 use clap::{Args, Subcommand};
 use glam::Vec3;
 use serde_json::json;
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 /// Options as typed.
@@ -24,7 +27,7 @@ pub struct Arguments {
     action: Option<Action>,
     /// A kind with its parameters (as --deform takes it), or a file: a map, a field, a transform.
     #[arg(required = true, value_name = "KIND|FILE")]
-    what: Option<String>,
+    what: Option<OsString>,
     /// The file to write. A kind as .nrrd keeps its mask (a displacement map); other endings hold the displacement alone.
     #[arg(short, long, required = true, value_name = "OUT")]
     output: Option<PathBuf>,
@@ -83,11 +86,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if let Some(Action::Check(check)) = &arguments.action {
         return run_check(check);
     }
-    let (Some(what), Some(path)) = (&arguments.what, &arguments.output) else {
+    let (Some(input), Some(path)) = (arguments.what.as_deref().map(Path::new), &arguments.output) else {
         return Err(Error::value("map", "needs a kind or a file, and --output"));
     };
     let format = Format::of(path)?;
-    let input = Path::new(what);
+    let what = text_of(input);
     protect("--output", path, arguments.volume.as_deref().into_iter().chain([input]))?;
     if let Some(n) = arguments.resolution.filter(|n| !(8..=512).contains(n)) {
         return Err(Error::value("--resolution", format!("{n} is outside 8 to 512 points")));
@@ -96,7 +99,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let bar = Progress::new(arguments.quiet);
     let note = |text: String| {
         if !arguments.quiet {
-            eprintln!("incise: {text}");
+            super::tell(text);
         }
     };
     let name = what.split(':').next().unwrap_or_default();
@@ -106,7 +109,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             Some(v) => Scene::of_input(v)?,
             None => Scene::of_volume("phantom:ball:size=8"),
         };
-        scene.deformation = vec![arguments::deformation(what)?];
+        scene.deformation = vec![arguments::deformation(&what)?];
         protect("--output", path, scene.files().iter().map(PathBuf::as_path))?;
         if scene.deformation[0].resolution.is_none() && arguments.resolution.is_some() {
             scene.deformation[0].resolution = arguments.resolution;
@@ -119,7 +122,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             [one] => one.clone(),
             _ => {
                 compose::stack(&stack, &assets.volume.bounds_in_world(), compose::Resolution::Within(0.05), Storage::F32, &compose::evaluate)?
-                    .ok_or_else(|| Error::value(what, "makes no map"))?
+                    .ok_or_else(|| Error::value(&what, "makes no map"))?
                     .placed
             }
         };
@@ -227,7 +230,7 @@ fn run_check(arguments: &CheckArguments) -> Result<()> {
         }
     }
     if let (Some(csv), Some(picture)) = (&arguments.csv, &arguments.picture) {
-        protect("--picture", picture, [csv.as_path()])?;
+        check_distinct(csv, "--picture", picture)?;
     }
     let csv = arguments.csv.as_deref().map(Output::create).transpose()?;
     let picture = arguments.picture.as_deref().map(Output::create).transpose()?;
@@ -252,10 +255,9 @@ fn run_check(arguments: &CheckArguments) -> Result<()> {
         file.finish(&png_rgb(width, height, &rgb)?)?;
     }
     let grid = examined.field.grid;
-    let report = json!({ "file": path, "size": grid.size, "health": health, "warnings": warnings });
+    let report = json!({ "file": path.display().to_string(), "size": grid.size, "health": health, "warnings": warnings });
     if arguments.json {
-        super::print(&format!("{report:#}"));
-        return Ok(());
+        return super::print(&format!("{report:#}"));
     }
     let mut out = format!("{} on {} x {} x {} points\n", path.display(), grid.size[0], grid.size[1], grid.size[2]);
     let mut line = |name: &str, text: String| out.push_str(&format!("  {name:<22} {text}\n"));
@@ -270,8 +272,7 @@ fn run_check(arguments: &CheckArguments) -> Result<()> {
     for w in &warnings {
         line("note", w.clone());
     }
-    super::print(out.trim_end());
-    Ok(())
+    super::print(out.trim_end())
 }
 
 /// A field, all of it seen.

@@ -12,6 +12,7 @@ mod render;
 mod sdf;
 
 use crate::scene::file::schema;
+use crate::{Result, files};
 use clap::{Parser, Subcommand};
 use std::io::Write;
 use std::process::ExitCode;
@@ -22,8 +23,11 @@ use std::process::ExitCode;
 struct Cli {
     #[command(subcommand)]
     command: Option<Command>,
-    /// A scene or a volume to open in the workstation.
+    /// A scene, a volume or a mesh to open in the workstation.
     file: Option<std::path::PathBuf>,
+    /// Let files name files outside of their own folders (headers of detached values, glTF), and follow links out of folders that are read.
+    #[arg(long, global = true)]
+    allow_outside: bool,
 }
 
 #[derive(Subcommand)]
@@ -58,7 +62,16 @@ pub enum Run {
 
 /// Runs the program. Exit code 0: done; 1: failed, with one message; 2: wrong usage.
 pub fn main() -> Run {
-    let cli = Cli::parse();
+    files::unfinished::remove_on_signals();
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) if error.use_stderr() => error.exit(),
+        // What was asked for: help, or the version.
+        Err(wanted) => return Run::Done(finish(print(wanted.render().to_string().trim_end()))),
+    };
+    if cli.allow_outside {
+        files::reference::allow_outside();
+    }
     let result = match cli.command {
         Some(Command::Render(arguments)) => render::run(&arguments),
         Some(Command::Compare(arguments)) => compare::run(&arguments),
@@ -67,20 +80,14 @@ pub fn main() -> Run {
         Some(Command::Gallery(arguments)) => gallery::run(&arguments),
         Some(Command::Sdf(arguments)) => sdf::run(&arguments),
         Some(Command::Info(arguments)) => info::run(&arguments),
-        Some(Command::Schema) => {
-            print(&format!("{:#}", schema()));
-            Ok(())
-        }
-        Some(Command::List) => {
-            print(&info::catalogue());
-            Ok(())
-        }
+        Some(Command::Schema) => print(&format!("{:#}", schema())),
+        Some(Command::List) => print(&info::catalogue()),
         None => {
             if let Some(word) =
                 cli.file.as_ref().and_then(|f| f.to_str()).filter(|w| !w.contains(['.', '/', '\\', ':']) && !std::path::Path::new(w).exists())
             {
                 let commands = ["render", "compare", "bake", "map", "gallery", "sdf", "info", "schema", "list"];
-                eprintln!("incise: there is no command and no file \"{word}\"; {}", crate::error::suggestion(word, commands));
+                tell(format_args!("there is no command and no file \"{word}\"; {}", crate::error::suggestion(word, commands)));
                 return Run::Done(ExitCode::from(2));
             }
             return Run::Workstation(cli.file);
@@ -90,17 +97,25 @@ pub fn main() -> Run {
 }
 
 /// The exit code of what was done; what went wrong is told.
-pub fn finish(result: crate::Result<()>) -> ExitCode {
+pub fn finish(result: Result<()>) -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("incise: {error}");
+            tell(error.printable());
             ExitCode::FAILURE
         }
     }
 }
 
-/// Writes a line to standard output; a reader that has gone away is not an error.
-fn print(text: &str) {
-    let _gone = writeln!(std::io::stdout(), "{text}");
+/// Writes a line to standard output.
+///
+/// # Errors
+/// A full device. A reader that has gone away is not an error.
+fn print(text: &str) -> Result<()> {
+    files::standard_output().finish(format!("{text}\n").as_bytes())
+}
+
+/// Writes a line to standard error, which may be closed or full: there is nowhere to say so.
+pub fn tell(text: impl std::fmt::Display) {
+    let _nowhere = writeln!(std::io::stderr(), "incise: {text}");
 }

@@ -4,12 +4,13 @@ use super::common::Common;
 use super::progress::Progress;
 use crate::compare::peak_memory_bytes;
 use crate::deform::health::Examined;
-use crate::export::{Output, png, protect, same_file};
+use crate::export::{png, protect};
+use crate::files::{Output, check_distinct};
 use crate::scene::{Assets, Picture, Prepared, RenderStats, Rendered, Scene, Stages};
 use crate::{Error, Result, cpu};
 use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// Where the picture is computed.
@@ -28,7 +29,7 @@ enum Backend {
 pub struct Arguments {
     #[command(flatten)]
     common: Common,
-    /// The picture to write (.png).
+    /// The picture to write (.png); - for standard output.
     #[arg(short, long, value_name = "OUT.png")]
     output: PathBuf,
     /// Where to compute.
@@ -39,17 +40,16 @@ pub struct Arguments {
 /// Renders and writes the picture.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let start = Instant::now();
-    if arguments.output.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() != Some("png") {
-        return Err(Error::value(format!("--output {}", arguments.output.display()), "pictures are written as PNG; give a name that ends in .png"));
-    }
     let common = &arguments.common;
     let scene = common.scene()?;
-    protect_inputs(arguments, &scene)?;
-    let output = Output::create(&arguments.output)?;
-    let stats_file = common.stats_file()?;
+    let (output, stats_file) = outputs(arguments, &scene)?;
     common.use_threads()?;
     let bar = Progress::new(common.quiet);
     let assets = common.load(&scene, &bar)?;
+    output.check()?;
+    if let Some(file) = &stats_file {
+        file.check()?;
+    }
     let mut gpu = Gpu::open(arguments)?;
     let prepared = gpu.prepare(&scene, &assets, arguments.backend)?;
     common.tell(assets.library.notices());
@@ -68,22 +68,31 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         common.write_stats(&format!("{report:#}"), stats_file)?;
     }
     if common.verbose {
-        eprintln!("incise: {} on {} in {total:.0} ms", arguments.output.display(), done.adapter);
+        super::tell(format_args!("{} on {} in {total:.0} ms", arguments.output.display(), done.adapter));
     }
     Ok(())
 }
 
-/// Nothing is ever written to a file that is read, nor two things to one file.
-fn protect_inputs(arguments: &Arguments, scene: &Scene) -> Result<()> {
+/// Where the picture and the report go: never to a file that is read, nor both to one file.
+fn outputs(arguments: &Arguments, scene: &Scene) -> Result<(Output, Option<Output>)> {
+    let (picture, common) = (&arguments.output, &arguments.common);
     let read = scene.files();
-    let written = [Some(("--output", &arguments.output)), arguments.common.stats.as_ref().map(|s| ("--stats", s))];
-    for (option, path) in written.into_iter().flatten() {
-        protect(option, path, read.iter().map(PathBuf::as_path).chain([arguments.common.input.as_path()]))?;
+    let written = [Some(("--output", picture)), common.stats.as_ref().map(|s| ("--stats", s))];
+    for (option, path) in written.into_iter().flatten().filter(|(_, path)| *path != Path::new("-")) {
+        protect(option, path, read.iter().map(PathBuf::as_path).chain([common.input.as_path()]))?;
     }
-    if arguments.common.stats.as_ref().is_some_and(|s| same_file(s, &arguments.output)) {
-        return Err(Error::value("--stats", "names the same file as --output; choose another name"));
+    if picture == Path::new("-") && common.reports_to_standard_output() {
+        return Err(Error::value("--stats, --json", "standard output takes the picture (-o -); name a file for one of them"));
     }
-    Ok(())
+    if let Some(stats) = common.stats.as_ref().filter(|s| *s != Path::new("-")) {
+        check_distinct(picture, "--stats", stats)?;
+    }
+    let output = Output::create_or_standard(picture)?;
+    let is_png = || picture.extension().is_some_and(|e| e.eq_ignore_ascii_case("png"));
+    if output.is_file() && !is_png() {
+        return Err(Error::value(format!("--output {}", picture.display()), "pictures are written as PNG; give a name that ends in .png"));
+    }
+    Ok((output, common.stats_file()?))
 }
 
 /// A picture and where it was made.

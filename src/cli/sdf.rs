@@ -2,7 +2,8 @@
 
 use super::progress::Progress;
 use crate::Watch;
-use crate::export::{Output, protect};
+use crate::export::protect;
+use crate::files::Output;
 use crate::math::Bounds;
 use crate::mesh::field::{FieldSettings, MeshField};
 use crate::mesh::load;
@@ -58,10 +59,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let output = Output::create(&arguments.output)?;
     let start = Instant::now();
     let mesh = load::mesh(&arguments.mesh)?;
+    output.check()?;
     let read_ms = start.elapsed().as_secs_f64() * 1e3;
     if !arguments.quiet {
         for warning in &mesh.warnings {
-            eprintln!("incise: {}: {warning}", arguments.mesh.display());
+            super::tell(format_args!("{}: {warning}", arguments.mesh.display()));
         }
     }
     let bar = Progress::new(arguments.quiet);
@@ -85,16 +87,16 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let t = &field.topology;
     if !arguments.quiet {
         if !t.watertight {
-            eprintln!(
-                "incise: {}: not watertight ({} open edges, {} with more than two triangles); the inside is where the winding number is above 1/2, doubtful at {:.1} % of the points near the surface",
+            super::tell(format_args!(
+                "{}: not watertight ({} open edges, {} with more than two triangles); the inside is where the winding number is above 1/2, doubtful at {:.1} % of the points near the surface",
                 arguments.mesh.display(),
                 t.open_edges,
                 t.non_manifold_edges,
                 100.0 * field.doubtful
-            );
+            ));
         }
         if field.turned > 0 {
-            eprintln!("incise: {}: {} triangles were turned to face one way", arguments.mesh.display(), field.turned);
+            super::tell(format_args!("{}: {} triangles were turned to face one way", arguments.mesh.display(), field.turned));
         }
     }
     if arguments.json {
@@ -112,7 +114,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             "exact_everywhere": arguments.exact,
             "milliseconds": { "read": read_ms, "field": field_ms },
         });
-        super::print(&format!("{report:#}"));
+        super::print(&format!("{report:#}"))?;
     }
     Ok(())
 }

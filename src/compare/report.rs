@@ -3,7 +3,8 @@
 use super::lab::{EqualError, equal_errors};
 use super::metrics::{Difference, difference, difference_picture};
 use super::{Memory, Times};
-use crate::export::{Output, png};
+use crate::export::png;
+use crate::files::Output;
 use crate::scene::{Mode, Picture, RenderStats, Scene};
 use crate::{Error, Result};
 use serde_json::{Value, json};

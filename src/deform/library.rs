@@ -4,6 +4,7 @@
 use super::distance::{Region, of_region};
 use super::transform::{Context, Transform};
 use super::{Arguments, DisplacementMap};
+use crate::files::path_text::path_of;
 use crate::math::DistanceGrid;
 use crate::volume::load::{self, Choice};
 use crate::volume::{GridGeometry, Volume};
@@ -73,7 +74,7 @@ impl Library {
 
     /// A path as this process finds it.
     pub fn path(&self, path: &str) -> PathBuf {
-        if path.starts_with("phantom:") { PathBuf::from(path) } else { self.folder.join(path) }
+        if path.starts_with("phantom:") { PathBuf::from(path) } else { self.folder.join(path_of(path)) }
     }
 
     /// A volume by path.

@@ -224,14 +224,7 @@ pub fn read_pairs(path: &Path) -> Result<Vec<Pair>> {
 }
 
 fn text_of(path: &Path) -> Result<String> {
-    let size = std::fs::metadata(path).map_err(|e| Error::io(path, "opening", e))?.len();
-    if size > 64 << 20 {
-        return Err(Error::file(path, "is larger than any list of control points"));
-    }
-    std::fs::read_to_string(path).map_err(|e| match e.kind() {
-        std::io::ErrorKind::InvalidData => Error::file(path, "is no text; points come as .csv, .mrk.json or .fcsv"),
-        _ => Error::io(path, "reading", e),
-    })
+    crate::files::input::text(path, 64 << 20, "list of points (.csv, .mrk.json or .fcsv)")
 }
 
 /// Lines of numbers with their line numbers.

@@ -6,7 +6,8 @@
 //!
 //! As of any output, nothing partial is left: neither where the work is stopped nor where a frame fails.
 
-use super::Output;
+use crate::files::Output;
+use crate::files::unfinished::PartFolder;
 use crate::{Error, Result, Watch};
 use image::codecs::gif::{GifEncoder, Repeat};
 use image::codecs::png::PngEncoder;
@@ -172,7 +173,7 @@ impl Clip<'_> {
             return Err(Error::file(path, "is a file; name a new folder for the frames, or a clip with an ending (.gif, .png, .mp4)"));
         }
         let beside = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let folder = tempfile::Builder::new().prefix(".incise-").suffix(".part").tempdir_in(beside).map_err(|e| Error::io(path, "making", e))?;
+        let folder = PartFolder::in_folder(beside).map_err(|e| Error::io(path, "making", e))?;
         let digits = self.count.to_string().len().max(4);
         for n in 0..self.count {
             let rgba = self.frame(n)?;
@@ -183,20 +184,17 @@ impl Clip<'_> {
             let file = format!("frame-{:0digits$}.png", n + 1);
             std::fs::write(folder.path().join(&file), &bytes).map_err(|e| Error::io(&path.join(&file), "writing", e))?;
         }
-        if path.is_dir() {
-            // Not every system puts a folder in the place of an empty one.
-            std::fs::remove_dir(path).map_err(|e| Error::io(path, "replacing", e))?;
-        }
-        std::fs::rename(folder.path(), path).map_err(|e| Error::io(path, "writing", e))?;
-        // Its name is another one now; there is nothing left to remove.
-        let _ = folder.keep();
-        Ok(())
+        folder.persist(path).map_err(|e| Error::io(path, "writing", e))
     }
 
     fn mp4(&mut self) -> Result<()> {
+        Output::create(self.path)?.finish_by_path(|file| self.encoded(file))
+    }
+
+    /// Has ffmpeg write a video into a file.
+    fn encoded(&mut self, file: &Path) -> Result<()> {
         let path = self.path;
         let writing = |e: std::io::Error| Error::io(path, "writing", e);
-        let file = super::beside(path)?.into_temp_path();
         // A pipe that nobody reads would fill and stop ffmpeg; a file takes what it says.
         let mut said = tempfile::tempfile().map_err(writing)?;
         let [width, height] = self.size;
@@ -234,7 +232,7 @@ impl Clip<'_> {
             let words: String = String::from_utf8_lossy(&words).trim().chars().take(LONGEST_QUOTE).collect();
             return Err(Error::file(path, format!("ffmpeg could not make it ({status}): {words}; choose .gif or .png")).printable());
         }
-        file.persist(path).map_err(|e| writing(e.error))
+        Ok(())
     }
 
     /// Sends all frames; false if ffmpeg stopped reading, in which case it says why.

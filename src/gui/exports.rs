@@ -7,7 +7,9 @@ use super::log::Level;
 use super::tasks::said;
 use crate::compare::Report;
 use crate::deform::{Stack, saved};
-use crate::export::{Output, bake, clip, png, protect};
+use crate::export::{bake, clip, png, protect};
+use crate::files::path_text::text_of;
+use crate::files::{Output, input};
 use crate::scene::{Assets, Deformed, Prepared, Scene, measure};
 use crate::transfer::TransferSettings;
 use crate::volume::save::Format;
@@ -217,7 +219,7 @@ impl Workstation {
     /// Reads a transfer function: a file of its own, or that of a scene.
     pub fn import_transfer(&mut self, path: &Path) {
         let read = || -> Result<TransferSettings> {
-            let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "reading", e))?;
+            let text = input::text(path, input::MAX_SCENE_BYTES, "transfer function")?;
             let table: toml::Table = text.parse().map_err(|e: toml::de::Error| Error::file(path, format!("is not valid TOML: {}", e.message())))?;
             let section = table.get("transfer").cloned().ok_or_else(|| Error::file(path, "has no [transfer] section; export one to see its form"))?;
             section
@@ -256,7 +258,7 @@ impl Workstation {
     /// Puts a label map over the volume.
     pub fn set_labels(&mut self, path: &Path) {
         if let Some(volume) = self.doc.as_mut().and_then(|d| d.scene.volume.as_mut()) {
-            volume.labels = Some(path.to_string_lossy().into_owned());
+            volume.labels = Some(text_of(path));
         }
     }
 

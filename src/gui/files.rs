@@ -4,7 +4,9 @@ use super::app::Workstation;
 use super::document::{AssetKey, Document};
 use super::log::Level;
 use super::session::Recovered;
-use crate::export::{Output, protect};
+use crate::export::protect;
+use crate::files::Output;
+use crate::files::path_text::text_of;
 use crate::scene::{Assets, Mode, Prepared, Scene, VolumeSource};
 use crate::volume::load::Choice;
 use crate::{Error, Result, mesh};
@@ -467,7 +469,7 @@ impl Workstation {
             self.open(ctx, path);
             return;
         };
-        let text = path.to_string_lossy().into_owned();
+        let text = text_of(path);
         match ending.as_str() {
             "toml" => self.open(ctx, path),
             _ if mesh::load::is_mesh(path) => {
@@ -498,7 +500,7 @@ impl Workstation {
             Ok(Box::new(move |app: &mut Workstation, _: &Context| {
                 let Some(doc) = &mut app.doc else { return };
                 let name = path.file_name().map(|n| n.to_string_lossy().into_owned());
-                let volume = Some(path.to_string_lossy().into_owned());
+                let volume = Some(text_of(&path));
                 doc.scene.mesh.push(crate::scene::surface::MeshSource { iso: Some(iso), volume, name, ..Default::default() });
                 doc.selected = super::document::Selection::Mesh(doc.scene.mesh.len() - 1);
             }))
@@ -509,7 +511,7 @@ impl Workstation {
     pub fn add_field(&mut self, path: &Path) {
         let Some(doc) = &mut self.doc else { return };
         let mut field = crate::scene::Deformation::new("field");
-        field.parameters.insert("path", path.to_string_lossy().as_ref());
+        field.parameters.insert("path", text_of(path).as_str());
         doc.add(field);
     }
 
@@ -555,7 +557,8 @@ impl Workstation {
             let folder = path.parent().unwrap_or(Path::new(""));
             let moved = doc.scene.moved_to(folder)?;
             let text = moved.to_toml()?;
-            Output::create(&path)?.finish(text.as_bytes())?;
+            // The scene's own file was read and is written again; what it names is not.
+            Output::replacing(&path)?.finish(text.as_bytes())?;
             Ok::<Scene, Error>(moved)
         })();
         match result {

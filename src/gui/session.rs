@@ -4,7 +4,7 @@
 //! holds was left behind by a crash, and the next window offers it. Every file is written beside its place and renamed: whatever moment the
 //! program ends at, the last complete one is there.
 
-use crate::export::Output;
+use crate::files::{Output, input};
 use crate::scene::Scene;
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
@@ -116,7 +116,7 @@ impl Session {
         let lock_path = folder.join("autosave").join(format!("{name}.lock"));
         let lock = File::create(&lock_path).and_then(|f| f.lock().map(|()| f)).ok();
         let path = folder.join("settings.toml");
-        let settings = match std::fs::read_to_string(&path) {
+        let settings = match input::text(&path, input::MAX_SCENE_BYTES, "settings") {
             Ok(text) => toml::from_str(&text).unwrap_or_else(|e: toml::de::Error| {
                 problems.push(Error::file(&path, format!("cannot be read ({}); defaults are used", e.message())));
                 Settings::default()
@@ -145,7 +145,7 @@ impl Session {
         }
         let text = toml::to_string_pretty(&self.settings).map_err(|e| Error::value("settings", e.to_string()))?;
         self.written = self.settings.clone();
-        Output::create(&self.folder.join("settings.toml"))?.finish(text.as_bytes())
+        Output::replacing(&self.folder.join("settings.toml"))?.finish(text.as_bytes())
     }
 
     /// Notes a file that was opened.
@@ -177,7 +177,7 @@ impl Session {
         if self.saved.as_ref() == Some(&text) {
             return Ok(());
         }
-        Output::create(&path)?.finish(text.as_bytes())?;
+        Output::replacing(&path)?.finish(text.as_bytes())?;
         self.saved = Some(text);
         Ok(())
     }
@@ -200,7 +200,7 @@ impl Session {
             if is_held(&path.with_extension("lock")) {
                 continue;
             }
-            let text = std::fs::read_to_string(&path).unwrap_or_default();
+            let text = input::text(&path, input::MAX_SCENE_BYTES, "scene").unwrap_or_default();
             let original = text.strip_prefix(ORIGINAL).and_then(|t| t.lines().next()).map(PathBuf::from);
             let saved = std::fs::metadata(&path).and_then(|m| m.modified()).ok();
             found.push(Recovered { file: path, original, saved });
@@ -227,7 +227,7 @@ impl Session {
             // A scene reads the files beside it.
             let same = std::fs::metadata(&path).is_ok_and(|m| m.len() == bytes.len() as u64);
             if !same {
-                Output::create(&path)?.finish(bytes)?;
+                Output::replacing(&path)?.finish(bytes)?;
             }
         }
         let path = folder.join(name);

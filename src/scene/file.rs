@@ -3,6 +3,7 @@
 use super::{FORMAT_VERSION, Scene, deformations};
 use crate::deform::kinds;
 use crate::error::suggestion;
+use crate::files::input;
 use crate::{Error, Result};
 use serde_json::Value;
 use std::path::Path;
@@ -13,7 +14,7 @@ impl Scene {
     /// # Errors
     /// A file that cannot be read, is not TOML, has an unknown key (named, with the closest known one) or a value of the wrong type.
     pub fn load(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "reading", e))?;
+        let text = input::text(path, input::MAX_SCENE_BYTES, "scene")?;
         let mut scene = Self::from_toml(&text).map_err(|problem| Error::file(path, problem))?;
         scene.folder = path.parent().map(Path::to_owned).unwrap_or_default();
         Ok(scene)

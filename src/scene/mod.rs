@@ -25,6 +25,7 @@ pub use macrocells::{CellGrid, Contents, Flag, Macrocells};
 pub use prepared::{Assets, Deformed, Frame, MAX_PICTURE_EDGE, MAX_PIXELS, Picture, Prepared, RenderStats, Rendered, Stages};
 
 use crate::deform::{Arguments, Storage};
+use crate::files::path_text::path_of;
 use crate::transfer::TransferSettings;
 use crate::volume::GradientFilter;
 use crate::volume::load::Choice;
@@ -370,6 +371,6 @@ impl Scene {
     /// The volume's path as this process finds it, if there is a volume.
     pub fn volume_path(&self) -> Option<PathBuf> {
         let path = &self.volume.as_ref()?.path;
-        Some(if path.starts_with("phantom:") { PathBuf::from(path) } else { self.folder.join(path) })
+        Some(if path.starts_with("phantom:") { PathBuf::from(path) } else { self.folder.join(path_of(path)) })
     }
 }

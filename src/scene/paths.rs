@@ -2,6 +2,7 @@
 
 use super::{Deformation, Scene};
 use crate::deform::Argument;
+use crate::files::path_text::{path_of, text_of};
 use crate::{Error, Result, mesh};
 use std::path::{Component, Path, PathBuf};
 
@@ -12,9 +13,9 @@ impl Scene {
     /// The scene that an input names: a scene file, or all defaults about a volume, a mesh or a phantom.
     ///
     /// # Errors
-    /// A scene file that cannot be used, a name that is not valid Unicode.
+    /// A scene file that cannot be used.
     pub fn of_input(input: &Path) -> Result<Self> {
-        let text = input.to_str().ok_or_else(|| Error::file(input, "has a name that is not valid Unicode; rename it"))?;
+        let text = text_of(input);
         match input.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
             Some("toml") => Self::load(input),
             _ if mesh::load::is_mesh(input) => Ok(Self::of_mesh(text)),
@@ -27,7 +28,7 @@ impl Scene {
         let named = self.deformation.iter().flat_map(|d| FILE_SETTINGS.iter().flat_map(|n| d.parameters.texts(n).ok().flatten().unwrap_or_default()));
         let holder = self.volume.iter().flat_map(|v| &v.inside).map(|i| &i.path);
         let labels = self.volume.iter().flat_map(|v| &v.labels);
-        let at = |p: &str| if p.starts_with("phantom:") { PathBuf::from(p) } else { self.folder.join(p) };
+        let at = |p: &str| if p.starts_with("phantom:") { PathBuf::from(p) } else { self.folder.join(path_of(p)) };
         let meshes = self.mesh.iter().flat_map(|m| m.path.iter().chain(&m.volume)).chain(holder).chain(labels).map(|p| at(p));
         self.volume_path().into_iter().chain(meshes).chain(named.map(|p| at(&p))).collect()
     }
@@ -45,9 +46,9 @@ impl Scene {
         let to = plain(&to);
         let moved = |path: &mut String| {
             if !path.starts_with("phantom:") {
-                let absolute = plain(&from.join(&*path));
+                let absolute = plain(&from.join(path_of(path)));
                 // On every system's own way of writing it, for itself.
-                *path = absolute.strip_prefix(&to).unwrap_or(&absolute).to_string_lossy().into_owned();
+                *path = text_of(absolute.strip_prefix(&to).unwrap_or(&absolute));
             }
         };
         scene.folder = from.clone();
@@ -63,16 +64,16 @@ impl Scene {
         let (old, new) = (missing.parent().map(Path::to_owned), found.parent().map(Path::to_owned));
         let folder = self.folder.clone();
         let moved = |path: &mut String| {
-            let full = folder.join(&*path);
+            let full = folder.join(path_of(path));
             if full == missing {
-                *path = found.to_string_lossy().into_owned();
+                *path = text_of(found);
             } else if let (Some(old), Some(new)) = (&old, &new)
                 && !path.starts_with("phantom:")
                 && !full.exists()
                 && let Ok(rest) = full.strip_prefix(old)
                 && new.join(rest).exists()
             {
-                *path = new.join(rest).to_string_lossy().into_owned();
+                *path = text_of(&new.join(rest));
             }
         };
         self.each_path(&moved);

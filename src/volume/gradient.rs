@@ -7,6 +7,7 @@
 
 use super::pages::Pages;
 use super::{Grid, GridVoxels, Sampler, Voxel};
+use crate::files::memory::available_bytes;
 use crate::math::lanes::*;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -64,13 +65,6 @@ impl<T: Voxel> Sampler<'_, T> {
 const MOST_BYTES: usize = 1 << 30;
 const OF_FREE_MEMORY: usize = 4;
 
-/// Memory that can be had, bytes, where the system tells (Linux).
-fn free_memory() -> Option<usize> {
-    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
-    let line = text.lines().find(|l| l.starts_with("MemAvailable:"))?;
-    line.split_whitespace().nth(1)?.parse::<usize>().ok()?.checked_mul(1024)
-}
-
 /// The central differences of a volume of integers at all voxels, kept beside their values: what would be gathered from 32 voxels for each
 /// sample is then gathered from 8. Exact: 16 bits hold every difference.
 pub struct GradientVolume {
@@ -83,7 +77,7 @@ impl GradientVolume {
     /// and where more than 1 GiB or a quarter of the free memory would be needed.
     pub fn new(grid: &Grid) -> Option<Self> {
         let bytes = grid.size.iter().product::<usize>().saturating_mul(size_of::<[i16; 4]>());
-        if bytes > free_memory().map_or(MOST_BYTES, |free| MOST_BYTES.min(free / OF_FREE_MEMORY)) {
+        if bytes > available_bytes().map_or(MOST_BYTES, |free| MOST_BYTES.min(free as usize / OF_FREE_MEMORY)) {
             return None;
         }
         match &grid.voxels {

@@ -207,6 +207,8 @@ pub(super) fn read_matlab(path: &Path, bytes: &[u8]) -> Result<Option<Transform>
 #[cfg(feature = "hdf5")]
 pub(super) fn read_hdf5(path: &Path) -> Result<Transform> {
     let fail = |what: &str, e: String| Error::file(path, format!("{what} could not be read: {e}"));
+    // An ordinary file, and noted as read.
+    crate::files::input::open(path)?;
     let file = hdf5_pure::File::open(path).map_err(|e| fail("the file", e.to_string()))?;
     let mut entries = Vec::new();
     for n in 0.. {

@@ -23,6 +23,7 @@ pub use bspline::BSplineGrid;
 pub(crate) use bspline::cubic_weights;
 pub use field::VectorField;
 
+use crate::files::input;
 use crate::volume::GridGeometry;
 use crate::volume::load::{self, Choice};
 use crate::{Error, Result, Watch};
@@ -100,13 +101,7 @@ impl Transform {
             #[cfg(not(feature = "hdf5"))]
             return Err(Error::file(path, "is an HDF5 transform; build with the feature `hdf5` to read it, or save it as .tfm"));
         }
-        let bytes = {
-            let size = std::fs::metadata(path).map_err(|e| Error::io(path, "opening", e))?.len();
-            if size > 1 << 30 {
-                return Err(Error::file(path, "is larger than any transform of a known format"));
-            }
-            std::fs::read(path).map_err(|e| Error::io(path, "reading", e))?
-        };
+        let bytes = input::bytes(path, 1 << 30, "transform of a known format")?;
         if let Some(transform) = itk::read_matlab(path, &bytes)? {
             return Ok(transform);
         }

@@ -3,6 +3,7 @@
 
 use super::{heading, tool_button};
 use crate::deform::{Argument, compose};
+use crate::files::path_text::text_of;
 use crate::gui::action::Action;
 use crate::gui::app::Workstation;
 use crate::gui::tool::{Placed, Tool, symbol, tidy, words};
@@ -152,7 +153,7 @@ impl Workstation {
                 let bounds = doc.bounds();
                 let mut d = Deformation::new("map");
                 d.name = path.file_stem().map(|s| s.to_string_lossy().into_owned());
-                d.parameters.insert("path", path.to_string_lossy().as_ref());
+                d.parameters.insert("path", text_of(&path).as_str());
                 // Where it lies inside the scene it stays; else it is centred and made to fit.
                 let own = placement.world_from_map.transform_point3(glam::Vec3::splat(0.5));
                 let inside = own.cmpge(bounds.min).all() && own.cmple(bounds.max).all();

@@ -2,6 +2,9 @@
 //! illustrator's model has no scale of its own, so numbers are taken as millimetres and axes as they are.
 
 use super::Listing;
+use crate::Error;
+use crate::files::{input, reference};
+use base64::Engine;
 use glam::{Mat4, Vec3};
 use gltf::mesh::Mode;
 use serde_json::Value;
@@ -13,10 +16,10 @@ const DEEPEST: usize = 64;
 /// Most visits of nodes: files can name a node as the child of many.
 const MOST_VISITS: usize = 1_000_000;
 
-pub fn read(bytes: &[u8], folder: Option<&Path>) -> Result<Listing, String> {
+pub fn read(bytes: &[u8], path: Option<&Path>) -> Result<Listing, String> {
     sound(bytes)?;
     // The library was not written for files that mean harm: what was not foreseen above ends here.
-    std::panic::catch_unwind(|| read_sound(bytes, folder)).unwrap_or_else(|_| Err("is not a readable glTF: it contradicts itself".into()))
+    std::panic::catch_unwind(|| read_sound(bytes, path)).unwrap_or_else(|_| Err("is not a readable glTF: it contradicts itself".into()))
 }
 
 /// Checks what the library takes for granted: numbers of accessors, types of indices, sizes, encodings.
@@ -46,17 +49,11 @@ fn sound(bytes: &[u8]) -> Result<(), String> {
             return Err("has indices that are not unsigned integers".into());
         }
     }
-    if list(&root, "buffers").iter().filter_map(|b| b.get("uri")?.as_str()).any(|uri| !decodes(uri)) {
-        return Err("names a buffer file whose escaped letters are no text".into());
-    }
     Ok(())
 }
 
-/// Whether the escaped letters (%41) of a file's name are UTF-8.
-fn decodes(uri: &str) -> bool {
-    if uri.starts_with("data:") {
-        return true;
-    }
+/// A file's name without escapes (%41); none if they are no UTF-8.
+fn unescaped(uri: &str) -> Option<String> {
     let mut bytes = uri.bytes();
     let mut plain = Vec::new();
     while let Some(b) = bytes.next() {
@@ -64,18 +61,46 @@ fn decodes(uri: &str) -> bool {
         match (b, b == b'%') {
             (_, true) => match (digit(bytes.next()), digit(bytes.next())) {
                 (Some(high), Some(low)) => plain.push(16 * high + low),
-                _ => return false,
+                _ => return None,
             },
             (b, false) => plain.push(b),
         }
     }
-    String::from_utf8(plain).is_ok()
+    String::from_utf8(plain).ok()
 }
 
-fn read_sound(bytes: &[u8], folder: Option<&Path>) -> Result<Listing, String> {
+/// The bytes of a buffer: those behind the header of a .glb, those in its address, or those of a file beside.
+fn buffer(buffer: &gltf::Buffer, blob: &mut Option<Vec<u8>>, path: Option<&Path>) -> Result<Vec<u8>, String> {
+    let mut bytes = match buffer.source() {
+        gltf::buffer::Source::Bin => blob.take().ok_or("lacks the binary part that it names")?,
+        gltf::buffer::Source::Uri(uri) => match (uri.strip_prefix("data:"), path) {
+            (Some(data), _) => {
+                let encoded = data.split_once(";base64,").ok_or("holds data in an encoding other than base64")?.1;
+                base64::engine::general_purpose::STANDARD.decode(encoded).map_err(|e| format!("holds data that is no base64 ({e})"))?
+            }
+            (None, Some(path)) if !uri.contains("://") => {
+                let file = reference::beside(path, &unescaped(uri).ok_or("names a buffer file whose escaped letters are no text")?);
+                let read = file.and_then(|file| input::bytes(&file, super::MOST_BYTES, "buffer of a glTF"));
+                // Both name the mesh's file.
+                read.map_err(|e| match e {
+                    Error::File { path: of, problem } if of == path => problem,
+                    other => format!("names a buffer that cannot be read: {other}"),
+                })?
+            }
+            _ => return Err(format!("names the buffer {uri}, which is no file beside it")),
+        },
+    };
+    if bytes.len() < buffer.length() {
+        return Err(format!("names a buffer of {} bytes that holds {}", buffer.length(), bytes.len()));
+    }
+    bytes.resize(bytes.len().next_multiple_of(4), 0);
+    Ok(bytes)
+}
+
+fn read_sound(bytes: &[u8], path: Option<&Path>) -> Result<Listing, String> {
     let broken = |e: gltf::Error| format!("is not a readable glTF: {e}");
-    let gltf::Gltf { document, blob } = gltf::Gltf::from_slice(bytes).map_err(broken)?;
-    let buffers = gltf::import_buffers(&document, folder, blob).map_err(broken)?;
+    let gltf::Gltf { document, mut blob } = gltf::Gltf::from_slice(bytes).map_err(broken)?;
+    let buffers = document.buffers().map(|b| buffer(&b, &mut blob, path)).collect::<Result<Vec<_>, _>>()?;
     let mut listing = Listing::default();
     let mut skipped = 0;
     let scene = document.default_scene().or_else(|| document.scenes().next()).ok_or("holds no scene")?;
@@ -96,7 +121,7 @@ fn read_sound(bytes: &[u8], folder: Option<&Path>) -> Result<Listing, String> {
                 continue;
             }
             let first = listing.positions.len() as u32;
-            let reader = primitive.reader(|b| buffers.get(b.index()).map(|d| &d.0[..]));
+            let reader = primitive.reader(|b| buffers.get(b.index()).map(Vec::as_slice));
             let positions = reader.read_positions().ok_or("has a primitive without positions")?;
             listing.positions.extend(positions.map(|p| world_from_node.transform_point3(Vec3::from(p))));
             let count = listing.positions.len() as u32 - first;

@@ -8,9 +8,9 @@ mod ply;
 mod stl;
 
 use super::Mesh;
+use crate::files::input;
 use crate::{Error, Result};
 use glam::Vec3;
-use std::io::Read;
 use std::path::Path;
 
 /// Endings of mesh files; any of them may be followed by `.gz`.
@@ -61,28 +61,15 @@ fn ending(path: &Path) -> Option<&'static str> {
 /// A file that cannot be read or holds no triangle, by name, with what is wrong.
 pub fn mesh(path: &Path) -> Result<Mesh> {
     let ending = ending(path).ok_or_else(|| Error::file(path, format!("is not a mesh by its name; known endings: {}", ENDINGS.join(", "))))?;
-    let io = |e| Error::io(path, "reading", e);
-    let size = std::fs::metadata(path).map_err(io)?.len();
-    if size > MOST_BYTES {
-        return Err(Error::file(path, format!("is {size} bytes long; meshes up to {MOST_BYTES} bytes are read")));
-    }
-    let mut bytes = std::fs::read(path).map_err(io)?;
-    if bytes.starts_with(&[0x1f, 0x8b]) {
-        let mut plain = Vec::new();
-        flate2::read::MultiGzDecoder::new(&bytes[..])
-            .take(MOST_BYTES)
-            .read_to_end(&mut plain)
-            .map_err(|e| Error::file(path, format!("cannot be decompressed: {e}")))?;
-        bytes = plain;
-    }
-    parse(&bytes, ending, path.parent()).map_err(|problem| Error::file(path, problem))
+    let bytes = input::unzipped_bytes(path, MOST_BYTES, "mesh")?;
+    parse(&bytes, ending, Some(path)).map_err(|problem| Error::file(path, problem))
 }
 
-/// Reads a mesh from memory; `folder` is where files that it names are looked for.
+/// Reads a mesh from memory; `path` is the file that it comes from, beside which files that it names are looked for.
 ///
 /// # Errors
 /// What is wrong, in a sentence without the file's name.
-pub fn parse(bytes: &[u8], ending: &str, folder: Option<&Path>) -> Result<Mesh, String> {
+pub fn parse(bytes: &[u8], ending: &str, path: Option<&Path>) -> Result<Mesh, String> {
     if bytes.iter().all(u8::is_ascii_whitespace) {
         return Err("is empty".into());
     }
@@ -91,7 +78,7 @@ pub fn parse(bytes: &[u8], ending: &str, folder: Option<&Path>) -> Result<Mesh, 
         "obj" => obj::read(bytes),
         "ply" => ply::read(bytes),
         "off" => off::read(bytes),
-        "gltf" | "glb" => gltf::read(bytes, folder),
+        "gltf" | "glb" => gltf::read(bytes, path),
         _ => gifti::read(bytes),
     }?;
     if listing.unusable > 0 {

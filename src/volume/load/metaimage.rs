@@ -79,7 +79,7 @@ pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
     let ahead = bytes.saturating_mul(time as u64);
     let local = data.eq_ignore_ascii_case("local");
     let header_size = get(&["headersize"]).map_or(Ok(0i64), str::parse).map_err(|_| fail("has a HeaderSize that is no number".into()))?;
-    let pieces = if local { None } else { data_files(path, data, &mut reader).map_err(&fail)? };
+    let pieces = if local { None } else { data_files(path, data, &mut reader)? };
     let voxels = if let Some(files) = pieces {
         let total = stored.checked_mul(frames).filter(|n| n.is_multiple_of(files.len()) && !text && header_size <= 0);
         let total = total.ok_or_else(|| fail(format!("names {} data files, among which its values cannot be shared out", files.len())))?;
@@ -98,7 +98,7 @@ pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
         skip(path, &mut chain, ahead)?;
         Source { path, reader: chain, swap, count: stored, watch }.read_as(scalar)?
     } else {
-        let other = if local { path.to_owned() } else { beside(path, data) };
+        let other = if local { path.to_owned() } else { beside(path, data.trim())? };
         if !local {
             (reader, file_bytes) = buffered(&other)?;
         }
@@ -134,27 +134,28 @@ pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
 }
 
 /// The data files where there are several: a list of names after the header, or a pattern with numbers.
-fn data_files(path: &Path, data: &str, reader: &mut impl BufRead) -> Result<Option<Vec<PathBuf>>, String> {
+fn data_files(path: &Path, data: &str, reader: &mut impl BufRead) -> Result<Option<Vec<PathBuf>>> {
+    let fail = |problem: String| Error::file(path, problem);
     let words: Vec<&str> = data.split_whitespace().collect();
     let names = if words.first().is_some_and(|w| w.eq_ignore_ascii_case("list")) {
         let mut text = String::new();
-        reader.take(MOST_HEADER).read_to_string(&mut text).map_err(|_| "has a list of data files that is no text".to_owned())?;
+        reader.take(MOST_HEADER).read_to_string(&mut text).map_err(|_| fail("has a list of data files that is no text".into()))?;
         text.lines().map(str::trim).filter(|l| !l.is_empty()).map(str::to_owned).collect()
     } else if let [pattern, first, last, rest @ ..] = &words[..]
         && pattern.contains('%')
     {
         let step = rest.first().map_or(Ok(1), |w| w.parse());
         let (Ok(first), Ok(last), Ok(step)) = (first.parse(), last.parse(), step) else {
-            return Err(format!("has the data files \"{data}\", which cannot be read"));
+            return Err(fail(format!("has the data files \"{data}\", which cannot be read")));
         };
-        numbered(pattern, first, last, step)?
+        numbered(pattern, first, last, step).map_err(fail)?
     } else {
         return Ok(None);
     };
     if names.is_empty() || names.len() > MOST_FILES {
-        return Err(format!("names {} data files; 1 to {MOST_FILES} can be read", names.len()));
+        return Err(fail(format!("names {} data files; 1 to {MOST_FILES} can be read", names.len())));
     }
-    Ok(Some(names.iter().map(|n: &String| beside(path, n)).collect()))
+    names.iter().map(|n: &String| beside(path, n.trim())).collect::<Result<Vec<_>>>().map(Some)
 }
 
 /// `name = value` lines, names in lower case, up to the one that says where the data are.

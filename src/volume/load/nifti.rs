@@ -57,11 +57,10 @@ fn partner(path: &Path, name: &str, own: &str, other: &str) -> Result<PathBuf> {
         other.to_owned()
     };
     let stem = name.get(..at).unwrap_or(name);
-    let candidates = [format!("{stem}{other_case}"), format!("{stem}{other_case}.gz")].map(|n| path.with_file_name(n));
-    candidates
-        .into_iter()
-        .find(|p| p.exists())
-        .ok_or_else(|| Error::file(path, format!("is half of a pair: {stem}{other_case} is missing beside it")))
+    let candidates = [format!("{stem}{other_case}"), format!("{stem}{other_case}.gz")];
+    let there = candidates.iter().find(|name| path.with_file_name(name).exists());
+    let missing = || Error::file(path, format!("is half of a pair: {stem}{other_case} is missing beside it"));
+    super::source::beside(path, there.ok_or_else(missing)?)
 }
 
 /// The header bytes with their byte order and version.

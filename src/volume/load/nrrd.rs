@@ -97,7 +97,7 @@ pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
     let slowest = axes.time.is_some_and(|t| t + 1 == axes.sizes.len());
     let (stored, ahead) = if slowest { (total / frames, total / frames * time) } else { (total, 0) };
     let data = Data { path, scalar, swap, encoding, line_skip: line_skip as u64, byte_skip, whole: total, watch };
-    let pieces = data_files(path, &fields, &axes).map_err(&fail)?;
+    let pieces = data_files(path, &fields, &axes)?;
     let voxels = match pieces {
         None => data.read(path, reader, file_bytes, [ahead, stored], slowest && time + 1 < frames)?,
         Some(files) if files.len() == 1 => {
@@ -262,18 +262,19 @@ impl<R: Read> Read for Hex<R> {
 }
 
 /// Files that hold the values, if the header is detached: one, a list, or numbers put into a pattern.
-fn data_files(path: &Path, fields: &HashMap<String, String>, axes: &Axes) -> Result<Option<Vec<PathBuf>>, String> {
+fn data_files(path: &Path, fields: &HashMap<String, String>, axes: &Axes) -> Result<Option<Vec<PathBuf>>> {
     let Some(named) = fields.get("data file").or(fields.get("datafile")) else { return Ok(None) };
+    let fail = |problem: String| Error::file(path, problem);
     let of = |names: Vec<String>| {
         if names.is_empty() || names.len() > MOST_FILES {
-            return Err(format!("names {} data files; 1 to {MOST_FILES} can be read", names.len()));
+            return Err(fail(format!("names {} data files; 1 to {MOST_FILES} can be read", names.len())));
         }
-        Ok(Some(names.iter().map(|n| beside(path, n)).collect()))
+        names.iter().map(|n| beside(path, n.trim())).collect::<Result<Vec<_>>>().map(Some)
     };
     let words: Vec<&str> = named.split_whitespace().collect();
     if words.first() == Some(&"LIST") {
         if words.get(1).and_then(|w| w.parse::<usize>().ok()).is_some_and(|n| n + 1 < axes.sizes.len()) {
-            return Err("has data files of less than a slice each; join them into one".into());
+            return Err(fail("has data files of less than a slice each; join them into one".into()));
         }
         return of(fields.get(LIST_KEY).map_or(Vec::new(), |l| l.lines().map(str::to_owned).collect()));
     }
@@ -281,8 +282,10 @@ fn data_files(path: &Path, fields: &HashMap<String, String>, axes: &Axes) -> Res
         && pattern.contains('%')
     {
         let numbers = [first, last, step].map(|w| w.parse::<i64>().ok());
-        let [Some(first), Some(last), Some(step)] = numbers else { return Err(format!("has the data files \"{named}\", which cannot be read")) };
-        return of(numbered(pattern, first, last, step)?);
+        let [Some(first), Some(last), Some(step)] = numbers else {
+            return Err(fail(format!("has the data files \"{named}\", which cannot be read")));
+        };
+        return of(numbered(pattern, first, last, step).map_err(fail)?);
     }
     of(vec![named.clone()])
 }

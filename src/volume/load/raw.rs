@@ -4,6 +4,8 @@
 use super::choice::{Choice, RawLayout};
 use super::image::{Image, Layout, ScalarType};
 use super::source::{Source, check_held, count, open, skip, usable};
+use crate::files::input::{MAX_SCENE_BYTES, text};
+use crate::files::reference::is_link_out;
 use crate::{Error, Result, Watch};
 use glam::{DAffine3, DMat3, DVec3};
 use std::path::Path;
@@ -51,10 +53,13 @@ fn beside(path: &Path) -> Result<Option<RawLayout>> {
     let mut name = path.as_os_str().to_owned();
     name.push(".toml");
     let sidecar = Path::new(&name);
-    if !sidecar.is_file() {
+    if !sidecar.exists() {
         return Ok(None);
     }
-    let text = std::fs::read_to_string(sidecar).map_err(|e| Error::io(sidecar, "reading", e))?;
+    if is_link_out(path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")), sidecar) {
+        return Err(Error::file(sidecar, "is a link to a file outside of its folder; copy it, or allow it with --allow-outside"));
+    }
+    let text = text(sidecar, MAX_SCENE_BYTES, "layout of raw values")?;
     toml::from_str(&text).map(Some).map_err(|e| Error::file(sidecar, format!("does not say how raw values lie: {}", e.message())))
 }
 

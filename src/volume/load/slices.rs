@@ -7,6 +7,7 @@ use super::guard::guarded;
 use super::image::{Image, Layout, Meaning};
 use super::source::{check_held, open_file};
 use super::{Choice, tiff};
+use crate::files::reference::{is_link_out, links_left_out};
 use crate::{Error, Meter, Result, Watch};
 use glam::{DAffine3, DVec3};
 use rayon::prelude::*;
@@ -62,16 +63,23 @@ impl Stack {
     }
 }
 
-/// The pictures of a folder, in order.
+/// The pictures of a folder, in order. Links out of it are not followed: see [`links_out`].
 pub fn pictures(folder: &Path) -> Result<Vec<PathBuf>> {
     let entries = std::fs::read_dir(folder).map_err(|e| Error::io(folder, "reading", e))?;
     let mut found: Vec<PathBuf> = entries
         .flatten()
         .map(|e| e.path())
-        .filter(|p| p.is_file() && is_picture(p) && !p.file_name().is_some_and(|n| n.to_string_lossy().starts_with('.')))
+        .filter(|p| is_picture(p) && p.is_file() && !p.file_name().is_some_and(|n| n.to_string_lossy().starts_with('.')))
+        .filter(|p| !is_link_out(folder, p))
         .collect();
     found.sort_by(|a, b| natural(&a.to_string_lossy(), &b.to_string_lossy()));
     Ok(found)
+}
+
+/// The pictures of a folder that are links out of it.
+fn links_out(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|e| e.path());
+    entries.filter(|p| is_picture(p) && is_link_out(folder, p)).collect()
 }
 
 /// Whether a name ends as a picture's does.
@@ -132,6 +140,7 @@ pub fn read_folder(folder: &Path, files: &[PathBuf], choice: &Choice, watch: &Wa
     // What the first TIFF says of its voxels holds for all.
     let said = files.first().filter(|f| tiff::is_tiff(f)).and_then(|f| tiff::spacing(f)).unwrap_or_default();
     let mut image = image_of(folder, "pictures", stack, choice, said)?;
+    image.warnings.extend(links_left_out(&links_out(folder)));
     if let Some(first) = odd.first() {
         image.warnings.push(format!("{} pictures ({first} and so on) are of another size or type than the first and are left out", odd.len()));
     }

@@ -2,51 +2,18 @@
 
 use super::super::Voxels;
 use super::ScalarType;
+pub(super) use crate::files::input::{DEFLATE_LIMIT, buffered, open as open_file, read_error, unzipped as open};
+pub(super) use crate::files::memory::reserve as reserved;
+pub(super) use crate::files::reference::beside;
 use crate::{Error, Meter, Result, Watch};
-use flate2::read::MultiGzDecoder;
 use glam::DAffine3;
-use std::fs::File;
-use std::io::{BufReader, ErrorKind, Read};
+use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
-/// Deflate cannot shrink data by more than this factor: a header that declares more is wrong.
-pub(super) const DEFLATE_LIMIT: u64 = 1040;
-/// The same for bzip2: 900 kB of one byte take 46 bytes.
+/// Bzip2 cannot shrink data by more than this factor: 900 kB of one byte take 46 bytes.
 pub(super) const BZIP2_LIMIT: u64 = 25_000;
-/// Bytes read at once.
-const BUFFER: usize = 1 << 18;
 /// Bytes after the values of a compressed stream that are read to check its end.
 const MOST_TRAILING: u64 = 1 << 24;
-
-/// An ordinary file and its length.
-pub(super) fn open_file(path: &Path) -> Result<(File, u64)> {
-    // Asked before it is opened, which of a pipe would wait for ever.
-    let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, "opening", e))?;
-    if !metadata.is_file() {
-        return Err(Error::file(path, "is no ordinary file; name a file that holds an image"));
-    }
-    let file = File::open(path).map_err(|e| Error::io(path, "opening", e))?;
-    Ok((file, metadata.len()))
-}
-
-/// A buffered file and its length.
-pub(super) fn buffered(path: &Path) -> Result<(BufReader<File>, u64)> {
-    let (file, bytes) = open_file(path)?;
-    Ok((BufReader::with_capacity(BUFFER, file), bytes))
-}
-
-/// A file's bytes, unzipped if it starts as a gzip stream does; and the most bytes that can come out.
-pub(super) fn open(path: &Path) -> Result<(Box<dyn Read + Send>, u64)> {
-    let (mut reader, file_bytes) = buffered(path)?;
-    let mut magic = [0u8; 2];
-    reader.read_exact(&mut magic).map_err(|e| read_error(path, e))?;
-    let start = std::io::Cursor::new(magic);
-    if magic == [0x1f, 0x8b] {
-        Ok((Box::new(BufReader::with_capacity(BUFFER, MultiGzDecoder::new(start.chain(reader)))), file_bytes.saturating_mul(DEFLATE_LIMIT)))
-    } else {
-        Ok((Box::new(start.chain(reader)), file_bytes))
-    }
-}
 
 /// The first bytes of a file, unzipped: at most `most`.
 pub(super) fn first_bytes(path: &Path, most: u64) -> Result<Vec<u8>> {
@@ -55,17 +22,6 @@ pub(super) fn first_bytes(path: &Path, most: u64) -> Result<Vec<u8>> {
     // What cannot be unzipped any further is what the readers complain of.
     let _end = reader.take(most).read_to_end(&mut bytes);
     Ok(bytes)
-}
-
-/// What went wrong while reading, in words for the file.
-pub(super) fn read_error(path: &Path, e: std::io::Error) -> Error {
-    match e.kind() {
-        ErrorKind::UnexpectedEof => Error::file(path, "ends too early: the file is truncated; copy or download it again"),
-        ErrorKind::InvalidInput | ErrorKind::InvalidData | ErrorKind::Other => {
-            Error::file(path, format!("its compressed stream is damaged ({e}); copy or download it again"))
-        }
-        _ => Error::io(path, "reading", e),
-    }
 }
 
 /// Number of values in an image, if they can be addressed.
@@ -216,24 +172,11 @@ impl<R: Read> Source<'_, R> {
     }
 }
 
-/// Room for `count` values.
-pub(super) fn reserved<T>(path: &Path, count: usize) -> Result<Vec<T>> {
-    let mut values = Vec::new();
-    let mib = count.saturating_mul(size_of::<T>()) >> 20;
-    values.try_reserve_exact(count).map_err(|_| Error::file(path, format!("needs {mib} MiB of memory, more than there is")))?;
-    Ok(values)
-}
-
 /// Room for `count` values, all zero.
 pub(super) fn zeroed<T: Stored>(path: &Path, count: usize) -> Result<Vec<T>> {
     reserved::<T>(path, count)?;
     // Fresh pages of zeros, not written to.
     Ok(vec![T::default(); count])
-}
-
-/// The file that a header beside it names; `..` and folders are allowed, as people move neither.
-pub(super) fn beside(path: &Path, name: &str) -> PathBuf {
-    path.parent().unwrap_or(Path::new("")).join(name.trim())
 }
 
 /// Opens a file that is to hold so many bytes.

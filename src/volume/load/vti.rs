@@ -184,10 +184,11 @@ fn joined(path: &Path, size: [usize; 3], components: usize, scalar: ScalarType, 
     })
 }
 
-/// A reader that knows where it is.
+/// A reader that knows where it is, and how much was read of a tag or a text: the parser holds these whole.
 struct Counting {
     inner: BufReader<File>,
     at: u64,
+    of_event: usize,
 }
 
 impl Read for Counting {
@@ -200,10 +201,14 @@ impl Read for Counting {
 
 impl BufRead for Counting {
     fn fill_buf(&mut self) -> std::io::Result<&[u8]> {
+        if self.of_event > MOST_TAG {
+            return Err(std::io::Error::new(std::io::ErrorKind::InvalidData, "a megabyte without a tag"));
+        }
         self.inner.fill_buf()
     }
     fn consume(&mut self, amount: usize) {
         self.at += amount as u64;
+        self.of_event += amount;
         self.inner.consume(amount);
     }
 }
@@ -218,7 +223,8 @@ impl Counting {
             }
             let found = bytes.iter().position(|b| *b == wanted);
             let passed = found.unwrap_or(bytes.len());
-            self.consume(passed);
+            self.inner.consume(passed);
+            self.at += passed as u64;
             if found.is_some() {
                 return Ok(());
             }
@@ -237,7 +243,7 @@ fn numbers<T: std::str::FromStr, const N: usize>(text: Option<&String>) -> Optio
 
 fn document(path: &Path, reader: BufReader<File>) -> Result<Document> {
     let fail = |problem: String| Error::file(path, problem);
-    let mut xml = quick_xml::Reader::from_reader(Counting { inner: reader, at: 0 });
+    let mut xml = quick_xml::Reader::from_reader(Counting { inner: reader, at: 0, of_event: 0 });
     xml.config_mut().check_end_names = false;
     let mut document = Document {
         whole: [0; 6],
@@ -257,6 +263,7 @@ fn document(path: &Path, reader: BufReader<File>) -> Result<Document> {
     let mut is_image = false;
     loop {
         buffer.clear();
+        xml.get_mut().of_event = 0;
         let event = xml.read_event_into(&mut buffer).map_err(|e| fail(format!("is no readable XML ({e}); it is truncated or damaged")))?;
         let (tag, empty) = match &event {
             Event::Start(tag) => (tag, false),
@@ -318,7 +325,13 @@ fn document(path: &Path, reader: BufReader<File>) -> Result<Document> {
                 }
             }
             "DataArray" | "Array" => {
-                let Some(section) = section else { continue };
+                let Some(section) = section else {
+                    // Data of no voxel: they are passed over, as all arrays are.
+                    if !empty {
+                        xml.get_mut().pass_to(b'<').map_err(|e| read_error(path, e))?;
+                    }
+                    continue;
+                };
                 let at = xml.get_ref().at;
                 let place = match get.get("format").map_or("ascii", String::as_str) {
                     "ascii" => Place::Text(at),

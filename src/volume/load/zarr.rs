@@ -8,6 +8,7 @@ use super::image::{Channel, Image, Layout, Meaning, ScalarType};
 use super::source::{count, reserved, with_scalar};
 use super::tiff::mm_of;
 use super::{Choice, Voxels};
+use crate::files::{input, inputs, reference};
 use crate::{Error, Meter, Result, Watch};
 use glam::{DAffine3, DMat3, DVec3};
 use serde_json::{Value, json};
@@ -33,12 +34,10 @@ pub fn is_zarr(folder: &Path) -> bool {
 
 /// JSON of a file; null if there is none.
 fn metadata(path: &Path) -> Result<Value> {
-    match std::fs::metadata(path) {
-        Err(_) => return Ok(Value::Null),
-        Ok(m) if m.len() > MOST_METADATA => return Err(Error::file(path, "is too large for metadata; it is damaged")),
-        Ok(_) => {}
+    if !path.exists() {
+        return Ok(Value::Null);
     }
-    let bytes = std::fs::read(path).map_err(|e| Error::io(path, "reading", e))?;
+    let bytes = input::bytes(path, MOST_METADATA, "metadata")?;
     serde_json::from_slice(&bytes).map_err(|e| Error::file(path, format!("is no readable JSON ({e}); it is truncated or damaged")))
 }
 
@@ -117,6 +116,8 @@ fn read_unguarded(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> 
     let total = count(path, &[size[0], size[1], size[2], chosen.len()], layout.scalar)?;
     layout.check(path, &array_folder, (total * layout.scalar.bytes()) as u64)?;
 
+    // Its metadata and chunks, those that are there and those that are not.
+    inputs::note_path(path);
     let store = FilesystemStore::new(&array_folder).map_err(|e| fail(format!("cannot be opened ({e})")))?;
     let array = Array::open(Arc::new(store), "/").map_err(|e| fail(format!("holds an array that cannot be read ({e})")))?;
     let subset = |channel: usize, slices: Range<usize>| -> ArraySubset {
@@ -234,12 +235,21 @@ impl ArrayLayout {
 
     /// Refuses arrays and chunks that are far larger than what is there.
     fn check(&self, path: &Path, folder: &Path, bytes: u64) -> Result<()> {
-        let (there, files) = walkdir::WalkDir::new(folder)
-            .into_iter()
-            .flatten()
-            .filter_map(|e| e.metadata().ok())
-            .filter(|m| m.is_file())
-            .fold((0u64, 0u64), |(bytes, files), m| (bytes + m.len(), files + 1));
+        let (mut there, mut files) = (0u64, 0u64);
+        for entry in walkdir::WalkDir::new(folder).into_iter().flatten() {
+            // The library reads whatever is there.
+            if reference::is_link_out(path, entry.path()) {
+                let links = reference::links_left_out(&[entry.path().to_owned()]).unwrap_or_default();
+                return Err(Error::file(path, links));
+            }
+            let Ok(metadata) = std::fs::metadata(entry.path()) else { continue };
+            if metadata.is_file() {
+                inputs::note(entry.path(), &metadata);
+                (there, files) = (there + metadata.len(), files + 1);
+            } else if !metadata.is_dir() {
+                return Err(Error::file(entry.path(), "is no ordinary file (a pipe, socket or device), and no chunk of an array; remove it"));
+            }
+        }
         // Each chunk is looked for, whether it is there or not.
         let chunks = self.shape.iter().zip(&self.chunks).try_fold(1u64, |n, (s, c)| n.checked_mul(s.div_ceil(*c)));
         if chunks.is_none_or(|n| n > MOST_MISSING.saturating_add(files.saturating_mul(64))) {

@@ -103,7 +103,13 @@ fn nothing(path: &Path, found: scan::Found) -> Error {
         Some(complaint) => complaint,
         None if path.is_dir() => Error::file(
             path,
-            format!("holds no image that can be read ({} files were looked at); name a file, or a folder of DICOM files or pictures", found.others),
+            std::iter::once(format!(
+                "holds no image that can be read ({} files were looked at); name a file, or a folder of DICOM files or pictures",
+                found.others
+            ))
+            .chain(found.notes)
+            .collect::<Vec<_>>()
+            .join("; "),
         ),
         None if found.others > 0 && path.extension().is_some_and(|e| e.eq_ignore_ascii_case("zip")) => {
             Error::file(path, "is a zip without a DICOM picture in it; unpack it and name the file that you mean")
@@ -143,6 +149,7 @@ pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
             named(series, &found.objects)
         ));
     }
+    warnings.extend(found.notes.iter().cloned());
     if found.damaged > 0 {
         let first = found.complaint.as_ref().map(ToString::to_string).unwrap_or_default();
         warnings.push(format!("{} damaged files are left out ({first})", found.damaged));

@@ -2,6 +2,7 @@
 
 use super::super::guard::guarded;
 use super::super::source::{DEFLATE_LIMIT, open_file};
+use crate::files::{input, reference};
 use crate::volume::{Label, Rescale};
 use crate::{Error, Meter, Result, Watch};
 use dicom_core::Tag;
@@ -68,7 +69,8 @@ impl Clone for Again {
 impl Again {
     fn file(&mut self) -> std::io::Result<&mut BufReader<File>> {
         if self.file.is_none() {
-            self.file = Some(BufReader::new(File::open(&self.path)?));
+            let (file, _) = open_file(&self.path).map_err(|e| std::io::Error::other(e.to_string()))?;
+            self.file = Some(BufReader::new(file));
         }
         self.file.as_mut().ok_or_else(|| std::io::ErrorKind::NotFound.into())
     }
@@ -107,9 +109,11 @@ impl Source {
                 let damaged = |e: String| Error::file(name, format!("cannot be unpacked ({e}); copy or download the zip again"));
                 let mut archive = archive.clone();
                 let member = archive.by_index(*index).map_err(|e| damaged(e.to_string()))?;
-                let mut bytes = Vec::new();
-                member.take(most).read_to_end(&mut bytes).map_err(|e| damaged(e.to_string()))?;
-                Box::new(Cursor::new(bytes))
+                let unpacked = input::start_of(name, member, most).map_err(|e| match e {
+                    Error::File { .. } => e,
+                    other => damaged(other.to_string()),
+                });
+                Box::new(Cursor::new(unpacked?))
             }
         };
         Ok(BufReader::with_capacity(1 << 16, reader))
@@ -212,6 +216,8 @@ pub struct Found {
     /// DICOM files that could not be read, and the first one's complaint.
     pub damaged: usize,
     pub complaint: Option<Error>,
+    /// What of a folder was not looked at.
+    pub notes: Vec<String>,
 }
 
 /// Whether the first bytes are those of a DICOM file.
@@ -231,7 +237,11 @@ fn bare_dataset(start: &[u8]) -> bool {
 
 /// The objects in a file, in a folder and all folders in it, or in a zip.
 pub fn scan(path: &Path, watch: &Watch) -> Result<Found> {
-    let sources = if path.is_dir() { files_in(path, watch)? } else { members(path, watch)?.unwrap_or_else(|| vec![Source::File(path.to_owned())]) };
+    let (sources, notes) = if path.is_dir() {
+        files_in(path, watch)?
+    } else {
+        (members(path, watch)?.unwrap_or_else(|| vec![Source::File(path.to_owned())]), Vec::new())
+    };
     let single = !path.is_dir() && sources.len() == 1;
     let meter = Meter::new(watch, sources.len() as u64);
     let read: Vec<Result<Option<Object>>> = sources
@@ -244,7 +254,7 @@ pub fn scan(path: &Path, watch: &Watch) -> Result<Found> {
             object(source)
         })
         .collect();
-    let mut found = Found { objects: Vec::new(), others: 0, damaged: 0, complaint: None };
+    let mut found = Found { objects: Vec::new(), others: 0, damaged: 0, complaint: None, notes };
     let mut seen = HashSet::new();
     for result in read {
         match result {
@@ -271,20 +281,35 @@ fn looks_like_dicom(source: &Source) -> bool {
     source.open(132).is_ok_and(|reader| reader.take(132).read_to_end(&mut start).is_ok()) && is_dicom(&start)
 }
 
-/// All files in a folder and its folders, each once however often links lead to it.
-fn files_in(folder: &Path, watch: &Watch) -> Result<Vec<Source>> {
-    let mut files = Vec::new();
-    let mut seen = HashSet::new();
-    for entry in walkdir::WalkDir::new(folder).follow_links(true).max_depth(MOST_DEPTH).sort_by_file_name() {
+/// All files in a folder and its folders, each once however often links lead to it, and what is to be said of what was left out. Links are followed
+/// inside the folder only: what lies elsewhere may be another patient.
+fn files_in(folder: &Path, watch: &Watch) -> Result<(Vec<Source>, Vec<String>)> {
+    let follow = reference::outside_is_allowed();
+    let root = folder.canonicalize().map_err(|e| Error::io(folder, "reading", e))?;
+    let (mut files, mut seen) = (Vec::new(), HashSet::new());
+    let (mut left_out, mut too_deep) = (Vec::new(), 0usize);
+    for entry in walkdir::WalkDir::new(folder).follow_links(follow).max_depth(MOST_DEPTH).sort_by_file_name() {
         watch.check()?;
         // Links in a loop, and what may not be read, are passed over.
         let Ok(entry) = entry else { continue };
+        too_deep += usize::from(entry.depth() == MOST_DEPTH && entry.file_type().is_dir());
         let hidden = entry.depth() > 0 && entry.file_name().to_string_lossy().starts_with('.');
-        if !entry.file_type().is_file() || hidden || entry.file_name() == "DICOMDIR" {
+        if hidden || entry.file_name() == "DICOMDIR" || !(entry.file_type().is_file() || entry.path_is_symlink()) {
             continue;
         }
-        let own =
-            if entry.path_is_symlink() { entry.path().canonicalize().unwrap_or_else(|_| entry.path().to_owned()) } else { entry.path().to_owned() };
+        let mut own = entry.path().to_owned();
+        if entry.path_is_symlink() {
+            // Links to nowhere are passed over as well.
+            let Ok(target) = entry.path().canonicalize() else { continue };
+            if !follow && !target.starts_with(&root) {
+                left_out.push(entry.into_path());
+                continue;
+            }
+            if !target.is_file() {
+                continue;
+            }
+            own = target;
+        }
         if seen.insert(own) {
             files.push(Source::File(entry.into_path()));
         }
@@ -292,7 +317,11 @@ fn files_in(folder: &Path, watch: &Watch) -> Result<Vec<Source>> {
             return Err(Error::file(folder, format!("holds more than {MOST_FILES} files; name the folder of one study")));
         }
     }
-    Ok(files)
+    let mut notes: Vec<String> = reference::links_left_out(&left_out).into_iter().collect();
+    if too_deep > 0 {
+        notes.push(format!("{too_deep} folders more than {MOST_DEPTH} levels down were not searched; name the folder that is meant"));
+    }
+    Ok((files, notes))
 }
 
 /// The members of a zip; none if the file is no zip. They are unpacked one at a time, when they are read.
@@ -407,9 +436,8 @@ pub fn open(source: &Source, most: u64) -> Result<Opened> {
         let dataset = TransferSyntaxRegistry.get(&syntax).map_or(EXPLICIT, |s| s.uid());
         return Ok(Opened { reader, dataset: dataset.to_owned(), syntax });
     }
-    let mut bytes = Vec::new();
     let limit = most.min(source.bytes().saturating_mul(DEFLATE_LIMIT));
-    flate2::read::DeflateDecoder::new(reader).take(limit).read_to_end(&mut bytes).map_err(|e| damaged(e.to_string()))?;
+    let bytes = input::start_of(path, flate2::read::DeflateDecoder::new(reader), limit)?;
     let reader: Box<dyn ReadSeek> = Box::new(Cursor::new(bytes));
     Ok(Opened { reader: BufReader::new(reader), dataset: EXPLICIT.to_owned(), syntax })
 }

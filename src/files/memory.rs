@@ -1,0 +1,71 @@
+//! How much memory there is to be had. The system hands out more than it has and kills whoever uses it; asking first allows a message instead.
+
+use crate::{Error, Result};
+use std::path::Path;
+
+/// Bytes that a process may still take, where the system tells (Linux): what is available of the machine's memory, or of the control group's.
+pub fn available_bytes() -> Option<u64> {
+    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
+    let line = text.lines().find(|l| l.starts_with("MemAvailable:"))?;
+    let machine = line.split_whitespace().nth(1)?.parse::<u64>().ok()?.checked_mul(1024)?;
+    Some(control_group_bytes().map_or(machine, |group| group.min(machine)))
+}
+
+/// What is left of the memory limit of this process's control group (version 2); none without a limit.
+fn control_group_bytes() -> Option<u64> {
+    let group = std::fs::read_to_string("/proc/self/cgroup").ok()?;
+    let name = group.lines().find_map(|l| l.strip_prefix("0::"))?;
+    let folder = Path::new("/sys/fs/cgroup").join(name.trim_start_matches('/'));
+    let number = |file: &str| std::fs::read_to_string(folder.join(file)).ok()?.trim().parse::<u64>().ok();
+    // Pages of files that are cached count as used, and are given back at once.
+    let cached = std::fs::read_to_string(folder.join("memory.stat"))
+        .ok()
+        .and_then(|s| s.lines().find_map(|l| l.strip_prefix("inactive_file "))?.parse::<u64>().ok());
+    Some(number("memory.max")?.saturating_sub(number("memory.current")?.saturating_sub(cached.unwrap_or(0))))
+}
+
+/// Refuses what needs more memory than there is.
+///
+/// # Errors
+/// `path` needs `bytes`, and there are fewer.
+pub fn check(path: &Path, bytes: u64) -> Result<()> {
+    match available_bytes() {
+        // Small pieces are not worth the question.
+        Some(available) if bytes > available => Err(too_large(path, bytes, Some(available))),
+        _ => Ok(()),
+    }
+}
+
+fn too_large(path: &Path, bytes: u64, available: Option<u64>) -> Error {
+    let mib = |b: u64| b.div_ceil(1 << 20);
+    let there = available.map_or_else(|| "more than there is".to_owned(), |a| format!("and {} MiB are free", mib(a)));
+    Error::file(path, format!("needs {} MiB of memory, {there}; close other programs or use a reduced copy", mib(bytes)))
+}
+
+/// Room for `count` values, asked for rather than taken.
+///
+/// # Errors
+/// There is not enough memory; `path` is named.
+pub fn reserve<T>(path: &Path, count: usize) -> Result<Vec<T>> {
+    let bytes = (count as u64).saturating_mul(size_of::<T>() as u64);
+    if bytes > 1 << 24 {
+        check(path, bytes)?;
+    }
+    let mut values = Vec::new();
+    values.try_reserve_exact(count).map_err(|_| too_large(path, bytes, None))?;
+    Ok(values)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_there_is_not_is_refused() {
+        let error = reserve::<u64>(Path::new("huge.raw"), 1 << 50).err().map(|e| e.to_string()).unwrap_or_default();
+        assert!(error.starts_with("huge.raw: needs 8589934592 MiB"), "{error}");
+        assert!(reserve::<u64>(Path::new("small.raw"), 1 << 20).is_ok_and(|v| v.capacity() >= 1 << 20));
+        #[cfg(target_os = "linux")]
+        assert!(available_bytes().is_some_and(|b| b > 1 << 20));
+    }
+}

@@ -1,0 +1,336 @@
+//! The one way out. A file appears whole or not at all: it is written beside its destination and renamed into place. A link is followed and its
+//! target replaced; mode and owner stay as they were; what is write-protected, or was read in this run, is refused. Pipes, sockets and devices are
+//! no files to be replaced: they are opened and written to.
+
+use super::inputs;
+use super::unfinished::PartFile;
+use crate::{Error, Result};
+use std::fs::{Metadata, OpenOptions};
+use std::io::{ErrorKind, IsTerminal, Write};
+use std::path::{Path, PathBuf};
+
+/// Most links that lead from one to the next.
+const MAX_LINKS: usize = 40;
+
+/// Something that will be written. Its place is tried before the work starts, so that an output that cannot be written is known at once; nothing
+/// lies there while the work goes on.
+pub struct Output {
+    /// As it was named.
+    path: PathBuf,
+    destination: Destination,
+    /// Whether it may replace a file that was read: the program's own files, and a document that is saved.
+    replaces_read: bool,
+}
+
+enum Destination {
+    /// A file, where links lead.
+    File(PathBuf),
+    /// A pipe, a device, or an open file under one of the system's names for it: opened and written to.
+    Stream,
+    #[cfg(unix)]
+    Socket,
+    StandardOutput,
+    StandardError,
+}
+
+/// What `-` and the system's names for it write to.
+pub fn standard_output() -> Output {
+    Output { path: PathBuf::from("standard output"), destination: Destination::StandardOutput, replaces_read: false }
+}
+
+/// Whether two outputs would be written to one file.
+///
+/// # Errors
+/// They would; the second's option is named.
+pub fn check_distinct(first: &Path, option: &str, second: &Path) -> Result<()> {
+    let same = match (inputs::FileId::of(first), inputs::FileId::of(second)) {
+        // What is written through can take both, one after the other.
+        (Some(a), Some(b)) => a == b && std::fs::metadata(first).is_ok_and(|m| m.is_file()),
+        // Not there yet: where links lead is what counts.
+        (None, None) => matches!((target(first), target(second)), (Ok(a), Ok(b)) if absolute(&a) == absolute(&b)),
+        _ => false,
+    };
+    if same {
+        Err(Error::value(format!("{option} {}", second.display()), "names the same file as another output; choose another name"))
+    } else {
+        Ok(())
+    }
+}
+
+/// A path of a file that need not exist, its folder without links.
+fn absolute(path: &Path) -> PathBuf {
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = folder.canonicalize().or_else(|_| std::path::absolute(folder)).unwrap_or_else(|_| folder.to_owned());
+    path.file_name().map_or(folder.clone(), |name| folder.join(name))
+}
+
+/// The file that a path leads to, through links, whether it exists or not.
+fn target(path: &Path) -> Result<PathBuf> {
+    let mut path = path.to_owned();
+    for _ in 0..MAX_LINKS {
+        let Ok(next) = std::fs::read_link(&path) else { return Ok(path) };
+        path = path.parent().unwrap_or(Path::new("")).join(next);
+    }
+    Err(Error::file(&path, "is a link that leads back to itself; choose another name"))
+}
+
+/// One of the names that a system has for what a process has open: a link to something that need not have a name of its own.
+fn names_an_open_file(path: &Path) -> bool {
+    cfg!(unix) && (path.starts_with("/dev") || path.starts_with("/proc"))
+}
+
+impl Output {
+    /// Tries the place of `path`.
+    ///
+    /// # Errors
+    /// A folder that does not exist or cannot be written; a path that is a folder, is write-protected, or was read in this run.
+    pub fn create(path: &Path) -> Result<Self> {
+        Self::tried(path, false)
+    }
+
+    /// As [`Self::create`] for a file that is read and written: a document that is saved again, settings.
+    ///
+    /// # Errors
+    /// As [`Self::create`], but for what was read.
+    pub fn replacing(path: &Path) -> Result<Self> {
+        Self::tried(path, true)
+    }
+
+    /// As [`Self::create`], `-` being standard output.
+    ///
+    /// # Errors
+    /// As [`Self::create`]; a terminal, which shows no such file.
+    pub fn create_or_standard(path: &Path) -> Result<Self> {
+        if path != Path::new("-") {
+            return Self::create(path);
+        }
+        if std::io::stdout().is_terminal() {
+            return Err(Error::value("-", "standard output is a terminal; send it to a file or another program, or name a file"));
+        }
+        Ok(standard_output())
+    }
+
+    fn tried(path: &Path, replaces_read: bool) -> Result<Self> {
+        let writing = |e| Error::io(path, "writing", e);
+        let of = |destination| Ok(Self { path: path.to_owned(), destination, replaces_read });
+        match path.to_str() {
+            Some("/dev/stdout" | "/dev/fd/1" | "/proc/self/fd/1") if cfg!(unix) => return of(Destination::StandardOutput),
+            Some("/dev/stderr" | "/dev/fd/2" | "/proc/self/fd/2") if cfg!(unix) => return of(Destination::StandardError),
+            _ => {}
+        }
+        let output = match std::fs::metadata(path) {
+            Ok(there) if there.is_dir() => return Err(Error::file(path, "is a folder; name a file in it")),
+            Ok(there) if !there.is_file() || names_an_open_file(path) => {
+                check_may_be_written(path)?;
+                return of(stream(&there));
+            }
+            Ok(there) => {
+                if there.permissions().readonly() {
+                    return Err(Error::file(path, "is write-protected; choose another name, or allow writing first"));
+                }
+                // Opened without being changed: the system's own word on whether it may be.
+                OpenOptions::new().write(true).open(path).map_err(writing)?;
+                of(Destination::File(target(path)?))?
+            }
+            Err(e) if e.kind() == ErrorKind::NotFound => of(Destination::File(target(path)?))?,
+            Err(e) => return Err(writing(e)),
+        };
+        output.check()?;
+        output.part()?;
+        Ok(output)
+    }
+
+    /// Refuses what has been read by now: inputs are known better when they have been loaded.
+    ///
+    /// # Errors
+    /// It is a file that was read in this run.
+    pub fn check(&self) -> Result<()> {
+        let Destination::File(target) = &self.destination else { return Ok(()) };
+        match inputs::name_of(target).filter(|_| !self.replaces_read) {
+            None => Ok(()),
+            Some(read) if read == self.path => Err(Error::file(&self.path, "is read, and nothing is written over what is read; choose another name")),
+            Some(read) => {
+                let problem =
+                    format!("is or belongs to {}, which is read, and nothing is written over what is read; choose another name", read.display());
+                Err(Error::file(&self.path, problem))
+            }
+        }
+    }
+
+    /// Whether it is an ordinary file, rather than something that is written through.
+    pub fn is_file(&self) -> bool {
+        matches!(self.destination, Destination::File(_))
+    }
+
+    /// A new file beside the destination.
+    fn part(&self) -> Result<Option<PartFile>> {
+        let Destination::File(target) = &self.destination else { return Ok(None) };
+        let folder = target.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        if !folder.is_dir() {
+            return Err(Error::file(&self.path, format!("there is no folder {}; make it, or choose another place", folder.display())));
+        }
+        PartFile::in_folder(folder).map(Some).map_err(|e| Error::io(&self.path, "writing", e))
+    }
+
+    /// Writes the content and puts the file in its place.
+    ///
+    /// # Errors
+    /// A full disk, a destination that cannot be replaced.
+    pub fn finish(self, content: &[u8]) -> Result<()> {
+        let path = self.path.clone();
+        self.finish_with(|file| file.write_all(content).map_err(|e| Error::io(&path, "writing", e)))
+    }
+
+    /// As [`Self::finish`], the content being written piece by piece. A reader of standard output that goes away ends it without an error.
+    ///
+    /// # Errors
+    /// As [`Self::finish`], and what `write` reports.
+    pub fn finish_with(self, write: impl FnOnce(&mut dyn Write) -> Result<()>) -> Result<()> {
+        self.check()?;
+        let writing = |e| Error::io(&self.path, "writing", e);
+        match &self.destination {
+            Destination::File(target) => {
+                let Some(mut part) = self.part()? else { return Ok(()) };
+                buffered(part.file().map_err(writing)?, &self.path, write)?;
+                self.finish_part(part, target)
+            }
+            Destination::Stream => {
+                let mut options = OpenOptions::new();
+                // What is appended to is open somewhere else as well (`>> log`); other files are nobody's but the system's.
+                options.write(true).append(names_an_open_file(&self.path));
+                buffered(options.open(&self.path).map_err(writing)?, &self.path, write)
+            }
+            #[cfg(unix)]
+            Destination::Socket => buffered(std::os::unix::net::UnixStream::connect(&self.path).map_err(writing)?, &self.path, write),
+            Destination::StandardOutput => match buffered(std::io::stdout().lock(), &self.path, write) {
+                Err(Error::Io { source, .. }) if source.kind() == ErrorKind::BrokenPipe => Ok(()),
+                done => done,
+            },
+            Destination::StandardError => buffered(std::io::stderr().lock(), &self.path, write),
+        }
+    }
+
+    /// As [`Self::finish_with`] for a program that writes a file by its name; what is no file is refused.
+    ///
+    /// # Errors
+    /// As [`Self::finish_with`]; a pipe, socket or device.
+    pub fn finish_by_path(self, write: impl FnOnce(&Path) -> Result<()>) -> Result<()> {
+        self.check()?;
+        let Destination::File(target) = &self.destination else {
+            return Err(Error::file(&self.path, "is no ordinary file, which is needed here; name a file"));
+        };
+        let Some(part) = self.part()? else { return Ok(()) };
+        write(part.path())?;
+        self.finish_part(part, target)
+    }
+
+    fn finish_part(&self, mut part: PartFile, target: &Path) -> Result<()> {
+        let writing = |e| Error::io(&self.path, "writing", e);
+        let file = part.file().map_err(writing)?;
+        file.sync_all().map_err(writing)?;
+        if let Ok(before) = std::fs::metadata(target) {
+            keep_owner_and_mode(file, &before);
+        }
+        part.persist(target).map_err(writing)
+    }
+}
+
+/// Writes through a buffer to its end.
+fn buffered<W: Write>(to: W, path: &Path, write: impl FnOnce(&mut dyn Write) -> Result<()>) -> Result<()> {
+    let mut buffer = std::io::BufWriter::with_capacity(1 << 20, to);
+    let written = write(&mut buffer).and_then(|()| buffer.flush().map_err(|e| Error::io(path, "writing", e)));
+    if written.is_err() {
+        // What is left in it is not written when it is dropped.
+        let _ = buffer.into_parts();
+    }
+    written
+}
+
+fn stream(there: &Metadata) -> Destination {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::FileTypeExt;
+        if there.file_type().is_socket() {
+            return Destination::Socket;
+        }
+    }
+    let _ = there;
+    Destination::Stream
+}
+
+/// Asks the system whether something may be written without opening it, which of a pipe waits for its reader and of a device may do anything.
+fn check_may_be_written(path: &Path) -> Result<()> {
+    #[cfg(unix)]
+    rustix::fs::access(path, rustix::fs::Access::WRITE_OK).map_err(|e| Error::io(path, "writing", e.into()))?;
+    let _ = path;
+    Ok(())
+}
+
+/// The new file gets what the one that it replaces had. Who may not give a file away keeps it, and its group if that is allowed.
+fn keep_owner_and_mode(file: &std::fs::File, before: &Metadata) {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::{MetadataExt, PermissionsExt, fchown};
+        let own = file.metadata().ok();
+        if own.is_none_or(|o| (o.uid(), o.gid()) != (before.uid(), before.gid())) {
+            let _not_allowed = fchown(file, Some(before.uid()), Some(before.gid())).or_else(|_| fchown(file, None, Some(before.gid())));
+        }
+        let _not_allowed = file.set_permissions(std::fs::Permissions::from_mode(before.mode() & 0o7777));
+    }
+    #[cfg(not(unix))]
+    let _not_allowed = file.set_permissions(before.permissions());
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_partial_file_is_left() {
+        let folder = tempfile::tempdir().unwrap_or_else(|e| panic!("{e}"));
+        let path = folder.path().join("a.png");
+        drop(Output::create(&path));
+        assert_eq!(std::fs::read_dir(folder.path()).map(Iterator::count).ok(), Some(0));
+        Output::create(&path).and_then(|o| o.finish(b"x")).unwrap_or_else(|e| panic!("{e}"));
+        assert_eq!(std::fs::read(&path).ok().as_deref(), Some(&b"x"[..]));
+        assert!(Output::create(&folder.path().join("no/such/a.png")).is_err());
+        assert!(Output::create(folder.path()).is_err());
+        let failing = Output::create(&path)
+            .and_then(|o| o.finish_with(|f| f.write_all(b"half").map_err(|e| Error::io(&path, "", e)).and(Err(Error::Cancelled))));
+        assert!(failing.is_err());
+        assert_eq!(std::fs::read(&path).ok().as_deref(), Some(&b"x"[..]));
+        assert_eq!(std::fs::read_dir(folder.path()).map(Iterator::count).ok(), Some(1));
+    }
+
+    #[test]
+    fn what_was_read_is_not_replaced_unless_it_is_a_document() {
+        let folder = tempfile::tempdir().unwrap_or_else(|e| panic!("{e}"));
+        let path = folder.path().join("scene.toml");
+        std::fs::write(&path, "x").unwrap_or_else(|e| panic!("{e}"));
+        let late = Output::create(&path).unwrap_or_else(|e| panic!("{e}"));
+        super::super::input::text(&path, 10, "scene").unwrap_or_else(|e| panic!("{e}"));
+        let said = |r: Result<()>| r.err().map(|e| e.to_string()).unwrap_or_default();
+        assert!(said(late.finish(b"y")).contains("is read"));
+        assert!(said(Output::create(&path).map(drop)).contains("is read"));
+        assert_eq!(said(Output::replacing(&path).and_then(|o| o.finish(b"y"))), "");
+        assert_eq!(std::fs::read(&path).ok().as_deref(), Some(&b"y"[..]));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn two_names_of_one_file() {
+        let folder = tempfile::tempdir().unwrap_or_else(|e| panic!("{e}"));
+        let at = |name: &str| folder.path().join(name);
+        std::fs::write(at("a"), "x").unwrap_or_else(|e| panic!("{e}"));
+        for (target, link) in [("a", "link"), ("new", "dangling"), ("loop", "loop")] {
+            std::os::unix::fs::symlink(target, at(link)).unwrap_or_else(|e| panic!("{e}"));
+        }
+        for (one, other, same) in
+            [("a", "link", true), ("a", "a", true), ("new", "dangling", true), ("new", "other", false), ("a", "other", false), ("new", "./new", true)]
+        {
+            assert_eq!(check_distinct(&at(one), "--stats", &at(other)).is_err(), same, "{one} {other}");
+        }
+        assert!(check_distinct(Path::new("/dev/null"), "--stats", Path::new("/dev/null")).is_ok());
+        assert!(Output::create(&at("loop")).is_err());
+    }
+}

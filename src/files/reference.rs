@@ -1,0 +1,105 @@
+//! Files that other files name. A header may name the file of its values; it may not make the program read what lies elsewhere on the machine:
+//! files come from strangers. Folders that are read as a whole hold to the same rule with the links in them.
+
+use crate::{Error, Result};
+use std::path::{Component, Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Whether files may name files outside of their folders.
+static OUTSIDE: AtomicBool = AtomicBool::new(false);
+
+/// Allows files to name files outside of their own folders, for the rest of this run: `--allow-outside`.
+pub fn allow_outside() {
+    OUTSIDE.store(true, Ordering::Relaxed);
+}
+
+/// Whether files may name files outside of their own folders.
+pub fn outside_is_allowed() -> bool {
+    OUTSIDE.load(Ordering::Relaxed)
+}
+
+/// The file that `from` names `name`: in the folder of `from`, or below it.
+///
+/// # Errors
+/// A name that leads out of that folder, by itself or by a link, unless that is allowed.
+pub fn beside(from: &Path, name: &str) -> Result<PathBuf> {
+    let folder = from.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    below(from, folder, name)
+}
+
+/// As [`beside`], in a folder that is not the one of `from`.
+///
+/// # Errors
+/// As [`beside`].
+pub fn below(from: &Path, folder: &Path, name: &str) -> Result<PathBuf> {
+    let file = if folder == Path::new(".") { PathBuf::from(name) } else { folder.join(name) };
+    if !outside_is_allowed() && (climbs(Path::new(name)) || leads_out(folder, &file)) {
+        let problem = format!("names the file {name}, which lies outside of its folder; move that file beside it, or allow it with --allow-outside");
+        return Err(Error::file(from, problem));
+    }
+    Ok(file)
+}
+
+/// Whether a name leaves the folder that it starts from.
+fn climbs(name: &Path) -> bool {
+    let mut depth = 0i32;
+    name.components().any(|part| {
+        match part {
+            Component::Normal(_) => depth += 1,
+            Component::ParentDir => depth -= 1,
+            Component::CurDir => {}
+            Component::RootDir | Component::Prefix(_) => return true,
+        }
+        depth < 0
+    })
+}
+
+/// Whether links lead from a folder to a file outside of it. What is not there leads nowhere.
+pub fn leads_out(folder: &Path, file: &Path) -> bool {
+    matches!((folder.canonicalize(), file.canonicalize()), (Ok(folder), Ok(file)) if !file.starts_with(&folder))
+}
+
+/// Whether an entry of a folder that is read as a whole is a link to something outside of it, which is not followed.
+pub fn is_link_out(folder: &Path, entry: &Path) -> bool {
+    !outside_is_allowed() && entry.is_symlink() && leads_out(folder, entry)
+}
+
+/// What is said of links that were not followed; none if there are none.
+pub fn links_left_out(links: &[PathBuf]) -> Option<String> {
+    let first = links.first()?;
+    let name = first.file_name().unwrap_or(first.as_os_str()).to_string_lossy();
+    Some(match links.len() {
+        1 => format!("the link {name} leads out of this folder and was not followed (--allow-outside follows it)"),
+        n => format!("{n} links ({name} and so on) lead out of this folder and were not followed (--allow-outside follows them)"),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_that_leave_their_folder() {
+        for name in ["../a", "a/../../b", "/etc/passwd", "a/b/../../../c"] {
+            assert!(beside(Path::new("/x/head.nhdr"), name).is_err(), "{name}");
+        }
+        for name in ["a", "a/b.raw", "./a", "a/../b", "..a", "a/.."] {
+            assert!(beside(Path::new("/x/head.nhdr"), name).is_ok(), "{name}");
+        }
+        assert_eq!(beside(Path::new("head.nhdr"), "a.raw").ok(), Some(PathBuf::from("a.raw")));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn links_that_leave_their_folder() {
+        let folder = tempfile::tempdir().unwrap_or_else(|e| panic!("{e}"));
+        let at = |name: &str| folder.path().join(name);
+        std::fs::create_dir(at("own")).and_then(|()| std::fs::write(at("elsewhere"), "x")).unwrap_or_else(|e| panic!("{e}"));
+        std::fs::write(at("own/data"), "x").unwrap_or_else(|e| panic!("{e}"));
+        for (target, link) in [("../elsewhere", "own/out"), ("data", "own/in")] {
+            std::os::unix::fs::symlink(target, at(link)).unwrap_or_else(|e| panic!("{e}"));
+        }
+        assert!(beside(&at("own/head.nhdr"), "out").is_err() && beside(&at("own/head.nhdr"), "in").is_ok());
+        assert!(is_link_out(&at("own"), &at("own/out")) && !is_link_out(&at("own"), &at("own/in")) && !is_link_out(&at("own"), &at("own/data")));
+    }
+}
