@@ -33,6 +33,7 @@ pub mod export;
 pub mod files;
 #[cfg(feature = "gpu")]
 pub mod gpu;
+mod guard;
 #[cfg(feature = "gui")]
 pub mod gui;
 pub mod math;

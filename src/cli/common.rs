@@ -3,7 +3,7 @@
 use super::arguments;
 use super::progress::Progress;
 use crate::files::Output;
-use crate::files::path_text::text_of;
+use crate::files::path_text::{path_of, text_of};
 use crate::scene::surface::CutModel;
 use crate::scene::{Assets, Camera, InsideMesh, Mode, Projection, Scene, View};
 use crate::{Error, Result};
@@ -123,6 +123,16 @@ pub struct Common {
     pub verbose: bool,
 }
 
+/// What the volume's reader warns of.
+pub fn warnings(scene: &Scene, assets: &Assets) -> Vec<String> {
+    assets.volume.warnings.iter().map(|warning| format!("{}: {warning}", shown(scene.volume_name()))).collect()
+}
+
+/// A name from a scene, as it is printed.
+fn shown(name: &str) -> String {
+    path_of(name).to_string_lossy().replace(char::is_control, "\u{fffd}")
+}
+
 impl Common {
     /// The scene that the input names, with the options laid over it.
     ///
@@ -204,7 +214,7 @@ impl Common {
     /// What the readers report.
     pub fn load(&self, scene: &Scene, bar: &Progress) -> Result<Assets> {
         let assets = Assets::load(scene, &|what, share| bar.set(what, share))?;
-        self.tell(assets.volume.warnings.iter().map(|warning| format!("{}: {warning}", scene.volume_name())));
+        self.tell(warnings(scene, &assets));
         Ok(assets)
     }
 

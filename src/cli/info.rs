@@ -2,7 +2,7 @@
 
 use super::arguments::VolumeArguments;
 use super::progress::Progress;
-use crate::deform::kinds::{self, Unit};
+use crate::deform::kinds::{self, DefaultSize, Kind, Unit};
 use crate::files::path_text::path_of;
 use crate::scene::Scene;
 use crate::scene::deformations::FILE_KINDS;
@@ -205,6 +205,16 @@ fn plain(report: &Value) -> String {
     out.trim_end().to_owned()
 }
 
+/// What a kind takes, and does not take, unlike others.
+fn notes(kind: &Kind) -> &'static str {
+    match (kind.progressive, matches!(kind.size, DefaultSize::Across(_))) {
+        (true, false) => "; progress=0..1",
+        (true, true) => "; progress=0..1; no size: it reaches across everything",
+        (false, true) => "; no size: it reaches across everything",
+        (false, false) => "",
+    }
+}
+
 /// Presets, kinds and phantoms as text.
 pub fn catalogue() -> String {
     let mut out = String::from("Presets (--preset)\n");
@@ -212,10 +222,11 @@ pub fn catalogue() -> String {
         out.push_str(&format!("  {:<22} {}\n", p.name, p.about));
     }
     out.push_str(
-        "\nDeformations (--deform KIND:name=value,...); every kind takes center, size, rotate, storage, resolution, add, spare, labels, mapping\n",
+        "\nDeformations (--deform KIND:name=value,...); every kind takes center, size, rotate, storage, resolution, add, spare, labels, mapping,\n\
+         but for size where it says so, and for field and map\n",
     );
     for k in kinds::list() {
-        out.push_str(&format!("  {:<22} {}{}\n", k.name, k.about, if k.progressive { "; progress=0..1" } else { "" }));
+        out.push_str(&format!("  {:<22} {}{}\n", k.name, k.about, notes(k)));
         for p in k.parameters {
             let unit = match p.unit {
                 Unit::Mm => ", mm",

@@ -16,6 +16,7 @@ use crate::{Result, files};
 use clap::{Parser, Subcommand};
 use std::io::Write;
 use std::process::ExitCode;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// What the program was called with.
 #[derive(Parser)]
@@ -52,6 +53,9 @@ enum Command {
     List,
 }
 
+/// Whether the workstation was opened.
+static WINDOW: AtomicBool = AtomicBool::new(false);
+
 /// What the program is asked to do by its command line.
 pub enum Run {
     /// It is done, with this exit code.
@@ -63,6 +67,14 @@ pub enum Run {
 /// Runs the program. Exit code 0: done; 1: failed, with one message; 2: wrong usage.
 pub fn main() -> Run {
     files::unfinished::remove_on_signals();
+    crate::guard::on_fault(|line| {
+        tell(line);
+        // The window goes on without what failed; a command has nothing to go on with.
+        if !WINDOW.load(Ordering::Relaxed) {
+            files::unfinished::remove_all();
+            std::process::exit(1);
+        }
+    });
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(error) if error.use_stderr() => error.exit(),
@@ -90,6 +102,7 @@ pub fn main() -> Run {
                 tell(format_args!("there is no command and no file \"{word}\"; {}", crate::error::suggestion(word, commands)));
                 return Run::Done(ExitCode::from(2));
             }
+            WINDOW.store(true, Ordering::Relaxed);
             return Run::Workstation(cli.file);
         }
     };

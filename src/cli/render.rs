@@ -1,6 +1,6 @@
 //! `incise render`: one picture.
 
-use super::common::Common;
+use super::common::{Common, warnings};
 use super::progress::Progress;
 use crate::compare::peak_memory_bytes;
 use crate::deform::health::Examined;
@@ -64,7 +64,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     stages.time("write", || output.finish(&bytes))?;
     let total = start.elapsed().as_secs_f64() * 1e3;
     if wants_stats {
-        let report = report(&done, &prepared, &stages, total, arguments.backend);
+        let notices = [warnings(&scene, &assets), assets.library.notices(), done.rendered.notices.clone()].concat();
+        let report = report(&done, &prepared, &stages, &notices, total, arguments.backend);
         common.write_stats(&format!("{report:#}"), stats_file)?;
     }
     if common.verbose {
@@ -194,7 +195,7 @@ fn render_on(_arguments: &Arguments, _gpu: Gpu, prepared: &Prepared, _wants_stat
     Ok(on_cpu(prepared, bar))
 }
 
-fn report(done: &Done, prepared: &Prepared, stages: &Stages, total: f64, asked: Backend) -> Value {
+fn report(done: &Done, prepared: &Prepared, stages: &Stages, notices: &[String], total: f64, asked: Backend) -> Value {
     let Picture { width, height, .. } = done.rendered.picture;
     let stage_entries: serde_json::Map<String, Value> = stages.0.iter().map(|(name, ms)| ((*name).to_owned(), json!(ms))).collect();
     let samples = done.rendered.stats.map(|RenderStats { samples_taken, samples_skipped, samples_terminated }| {
@@ -217,6 +218,7 @@ fn report(done: &Done, prepared: &Prepared, stages: &Stages, total: f64, asked: 
         "step_voxels": prepared.settings.step,
         "step_mm": prepared.frame.step_mm,
         "samples": samples,
+        "notices": notices,
         "maps": maps,
         "composition": composition,
         "macrocells": prepared.macrocells.size.to_array(),

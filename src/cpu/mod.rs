@@ -111,7 +111,10 @@ fn render_rows(scene: &Prepared, watch: &Watch) -> Rendered {
         GridVoxels::I16(v) => rows(scene, &Sampler::new(scene.grid, v).with_gradients(gradients), watch),
         GridVoxels::F32(v) => rows(scene, &Sampler::new(scene.grid, v).with_gradients(gradients), watch),
     });
-    Rendered { picture: picture.reduced(scene.settings.antialias), stats: Some(stats), stages, notices: Vec::new() }
+    let picture = picture.reduced(scene.settings.antialias);
+    // Rows that were not rendered are blank, too.
+    let notices = if watch.stopped() { Vec::new() } else { scene.why_blank(&picture).into_iter().collect() };
+    Rendered { picture, stats: Some(stats), stages, notices }
 }
 
 fn rows<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, watch: &Watch) -> (Picture, RenderStats) {

@@ -23,6 +23,25 @@ pub enum Argument {
     Rows(Vec<Vec<f32>>),
 }
 
+/// As people type it, cut short.
+impl std::fmt::Display for Argument {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        const SHOWN: usize = 8;
+        fn list<T: std::fmt::Display>(items: &[T]) -> String {
+            let more = if items.len() > SHOWN { ",..." } else { "" };
+            items.iter().take(SHOWN).map(T::to_string).collect::<Vec<_>>().join(",") + more
+        }
+        match self {
+            Self::Flag(v) => write!(f, "{v}"),
+            Self::Number(v) => write!(f, "{v}"),
+            Self::Text(t) => write!(f, "\"{t}\""),
+            Self::Numbers(v) => f.write_str(&list(v)),
+            Self::Texts(t) => write!(f, "\"{}\"", list(t)),
+            Self::Rows(rows) => f.write_str(&list(&rows.concat())),
+        }
+    }
+}
+
 impl From<f32> for Argument {
     fn from(v: f32) -> Self {
         Self::Number(v)
@@ -66,7 +85,7 @@ impl Arguments {
         match self.0.get(name) {
             None => Ok(None),
             Some(Argument::Text(t)) => Ok(Some(t)),
-            Some(other) => Err(Error::value(name, format!("{other:?} is not a word or a path"))),
+            Some(other) => Err(Error::value(name, format!("{other} is not one word or path"))),
         }
     }
 
@@ -106,7 +125,7 @@ impl Arguments {
             Some(Argument::Number(v)) => vec![*v],
             Some(Argument::Numbers(v)) => v.clone(),
             Some(Argument::Rows(rows)) => rows.concat(),
-            Some(other) => return Err(Error::value(name, format!("{other:?} is not a list of numbers"))),
+            Some(other) => return Err(Error::value(name, format!("{other} is not a list of numbers; write numbers with commas between them"))),
         };
         if numbers.iter().any(|v| !v.is_finite()) {
             return Err(Error::value(name, "holds a number that is not finite"));
@@ -147,7 +166,7 @@ impl Arguments {
             None => Ok(false),
             Some(Argument::Flag(v)) => Ok(*v),
             Some(Argument::Text(t)) if t == "true" || t == "false" => Ok(t == "true"),
-            Some(other) => Err(Error::value(name, format!("{other:?} is neither true nor false"))),
+            Some(other) => Err(Error::value(name, format!("{other} is neither true nor false"))),
         }
     }
 }

@@ -35,8 +35,13 @@ pub fn of_region(volume: &Volume, region: &Region, smooth: bool) -> Option<Dista
         let (i, j, k) = (n % size[0], n / size[0] % size[1], n / (size[0] * size[1]));
         volume.value(i * stride, j * stride, k * stride)
     };
+    // A list of thousands of labels is looked up, not searched, for each of millions of voxels.
+    let wanted = match region {
+        Region::Labels(labels) => LabelSet::new(labels),
+        _ => LabelSet::default(),
+    };
     let inside = |n: usize| match region {
-        Region::Labels(labels) => labels.iter().any(|l| value(n) == *l as f64),
+        Region::Labels(_) => wanted.holds(value(n)),
         Region::Mask => value(n) > 0.0,
         Region::Body(iso) => value(n) >= *iso,
     };
@@ -55,6 +60,24 @@ pub fn of_region(volume: &Volume, region: &Region, smooth: bool) -> Option<Dista
     let signed: Vec<f32> = to_outside.par_iter().zip(&to_inside).map(|(o, i)| o.sqrt() - i.sqrt()).collect();
     let world_from_grid = to_f32(&volume.world_from_voxel) * Affine3A::from_scale(Vec3::splat(stride as f32));
     Some(DistanceGrid::new(size, if smooth { keeping_sides(smoothed(signed.clone(), size), &signed) } else { signed }, world_from_grid))
+}
+
+/// Labels as a table of bits.
+#[derive(Default)]
+struct LabelSet(Vec<u64>);
+
+impl LabelSet {
+    fn new(labels: &[usize]) -> Self {
+        let mut bits = vec![0u64; labels.iter().max().map_or(0, |l| l / 64 + 1)];
+        labels.iter().for_each(|l| bits[l / 64] |= 1 << (l % 64));
+        Self(bits)
+    }
+
+    #[inline(always)]
+    fn holds(&self, value: f64) -> bool {
+        let label = value as usize;
+        label as f64 == value && self.0.get(label / 64).is_some_and(|bits| bits >> (label % 64) & 1 == 1)
+    }
 }
 
 /// Smoothing must not lose what is a voxel thick: every point stays on its side.
@@ -115,6 +138,17 @@ mod tests {
             })
             .collect();
         Volume::new(voxels.into(), size, Rescale::NONE, world_from_voxel)
+    }
+
+    #[test]
+    fn labels_are_looked_up() {
+        let set = LabelSet::new(&[0, 3, 64, 1_000_000]);
+        for (value, held) in
+            [(0.0, true), (3.0, true), (3.5, false), (4.0, false), (64.0, true), (1e6, true), (-1.0, false), (1e18, false), (f64::NAN, false)]
+        {
+            assert_eq!(set.holds(value), held, "{value}");
+        }
+        assert!(!LabelSet::default().holds(0.0));
     }
 
     #[test]

@@ -10,7 +10,7 @@ use crate::volume::load::{self, Choice};
 use crate::volume::{GridGeometry, Volume};
 use crate::{Error, Result, Watch};
 use std::collections::HashMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Loaded things by name.
@@ -19,6 +19,7 @@ pub struct Library {
     volume: Option<Arc<Volume>>,
     folder: PathBuf,
     volumes: Mutex<HashMap<PathBuf, Arc<Volume>>>,
+    label_maps: Mutex<HashMap<PathBuf, Arc<Volume>>>,
     distances: Mutex<HashMap<String, Arc<DistanceGrid>>>,
     transforms: Mutex<HashMap<String, Arc<Transform>>>,
     /// Sampled maps by what they were made of, the most recently used last.
@@ -91,6 +92,35 @@ impl Library {
         Ok(volume)
     }
 
+    /// A label map by path: whatever the volume there looks like, it is said to be one.
+    ///
+    /// # Errors
+    /// What the readers report; values that are no labels.
+    pub fn load_label_map(&self, path: &str) -> Result<Arc<Volume>> {
+        let path = self.path(path);
+        if let Some(map) = lock(&self.label_maps).get(&path) {
+            return Ok(map.clone());
+        }
+        let volume = load::volume(&path, &Choice::default(), &Watch::NOBODY)?;
+        let map = Arc::new(volume.into_label_map().map_err(|problem| Error::file(&path, problem))?);
+        self.note_distance("the label map", &path, &map);
+        lock(&self.label_maps).insert(path, map.clone());
+        Ok(map)
+    }
+
+    /// Notes that what should lie over the volume lies beside it: it will do nothing.
+    fn note_distance(&self, what: &str, path: &Path, other: &Volume) {
+        let Some(volume) = &self.volume else { return };
+        let (own, other) = (volume.bounds_in_world(), other.bounds_in_world());
+        let gap = (other.min - own.max).max(own.min - other.max).max(glam::Vec3::ZERO).length();
+        if gap > 0.0 {
+            let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
+            self.notice(format!(
+                "{what} {name} lies {gap:.0} mm beside the volume, and has no part in it; check that both are of one patient and one frame of reference"
+            ));
+        }
+    }
+
     /// The transform that the settings name: `path` (one file, or several that are gone through in order from the deformed to the source
     /// point), `moving` and `reference` (images that FSL's files need; by default the scene's volume for matrices), `convention`.
     ///
@@ -137,7 +167,7 @@ impl Library {
     /// What the readers report; a setting of the wrong form.
     pub fn labels(&self, settings: &Arguments) -> Result<Arc<Volume>> {
         match settings.text("labels")? {
-            Some(path) => self.load_volume(path),
+            Some(path) => self.load_label_map(path),
             None => self.volume().cloned(),
         }
     }
@@ -167,6 +197,7 @@ impl Library {
             (Some(label), None, None) => self.label_distance(settings, &label),
             (None, Some(path), None) => {
                 let volume = self.load_volume(path)?;
+                self.note_distance("the mask", &self.path(path), &volume);
                 self.distance(format!("mask {path}"), || {
                     of_region(&volume, &Region::Mask, true)
                         .ok_or_else(|| Error::value("mask", format!("{path} has no surface: it is all inside or all outside")))

@@ -196,6 +196,14 @@ fn is_alive(process: u32) -> bool {
     }
 }
 
+/// Removes the unfinished files of this process, which is about to end.
+pub fn remove_all() {
+    // Whoever holds it may be what fails.
+    if let Ok(known) = UNFINISHED.try_lock() {
+        known.iter().for_each(|path| remove(path));
+    }
+}
+
 /// Removes unfinished files when the process is told to end. To be called once, by a program, before it has threads that write. Signals that the
 /// process was started to ignore (`nohup`) stay ignored.
 pub fn remove_on_signals() {

@@ -209,12 +209,9 @@ impl Renderer {
         let shows_volume = scene.settings.mode != Mode::Surface && !scene.frame.proxy.is_empty();
         if !shows_volume && scene.surfaces.objects.is_empty() {
             let pixels = vec![[0.0; 4]; width as usize * height as usize];
-            return Ok(Rendered {
-                picture: Picture { width, height, pixels }.reduced(scene.settings.antialias),
-                stats: Some(RenderStats::default()),
-                stages,
-                notices: Vec::new(),
-            });
+            let picture = Picture { width, height, pixels }.reduced(scene.settings.antialias);
+            let notices = scene.why_blank(&picture).into_iter().collect();
+            return Ok(Rendered { picture, stats: Some(RenderStats::default()), stages, notices });
         }
         stages.time("upload", || -> Result<()> {
             self.upload_volume(scene.grid, scene.colors)?;
@@ -223,7 +220,7 @@ impl Renderer {
             }
             wait(&self.device.device)
         })?;
-        let notices: Vec<String> = self.volume.as_ref().and_then(|v| v.notice.clone()).filter(|_| shows_volume).into_iter().collect();
+        let mut notices: Vec<String> = self.volume.as_ref().and_then(|v| v.notice.clone()).filter(|_| shows_volume).into_iter().collect();
         let shared = stages.time("bind", || self.shared(scene))?;
         let counter = counting.then(|| self.fresh_counter());
         let behind = if scene.surfaces.objects.is_empty() {
@@ -269,7 +266,9 @@ impl Renderer {
             read_rgba16f(&self.device.device, &self.device.queue, &target, &buffer)
         })?;
         let stats = counter.map(|c| c.read(self)).transpose()?;
-        Ok(Rendered { picture: Picture { width, height, pixels }.reduced(scene.settings.antialias), stats, stages, notices })
+        let picture = Picture { width, height, pixels }.reduced(scene.settings.antialias);
+        notices.extend(scene.why_blank(&picture));
+        Ok(Rendered { picture, stats, stages, notices })
     }
 
     /// The counters, at zero.

@@ -1,8 +1,6 @@
 //! Scene files: TOML in, TOML out, unknown keys named with the closest known one.
 
-use super::{FORMAT_VERSION, Scene, deformations};
-use crate::deform::kinds;
-use crate::error::suggestion;
+use super::{FORMAT_VERSION, Scene, keys};
 use crate::files::input;
 use crate::{Error, Result};
 use serde_json::Value;
@@ -25,13 +23,17 @@ impl Scene {
         if text.trim().is_empty() {
             return Err("is empty; a scene needs at least `incise = 1` and a [volume] with a path".into());
         }
-        let table: toml::Table = text.parse().map_err(|e: toml::de::Error| format!("is not valid TOML: {}", e.to_string().trim_end()))?;
-        let value = serde_json::to_value(&table).map_err(|e| e.to_string())?;
-        unknown_keys(&schema(), &schema(), &value, "")?;
-        let scene: Self = toml::from_str(text).map_err(|e| e.to_string().trim_end().to_owned())?;
-        if scene.incise != FORMAT_VERSION {
-            return Err(format!("is of format version {}; this program reads version {FORMAT_VERSION}", scene.incise));
+        let wrong = |e: &toml::de::Error| match e.span() {
+            Some(span) => format!("line {}: {}", 1 + text.bytes().take(span.start).filter(|b| *b == b'\n').count(), e.message()),
+            None => e.message().to_owned(),
+        };
+        let table: toml::Table = text.parse().map_err(|e: toml::de::Error| format!("is not valid TOML ({})", wrong(&e)))?;
+        // Another version has other keys.
+        if let Some(version) = table.get("incise").and_then(toml::Value::as_integer).filter(|v| *v != i64::from(FORMAT_VERSION)) {
+            return Err(format!("is of format version {version}; this program reads version {FORMAT_VERSION}"));
         }
+        keys::check(&schema(), &table)?;
+        let scene: Self = toml::from_str(text).map_err(|e| format!("cannot be used ({})", wrong(&e)))?;
         if scene.volume.is_none() && scene.mesh.is_empty() {
             return Err("shows nothing; it needs a [volume] with a path or a [[mesh]]".into());
         }
@@ -50,66 +52,6 @@ impl Scene {
 /// The JSON schema of the format.
 pub fn schema() -> Value {
     schemars::schema_for!(Scene).to_value()
-}
-
-/// Names of a kind's parameters and settings; none if there is no such kind.
-fn parameters(kind: &str) -> Option<Vec<&'static str>> {
-    if let Some(file) = deformations::FILE_KINDS.iter().find(|k| k.name == kind) {
-        return Some(file.settings.iter().map(|s| s.name).collect());
-    }
-    let kind = kinds::kind(kind).ok()?;
-    Some(kind.parameters.iter().map(|p| p.name).chain(kind.settings().map(|s| s.name)).collect())
-}
-
-/// Compares the keys of a value with a schema's.
-fn unknown_keys(root: &Value, schema: &Value, value: &Value, path: &str) -> Result<(), String> {
-    let schema = resolve(root, schema);
-    match value {
-        Value::Array(items) => {
-            if let Some(of_items) = schema.get("items") {
-                for item in items {
-                    unknown_keys(root, of_items, item, path)?;
-                }
-            }
-        }
-        Value::Object(entries) => {
-            let Some(properties) = schema.get("properties").and_then(Value::as_object) else { return Ok(()) };
-            for (key, entry) in entries {
-                let full = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
-                if let Some(of_key) = properties.get(key) {
-                    unknown_keys(root, of_key, entry, &full)?;
-                    continue;
-                }
-                let mut known: Vec<&str> = properties.keys().map(String::as_str).collect();
-                if path.ends_with(".deformer") && entry.is_number() {
-                    // Numbers of a deformer are checked by its kind when it is made.
-                    continue;
-                }
-                if path == "deformation" {
-                    // A deformation's further keys are its kind's parameters.
-                    let Some(own) = entries.get("kind").and_then(Value::as_str).and_then(parameters) else { continue };
-                    if own.contains(&key.as_str()) {
-                        continue;
-                    }
-                    known.extend(own);
-                }
-                return Err(format!("has the unknown key \"{full}\"; {}", suggestion(key, known)));
-            }
-        }
-        _ => {}
-    }
-    Ok(())
-}
-
-/// Follows `$ref`, and the object among the alternatives of an optional section.
-fn resolve<'a>(root: &'a Value, schema: &'a Value) -> &'a Value {
-    if let Some(reference) = schema.get("$ref").and_then(Value::as_str) {
-        return root.pointer(reference.trim_start_matches('#')).map_or(schema, |s| resolve(root, s));
-    }
-    if let Some(section) = schema.get("anyOf").and_then(Value::as_array).and_then(|a| a.iter().find(|s| s.get("$ref").is_some())) {
-        return resolve(root, section);
-    }
-    schema
 }
 
 #[cfg(test)]
@@ -146,6 +88,32 @@ mod tests {
         ] {
             let message = error(&format!("{head}{extra}"));
             assert!(message.contains(&format!("\"{key}\"")) && message.contains(close), "{message}");
+        }
+    }
+
+    #[test]
+    fn values_of_a_wrong_type_are_named() {
+        let head = "incise = 1\n[volume]\npath = \"phantom:ball\"\n";
+        for (extra, words) in [
+            ("[[mesh]]\niso = \"high\"", "has the text \"high\" where \"mesh.iso\" needs a number"),
+            ("[[mesh]]\n[[mesh]]\nlabel = 3", "has 3 where \"mesh 2.label\" needs a list of numbers"),
+            ("[[mesh]]\nlabel = [1.5]", "has 1.5 where \"mesh.label\" needs a whole number"),
+            ("[surface]\nthreshold = true", "has true where \"surface.threshold\" needs a number"),
+            ("[surface]\nsteps = \"long\"", "needs one of \"uniform\", \"threshold\""),
+            ("[volume.inside]\npath = \"x\"\nsize = [1, 2]", "has a list of 2 where \"volume.inside.size\" needs a number"),
+            ("[render]\nsize = [512]", "has a list of 1 where \"render.size\" needs a list of 2 numbers"),
+            ("[render]\nsize = [512, -1]", "has -1 where \"render.size\" needs a whole number, 0 or more"),
+            ("[render]\nantialias = 2.0", "where \"render.antialias\" needs a whole number"),
+            ("[camera]\nview = 3", "has 3 where \"camera.view\" needs a text in quotes"),
+            ("[[deformation]]\nkind = \"peel\"\nsize = \"big\"", "where \"deformation.size\" needs a number or a list of 3 numbers"),
+            ("[[deformation]]\nkind = \"peel\"\ndepth = [1, \"a\"]", "where \"deformation.depth\" needs a number, a text"),
+            ("[[deformation]]\ncenter = [1, 2, 3]", "lacks the key \"kind\" in \"deformation\""),
+            ("[[mesh]]\npath = \"x\"\n[[mesh.deformer]]\nkind = \"twist\"\nangle = \"far\"", "where \"mesh.deformer.angle\" needs a number"),
+            ("[camera]\nview = \"above\"", "line 5: \"above\" is not a view"),
+            ("[camera]\nzoom = 1\nzoom = 2", "line 6"),
+        ] {
+            let message = error(&format!("{head}{extra}"));
+            assert!(message.contains(words) && !message.contains('\n'), "{extra}: {message}");
         }
     }
 

@@ -4,12 +4,15 @@
 //! camera and the empty-space grid, the same for every backend.
 
 mod accelerator;
+mod blank;
 mod camera;
 pub mod command;
 pub mod deformations;
 pub mod example;
 pub mod file;
 pub mod inside;
+mod keys;
+mod limits;
 mod macrocells;
 pub mod measure;
 pub mod objects;

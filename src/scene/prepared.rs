@@ -8,6 +8,7 @@ use super::sampled::Sampled;
 use super::{CutFaces, Light, Macrocells, Mode, Normals, RenderSettings, Scene, ViewFrame, macrocells::Contents};
 use crate::deform::cut::Cuts;
 use crate::deform::{Library, PlacedMap, Stack, Storage};
+use crate::files::memory;
 use crate::math::lanes::*;
 use crate::math::{Bounds, normalize_or, to_f32};
 use crate::mesh::Mesh;
@@ -24,8 +25,8 @@ use std::time::Instant;
 
 /// Largest edge of a picture, pixels.
 pub const MAX_PICTURE_EDGE: u32 = 16_384;
-/// Most pixels of a picture: its floating-point form takes 16 bytes each.
-pub const MAX_PIXELS: u64 = 1 << 27;
+/// Most samples of a picture: its pixels, each as often as it is antialiased. Their floating-point form takes 16 bytes each.
+pub const MAX_PIXELS: u64 = 1 << 28;
 /// Composing maps that one pass cannot hold may err by this share of a voxel.
 const UNSEEN: f32 = 0.2;
 /// A cut's normal takes over within one sample of the cut and has faded out after this many.
@@ -103,6 +104,7 @@ impl Assets {
     /// # Errors
     /// As [`Self::load_until`].
     pub fn load_after(before: Option<&Self>, scene: &Scene, progress: &(dyn Fn(&'static str, f32) + Sync), cancel: &AtomicBool) -> Result<Self> {
+        scene.check_limits()?;
         let mut stages = Stages::default();
         let source = scene.volume_path().zip(scene.volume.as_ref().map(|v| v.choice.clone()));
         // The same file may be named from another folder.
@@ -121,11 +123,7 @@ impl Assets {
         assets.source = source;
         let mut stages = std::mem::take(&mut assets.stages);
         if let Some(path) = scene.volume.as_ref().and_then(|v| v.labels.as_ref()) {
-            let map = stages.time("labels", || assets.library.load_volume(path))?;
-            if map.labels().is_none() {
-                return Err(Error::file(&assets.library.path(path), "is no label map: its values are not whole numbers that stand for regions"));
-            }
-            assets.label_map = Some(map);
+            assets.label_map = Some(stages.time("labels", || assets.library.load_label_map(path))?);
         }
         if !scene.mesh.is_empty() || scene.render.mode == Mode::Surface {
             assets.mesh_box = stages.time("meshes", || assets.load_objects(scene, &|share| progress("distances", share)))?;
@@ -271,6 +269,7 @@ impl Deformed {
     /// # Errors
     /// Any setting that cannot be used, by name.
     pub fn new(scene: &Scene, assets: &Assets) -> Result<Self> {
+        scene.check_limits()?;
         check_settings(&scene.render, &scene.light)?;
         let view = scene.camera.frame(&assets.scene_box(), scene.render.size)?;
         Self::with(scene, assets, &view, Vec::new(), &Unaided)
@@ -304,6 +303,7 @@ impl Deformed {
     /// # Errors
     /// Any setting that cannot be used, by name.
     pub fn exact(scene: &Scene, assets: &Assets, exact_cuts: bool) -> Result<Self> {
+        scene.check_limits()?;
         let scene_box = assets.scene_box();
         let view = scene.camera.frame(&scene_box, scene.render.size)?;
         let least_ramp_mm = 1.5 * assets.volume.spacing_mm().min_element() as f32;
@@ -367,6 +367,12 @@ pub struct Prepared<'a> {
     pub light: Light,
     /// Settings as the scene has them.
     pub settings: RenderSettings,
+    /// Whether there is a volume, or an empty one stands in its place.
+    pub(super) has_volume: bool,
+    /// The volume's lowest and highest value, data units.
+    pub(super) value_range: [f64; 2],
+    /// The factor on the opacities, if the scene states one.
+    pub(super) density: Option<f64>,
     /// Empty space.
     pub macrocells: Arc<Macrocells>,
     /// Time that preparing took.
@@ -401,6 +407,7 @@ impl<'a> Prepared<'a> {
     fn with(scene: &Scene, assets: &'a Assets, more: Vec<PlacedMap>, device: &dyn Accelerator) -> Result<Self> {
         let mut stages = Stages::default();
         let settings = scene.render.clone();
+        scene.check_limits()?;
         check_settings(&settings, &scene.light)?;
         let volume = &assets.volume;
         let fallback = scene
@@ -510,6 +517,9 @@ impl<'a> Prepared<'a> {
             frame,
             light,
             settings,
+            has_volume: assets.has_volume,
+            value_range: volume.range,
+            density: scene.transfer.density,
             macrocells,
             stages,
         })
@@ -580,21 +590,44 @@ impl<'a> Prepared<'a> {
     }
 }
 
-fn check_settings(settings: &RenderSettings, light: &Light) -> Result<()> {
-    let [width, height] = settings.size.map(|n| n.saturating_mul(settings.antialias.clamp(1, 4)));
-    if !(1..=MAX_PICTURE_EDGE).contains(&width) || !(1..=MAX_PICTURE_EDGE).contains(&height) || u64::from(width) * u64::from(height) > MAX_PIXELS {
-        return Err(Error::value(
-            "size",
-            format!(
-                "a picture of {width} x {height} pixels cannot be made; each edge is 1 to {MAX_PICTURE_EDGE}, at most {MAX_PIXELS} pixels in all"
-            ),
-        ));
+/// Checks the size of a picture, alone and with its antialiasing, and the memory that it takes.
+fn check_size(settings: &RenderSettings) -> Result<()> {
+    let [width, height] = settings.size;
+    if !settings.size.iter().all(|n| (1..=MAX_PICTURE_EDGE).contains(n)) {
+        let problem = format!("a picture of {width} x {height} pixels cannot be made; each edge is 1 to {MAX_PICTURE_EDGE}");
+        return Err(Error::value("size", problem));
     }
+    let n = settings.antialias;
+    if !(1..=4).contains(&n) {
+        return Err(Error::value("antialias", format!("{n} is outside 1 to 4")));
+    }
+    let samples = u64::from(width) * u64::from(height) * u64::from(n * n);
+    if width.max(height) * n > MAX_PICTURE_EDGE || samples > MAX_PIXELS {
+        let problem = format!(
+            "{width} x {height} with antialias {n} takes {} x {} samples; at most {MAX_PICTURE_EDGE} can be taken along an edge: make the picture smaller or antialias less",
+            width * n,
+            height * n
+        );
+        return Err(Error::value("size", problem));
+    }
+    // Pixels as they are computed, and as bytes before and after they are packed.
+    let bytes = 16 * samples + 12 * u64::from(width) * u64::from(height);
+    match memory::available_bytes() {
+        Some(available) if bytes > available => {
+            let mib = |b: u64| b >> 20;
+            Err(Error::value(
+                "size",
+                format!("{width} x {height} needs {} MiB of memory, and {} are free; make the picture smaller", mib(bytes), mib(available)),
+            ))
+        }
+        _ => Ok(()),
+    }
+}
+
+fn check_settings(settings: &RenderSettings, light: &Light) -> Result<()> {
+    check_size(settings)?;
     if !(settings.step.is_finite() && (0.01..=100.0).contains(&settings.step)) {
         return Err(Error::value("step", format!("{} is outside 0.01 to 100 voxels", settings.step)));
-    }
-    if !(1..=4).contains(&settings.antialias) {
-        return Err(Error::value("antialias", format!("{} is outside 1 to 4", settings.antialias)));
     }
     if settings.iso.is_some_and(|v| !v.is_finite()) {
         return Err(Error::value("iso", "must be a finite value"));

@@ -12,6 +12,8 @@ use std::sync::Arc;
 
 /// Colours of channels of which nothing else is known.
 pub const CHANNELS: [[u8; 3]; 4] = [[0, 255, 0], [255, 0, 255], [0, 128, 255], [255, 160, 0]];
+/// Labels that have an entry in a table of colours.
+const MAX_TABLE: usize = 1 << 16;
 /// Share of the circle of hues from one label to the next: the golden section leaves no two near numbers alike.
 const HUE_STEP: f32 = 0.618_034;
 
@@ -56,9 +58,10 @@ impl Colors {
         }
     }
 
-    /// The colours of labels 1 to `highest`: those of the table, else one that its neighbours in number do not have.
+    /// The colours of labels 1 to `highest`: those that are stated, else one that its neighbours in number do not have. Beyond the first
+    /// 65,536 labels what is stated is not looked up.
     pub fn of_labels(labels: Voxels, highest: usize, stated: &[Label]) -> Self {
-        let mut table: Vec<[u8; 4]> = (0..=highest).map(|n| if n == 0 { [0; 4] } else { label_color(n) }).collect();
+        let mut table: Vec<[u8; 4]> = (0..=highest.min(MAX_TABLE - 1)).map(|n| if n == 0 { [0; 4] } else { label_color(n) }).collect();
         for label in stated {
             if let (Some([r, g, b]), Some(entry)) = (label.color, table.get_mut(label.value as usize).filter(|_| label.value > 0)) {
                 *entry = [r, g, b, 255];
@@ -70,7 +73,8 @@ impl Colors {
     /// The colour of a label; none without a table, or of one that is not in it.
     pub fn of_label(&self, label: u32) -> Option<[u8; 3]> {
         let Self::Labels { table, .. } = self else { return None };
-        table.get(label as usize).filter(|c| c[3] > 0).map(|c| [c[0], c[1], c[2]])
+        let [r, g, b, a] = color_in(table, label as usize);
+        (a > 0).then_some([r, g, b])
     }
 
     /// Premultiplied colour of a voxel by its flat index, 0..1.
@@ -87,7 +91,7 @@ impl Colors {
             Self::Rgba(v) => [v[4 * index], v[4 * index + 1], v[4 * index + 2], v[4 * index + 3]],
             Self::Labels { labels, table } => {
                 let label = labels.get(index);
-                if label >= 1.0 { table.get(label as usize).copied().unwrap_or([0; 4]) } else { [0; 4] }
+                if label >= 1.0 { color_in(table, label as usize) } else { [0; 4] }
             }
         }
     }
@@ -150,8 +154,20 @@ pub fn of_interleaved(mut rgb: Vec<u8>, components: usize) -> (Voxels, Colors) {
     (values.into(), Colors::Rgba(Arc::new(rgb)))
 }
 
+/// The colour of a label: that of the table, or its own where the table has ended.
+#[inline(always)]
+fn color_in(table: &[[u8; 4]], label: usize) -> [u8; 4] {
+    match table.get(label) {
+        Some(color) => *color,
+        None if table.len() == MAX_TABLE => label_color(label),
+        None => [0; 4],
+    }
+}
+
 /// A colour for a label: hues by the golden section, two brightnesses.
 fn label_color(label: usize) -> [u8; 4] {
+    // Beyond the table's end single precision would run out of digits.
+    let label = label % (MAX_TABLE - 1);
     let hue = (label as f32 * HUE_STEP).fract() * 6.0;
     let (saturation, value) = if label.is_multiple_of(2) { (0.5, 0.92) } else { (0.68, 0.82) };
     let channel = |shift: f32| {

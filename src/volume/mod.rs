@@ -7,6 +7,7 @@
 mod colors;
 mod gradient;
 mod grid;
+mod label_map;
 mod lanes;
 pub mod load;
 pub mod pages;
@@ -21,7 +22,6 @@ pub use voxels::Voxels;
 
 use crate::{Error, Result};
 use glam::{DAffine3, DMat3, DVec3};
-use rayon::prelude::*;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 /// A scalar volume.
@@ -290,54 +290,6 @@ impl Volume {
         let width = width.unwrap_or(own[1] - own[0]);
         let level = level.unwrap_or(0.5 * (own[0] + own[1]));
         [level - 0.5 * width, level + 0.5 * width]
-    }
-
-    /// The number of distinct labels besides 0, if this is a label map: an unscaled integer volume without negative values that its file
-    /// declares to be one, or that looks like one (at most 1000 labels; at least 90 % of all voxels, and 75 % of those with a label,
-    /// equal their neighbour along i).
-    pub fn labels(&self) -> Option<usize> {
-        *self.known.labels.get_or_init(|| self.count_labels())
-    }
-
-    fn count_labels(&self) -> Option<usize> {
-        if self.colors.is_some()
-            || self.padding.is_some()
-            || self.rescale != Rescale::NONE
-            || !self.voxels.is_integer()
-            || self.range[0] < 0.0
-            || self.range[1] > 65_535.0
-        {
-            return None;
-        }
-        let mut seen = vec![false; self.range[1] as usize + 1];
-        let mut like_neighbour = 0usize;
-        let mut inside = 0usize;
-        for row in 0..self.size[1] * self.size[2] {
-            let mut last = f64::NAN;
-            for i in 0..self.size[0] {
-                let v = self.voxels.get(row * self.size[0] + i);
-                seen[v as usize] = true;
-                if v != 0.0 {
-                    inside += 1;
-                    like_neighbour += usize::from(v == last);
-                }
-                last = v;
-            }
-        }
-        let distinct = seen.iter().skip(1).filter(|s| **s).count();
-        let piecewise_constant = distinct <= 1000 && inside > 0 && like_neighbour as f64 >= 0.75 * inside as f64;
-        let label_range = self.range[1] <= 1000.0 || distinct <= 255;
-        (self.declared_labels || (piecewise_constant && label_range && self.flat_share() >= 0.9)).then_some(distinct)
-    }
-
-    /// Share of voxels that equal their successor along i.
-    fn flat_share(&self) -> f64 {
-        let n = self.size[0];
-        let equal: usize = (0..self.size[1] * self.size[2])
-            .into_par_iter()
-            .map(|row| (1..n).filter(|i| self.voxels.get(row * n + i) == self.voxels.get(row * n + i - 1)).count())
-            .sum();
-        equal as f64 / ((n.saturating_sub(1)) * self.size[1] * self.size[2]).max(1) as f64
     }
 
     /// The box of the grid's cells (half a voxel around the outermost centres), in world millimetres.

@@ -17,6 +17,7 @@
 //! `progress` weakens the pushes, so that every state on the way can be inverted as well; it narrows what is cut, and puts back all that the whole
 //! puts back.
 
+use super::outline::Outline;
 use super::{Backward, Build, Context, DefaultSize, Field, Gaps, Inputs, Kind, Setting, UNCUT, forward_numerically, lasso};
 use crate::deform::{Argument, Arguments};
 use crate::math::{Bounds, redistance, smoothstep, trilinear};
@@ -430,7 +431,8 @@ impl Silhouette {
         let step = step.max(extent.max_element() / (MOST_SILHOUETTE - 1) as f32);
         let size = extent.to_array().map(|e| (e / step).ceil() as usize + 1);
         let place = |n: usize| low + Vec2::new((n % size[0]) as f32, (n / size[0]) as f32) * step;
-        let values = (0..size[0] * size[1]).into_par_iter().with_min_len(64).map(|n| lasso::outside(outline, place(n))).collect();
+        let outline = Outline::new(outline.to_vec());
+        let values = (0..size[0] * size[1]).into_par_iter().with_min_len(64).map(|n| outline.signed_distance(place(n))).collect();
         Self { low, step, size, values }
     }
 

@@ -11,6 +11,7 @@ use crate::math::{Bounds, normalize_or};
 use crate::volume::Volume;
 use crate::{Error, Result};
 use glam::{Affine3A, DVec3, Mat3, Vec3};
+use rayon::prelude::*;
 use std::sync::Arc;
 
 /// Each label keeps a distance field of the whole volume.
@@ -57,7 +58,7 @@ fn build(c: &Context, inputs: &Inputs) -> Result<Box<dyn Field>> {
     let keep_rest = settings.choice("rest", &["hide", "keep"])? == "keep";
     let volume = inputs.library.labels(settings)?;
     let fields = labels.iter().map(|l| inputs.library.label_distance(settings, &[*l])).collect::<Result<Vec<_>>>()?;
-    let middles: Vec<DVec3> = labels.iter().map(|l| middle(&volume, *l)).collect();
+    let middles = middles(&volume, &labels);
     let center = middles.iter().sum::<DVec3>() / middles.len() as f64;
     let farthest = middles.iter().map(|m| m.distance(center)).fold(1e-6, f64::max);
     let local_from_world = Mat3::from(inputs.world_from_local.matrix3).inverse();
@@ -73,17 +74,28 @@ fn build(c: &Context, inputs: &Inputs) -> Result<Box<dyn Field>> {
     Ok(Box::new(ExplodeLabels { pieces, keep_rest, world_from_local: inputs.world_from_local, acts, margin: 2.0 * c.texel_mm }))
 }
 
-/// Middle of a label's voxels, mm.
-fn middle(volume: &Volume, label: usize) -> DVec3 {
-    let [nx, ny, _] = volume.size;
-    let (mut sum, mut count) = (DVec3::ZERO, 0.0);
-    for n in 0..volume.voxels.len() {
-        if volume.value(n % nx, n / nx % ny, n / (nx * ny)) == label as f64 {
-            sum += DVec3::new((n % nx) as f64, (n / nx % ny) as f64, (n / (nx * ny)) as f64);
-            count += 1.0;
+/// Middles of the voxels of labels, mm.
+fn middles(volume: &Volume, labels: &[usize]) -> Vec<DVec3> {
+    let [nx, ny, nz] = volume.size;
+    let none = || vec![(DVec3::ZERO, 0.0f64); labels.len()];
+    let of_slice = |k: usize| {
+        let mut sums = none();
+        for (i, j) in (0..ny).flat_map(|j| (0..nx).map(move |i| (i, j))) {
+            let value = volume.value(i, j, k);
+            if let Some(n) = labels.iter().position(|l| *l as f64 == value) {
+                sums[n].0 += DVec3::new(i as f64, j as f64, k as f64);
+                sums[n].1 += 1.0;
+            }
         }
-    }
-    volume.world_from_voxel.transform_point3(sum / f64::max(count, 1.0))
+        sums
+    };
+    let slices: Vec<_> = (0..nz).into_par_iter().map(of_slice).collect();
+    // In order, so that the sums do not depend on the number of threads.
+    let sums = slices.into_iter().fold(none(), |mut sums, slice| {
+        sums.iter_mut().zip(slice).for_each(|(sum, s)| *sum = (sum.0 + s.0, sum.1 + s.1));
+        sums
+    });
+    sums.into_iter().map(|(sum, count)| volume.world_from_voxel.transform_point3(sum / count.max(1.0))).collect()
 }
 
 struct Piece {

@@ -3,6 +3,7 @@
 //! The distance to the outline is exact (to the nearest of its edges, inside by the even-odd rule). With an eye at a finite distance the
 //! outline widens away from it, as the picture's perspective does.
 
+use super::outline::Outline;
 use super::{Amount, Backward, Build, Context, DefaultSize, Field, Inputs, Kind, Parameter, Setting, Unit};
 use crate::deform::Argument;
 use crate::math::Bounds;
@@ -62,47 +63,12 @@ fn build(c: &Context, inputs: &Inputs) -> Result<Box<dyn Field>> {
     if outline.len() < 3 {
         return Err(Error::value("points", format!("an outline of {} points encloses nothing; it needs 3", outline.len())));
     }
-    if let Some((a, b)) = crossing(&outline) {
+    let outline = Outline::new(outline);
+    if let Some((a, b)) = outline.crossing() {
         return Err(Error::value("points", format!("the outline crosses itself: its edges {} and {} meet", a + 1, b + 1)));
     }
     let keep = if inputs.settings.flag("invert")? { -1.0 } else { 1.0 };
     Ok(Box::new(Lasso { outline, eye: c.values[0], keep, progress: c.progress, reach: c.size_mm.length() }))
-}
-
-/// Two edges that are not neighbours and meet.
-fn crossing(outline: &[Vec2]) -> Option<(usize, usize)> {
-    let n = outline.len();
-    let edge = |i: usize| (outline[i], outline[(i + 1) % n]);
-    let side = |a: Vec2, b: Vec2, p: Vec2| (b - a).perp_dot(p - a);
-    for i in 0..n {
-        for j in i + 2..n {
-            if i == 0 && j + 1 == n {
-                continue;
-            }
-            let ((a, b), (c, d)) = (edge(i), edge(j));
-            if side(a, b, c) * side(a, b, d) < 0.0 && side(c, d, a) * side(c, d, b) < 0.0 {
-                return Some((i, j));
-            }
-        }
-    }
-    None
-}
-
-/// Distance to a closed outline, positive outside by the even-odd rule.
-pub(super) fn outside(outline: &[Vec2], p: Vec2) -> f32 {
-    let mut nearest = f32::INFINITY;
-    let mut inside = false;
-    let n = outline.len();
-    for i in 0..n {
-        let (a, b) = (outline[i], outline[(i + 1) % n]);
-        let (ab, ap) = (b - a, p - a);
-        let t = (ap.dot(ab) / ab.length_squared()).clamp(0.0, 1.0);
-        nearest = nearest.min(ap.distance_squared(ab * t));
-        if (a.y > p.y) != (b.y > p.y) && p.x < a.x + (p.y - a.y) / (b.y - a.y) * (b.x - a.x) {
-            inside = !inside;
-        }
-    }
-    if inside { -nearest.sqrt() } else { nearest.sqrt() }
 }
 
 /// How much wider than in its own plane an outline is at a height `z` towards the viewer, by the distance of the eye (0: parallel).
@@ -111,7 +77,7 @@ pub(super) fn widening(eye: f32, z: f32) -> f32 {
 }
 
 struct Lasso {
-    outline: Vec<Vec2>,
+    outline: Outline,
     eye: f32,
     /// 1: what is outside stays; -1: what is inside.
     keep: f32,
@@ -126,7 +92,7 @@ impl Lasso {
             return super::UNCUT;
         }
         let widening = widening(self.eye, q.z);
-        let side = self.keep * outside(&self.outline, q.xy() / widening) * widening;
+        let side = self.keep * self.outline.signed_distance(q.xy() / widening) * widening;
         // Progress cuts in from the viewer's side.
         let front = self.reach * (0.5 - self.progress) - q.z;
         if self.progress < 1.0 { side.max(front) } else { side }

@@ -21,6 +21,7 @@ mod knife;
 mod lasso;
 mod lattice;
 mod modifiers;
+mod outline;
 mod peel;
 mod points;
 mod pull;

@@ -4,6 +4,7 @@
 use super::Listing;
 use crate::Error;
 use crate::files::{input, reference};
+use crate::guard::guarded;
 use base64::Engine;
 use glam::{Mat4, Vec3};
 use gltf::mesh::Mode;
@@ -19,7 +20,7 @@ const MOST_VISITS: usize = 1_000_000;
 pub fn read(bytes: &[u8], path: Option<&Path>) -> Result<Listing, String> {
     sound(bytes)?;
     // The library was not written for files that mean harm: what was not foreseen above ends here.
-    std::panic::catch_unwind(|| read_sound(bytes, path)).unwrap_or_else(|_| Err("is not a readable glTF: it contradicts itself".into()))
+    guarded(|| read_sound(bytes, path)).unwrap_or_else(|| Err("is not a readable glTF: it contradicts itself".into()))
 }
 
 /// Checks what the library takes for granted: numbers of accessors, types of indices, sizes, encodings.

@@ -5,7 +5,6 @@
 
 mod choice;
 mod dicom;
-mod guard;
 mod image;
 mod metaimage;
 mod nifti;

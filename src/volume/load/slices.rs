@@ -3,11 +3,11 @@
 //! Pictures say nothing of spacing that could be trusted: voxels of 1 mm are taken unless the caller says otherwise.
 
 use super::super::Voxels;
-use super::guard::guarded;
 use super::image::{Image, Layout, Meaning};
 use super::source::{check_held, open_file};
 use super::{Choice, tiff};
 use crate::files::reference::{is_link_out, links_left_out};
+use crate::guard::guarded;
 use crate::{Error, Meter, Result, Watch};
 use glam::{DAffine3, DVec3};
 use rayon::prelude::*;

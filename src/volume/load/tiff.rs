@@ -3,11 +3,11 @@
 //! Source: OME-TIFF specification 6 (PhysicalSize, DimensionOrder); ImageJ's own description (`images=`, `slices=`, `spacing=`, `unit=`), whose
 //! files of more than 4 GiB hold a single directory and all slices one after the other.
 
-use super::guard::guarded;
 use super::image::{Channel, Image, Layout, Meaning, ScalarType};
 use super::slices::{Plane, Stack};
 use super::source::{Source, check_held, count, open_file, skip};
 use super::{Choice, Voxels};
+use crate::guard::guarded;
 use crate::{Error, Meter, Result, Watch};
 use glam::{DAffine3, DVec3};
 use quick_xml::events::Event;

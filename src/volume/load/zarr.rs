@@ -3,12 +3,12 @@
 //!
 //! Source: the OME-NGFF specification 0.4 and 0.5, "multiscales", "coordinateTransformations", "omero".
 
-use super::guard::guarded;
 use super::image::{Channel, Image, Layout, Meaning, ScalarType};
 use super::source::{count, reserved, with_scalar};
 use super::tiff::mm_of;
 use super::{Choice, Voxels};
 use crate::files::{input, inputs, reference};
+use crate::guard::guarded;
 use crate::{Error, Meter, Result, Watch};
 use glam::{DAffine3, DMat3, DVec3};
 use serde_json::{Value, json};

@@ -4,9 +4,9 @@
 //! 2000 they also need OpenJPEG, in C or in what was translated from it, where `hayro-jpeg2000` is safe Rust. RLE and (as an option) JPEG-LS
 //! are left to the registry.
 
-use super::super::guard::guarded;
 use super::super::source::{Stored, read_error};
 use super::scan::{Frame, Object, PixelFormat, one_line, open, whole};
+use crate::guard::guarded;
 use crate::{Error, Result};
 use dicom_core::header::HasLength;
 use dicom_core::{Length, Tag};

@@ -1,8 +1,8 @@
 //! Finding DICOM objects in a file, a folder or a zip, and what their headers say: one [`Frame`] for every plane of pixels.
 
-use super::super::guard::guarded;
 use super::super::source::{DEFLATE_LIMIT, open_file};
 use crate::files::{input, reference};
+use crate::guard::guarded;
 use crate::volume::{Label, Rescale};
 use crate::{Error, Meter, Result, Watch};
 use dicom_core::Tag;

@@ -1,0 +1,83 @@
+//! Panics. Decoders of others may panic on damaged data: behind [`guarded`] they cannot take the program with them, nor write a word of their own.
+//! A fault of this program itself is one line, however many threads run into it, and may end the program at once ([`on_fault`]).
+
+use std::cell::Cell;
+use std::panic::{AssertUnwindSafe, PanicHookInfo, catch_unwind};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, Once, OnceLock, PoisonError};
+use std::time::{Duration, Instant};
+
+thread_local! {
+    static GUARDED: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Guards that are up: threads that they have work done by may panic on their behalf.
+static UP: AtomicUsize = AtomicUsize::new(0);
+
+type Respond = Box<dyn Fn(&str) + Send + Sync>;
+
+/// What a program does about its own faults.
+static RESPOND: OnceLock<Respond> = OnceLock::new();
+
+/// The last fault that was told: many threads run into the same.
+static TOLD: Mutex<Option<Instant>> = Mutex::new(None);
+const AGAIN_AFTER: Duration = Duration::from_secs(2);
+
+fn install() {
+    static ONCE: Once = Once::new();
+    ONCE.call_once(|| {
+        let default = std::panic::take_hook();
+        std::panic::set_hook(Box::new(move |info| {
+            if GUARDED.get() {
+                return;
+            }
+            match RESPOND.get() {
+                None => default(info),
+                // Whoever put up the guard says what is wrong with the data.
+                Some(_) if UP.load(Ordering::SeqCst) > 0 => {}
+                Some(respond) => {
+                    let mut told = TOLD.lock().unwrap_or_else(PoisonError::into_inner);
+                    if told.is_none_or(|t| t.elapsed() > AGAIN_AFTER) {
+                        *told = Some(Instant::now());
+                        respond(&line(info));
+                    }
+                }
+            }
+        }));
+    });
+}
+
+fn line(info: &PanicHookInfo) -> String {
+    let place = info.location().map_or_else(String::new, |l| format!(" at {}:{}", l.file(), l.line()));
+    let what = info.payload_as_str().unwrap_or("an unknown fault").replace(char::is_control, " ");
+    format!("internal error{place}: {what}; please report it, with the command and the scene")
+}
+
+/// From now on a fault of the program is given to `respond` as one line, once, instead of being printed by every thread. For programs; only the
+/// first call counts.
+pub fn on_fault(respond: impl Fn(&str) + Send + Sync + 'static) {
+    install();
+    let _only_the_first = RESPOND.set(Box::new(respond));
+}
+
+/// Runs a decoder; `None` if it panicked.
+pub(crate) fn guarded<T>(decode: impl FnOnce() -> T) -> Option<T> {
+    install();
+    let before = GUARDED.replace(true);
+    UP.fetch_add(1, Ordering::SeqCst);
+    let result = catch_unwind(AssertUnwindSafe(decode));
+    UP.fetch_sub(1, Ordering::SeqCst);
+    GUARDED.set(before);
+    result.ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_panic_stays_inside() {
+        assert_eq!(guarded(|| 3), Some(3));
+        assert_eq!(guarded(|| -> u8 { panic!("quiet") }), None);
+    }
+}

@@ -1,0 +1,193 @@
+//! Why a picture shows nothing. An empty picture is a valid answer, and never what was meant: one sentence says what is the matter and what to do.
+//!
+//! What a scene holds is asked at points of a grid over it: whether matter is there, whether it would be seen, whether it lies in the picture. The
+//! first question that every point answers with no is the reason.
+
+use super::prepared::{Picture, Prepared};
+use super::{Mode, Projection};
+use crate::math::Bounds;
+use crate::transfer::Blend;
+use glam::Vec3;
+use rayon::prelude::*;
+
+/// Points along each axis of the grid.
+const POINTS: usize = 40;
+/// An alpha below this changes no byte of a picture.
+const UNSEEN: f32 = 0.5 / 255.0;
+
+/// What is true of any point of the grid.
+#[derive(Clone, Copy, Default)]
+struct Found {
+    /// Something would be seen if nothing were deformed or cut.
+    visible_before: bool,
+    /// Matter is left by the deformations and cuts.
+    left: bool,
+    /// And would be seen.
+    visible: bool,
+    /// In the picture.
+    in_view: bool,
+}
+
+impl Found {
+    fn or(self, o: Self) -> Self {
+        Self {
+            visible_before: self.visible_before || o.visible_before,
+            left: self.left || o.left,
+            visible: self.visible || o.visible,
+            in_view: self.in_view || o.in_view,
+        }
+    }
+}
+
+impl Picture {
+    /// Whether it is as if nothing had been rendered.
+    pub fn is_blank(&self) -> bool {
+        !self.pixels.iter().any(|p| p[3] >= UNSEEN)
+    }
+}
+
+impl Prepared<'_> {
+    /// Why a picture of the scene is blank, and what to do; none if it is not.
+    pub fn why_blank(&self, picture: &Picture) -> Option<String> {
+        if !picture.is_blank() {
+            return None;
+        }
+        let shows_volume = self.shows_volume();
+        if !shows_volume && self.surfaces.objects.is_empty() {
+            return Some("the picture is empty: every surface is hidden; show one".into());
+        }
+        if let Some(problem) = self.surfaces_without_inside() {
+            return Some(problem);
+        }
+        let found = self.search(shows_volume);
+        let said = if !found.visible_before && shows_volume {
+            self.why_invisible()
+        } else if !found.left {
+            "everything is cut away; make the cuts smaller, move them, or switch one off".to_owned()
+        } else if !found.visible {
+            "what could be seen is cut away; make the cuts smaller, move them, or switch one off".to_owned()
+        } else if !found.in_view {
+            "the camera looks past everything; reset camera.target, or lower camera.zoom".to_owned()
+        } else if shows_volume && self.blend == Blend::Composite && self.iso.is_none() {
+            "what lies in it is too transparent or too small to be seen; raise the opacities (transfer.density), move the window, or zoom in"
+                .to_owned()
+        } else {
+            "what lies in it is too small to be seen; zoom in, or take smaller steps".to_owned()
+        };
+        Some(format!("the picture is empty: {said}"))
+    }
+
+    /// Whether the volume is shown, rather than surfaces alone.
+    pub fn shows_volume(&self) -> bool {
+        self.has_volume && self.settings.mode != Mode::Surface
+    }
+
+    /// A surface that encloses nothing, where all do.
+    fn surfaces_without_inside(&self) -> Option<String> {
+        let empty = |o: &super::objects::SurfaceObject| {
+            o.triangles.is_none() && o.implicit.as_ref().is_some_and(|i| !points_over(&i.bounds()).any(|p| i.value(p) > 0.0))
+        };
+        let first = self.surfaces.objects.first().filter(|_| self.surfaces.objects.iter().all(empty) && !self.shows_volume())?;
+        Some(format!(
+            "the picture is empty: {} encloses nothing (what is subtracted from it is larger, or its parts do not meet); change its shapes",
+            first.name
+        ))
+    }
+
+    /// Why nothing of the volume can be seen, even where nothing is deformed.
+    fn why_invisible(&self) -> String {
+        let [low, high] = self.value_range;
+        let range = format!("the volume's values go from {low} to {high}");
+        if let Some(iso) = self.settings.iso {
+            return format!("the volume has no surface at {iso} (iso): {range}; choose a value between them");
+        }
+        if self.density == Some(0.0) {
+            return "transfer.density is 0, which makes everything transparent; raise it".into();
+        }
+        format!(
+            "the transfer function makes every value of the volume transparent: {range}; move the window and level there, or choose another preset"
+        )
+    }
+
+    /// Asks the points of a grid.
+    fn search(&self, shows_volume: bool) -> Found {
+        let mut found = Found::default();
+        if shows_volume {
+            let voxel_box = Bounds::new(Vec3::splat(-0.5), self.frame.grid_size - 0.5);
+            let undeformed = voxel_box.transformed(&self.frame.voxel_from_world.inverse());
+            let value = |source: Vec3| -> Option<f32> {
+                let v = self.frame.voxel_from_world.transform_point3(source);
+                let inside = v.cmpge(voxel_box.min).all() && v.cmple(voxel_box.max).all();
+                let [i, j, k] = v.round().clamp(Vec3::ZERO, self.frame.grid_size - 1.0).to_array().map(|c| c as usize);
+                inside.then(|| self.grid.value(i, j, k))
+            };
+            let shows = |v: f32| match self.iso {
+                Some(iso) => v >= iso,
+                None => self.blend != Blend::Composite || self.table.lookup(v)[3] > 0.0,
+            };
+            // Every voxel counts for what could be seen at all: a thin sheet may lie between the points.
+            let visible_before = self.iso.is_some_and(|iso| (0.0..=1.0).contains(&iso)) || self.iso.is_none() && self.shows_any_value();
+            found = self.of_points(&self.stack.deformed_bounds(&undeformed), |source| value(source).map(shows));
+            found.visible_before = visible_before;
+        }
+        for object in &self.surfaces.objects {
+            let inside = |source: Vec3| match (&object.implicit, &object.triangles) {
+                (Some(implicit), _) => (implicit.value(source) > -object.cell_mm).then_some(true),
+                (None, Some(t)) => Some(t.mesh.bounds().grown(object.cell_mm).contains(&Bounds::new(source, source))),
+                (None, None) => None,
+            };
+            let bounds = match (&object.implicit, &object.triangles) {
+                (Some(implicit), _) => implicit.bounds(),
+                (None, Some(t)) => t.mesh.bounds(),
+                (None, None) => continue,
+            };
+            let more = if object.rigid || object.implicit.is_none() {
+                let all = points_over(&bounds).filter(|p| inside(*p) == Some(true)).map(|p| Found {
+                    left: true,
+                    visible: true,
+                    in_view: self.is_in_view(p),
+                    visible_before: true,
+                });
+                all.fold(Found::default(), Found::or)
+            } else {
+                Found { visible_before: true, ..self.of_points(&self.stack.deformed_bounds(&bounds), inside) }
+            };
+            found = found.or(more);
+        }
+        found
+    }
+
+    /// What is true of the points of a box of the deformed scene; `shows` tells of a source point whether it shows something, none where nothing is.
+    fn of_points(&self, deformed: &Bounds, shows: impl Fn(Vec3) -> Option<bool> + Sync) -> Found {
+        let points: Vec<Vec3> = points_over(deformed).collect();
+        let of_point = |p: &Vec3| {
+            let (source, alpha) = self.stack.walk(*p);
+            let shown = if alpha >= 0.5 && self.cuts.kept(*p) >= 0.0 { shows(source) } else { None };
+            let visible = shown == Some(true);
+            Found { visible_before: false, left: shown.is_some(), visible, in_view: visible && self.is_in_view(*p) }
+        };
+        points.par_iter().map(of_point).reduce(Found::default, Found::or)
+    }
+
+    /// Whether the transfer function shows any value that the volume has.
+    fn shows_any_value(&self) -> bool {
+        self.blend != Blend::Composite || self.table.max_depth(0.0, 1.0) > 0.0
+    }
+
+    /// Whether a point lies in the picture.
+    fn is_in_view(&self, p: Vec3) -> bool {
+        let view = &self.frame.view;
+        let d = p - view.eye;
+        let depth = d.dot(view.forward);
+        let scale = if view.projection == Projection::Perspective { depth } else { 1.0 };
+        let across = [view.right, view.up].map(|axis| (d.dot(axis) / axis.length_squared() / scale).abs());
+        (depth > 0.0 || view.projection == Projection::Orthographic) && across.iter().all(|a| *a <= 1.0)
+    }
+}
+
+/// Points of a grid over a box, its faces left out.
+fn points_over(bounds: &Bounds) -> impl Iterator<Item = Vec3> + use<> {
+    let (low, step) = (bounds.min, bounds.size() / POINTS as f32);
+    (0..POINTS * POINTS * POINTS)
+        .map(move |n| low + (Vec3::new((n % POINTS) as f32, (n / POINTS % POINTS) as f32, (n / (POINTS * POINTS)) as f32) + 0.5) * step)
+}
