@@ -1,19 +1,14 @@
 // What every entry point binds, and the functions that read it. lib/ calls these and binds nothing itself.
 
 @group(0) @binding(0) var<uniform> frame: Frame;
-@group(0) @binding(1) var<uniform> maps: array<PlacedMap, 8>;
+@group(0) @binding(1) var<uniform> maps: array<PlacedMap, 64>;
 @group(0) @binding(2) var volume: texture_3d<f32>;
 @group(0) @binding(3) var linear_clamp: sampler;
 @group(0) @binding(4) var table: texture_2d<f32>;
 @group(0) @binding(5) var cells: texture_3d<u32>;
-@group(0) @binding(6) var map_0: texture_3d<f32>;
-@group(0) @binding(7) var map_1: texture_3d<f32>;
-@group(0) @binding(8) var map_2: texture_3d<f32>;
-@group(0) @binding(9) var map_3: texture_3d<f32>;
-@group(0) @binding(10) var map_4: texture_3d<f32>;
-@group(0) @binding(11) var map_5: texture_3d<f32>;
-@group(0) @binding(12) var map_6: texture_3d<f32>;
-@group(0) @binding(13) var map_7: texture_3d<f32>;
+// The maps' texels, of half and of single precision; see src/render/atlas.rs.
+@group(0) @binding(6) var maps_half: texture_3d<f32>;
+@group(0) @binding(7) var maps_single: texture_3d<f32>;
 
 @group(0) @binding(14) var<uniform> cuts: array<CutShape, 8>;
 
@@ -44,7 +39,9 @@ override GREY_FACES: u32 = 0u;
 // 0 the volume; its surface at frame.iso, lit 1 by the gradient, 2 by the derivative towards the light.
 override ISO: u32 = 0u;
 // Number of maps in the stack.
-override MAPS: u32 = 8u;
+override MAPS: u32 = 64u;
+// 1: the map behind the last one stands for all of them wherever its texels are not marked.
+override SHORTCUT: u32 = 0u;
 // 0 none, 1 source, 2 transformed, 3 blended.
 override NORMALS: u32 = 3u;
 // 0 composite, 1 MIP, 2 MinIP, 3 average.
@@ -61,11 +58,15 @@ override EXACT: u32 = 0u;
 
 // The mix of the eight texels around a position in texels, the outermost ones going on.
 fn mixed(t: texture_3d<f32>, p: vec3<f32>) -> vec4<f32> {
-    let last = vec3<i32>(textureDimensions(t)) - 1;
+    return mixed_within(t, p, vec3<i32>(0), vec3<i32>(textureDimensions(t)) - 1);
+}
+
+// The same of the texels from `first` to `last`.
+fn mixed_within(t: texture_3d<f32>, p: vec3<f32>, first: vec3<i32>, last: vec3<i32>) -> vec4<f32> {
     let cell = floor(p);
     let f = p - cell;
-    let a = clamp(vec3<i32>(cell), vec3<i32>(0), last);
-    let b = clamp(vec3<i32>(cell) + 1, vec3<i32>(0), last);
+    let a = clamp(vec3<i32>(cell), first, last);
+    let b = clamp(vec3<i32>(cell) + 1, first, last);
     let near = mix(
         mix(textureLoad(t, a, 0), textureLoad(t, vec3<i32>(b.x, a.yz), 0), f.x),
         mix(textureLoad(t, vec3<i32>(a.x, b.y, a.z), 0), textureLoad(t, vec3<i32>(b.xy, a.z), 0), f.x),
@@ -103,29 +104,23 @@ fn sample_colors(p: vec3<f32>) -> vec4<f32> {
     return sample_texture(colors, p, frame.texture_size, frame.per_texture_size);
 }
 
-// Grid points lie on the cube's faces.
-fn sample_map(map: texture_3d<f32>, k: u32, x: vec3<f32>) -> vec4<f32> {
-    let p = x * (maps[k].size - 1.0);
+// Texels of an atlas that belong to map k, at a position within them.
+fn sample_atlas(atlas: texture_3d<f32>, k: u32, p: vec3<f32>) -> vec4<f32> {
+    let q = p + maps[k].origin;
     if EXACT != 0u {
-        return mixed(map, p);
+        let first = vec3<i32>(maps[k].origin);
+        return mixed_within(atlas, q, first, first + vec3<i32>(maps[k].size) - 1);
     }
-    return textureSampleLevel(map, linear_clamp, (p + 0.5) * maps[k].per_size, 0.0);
+    return textureSampleLevel(atlas, linear_clamp, (q + 0.5) * maps[k].per_atlas, 0.0);
 }
 
-// Stored (D / scale, alpha) of map k; x inside the unit cube.
+// Stored (D / scale, alpha) of map k; x in the unit cube, whose faces hold the outermost grid points, or within its reach.
 fn fetch(k: u32, x: vec3<f32>) -> vec4<f32> {
-    // What the stack does not have is not compiled: a driver puts each case wherever a map is read.
-    switch k {
-        case 1u: { if MAPS > 1u { return sample_map(map_1, k, x); } }
-        case 2u: { if MAPS > 2u { return sample_map(map_2, k, x); } }
-        case 3u: { if MAPS > 3u { return sample_map(map_3, k, x); } }
-        case 4u: { if MAPS > 4u { return sample_map(map_4, k, x); } }
-        case 5u: { if MAPS > 5u { return sample_map(map_5, k, x); } }
-        case 6u: { if MAPS > 6u { return sample_map(map_6, k, x); } }
-        case 7u: { if MAPS > 7u { return sample_map(map_7, k, x); } }
-        default: {}
+    let p = clamp(x, vec3<f32>(0.0), vec3<f32>(1.0)) * (maps[k].size - 1.0);
+    if maps[k].single != 0.0 {
+        return sample_atlas(maps_single, k, p);
     }
-    return sample_map(map_0, k, x);
+    return sample_atlas(maps_half, k, p);
 }
 
 fn table_entry(i: i32, row: i32) -> vec4<f32> {

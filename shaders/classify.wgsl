@@ -35,9 +35,9 @@ struct Classification {
     // Nodes along each axis, and the place of the first.
     values: array<vec4<u32>, 12>,
     // Of each map: how many levels there are, and whether its mask takes anything away.
-    maps: array<vec4<u32>, 8>,
+    maps: array<vec4<u32>, 64>,
     // Of each map, eight levels: nodes along each axis, and the place of the first.
-    levels: array<vec4<u32>, 64>,
+    levels: array<vec4<u32>, 512>,
 }
 
 @group(1) @binding(0) var<uniform> grid: Classification;

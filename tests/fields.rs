@@ -36,8 +36,16 @@ fn field(path: &Path) -> Deformation {
 fn stack_of(scene: &Scene, assets: &Assets, storage: Option<Storage>) -> (Stack, incise::deform::cut::Cuts) {
     let scene_box = assets.volume.bounds_in_world();
     let view = scene.camera.frame(&scene_box, scene.render.size).unwrap();
-    let making =
-        Making { library: &assets.library, scene_box, least_ramp_mm: 1.5, view: &view, storage, exact_cuts: true, device: &incise::scene::Unaided };
+    let making = Making {
+        library: &assets.library,
+        scene_box,
+        least_ramp_mm: 1.5,
+        view: &view,
+        storage,
+        exact_cuts: true,
+        device: &incise::scene::Unaided,
+        watch: &incise::Watch::NOBODY,
+    };
     deformations::stack(&scene.deformation, &making, Vec::new(), Vec::new()).unwrap()
 }
 
@@ -284,25 +292,23 @@ pub fn long_stacks_are_composed() {
         scene.deformation.push(d);
     }
     let assets = assets(&scene);
-    let prepared = Prepared::new(&scene, &assets).unwrap();
-    let composition = prepared.composition.unwrap();
-    assert_eq!((prepared.stack.maps().len(), composition.maps), (8, 4));
-    let (whole, _) = stack_of(&scene, &assets, None);
-    assert_eq!(whole.maps().len(), 11);
-    let mut all = Prepared::new(&Scene { deformation: scene.deformation[..1].to_vec(), ..scene.clone() }, &assets).unwrap();
-    // The CPU walks a stack of any length: the whole one in the place of the composed one.
-    all.stack = whole;
-    all.macrocells = incise::scene::Macrocells::solid(prepared.frame.proxy).into();
-    all.frame = prepared.frame.clone();
-    let d = difference(&picture(&prepared), &picture(&all)).unwrap();
-    println!("11 maps, 4 of them composed (99 % within {:.3} mm): mean {:.3}/255, PSNR {:.1} dB", composition.p99_mm, d.mean * 255.0, d.psnr);
+    let all = Prepared::new(&scene, &assets).unwrap();
+    assert_eq!(all.stack.maps().len(), 11);
+    assert!(all.composition.is_none());
+    scene.render.precompose = Some(0.3);
+    let composed = Prepared::new(&scene, &assets).unwrap();
+    let c = composed.composition.unwrap();
+    let d = difference(&picture(&composed), &picture(&all)).unwrap();
+    println!("11 maps: {c:?}; mean {:.3}/255, PSNR {:.1} dB", d.mean * 255.0, d.psnr);
+    assert!(c.composed && c.worst_mm <= 0.3 && composed.stack.shortcut().is_some(), "{c:?}");
     assert!(d.mean < 0.5 / 255.0, "{d:?}");
 }
 
 /// A composed stack is within the error that was asked for, and finer where less is asked for.
 pub fn composition_keeps_its_bound() {
     let mut scene = Scene::of_volume("phantom:ball:size=64");
-    scene.deformation = vec![Deformation::new("twist"), Deformation::new("bulge"), Deformation::new("bend")];
+    // All of these vanish on the faces of their boxes: one map can stand for them everywhere.
+    scene.deformation = vec![Deformation::new("bulge"), Deformation { rotate: Some([20.0, 40.0, 0.0]), ..Deformation::new("spline-pull") }];
     let assets = assets(&scene);
     let (stack, _) = stack_of(&scene, &assets, None);
     let (mut last, mut first) = (0, usize::MAX);
@@ -310,21 +316,20 @@ pub fn composition_keeps_its_bound() {
         let composed =
             compose::stack(&stack, &assets.volume.bounds_in_world(), Resolution::Within(bound), Storage::F32, &compose::evaluate).unwrap().unwrap();
         let texels = composed.placed.map.size.iter().product::<usize>();
-        assert!(composed.p99_mm <= bound && texels >= last, "{} mm for {bound} with {texels} texels", composed.p99_mm);
-        println!("composed within {bound} mm: {:?} texels, 99 % within {:.3} mm", composed.placed.map.size, composed.p99_mm);
+        let worst = composed.worst_mm;
+        assert!(composed.within && worst <= bound && texels >= last, "{worst} mm for {bound} with {texels} texels");
+        println!("composed within {bound} mm: {:?} texels, worst {worst:.3} mm, 99 % {:.3} mm", composed.placed.map.size, composed.p99_mm);
         (last, first) = (texels, first.min(texels));
         // The error at points of our own, away from where the stack cuts.
-        let mut errors: Vec<f32> = points(4000)
+        let errors = points(4000)
             .map(|x| (x - 0.5) * 150.0)
             .filter(|p| {
                 let (source, alpha) = stack.walk_through(*p);
                 alpha == 1.0 && source.abs().max_element() < 80.0
             })
-            .map(|p| composed.placed.backward(p).0.distance(stack.walk_through(p).0))
-            .collect();
-        errors.sort_by(f32::total_cmp);
-        let p98 = errors[errors.len() * 98 / 100];
-        assert!(p98 <= bound, "{p98} for {bound}");
+            .map(|p| composed.placed.backward(p).0.distance(stack.walk_through(p).0));
+        let worst = errors.fold(0.0, f32::max);
+        assert!(worst <= bound, "{worst} for {bound}");
     }
     assert!(last > first);
 }
@@ -409,8 +414,9 @@ pub fn composed_stacks_are_one_map() {
     scene.render.precompose = Some(0.5);
     let assets = assets(&scene);
     let prepared = Prepared::new(&scene, &assets).unwrap();
-    assert_eq!(prepared.stack.maps().len(), 1);
-    assert!(prepared.composition.is_some_and(|c| c.maps == 8 && c.p99_mm <= 0.5));
+    let c = prepared.composition.unwrap();
+    println!("eight maps: {c:?}");
+    assert!(prepared.stack.shortcut().is_some() && c.maps == 8 && c.composed && c.worst_mm <= 0.5, "{c:?}");
 }
 
 /// An intersection with a cut that is not there yet removes nothing; a union with it removes the rest.

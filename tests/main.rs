@@ -8,11 +8,13 @@ mod architecture;
 mod closed_forms;
 mod command_line;
 mod comparison;
+mod composition;
 mod contract;
 mod damage;
 #[cfg(feature = "gpu")]
 mod editing;
 mod fields;
+mod fuzz;
 mod metrics;
 mod nifti;
 #[cfg(feature = "gpu")]
@@ -89,6 +91,8 @@ fn main() {
         one_phantom_in_every_format, scans_are_what_peers_read, real_series_have_their_geometry, orientations_are_one_world,
         series_are_listed_and_chosen, loads_are_watched, several_values_per_voxel, a_gigabyte_needs_little_more));
     all.extend(trials!(damage: damaged_files_are_named));
+    all.extend(trials!(fuzz: random_scenes_do_no_harm));
+    all.extend(trials!(composition: random_stacks_keep_their_bound, tears_are_walked));
     all.extend(trials!(surfaces:
         distances_of_closed_forms, broken_meshes_keep_their_inside, thin_flat_and_far_things, a_part_is_part_of_the_whole, deformed_sphere_is_the_ellipsoid,
         narrow_pull_is_found_by_jacobian_steps, three_modes_share_one_deformation, two_stages_are_one_picture, skipping_changes_no_surface,

@@ -25,6 +25,11 @@ pub fn with_renderer<T>(work: impl FnOnce(&mut Renderer) -> T) -> T {
     work(guard.as_mut().unwrap())
 }
 
+/// Whether there is an adapter.
+pub fn has_renderer() -> bool {
+    RENDERER.lock().unwrap_or_else(std::sync::PoisonError::into_inner).is_ok()
+}
+
 pub fn trials() -> Vec<Trial> {
     let required = std::env::var_os("INCISE_REQUIRE_ADAPTER").is_some();
     let missing = RENDERER.lock().unwrap().as_ref().err().cloned();
@@ -63,6 +68,7 @@ pub fn trials() -> Vec<Trial> {
     all.push(gpu("editing::segments_and_shifts_agree_between_modes".into(), Box::new(crate::editing::segments_and_shifts_agree_between_modes)));
     all.push(gpu("parity::eight_maps_agree".into(), Box::new(eight_maps_agree)));
     all.push(gpu("parity::composition_agrees".into(), Box::new(composition_agrees)));
+    all.push(gpu("composition::many_maps_agree".into(), Box::new(crate::composition::many_maps_agree)));
     all.push(gpu("parity::strategies_agree".into(), Box::new(strategies_agree)));
     all.push(gpu("parity::empty_space_agrees".into(), Box::new(empty_space_agrees)));
     all.push(gpu("parity::voxel_types_agree".into(), Box::new(voxel_types_agree)));
@@ -272,7 +278,7 @@ fn counts_agree() {
 fn composition_agrees() {
     let mut scene = Scene::of_volume("phantom:tomato:size=64");
     for n in 0..11 {
-        let mut d = Deformation::new(["wave", "twist", "bulge", "peel", "planar-wave"][n % 5]);
+        let mut d = Deformation::new(["wave", "twist", "bulge", "spline-pull", "wave"][n % 5]);
         (d.progress, d.resolution, d.rotate) = (Some(0.25), Some(40), Some([15.0 * n as f32, 25.0, 5.0 * n as f32]));
         d.add = n == 2 || n == 3;
         scene.deformation.push(d);
@@ -281,18 +287,25 @@ fn composition_agrees() {
     let assets = scenes::assets(&scene);
     let by_cpu = Prepared::new(&scene, &assets).unwrap();
     let by_gpu = with_renderer(|r| Prepared::on(r, &scene, &assets).unwrap());
-    let (a, b) = (&by_cpu.stack.maps()[0], &by_gpu.stack.maps()[0]);
-    assert_eq!((by_cpu.stack.maps().len(), by_gpu.stack.maps().len(), a.map.size), (1, 1, b.map.size));
+    let (a, b) = (&by_cpu.stack, &by_gpu.stack);
+    let [of_a, of_b] = [a, b].map(|s| s.shortcut().unwrap().map.map.size);
+    assert!(of_a == of_b && a.maps().len() == 11, "{of_a:?} {of_b:?}");
     let (mut far, mut moved) = (0, 0);
     for p in points(5000) {
         let p = (p - 0.5) * 170.0;
-        let ((at_cpu, alpha), (at_gpu, beta)) = (a.backward(p), b.backward(p));
+        let ((at_cpu, alpha), (at_gpu, beta)) = (a.walk(p), b.walk(p));
         moved += usize::from(at_cpu.distance(p) > 0.5);
         far += usize::from(at_cpu.distance(at_gpu) > 0.05 || (alpha - beta).abs() > 0.02);
     }
     println!("composed on the device: {far} of 5000 points differ by more than 0.05 mm; {moved} are moved");
     // A point on the very face of a map's cube may be counted to either side.
     assert!(far <= 5 && moved > 1000, "{far} {moved}");
+    scene.render.size = [96, 96];
+    scene.camera.view = "30,30".parse().unwrap();
+    for mode in [Mode::Raycast, Mode::Slice] {
+        scene.render.mode = mode;
+        agree(&format!("composed, {mode:?}"), &Prepared::new(&scene, &assets).unwrap());
+    }
 }
 
 fn eight_maps_agree() {

@@ -58,7 +58,7 @@ pub fn uniforms_match_their_structs() {
         seam_mm, rigid, both, deformers, normal_method, beside_mm, padding);
     same_layout!(&s, "PlacedSolid", PlacedSolidUniform: local_from_world, numbers, solid, join, period, wall);
     same_layout!(&s, "Deformer", DeformerUniform: local_from_world, numbers, half, kind, offsets);
-    same_layout!(&m, "PlacedMap", PlacedMapUniform: map_from_world, world_from_stored, size, added, reach, scale, per_size, padding);
+    same_layout!(&m, "PlacedMap", PlacedMapUniform: map_from_world, world_from_stored, size, added, reach, scale, origin, single, per_atlas, padding);
     let c = module(Program::Classify, false);
     same_layout!(&c, "Classification", ClassificationUniform: voxel_from_world, origin, looks_back_mm, cell_mm, beside_cuts_mm, size, cut_margin_mm, voxel_low,
         margin_mm, voxel_high, iso, table_scale, table_offset, has_iso, grey_faces, composite, stack_cuts, value_shift, value_levels, value_size, padding,
@@ -97,6 +97,11 @@ pub fn counterparts_exist() {
                 ("ONWARD: f32 = 1e-6", "ONWARD: f32 = 1e-6"),
                 ("MOST_SAMPLES: u32 = 100000u", "MOST_SAMPLES: u32 = 100_000"),
             ][..],
+        ),
+        (
+            "shaders/lib/stack.wgsl",
+            "src/deform/stack.rs",
+            &[("MARKED: f32 = 2.0", "MARKED: f32 = 2.0"), ("MARKED_SLOPE: f32 = 4096.0", "MARKED_SLOPE: f32 = 4096.0")][..],
         ),
         ("shaders/lib/formula.wgsl", "src/mesh/formula.rs", &[("GYROID_SLOPE: f32 = 1.75", "GYROID_SLOPE: f32 = 1.75")][..]),
         ("shaders/classify.wgsl", "src/deform/bounds.rs", &[("SAME: f32 = 0.25", "SAME: f32 = 0.25")][..]),

@@ -38,8 +38,18 @@ fn displacement(k: u32, p: vec3<f32>) -> vec4<f32> {
     return vec4<f32>(linear_part(maps[k].world_from_stored) * t.xyz, t.w);
 }
 
+// A mask from which a sample has a part of marked texels, and how much it changes by over a map where they are.
+const MARKED: f32 = 2.0;
+const MARKED_SLOPE: f32 = 4096.0;
+
 // xyz: the source point; w: the smallest mask value on the way. The walk ends where a mask cuts (below 1/2).
 fn walk(deformed: vec3<f32>) -> vec4<f32> {
+    if SHORTCUT != 0u {
+        let d = displacement(MAPS, deformed);
+        if d.w < MARKED {
+            return vec4<f32>(deformed + d.xyz, d.w);
+        }
+    }
     var p = vec4<f32>(deformed, 1.0);
     // Where the maps that are added to each other are all evaluated.
     var here = deformed;
@@ -90,7 +100,33 @@ fn difference(k: u32, x: vec3<f32>, axis: vec3<f32>) -> vec4<f32> {
     return (fetch(k, across + axis * high) - fetch(k, across + axis * low)) * (1.0 / (high - low));
 }
 
+// The jet of the map that stands for all; its alpha is MARKED where it does not.
+fn jet_of_shortcut(deformed: vec3<f32>) -> Jet {
+    var j = undisplaced(deformed);
+    let x = transform_point(maps[MAPS].map_from_world, deformed);
+    if outside(MAPS, x) {
+        return j;
+    }
+    let moved = displacement(MAPS, deformed);
+    let dx = difference(MAPS, x, vec3<f32>(1.0, 0.0, 0.0));
+    let dy = difference(MAPS, x, vec3<f32>(0.0, 1.0, 0.0));
+    let dz = difference(MAPS, x, vec3<f32>(0.0, 0.0, 1.0));
+    let slope = vec3<f32>(dx.w, dy.w, dz.w);
+    j.alpha = select(moved.w, MARKED, any(abs(slope) >= vec3<f32>(MARKED_SLOPE)));
+    let inverse = linear_part(maps[MAPS].map_from_world);
+    j.cut = or_nearer(j.cut, moved.w - 0.5, transpose(inverse) * slope);
+    j.d_source_d_deformed = j.d_source_d_deformed + linear_part(maps[MAPS].world_from_stored) * mat3x3<f32>(dx.xyz, dy.xyz, dz.xyz) * inverse;
+    j.source += moved.xyz;
+    return j;
+}
+
 fn jet(deformed: vec3<f32>) -> Jet {
+    if SHORTCUT != 0u {
+        let j = jet_of_shortcut(deformed);
+        if j.alpha < MARKED {
+            return j;
+        }
+    }
     var j = undisplaced(deformed);
     var here = deformed;
     var d_here = j.d_source_d_deformed;

@@ -84,7 +84,11 @@ struct PlacedMap {
     reach: vec3<f32>,
     // Map units per stored unit of displacement.
     scale: f32,
-    // 1 / size.
-    per_size: vec3<f32>,
+    // Its first texel in the atlas.
+    origin: vec3<f32>,
+    // 1: in the atlas of single precision.
+    single: f32,
+    // 1 / texels of that atlas.
+    per_atlas: vec3<f32>,
     padding: f32,
 }

@@ -7,7 +7,7 @@ use crate::files::Output;
 use crate::files::path_text::text_of;
 use crate::scene::{Assets, Deformed, Scene};
 use crate::volume::save::Format;
-use crate::{Error, Result};
+use crate::{Error, Result, Watch};
 use clap::{Args, ValueEnum};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -70,7 +70,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let assets = Assets::load(&scene, &|what, share| bar.set(what, share))?;
     output.check()?;
     let volume = &assets.volume;
-    let Deformed { stack, cuts, .. } = Deformed::exact(&scene, &assets, true)?;
+    let preparing = |share| bar.set("preparing", share);
+    let Deformed { stack, cuts, .. } = Deformed::exact_until(&scene, &assets, true, &Watch::telling(&preparing))?;
     let deformation = bake::Deformation { stack: &stack, cuts: &cuts };
     if !arguments.quiet {
         for note in volume.warnings.iter().map(|w| format!("{}: {w}", scene.volume_name())).chain(assets.library.notices()) {

@@ -6,8 +6,8 @@ use crate::compare::peak_memory_bytes;
 use crate::deform::health::Examined;
 use crate::export::{png, protect};
 use crate::files::{Output, check_distinct};
-use crate::scene::{Assets, Picture, Prepared, RenderStats, Rendered, Scene, Stages};
-use crate::{Error, Result, cpu};
+use crate::scene::{Assets, Picture, Prepared, RenderStats, Rendered, Scene, Stages, Unaided};
+use crate::{Error, Result, Watch, cpu};
 use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -51,7 +51,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         file.check()?;
     }
     let mut gpu = Gpu::open(arguments)?;
-    let prepared = gpu.prepare(&scene, &assets, arguments.backend)?;
+    let preparing = |share| bar.set("preparing", share);
+    let prepared = gpu.prepare(&scene, &assets, arguments.backend, &Watch::telling(&preparing))?;
     common.tell(assets.library.notices());
     let wants_stats = common.stats.is_some() || common.json;
     let done = render_on(arguments, gpu, &prepared, wants_stats, &bar)?;
@@ -136,14 +137,14 @@ impl Gpu {
     }
 
     /// The scene resolved, by the device if there is one; where none was asked for, a device that fails is done without.
-    fn prepare<'a>(&mut self, scene: &Scene, assets: &'a Assets, backend: Backend) -> Result<Prepared<'a>> {
+    fn prepare<'a>(&mut self, scene: &Scene, assets: &'a Assets, backend: Backend, watch: &Watch) -> Result<Prepared<'a>> {
         let Some(renderer) = &self.renderer else {
-            return Prepared::new(scene, assets);
+            return Prepared::until(&Unaided, scene, assets, watch);
         };
-        match Prepared::on(renderer, scene, assets) {
+        match Prepared::until(renderer, scene, assets, watch) {
             Err(error @ Error::Gpu(_)) if backend == Backend::Auto => {
                 (self.renderer, self.refusal) = (None, Some(error));
-                Prepared::new(scene, assets)
+                Prepared::until(&Unaided, scene, assets, watch)
             }
             prepared => prepared,
         }
@@ -185,8 +186,8 @@ impl Gpu {
         Ok(Self)
     }
 
-    fn prepare<'a>(&mut self, scene: &Scene, assets: &'a Assets, _backend: Backend) -> Result<Prepared<'a>> {
-        Prepared::new(scene, assets)
+    fn prepare<'a>(&mut self, scene: &Scene, assets: &'a Assets, _backend: Backend, watch: &Watch) -> Result<Prepared<'a>> {
+        Prepared::until(&Unaided, scene, assets, watch)
     }
 }
 
@@ -207,7 +208,9 @@ fn report(done: &Done, prepared: &Prepared, stages: &Stages, notices: &[String],
         .iter()
         .map(|m| json!({ "size": m.map.size, "storage": m.map.storage, "bytes": m.map.gpu_bytes(), "health": Examined::of_map(m).health(false) }))
         .collect();
-    let composition = prepared.composition.map(|c| json!({ "maps": c.maps, "worst_mm": c.worst_mm, "p99_mm": c.p99_mm }));
+    let composition = prepared.composition.map(|c| {
+        json!({ "bound_mm": c.bound_mm, "maps": c.maps, "composed": c.composed, "worst_mm": c.worst_mm, "p99_mm": c.p99_mm, "share_by_maps": c.by_maps })
+    });
     json!({
         "backend": done.backend,
         "requested_backend": format!("{asked:?}").to_lowercase(),

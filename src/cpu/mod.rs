@@ -113,7 +113,8 @@ fn render_rows(scene: &Prepared, watch: &Watch) -> Rendered {
     });
     let picture = picture.reduced(scene.settings.antialias);
     // Rows that were not rendered are blank, too.
-    let notices = if watch.stopped() { Vec::new() } else { scene.why_blank(&picture).into_iter().collect() };
+    let why = if watch.stopped() { None } else { scene.why_blank(&picture) };
+    let notices = scene.notices.iter().cloned().chain(why).collect();
     Rendered { picture, stats: Some(stats), stages, notices }
 }
 

@@ -144,7 +144,10 @@ impl Stack {
 
     /// As [`Self::source_bounds`], in parts: points inside and outside of a map's cube may come from far apart.
     pub fn source_parts(&self, deformed: &Bounds, found: &mut dyn FnMut(&Bounds, [f32; 2])) {
-        self.parts_of(self.maps().len(), deformed, &Moves::NONE, [1.0; 2], found);
+        // What stands for the maps is not as exact as they are.
+        let beside = self.shortcut().map_or(0.0, |s| s.bound_mm);
+        let mut grown = |part: &Bounds, alpha: [f32; 2]| found(&part.grown(beside), alpha);
+        self.parts_of(self.maps().len(), deformed, &Moves::NONE, [1.0; 2], &mut grown);
     }
 
     /// Through the first `count` maps; those added to the next one have moved the box `together`.
@@ -209,7 +212,7 @@ impl Stack {
 
     /// The box that holds the deformed scene: the source's box and every cube into which a map can bring its matter.
     pub fn deformed_bounds(&self, source: &Bounds) -> Bounds {
-        let mut all = *source;
+        let mut all = source.grown(self.shortcut().map_or(0.0, |s| s.bound_mm));
         for map in self.maps().iter().filter(|m| m.map.moves_matter()) {
             let cube = map.bounds_in_world();
             let moved = map.displacement_bounds(&cube);

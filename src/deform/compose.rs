@@ -1,17 +1,19 @@
 //! A stack, or a transform from a file, as one displacement map: the cost of a sample no longer depends on how many there are.
 //!
 //! *Theory*: the composite is a map like any other, D(p') = source(p') - p' on a grid over every cube of the stack (\[DDM06\] section 6
-//! names both ways). Interpolating it makes an error that shrinks with the square of the texel. The resolution is not guessed: a coarse map
-//! is made, compared with the exact walk in the middles of its cells, and refined until the error is within the bound.
+//! names both ways). Interpolating it makes an error that shrinks with the square of the texel where the stack is smooth, with the texel where it
+//! has a kink, and not at all where it tears matter. The resolution is not guessed: a coarse map is made, compared with the exact walk, and refined
+//! until the worst error where matter is lies within the bound. Stacks tear more often than not, at the faces of boxes that matter enters: so the map
+//! that stands for a stack in pictures ([`shortcut`]) marks the cells in which it is not exact enough, and there the maps themselves are walked.
 //!
-//! Where the stack cuts, D only has to be continuous; cells that a cut crosses are left out of the comparison, because what is seen there
-//! is decided by the mask. So are points whose source lies beyond the scene: a map that does not vanish on its faces tears there, in empty space.
+//! *The error* at a point is the distance between the two sources where both show matter, and the distance to the cut where one shows matter and the
+//! other does not. Points whose source lies beyond the scene show nothing and do not count.
 
 use super::transform::{Step, Transform};
-use super::{DisplacementMap, PlacedMap, Placement, Stack, Storage, TexelSample};
-use crate::Result;
+use super::{DisplacementMap, PlacedMap, Placement, Shortcut, Stack, Storage, TexelSample};
 use crate::math::{Bounds, to_f32};
 use crate::volume::GridGeometry;
+use crate::{Result, Watch};
 use glam::{Affine3A, DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -21,14 +23,40 @@ pub const MOST_TEXELS: usize = 1 << 24;
 /// Texels along the longest axis that the search begins with.
 const FIRST_RESOLUTION: usize = 32;
 
+/// Texels that a map is refined to while it is looked for how far a stack can be composed.
+const MAX_SEARCH_TEXELS: usize = 1 << 23;
+/// Points at which a composed map is compared with what it was made from, while it is refined and at last.
+const PROBES: usize = 100_000;
+const LAST_PROBES: usize = 600_000;
+/// Share of the bound that the points that are compared may take: between them it may be more.
+const OF_BOUND: f32 = 0.6;
+/// Texels along the longest axis of the maps that stand for a stack, the next one tried where too much is marked in one.
+const SHORTCUT_TEXELS: [usize; 4] = [48, 80, 128, 192];
+/// Points compared in the cells of one of them.
+const CELL_PROBES: usize = 1_000_000;
+/// Share of the space that may be marked: a finer map is not worth it below, and none above.
+const FEW_MARKED: f32 = 0.12;
+const MOST_MARKED: f32 = 0.6;
+/// Of the points of a cell, those at which Jacobians are compared, and how far their components may be apart: normals turn by about as much, radians.
+const SLOPE_PROBES: usize = 2;
+const MAX_SLOPE_ERROR: f32 = 0.05;
+/// Points by which a map is given up that is too coarse by far.
+const SOME_CELLS: usize = 10_000;
+/// Times that points found at last are marked.
+const LAST_ROUNDS: usize = 4;
+/// A map twice as fine that is not this much better will never be good enough: the stack tears there.
+const LEAST_GAIN: f32 = 0.8;
+
 /// A composed map and how well it stands for what it was made from.
 pub struct Composed {
     /// The map in its place.
     pub placed: PlacedMap,
-    /// Largest error found in the middles of uncut cells, mm.
+    /// Largest error found where matter is, mm.
     pub worst_mm: f32,
     /// 99th percentile of the error, mm.
     pub p99_mm: f32,
+    /// Whether that is within the bound.
+    pub within: bool,
 }
 
 /// How finely to compose.
@@ -36,8 +64,19 @@ pub struct Composed {
 pub enum Resolution {
     /// Texels along the longest axis.
     Fixed(usize),
-    /// As many as it takes for 99 % of the space to be this exact, mm.
+    /// As many as it takes for the worst error where matter is, mm.
     Within(f32),
+}
+
+/// How a shortcut came out.
+#[derive(Clone, Copy, Debug)]
+pub struct Exactness {
+    /// Largest error found where matter is, mm.
+    pub worst_mm: f32,
+    /// 99th percentile of the error, mm.
+    pub p99_mm: f32,
+    /// Share of the space with matter in it where the maps themselves are walked.
+    pub by_maps: f32,
 }
 
 /// The axis-aligned box of every cube of a stack; none if it is empty.
@@ -67,7 +106,7 @@ struct Mapping<'a> {
     scene_box: Bounds,
 }
 
-/// Composes a stack into one map, exact where the source lies in `scene_box`; none if the stack is empty.
+/// Composes a stack into one map; none if the stack is empty.
 ///
 /// # Errors
 /// A placement that cannot be used.
@@ -79,35 +118,257 @@ pub fn stack(stack: &Stack, scene_box: &Bounds, resolution: Resolution, storage:
     search(&Mapping { source_and_alpha: &f, many: &many, scene_box: *scene_box }, &placement, resolution, storage).map(Some)
 }
 
+/// One map that stands for a stack within `bound_mm` wherever matter is, with marks where it cannot: cells that a tear or a cut runs through, or
+/// that bend more than the grid resolves. None, with the share that would have to be marked, where that is most of the space.
+///
+/// # Errors
+/// A placement that cannot be used; whatever the device reports; [`crate::Error::Cancelled`].
+pub fn shortcut(stack: &Stack, scene_box: &Bounds, bound_mm: f32, evaluate: Evaluate, watch: &Watch) -> Result<(Option<Shortcut>, Exactness)> {
+    let mut exactness = Exactness { worst_mm: 0.0, p99_mm: 0.0, by_maps: 1.0 };
+    let Some(bounds) = cubes(stack) else { return Ok((None, exactness)) };
+    let placement = Placement::new(bounds.center(), bounds.size(), Vec3::ZERO)?;
+    let size_mm = placement.size_mm();
+    let finest = finest(size_mm, MAX_SEARCH_TEXELS);
+    let exact = |p: &Vec3| stack.walk_through(*p);
+    let comparison = Comparison { exact: &exact, scene_box };
+    let mut best: Option<Sheet> = None;
+    for texels in SHORTCUT_TEXELS.map(|n| n.min(finest)) {
+        watch.check()?;
+        if best.as_ref().is_some_and(|b| b.size == grid_for(size_mm, texels)) {
+            break;
+        }
+        let mut sheet = Sheet::new(stack, &placement, grid_for(size_mm, texels), bound_mm, evaluate)?;
+        // Too coarse by far: not worth a look at every cell.
+        if sheet.bad_share_of_some(&comparison, bound_mm) > MOST_MARKED {
+            continue;
+        }
+        sheet.find_bad_cells(&comparison, stack, bound_mm, watch)?;
+        let gained = best.as_ref().is_none_or(|b| sheet.share() < LEAST_GAIN * b.share());
+        if gained {
+            best = Some(sheet);
+        }
+        let share = best.as_ref().map_or(1.0, Sheet::share);
+        if share <= FEW_MARKED || !gained && share <= MOST_MARKED {
+            break;
+        }
+    }
+    let Some(mut sheet) = best else { return Ok((None, exactness)) };
+    // Many points at last, elsewhere than those that were asked: what they find is marked as well.
+    for _ in 0..LAST_ROUNDS {
+        watch.check()?;
+        exactness.by_maps = sheet.share();
+        if exactness.by_maps > MOST_MARKED {
+            return Ok((None, exactness));
+        }
+        let shortcut = Shortcut { map: sheet.marked_map(), bound_mm };
+        let with = Stack::new(stack.maps().to_vec()).with_shortcut(shortcut.clone());
+        let h = 0.25 * sheet.texel_mm();
+        let errors = comparison.errors(&|p| with.walk(*p), &bounds, LAST_PROBES, h);
+        let beyond: Vec<Vec3> = errors.iter().filter(|(e, _)| *e > bound_mm).map(|(_, p)| *p).collect();
+        if beyond.is_empty() {
+            (exactness.worst_mm, exactness.p99_mm) = worst_and_p99(errors.into_iter().map(|(e, _)| e).collect());
+            return Ok((Some(shortcut), exactness));
+        }
+        sheet.mark_around(&beyond);
+    }
+    Ok((None, exactness))
+}
+
+/// Whether two Jacobians would light matter differently.
+fn differs(a: &Mat3, b: &Mat3) -> bool {
+    (*a - *b).to_cols_array().iter().any(|v| v.abs() > MAX_SLOPE_ERROR)
+}
+
+/// A composite in the making: samples, and the cells between them that are not exact enough.
+struct Sheet {
+    size: [usize; 3],
+    placement: Placement,
+    storage: Storage,
+    samples: Vec<TexelSample>,
+    bad: Vec<bool>,
+    /// Cells with any matter in them.
+    seen: Vec<bool>,
+}
+
+impl Sheet {
+    fn new(stack: &Stack, placement: &Placement, size: [usize; 3], bound_mm: f32, evaluate: Evaluate) -> Result<Self> {
+        let map_from_world = Mat3::from(placement.map_from_world.matrix3);
+        let points: Vec<Vec3> = (0..size.iter().product::<usize>())
+            .into_par_iter()
+            .map(|n| placement.world_from_map.transform_point3(DisplacementMap::grid_point(size, n)))
+            .collect();
+        let samples: Vec<TexelSample> = evaluate(stack, &points)?
+            .into_par_iter()
+            .zip(&points)
+            .map(|((source, alpha), p)| TexelSample { displacement: map_from_world * (source - *p), alpha })
+            .collect();
+        // What half precision rounds to must not matter.
+        let largest = samples.par_iter().map(|s| s.displacement.abs().max_element()).reduce(|| 0.0, f32::max);
+        let rounding = largest * placement.size_mm().max_element() / 2048.0;
+        let storage = if rounding > 0.2 * bound_mm { Storage::F32 } else { Storage::F16 };
+        let cells = Self::cells_of(size).iter().product();
+        Ok(Self { size, placement: *placement, storage, samples, bad: vec![false; cells], seen: vec![false; cells] })
+    }
+
+    fn cells_of(size: [usize; 3]) -> [usize; 3] {
+        size.map(|n| n.saturating_sub(1).max(1))
+    }
+
+    fn texel_mm(&self) -> f32 {
+        (self.placement.size_mm() / Vec3::from(Self::cells_of(self.size).map(|n| n as f32))).max_element()
+    }
+
+    /// Share of the cells with matter that are bad.
+    fn share(&self) -> f32 {
+        let (bad, seen) =
+            self.bad.iter().zip(&self.seen).fold((0usize, 0usize), |(bad, seen), (b, s)| (bad + usize::from(*b && *s), seen + usize::from(*s)));
+        bad as f32 / seen.max(1) as f32
+    }
+
+    fn placed(&self) -> PlacedMap {
+        let map = DisplacementMap::from_samples(self.size, self.storage, self.samples.clone());
+        PlacedMap::new(Arc::new(map), self.placement)
+    }
+
+    /// Share of bad cells among some of those with matter.
+    fn bad_share_of_some(&self, comparison: &Comparison, bound_mm: f32) -> f32 {
+        let placed = self.placed();
+        let errors = comparison.errors(&|p| placed.backward(*p), &placed.bounds_in_world(), SOME_CELLS, 0.25 * self.texel_mm());
+        errors.iter().filter(|(e, _)| *e > OF_BOUND * bound_mm).count() as f32 / errors.len().max(1) as f32
+    }
+
+    /// Finds the cells in which the composite is not exact enough, and those beside them: a tear may graze a cell without meeting a point that is asked.
+    fn find_bad_cells(&mut self, comparison: &Comparison, stack: &Stack, bound_mm: f32, watch: &Watch) -> Result<()> {
+        let placed = self.placed();
+        let cells = Self::cells_of(self.size);
+        let edge = Vec3::from(cells.map(|n| 1.0 / n as f32));
+        let each = (CELL_PROBES / self.bad.len()).clamp(2, 12);
+        let h = 0.25 * self.texel_mm();
+        let of_cell = |n: usize| -> (bool, bool) {
+            let low = Vec3::new((n % cells[0]) as f32, (n / cells[0] % cells[1]) as f32, (n / (cells[0] * cells[1])) as f32);
+            let (mut bad, mut seen) = (false, false);
+            for k in 0..each {
+                let p = self.placement.world_from_map.transform_point3((low + spread(n * each + k)) * edge);
+                if let Some(error) = comparison.error(&|p| placed.backward(*p), p, h) {
+                    seen = true;
+                    bad |= error > OF_BOUND * bound_mm;
+                    // What a kink does to light is seen long before what it does to places.
+                    bad = bad || k < SLOPE_PROBES && placed.derivatives(p).is_some_and(|(j, _)| differs(&j, &stack.jet(p).d_source_d_deformed));
+                }
+            }
+            (bad, seen)
+        };
+        let found: Vec<(bool, bool)> =
+            (0..self.bad.len()).into_par_iter().with_min_len(256).map(|n| if watch.stopped() { (false, false) } else { of_cell(n) }).collect();
+        watch.check()?;
+        self.seen = found.iter().map(|f| f.1).collect();
+        self.bad = self.grown(&found.iter().map(|f| f.0).collect::<Vec<_>>());
+        Ok(())
+    }
+
+    /// Cells and their neighbours.
+    fn grown(&self, of: &[bool]) -> Vec<bool> {
+        let cells = Self::cells_of(self.size);
+        let strides = [1, cells[0], cells[0] * cells[1]];
+        let mut grown = of.to_vec();
+        for axis in 0..3 {
+            let before = grown.clone();
+            grown.par_iter_mut().enumerate().for_each(|(n, bad)| {
+                let at = n / strides[axis] % cells[axis];
+                *bad |= at > 0 && before[n - strides[axis]] || at + 1 < cells[axis] && before[n + strides[axis]];
+            });
+        }
+        grown
+    }
+
+    fn mark_around(&mut self, points: &[Vec3]) {
+        let cells = Self::cells_of(self.size);
+        let mut found = vec![false; self.bad.len()];
+        for p in points {
+            let x = self.placement.map_from_world.transform_point3(*p);
+            let at: [usize; 3] = std::array::from_fn(|a| ((x[a] * cells[a] as f32) as usize).min(cells[a] - 1));
+            found[(at[2] * cells[1] + at[1]) * cells[0] + at[0]] = true;
+        }
+        let grown = self.grown(&found);
+        self.bad.iter_mut().zip(grown).for_each(|(bad, more)| *bad |= more);
+    }
+
+    /// The map, its texels marked at the corners of bad cells.
+    fn marked_map(&self) -> PlacedMap {
+        let cells = Self::cells_of(self.size);
+        let mut marked = vec![false; self.samples.len()];
+        for (n, _) in self.bad.iter().enumerate().filter(|(_, bad)| **bad) {
+            let at = [n % cells[0], n / cells[0] % cells[1], n / (cells[0] * cells[1])];
+            for corner in 0..8usize {
+                let c: [usize; 3] = std::array::from_fn(|a| (at[a] + (corner >> a & 1)).min(self.size[a] - 1));
+                marked[(c[2] * self.size[1] + c[1]) * self.size[0] + c[0]] = true;
+            }
+        }
+        let map = DisplacementMap::from_marked_samples(self.size, self.storage, self.samples.clone(), &marked);
+        PlacedMap::new(Arc::new(map), self.placement)
+    }
+}
+
 /// Grid points for a box whose longest axis gets `texels`.
 fn grid_for(size_mm: Vec3, texels: usize) -> [usize; 3] {
     let edge = size_mm.max_element() / (texels.max(2) - 1) as f32;
     size_mm.to_array().map(|s| ((s / edge).round() as usize + 1).max(2))
 }
 
-/// Samples `source_and_alpha` over a placement, finely enough.
+/// Samples a mapping over a placement, finely enough.
 fn search(mapping: &Mapping, placement: &Placement, resolution: Resolution, storage: Storage) -> Result<Composed> {
     let size_mm = placement.size_mm();
-    let (mut texels, bound) = match resolution {
-        Resolution::Fixed(n) => (n, f32::INFINITY),
-        Resolution::Within(mm) => (FIRST_RESOLUTION, mm),
-    };
-    let fits = |texels: usize| grid_for(size_mm, texels).iter().product::<usize>() <= MOST_TEXELS;
-    let finest = (2..=4096).rev().find(|&n| fits(n)).unwrap_or(2);
-    texels = texels.min(finest);
-    loop {
-        let composed = sampled(mapping, placement, grid_for(size_mm, texels), storage)?;
-        if composed.p99_mm <= bound || texels == finest {
+    let bound = match resolution {
+        Resolution::Fixed(n) => {
+            let finest = finest(size_mm, MOST_TEXELS);
+            let mut composed = sampled(mapping, placement, grid_for(size_mm, n.min(finest)), storage, LAST_PROBES)?;
+            composed.within = true;
             return Ok(composed);
         }
-        // The error falls with the square of the texel, but not below what the storage rounds to.
-        let needed = (texels as f32 * (composed.p99_mm / bound).sqrt() * 1.05) as usize;
+        Resolution::Within(mm) => mm,
+    };
+    let finest = finest(size_mm, MAX_SEARCH_TEXELS);
+    let mut texels = FIRST_RESOLUTION.min(finest);
+    let mut composed = sampled(mapping, placement, grid_for(size_mm, texels), storage, PROBES)?;
+    let mut storage = storage;
+    let mut in_vain = 0;
+    loop {
+        if composed.worst_mm <= OF_BOUND * bound {
+            // Points may have missed the worst place: many more are asked at last.
+            let (worst_mm, p99_mm) = error(mapping, &composed.placed, LAST_PROBES);
+            (composed.worst_mm, composed.p99_mm) = (composed.worst_mm.max(worst_mm), p99_mm);
+            if composed.worst_mm <= bound {
+                return Ok(Composed { within: true, ..composed });
+            }
+        }
+        // What half precision rounds to is no finer for a finer grid.
+        let rounding = composed.placed.map.scale * size_mm.max_element() / 2048.0;
+        if storage == Storage::F16 && rounding > 0.5 * OF_BOUND * bound {
+            storage = Storage::F32;
+            composed = sampled(mapping, placement, grid_for(size_mm, texels), storage, PROBES)?;
+            continue;
+        }
+        if texels == finest || in_vain == 2 {
+            return Ok(composed);
+        }
+        let before = (composed.worst_mm, texels);
+        // At the error's square root, if all is smooth.
+        let needed = (texels as f32 * (composed.worst_mm / (OF_BOUND * bound)).sqrt() * 1.1) as usize;
         texels = needed.clamp(texels * 5 / 4, texels * 2).min(finest);
+        composed = sampled(mapping, placement, grid_for(size_mm, texels), storage, PROBES)?;
+        let finer = texels as f32 / before.1 as f32;
+        let expected = before.0 * LEAST_GAIN.powf(finer.log2());
+        in_vain = if composed.worst_mm > expected { in_vain + 1 } else { 0 };
     }
 }
 
-/// The map of a mapping, with its error.
-fn sampled(mapping: &Mapping, placement: &Placement, size: [usize; 3], storage: Storage) -> Result<Composed> {
+/// The most texels along the longest axis of which there are at most `most` in all.
+fn finest(size_mm: Vec3, most: usize) -> usize {
+    (2..=4096).rev().find(|&n| grid_for(size_mm, n).iter().product::<usize>() <= most).unwrap_or(2)
+}
+
+/// The map of a mapping, with its error at some points.
+fn sampled(mapping: &Mapping, placement: &Placement, size: [usize; 3], storage: Storage, probes: usize) -> Result<Composed> {
     let map_from_world = Mat3::from(placement.map_from_world.matrix3);
     let points: Vec<Vec3> = (0..size.iter().product::<usize>())
         .into_par_iter()
@@ -120,36 +381,26 @@ fn sampled(mapping: &Mapping, placement: &Placement, size: [usize; 3], storage: 
         .collect();
     let map = DisplacementMap::from_samples(size, storage, samples);
     let placed = PlacedMap::new(Arc::new(map), *placement);
-    let (worst_mm, p99_mm) = error(mapping, &placed);
-    Ok(Composed { placed, worst_mm, p99_mm })
+    let (worst_mm, p99_mm) = error(mapping, &placed, probes);
+    Ok(Composed { placed, worst_mm, p99_mm, within: false })
 }
 
-/// Largest error and 99th percentile in the middles of cells that no cut crosses, mm.
-fn error(mapping: &Mapping, placed: &PlacedMap) -> (f32, f32) {
+/// Largest error and 99th percentile of a map where matter is, mm.
+fn error(mapping: &Mapping, placed: &PlacedMap, probes: usize) -> (f32, f32) {
+    let (exact, composed) = (|p: &Vec3| (mapping.source_and_alpha)(*p), |p: &Vec3| placed.backward(*p));
     let size = placed.map.size;
-    let cells = size.map(|n| n.saturating_sub(1).max(1));
-    let count = cells[0] * cells[1] * cells[2];
-    // A quarter of a million cells tell as much as all.
-    let stride = (count / 250_000).max(1) | 1;
-    let cell = Vec3::from(cells.map(|n| 1.0 / n as f32));
-    // `many` may hold a device, which is not shared between threads.
-    let (source_and_alpha, scene_box) = (mapping.source_and_alpha, mapping.scene_box);
-    let mut errors: Vec<f32> = (0..count)
-        .into_par_iter()
-        .step_by(stride)
-        .filter_map(|n| {
-            let at = Vec3::new((n % cells[0]) as f32, (n / cells[0] % cells[1]) as f32, (n / (cells[0] * cells[1])) as f32);
-            let low = at * cell;
-            let whole = placed.map.bounds(low, low + cell * 0.999);
-            if whole.min[3] < 0.5 {
-                return None;
-            }
-            let p = placed.placement.world_from_map.transform_point3(low + cell * 0.5);
-            let (source, alpha) = source_and_alpha(p);
-            let seen = alpha >= 0.5 && scene_box.contains(&Bounds::new(source, source));
-            seen.then(|| placed.backward(p).0.distance(source))
-        })
-        .collect();
+    let texel = (placed.placement.size_mm() / Vec3::from(size.map(|n| n.max(2) as f32 - 1.0))).max_element();
+    let comparison = Comparison { exact: &exact, scene_box: &mapping.scene_box };
+    let errors = comparison.errors(&composed, &placed.bounds_in_world(), probes, 0.25 * texel);
+    worst_and_p99(errors.into_iter().map(|(e, _)| e).collect())
+}
+
+/// Places spread over the unit cube: the powers of the plastic number, so that no grid of a map is met again and again at the same place of its cells.
+fn spread(n: usize) -> Vec3 {
+    Vec3::from([0.819_172_513_396_164_4, 0.671_043_606_703_789_3, 0.549_700_477_901_970_2f64].map(|a| (0.5 + a * n as f64).fract() as f32))
+}
+
+fn worst_and_p99(mut errors: Vec<f32>) -> (f32, f32) {
     if errors.is_empty() {
         return (0.0, 0.0);
     }
@@ -157,6 +408,44 @@ fn error(mapping: &Mapping, placed: &PlacedMap) -> (f32, f32) {
     let (_, p99, above) = errors.select_nth_unstable_by(rank, f32::total_cmp);
     let p99 = *p99;
     (above.iter().fold(p99, |a, b| a.max(*b)), p99)
+}
+
+/// A mapping. It is given a reference: where two closures are given the same point by value, Rust 1.95 gives the second one what the first has made of
+/// it (rust-lang/rust#155241).
+type Map<'a> = dyn Fn(&Vec3) -> (Vec3, f32) + Sync + 'a;
+
+/// Sources and masks of one mapping held against another's.
+struct Comparison<'a> {
+    exact: &'a Map<'a>,
+    scene_box: &'a Bounds,
+}
+
+impl Comparison<'_> {
+    /// How far a mapping is off at a point, mm; none where neither shows anything. The mask's slope is found over `h` mm.
+    fn error(&self, composed: &Map, p: Vec3, h: f32) -> Option<f32> {
+        let holds = |p: Vec3| self.scene_box.contains(&Bounds::new(p, p));
+        let ((source, alpha), (found, found_alpha)) = ((self.exact)(&p), composed(&p));
+        let (shows, found_shows) = (alpha >= 0.5 && holds(source), found_alpha >= 0.5 && holds(found));
+        match (alpha >= 0.5, found_alpha >= 0.5) {
+            _ if !shows && !found_shows => None,
+            (true, true) => Some(source.distance(found)),
+            // How far the cut is that only one of them has.
+            _ => {
+                let mask = |p: Vec3| (self.exact)(&p).1;
+                let slope = Vec3::from(Vec3::AXES.map(|e| mask(p + e * h) - mask(p - e * h))).length() / (2.0 * h);
+                Some((alpha - 0.5).abs() / slope.max(1e-6))
+            }
+        }
+    }
+
+    /// The errors at points spread over a box, and where they are.
+    fn errors(&self, composed: &Map, over: &Bounds, probes: usize, h: f32) -> Vec<(f32, Vec3)> {
+        let of_point = |n: usize| {
+            let p = over.min + spread(n) * over.size();
+            self.error(composed, p, h).map(|e| (e, p))
+        };
+        (0..probes).into_par_iter().with_min_len(1024).filter_map(of_point).collect()
+    }
 }
 
 /// A transform as the maps of a stack, first applied first: a field keeps its own grid, an affine needs eight texels, B-splines are sampled at
@@ -249,7 +538,7 @@ pub fn transform(transform: &Transform, scene_box: &Bounds, strength: f32, resol
     let bounds = bounds.grown(0.01 * bounds.size().max_element());
     let placement = Placement::new(bounds.center(), bounds.size(), Vec3::ZERO)?;
     if transform.as_affine().is_some() {
-        return sampled(&mapping, &placement, [2; 3], storage);
+        return sampled(&mapping, &placement, [2; 3], storage, PROBES);
     }
     let texels = resolution.unwrap_or_else(|| {
         let spacing = transform.grid().map_or(1.0, |g| {

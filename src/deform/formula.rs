@@ -3,6 +3,7 @@
 
 use super::kinds::Field;
 use super::{DisplacementMap, Storage, TexelSample};
+use crate::{Result, Watch};
 use glam::Vec3;
 
 /// Which formula, as `backward_of` in `shaders/lib/kinds.wgsl` numbers them.
@@ -74,6 +75,14 @@ impl Recipe {
     /// The map, sampled now.
     pub fn map(&self) -> DisplacementMap {
         DisplacementMap::from_fn(self.size, self.storage, |x| self.sample(x))
+    }
+
+    /// As [`Self::map`], until it is told to stop.
+    ///
+    /// # Errors
+    /// [`crate::Error::Cancelled`].
+    pub fn map_until(&self, watch: &Watch) -> Result<DisplacementMap> {
+        DisplacementMap::from_fn_until(self.size, self.storage, |x| self.sample(x), watch)
     }
 
     /// The formula, if the field is one.

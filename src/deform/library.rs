@@ -1,11 +1,12 @@
 //! What deformations read besides their numbers: the scene's volume, label maps, distance fields, fields from files. Each is loaded once
 //! and kept as long as the scene's assets are.
 
+use super::compose::Exactness;
 use super::distance::{Region, of_region};
 use super::transform::{Context, Transform};
-use super::{Arguments, DisplacementMap};
+use super::{Arguments, DisplacementMap, Shortcut, Stack};
 use crate::files::path_text::path_of;
-use crate::math::DistanceGrid;
+use crate::math::{Bounds, DistanceGrid};
 use crate::volume::load::{self, Choice};
 use crate::volume::{GridGeometry, Volume};
 use crate::{Error, Result, Watch};
@@ -22,10 +23,18 @@ pub struct Library {
     label_maps: Mutex<HashMap<PathBuf, Arc<Volume>>>,
     distances: Mutex<HashMap<String, Arc<DistanceGrid>>>,
     transforms: Mutex<HashMap<String, Arc<Transform>>>,
+    /// The map that stands for the last stack that was composed.
+    shortcut: Mutex<Option<(ShortcutKey, Composed)>>,
     /// Sampled maps by what they were made of, the most recently used last.
     maps: Mutex<Vec<(String, Arc<DisplacementMap>)>>,
     notices: Mutex<Vec<String>>,
 }
+
+/// What a shortcut was made for: the stack, the scene's box, the bound.
+type ShortcutKey = (Stack, Bounds, f32);
+
+/// A shortcut, if there is one, and how exact it is.
+type Composed = (Option<Shortcut>, Exactness);
 
 /// Sampled maps that are kept at most, and their bytes.
 const KEPT_MAPS: usize = 32;
@@ -240,6 +249,20 @@ impl Library {
         while kept.len() > 1 && (all > KEPT_MAP_BYTES || kept.len() > KEPT_MAPS) {
             all -= bytes(&kept.remove(0).1);
         }
+        Ok(made)
+    }
+
+    /// The map that stands for a stack; made anew unless it is the last one that was.
+    ///
+    /// # Errors
+    /// Those of making it.
+    pub fn shortcut(&self, stack: &Stack, scene_box: &Bounds, bound_mm: f32, make: impl FnOnce() -> Result<Composed>) -> Result<Composed> {
+        let key = (stack.clone(), *scene_box, bound_mm);
+        if let Some((_, known)) = lock(&self.shortcut).as_ref().filter(|(k, _)| *k == key) {
+            return Ok(known.clone());
+        }
+        let made = make()?;
+        *lock(&self.shortcut) = Some((key, made.clone()));
         Ok(made)
     }
 

@@ -1,10 +1,12 @@
 //! One displacement map: a grid of (D, alpha) over the unit cube, in one of four storage formats.
 
 use super::Recipe;
+use super::stack::MARK;
 use crate::math::cells::{Cells, Fours, across, columns, mix_line, mix_texels, mix_with_differences};
 use crate::math::lanes::*;
 use crate::math::pyramid::Range;
 use crate::math::{MinMaxPyramid, trilinear};
+use crate::{Meter, Result, Watch};
 use glam::{Mat3, Vec3, Vec4, Vec4Swizzles};
 use half::f16;
 use rayon::prelude::*;
@@ -71,6 +73,9 @@ pub struct DisplacementMap {
     recipe: Option<Recipe>,
 }
 
+/// Points between which sampling asks whether to go on.
+const AT_ONCE: usize = 2048;
+
 /// What the texels of a whole map lie within.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Extent {
@@ -122,6 +127,20 @@ impl DisplacementMap {
         Self::from_samples(size, storage, samples)
     }
 
+    /// As [`Self::from_fn`], until it is told to stop.
+    ///
+    /// # Errors
+    /// [`crate::Error::Cancelled`].
+    pub fn from_fn_until(size: [usize; 3], storage: Storage, f: impl Fn(Vec3) -> TexelSample + Sync, watch: &Watch) -> Result<Self> {
+        let mut samples = vec![TexelSample { displacement: Vec3::ZERO, alpha: 1.0 }; size.iter().product()];
+        let meter = Meter::new(watch, samples.len() as u64);
+        samples.par_chunks_mut(AT_ONCE).enumerate().try_for_each(|(chunk, samples)| {
+            samples.iter_mut().enumerate().for_each(|(n, sample)| *sample = f(Self::grid_point(size, chunk * AT_ONCE + n)));
+            meter.add(samples.len() as u64)
+        })?;
+        Ok(Self::from_samples(size, storage, samples))
+    }
+
     /// Map coordinates of the grid point with a flat index.
     pub fn grid_point(size: [usize; 3], n: usize) -> Vec3 {
         let coordinate = |i: usize, n: usize| if n > 1 { i as f32 / (n - 1) as f32 } else { 0.5 };
@@ -132,11 +151,18 @@ impl DisplacementMap {
     ///
     /// A value that is not finite becomes no displacement and no matter.
     pub fn from_samples(size: [usize; 3], storage: Storage, samples: Vec<TexelSample>) -> Self {
+        Self::from_marked_samples(size, storage, samples, &[])
+    }
+
+    /// A map of given samples of which some are marked ([`super::Shortcut`]); `marked` may be empty.
+    pub(super) fn from_marked_samples(size: [usize; 3], storage: Storage, samples: Vec<TexelSample>, marked: &[bool]) -> Self {
         assert!(size.iter().all(|&n| n >= 1) && samples.len() == size.iter().product::<usize>(), "sample count and size disagree");
         let samples: Vec<Vec4> = samples.into_par_iter().map(finite).collect();
         let largest = samples.par_iter().map(|s| s.xyz().abs().max_element()).reduce(|| 0.0, f32::max);
         let scale = if largest > 0.0 { largest } else { 1.0 };
-        let detail = Detail::of(size, stored(&samples, scale, storage));
+        let mut texels = stored(&samples, scale, storage);
+        texels.par_iter_mut().zip(marked).filter(|(_, marked)| **marked).for_each(|(texel, _)| texel.w = MARK);
+        let detail = Detail::of(size, texels);
         let whole = Extent { texels: detail.pyramid.whole(), slopes: detail.slopes.whole() };
         Self { size, storage, scale, whole, detail: detail.into(), recipe: None }
     }

@@ -36,4 +36,4 @@ pub use formula::{FORMULA_NUMBERS, Formula, FormulaKind, Recipe};
 pub use library::Library;
 pub use map::{DisplacementMap, Extent, Storage, TexelSample};
 pub use placement::Placement;
-pub use stack::{Cut, Jet, MAX_MAPS, PlacedMap, Stack};
+pub use stack::{Cut, Jet, MAX_MAPS, PlacedMap, Shortcut, Stack};

@@ -4,6 +4,8 @@
 //! k's cube and p elsewhere. The Jacobian dp_0/dp' = J_1(p_1) ··· J_n(p_n) is gathered on the same walk, so normals (its transpose
 //! times the source gradient, \[DDM06\] eq 10) and mask gradients need no second one. `shaders/lib/stack.wgsl` says the same.
 //!
+//! A stack may carry a [`Shortcut`]: one map that stands for all of it wherever that is exact enough, and says where it is not.
+//!
 //! A map may be *added* to the one before it (\[DS07\] section 4: detail): both are evaluated at the same point and their displacements
 //! summed, G(p) = p + A_1 D_1(M_1⁻¹ p) + A_2 D_2(M_2⁻¹ p).
 
@@ -13,8 +15,9 @@ use crate::math::lanes::*;
 use glam::{Mat3, Vec3, Vec4, Vec4Swizzles};
 use std::sync::Arc;
 
-/// The most maps that one pass evaluates: a shader stage binds 16 textures at least, and the volume and its tables need some.
-pub const MAX_MAPS: usize = 8;
+/// The most maps that one pass on a GPU evaluates: what a uniform buffer of 16 KiB, the least that every device has, holds the placements of. The CPU
+/// takes any number.
+pub const MAX_MAPS: usize = 64;
 
 /// A map in its place.
 #[derive(Clone)]
@@ -43,7 +46,24 @@ impl PartialEq for PlacedMap {
 #[derive(Clone, Default, PartialEq)]
 pub struct Stack {
     maps: Vec<PlacedMap>,
+    shortcut: Option<Shortcut>,
 }
+
+/// One map that stands for a whole stack within a bound ([`super::compose::shortcut`]). Where it does not, at tears and cuts, its texels are marked by a
+/// mask beyond all masks, so that any sample that one of them has a part in is, too: there the maps themselves are walked.
+#[derive(Clone, PartialEq)]
+pub struct Shortcut {
+    /// The map, over the cubes of all.
+    pub map: PlacedMap,
+    /// How far its sources may be from those of the stack, mm.
+    pub bound_mm: f32,
+}
+
+/// The mask of marked texels, and the one from which a sample has a part of them. Half precision holds it.
+pub const MARK: f32 = 60_000.0;
+pub(super) const MARKED: f32 = 2.0;
+/// A mask that changes by this much over a map is that of marked texels.
+const MARKED_SLOPE: f32 = 4096.0;
 
 /// The nearest cut to a point of the deformed scene, by the masks' first order.
 #[derive(Clone, Copy, Debug)]
@@ -168,10 +188,28 @@ impl PlacedMap {
     }
 }
 
+impl Shortcut {
+    /// What shading needs to know at a point; none where the maps themselves are to be walked.
+    fn jet(&self, deformed: Vec3) -> Option<Jet> {
+        let (d, alpha) = self.map.displacement(deformed);
+        let unmoved = Jet { source: deformed, d_source_d_deformed: Mat3::IDENTITY, cut: Cut::NONE, alpha: 1.0 };
+        let x = self.map.placement.map_from_world.transform_point3(deformed);
+        if self.map.is_outside(x) {
+            return Some(unmoved);
+        }
+        let (_, slope_in_map) = self.map.map.derivatives(x);
+        if alpha >= MARKED || slope_in_map.abs().max_element() >= MARKED_SLOPE {
+            return None;
+        }
+        let (j, slope) = self.map.derivatives(deformed)?;
+        Some(Jet { source: deformed + d, d_source_d_deformed: j, cut: Cut::NONE.or_nearer(alpha - 0.5, slope), alpha })
+    }
+}
+
 impl Stack {
     /// Sees to it that all texels are here before many ask for them.
     pub fn fetch_texels(&self) {
-        self.maps.iter().for_each(|m| m.map.fetch_texels());
+        self.all_maps().for_each(|m| m.map.fetch_texels());
     }
 
     /// A stack of maps, first applied first.
@@ -180,7 +218,23 @@ impl Stack {
         if let Some(first) = maps.first_mut() {
             first.added = false;
         }
-        Self { maps }
+        Self { maps, shortcut: None }
+    }
+
+    /// The same stack with one map that stands for it.
+    pub fn with_shortcut(mut self, shortcut: Shortcut) -> Self {
+        self.shortcut = Some(shortcut);
+        self
+    }
+
+    /// The map that stands for the stack, if there is one.
+    pub fn shortcut(&self) -> Option<&Shortcut> {
+        self.shortcut.as_ref()
+    }
+
+    /// The maps, first applied first, and the one that stands for them, if there is one.
+    pub fn all_maps(&self) -> impl Iterator<Item = &PlacedMap> {
+        self.maps.iter().chain(self.shortcut.as_ref().map(|s| &s.map))
     }
 
     /// The maps, first applied first.
@@ -203,6 +257,12 @@ impl Stack {
     /// The source point of a deformed point and the smallest mask value on the way; the walk ends where a mask cuts (below 1/2).
     #[inline(always)]
     pub fn walk(&self, deformed: Vec3) -> (Vec3, f32) {
+        if let Some(shortcut) = &self.shortcut {
+            let (d, alpha) = shortcut.map.displacement(deformed);
+            if alpha < MARKED {
+                return (deformed + d, alpha);
+            }
+        }
         let mut p = deformed;
         // Where the maps that are added to each other are all evaluated.
         let mut at = deformed;
@@ -223,7 +283,7 @@ impl Stack {
 
     /// The map that is met first along points `first` + t `step` of the deformed scene, if they lie along its x axis.
     pub fn line(&self, first: Vec3, step: Vec3) -> Option<Line> {
-        let map = self.maps.last()?;
+        let map = self.shortcut.as_ref().map(|s| &s.map).or(self.maps.last())?;
         let across = map.placement.map_from_world.matrix3.x_axis;
         // Exactly, so that what is mixed across the line once is what each point would mix.
         if [step.y, step.z, across.y, across.z] != [0.0; 4] {
@@ -247,6 +307,26 @@ impl Stack {
         let mut at = deformed;
         let mut live = lanes;
         let mut line = line;
+        if let Some(Shortcut { map, .. }) = &self.shortcut {
+            let x = at.transformed(&map.placement.map_from_world);
+            let inside = live & map.holds_lanes(x);
+            if !inside.any_true() {
+                return walk;
+            }
+            let (stored, alpha) = match line.take() {
+                Some(line) => DisplacementMap::fetch_line(simd, &line.texels, x.x),
+                None => map.map.fetch_lanes(simd, x),
+            };
+            let direct = inside & alpha.simd_lt(MARKED);
+            walk.alpha = direct.select(alpha, walk.alpha);
+            walk.inside = direct;
+            walk.source = Vec3x8::select(direct, walk.source + stored.mapped(&map.world_from_stored), walk.source);
+            live = inside & !direct;
+            if !live.any_true() {
+                return walk;
+            }
+            at = deformed;
+        }
         for map in self.maps.iter().rev() {
             let x = at.transformed(&map.placement.map_from_world);
             let inside = live & map.holds_lanes(x);
@@ -294,6 +374,9 @@ impl Stack {
 
     /// The source point with its Jacobian and the nearest cut. Cut points get a jet too (`alpha` tells).
     pub fn jet(&self, deformed: Vec3) -> Jet {
+        if let Some(jet) = self.shortcut.as_ref().and_then(|s| s.jet(deformed)) {
+            return jet;
+        }
         let mut jet = Jet { source: deformed, d_source_d_deformed: Mat3::IDENTITY, cut: Cut::NONE, alpha: 1.0 };
         let (mut at, mut d_at) = (deformed, Mat3::IDENTITY);
         for map in self.maps.iter().rev() {
@@ -314,6 +397,39 @@ impl Stack {
     /// [`Self::jet`] at eight points, of which those in `lanes` are wanted.
     #[inline(always)]
     pub fn jets_lanes<S: Simd>(&self, simd: S, deformed: Vec3x8<S>, lanes: mask32x8<S>) -> Jets<S> {
+        let Some(Shortcut { map, .. }) = &self.shortcut else { return self.jets_by_maps(simd, deformed, lanes) };
+        let x = deformed.transformed(&map.placement.map_from_world);
+        let inside = lanes & map.holds_lanes(x);
+        let unmoved = [Vec3x8::splat(simd, Vec3::X), Vec3x8::splat(simd, Vec3::Y), Vec3x8::splat(simd, Vec3::Z)];
+        let mut jets = Jets { columns: unmoved, cut_mm: f32x8::splat(simd, f32::INFINITY) };
+        if !inside.any_true() {
+            return jets;
+        }
+        let ([.., alpha], [dx, dy, dz]) = map.map.derivatives_lanes(simd, x, inside);
+        let marked_slope = dx[3].abs().max(dy[3].abs()).max(dz[3].abs()).simd_ge(MARKED_SLOPE);
+        let direct = inside & alpha.simd_lt(MARKED) & !marked_slope;
+        let d = [of_displacement(dx, map), of_displacement(dy, map), of_displacement(dz, map)];
+        let slope = Vec3x8 { x: dx[3], y: dy[3], z: dz[3] };
+        let map_from_world = Mat3::from(map.placement.map_from_world.matrix3);
+        let across = unmoved.map(|axis| axis.mapped(&map_from_world));
+        let gradient = Vec3x8 { x: slope.dot(across[0]), y: slope.dot(across[1]), z: slope.dot(across[2]) }.length();
+        jets.cut_mm = (direct & gradient.simd_ge(1e-12)).select((alpha - 0.5) / gradient, jets.cut_mm);
+        for (column, across) in jets.columns.iter_mut().zip(across) {
+            *column = Vec3x8::select(direct, *column + along(d, across), *column);
+        }
+        let rest = inside & !direct;
+        if rest.any_true() {
+            let by_maps = self.jets_by_maps(simd, deformed, rest);
+            for (column, exact) in jets.columns.iter_mut().zip(by_maps.columns) {
+                *column = Vec3x8::select(rest, exact, *column);
+            }
+            jets.cut_mm = rest.select(by_maps.cut_mm, jets.cut_mm);
+        }
+        jets
+    }
+
+    #[inline(always)]
+    fn jets_by_maps<S: Simd>(&self, simd: S, deformed: Vec3x8<S>, lanes: mask32x8<S>) -> Jets<S> {
         let [x, y, z] = [Vec3x8::splat(simd, Vec3::X), Vec3x8::splat(simd, Vec3::Y), Vec3x8::splat(simd, Vec3::Z)];
         let (mut jx, mut jy, mut jz) = (x, y, z);
         let (mut source, mut at) = (deformed, deformed);

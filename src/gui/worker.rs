@@ -442,7 +442,7 @@ impl Engine {
             } else {
                 // Lost in the middle of a picture, it may be found out by a call that cannot report it.
                 let attempt = || {
-                    let prepared = Prepared::on(renderer, &job.scene, &job.assets)?;
+                    let prepared = Prepared::until(renderer, &job.scene, &job.assets, watch)?;
                     let rendered = renderer.render_until(&prepared, counting, watch)?;
                     Ok((prepared, rendered))
                 };
@@ -465,7 +465,7 @@ impl Engine {
             }
         }
         watch.check()?;
-        let prepared = prepared.get_or_insert(Prepared::new(&job.scene, &job.assets)?);
+        let prepared = prepared.get_or_insert(Prepared::until(&crate::scene::Unaided, &job.scene, &job.assets, watch)?);
         watch.check()?;
         let rendered = cpu::render_until(prepared, watch)?;
         Ok(shown(prepared, rendered, format!("CPU {} threads", rayon::current_num_threads()), keep))

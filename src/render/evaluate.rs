@@ -82,23 +82,19 @@ impl Renderer {
             view_dimension: wgpu::TextureViewDimension::D3,
             multisampled: false,
         };
-        entries.extend((0..MAX_MAPS as u32).map(|k| entry(6 + k, texture)));
+        entries.extend([6, 7].map(|n| entry(n, texture)));
         self.device.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some("stack"), entries: &entries })
     }
 
     /// The maps of a stack and shapes that cut, with nothing of the scene.
     pub(super) fn bind_stack(&self, stack: &Stack, cuts: &Cuts) -> Result<wgpu::BindGroup> {
-        let mut placed = [bytemuck::Zeroable::zeroed(); MAX_MAPS];
-        for (uniform, map) in placed.iter_mut().zip(stack.maps()) {
-            *uniform = PlacedMapUniform::new(map);
-        }
+        let (views, placed, _) = self.upload_maps(stack)?;
         let mut shapes = [bytemuck::Zeroable::zeroed(); MAX_CUTS];
         for (shape, cut) in shapes.iter_mut().zip(cuts.primitives()) {
             *shape = CutShapeUniform::new(cut);
         }
         let uniform = self.scratch("placements", bytemuck::cast_slice::<PlacedMapUniform, u8>(&placed), wgpu::BufferUsages::UNIFORM);
         let shapes = self.scratch("shapes", bytemuck::cast_slice::<CutShapeUniform, u8>(&shapes), wgpu::BufferUsages::UNIFORM);
-        let (views, _) = self.upload_maps(stack)?;
         let mut entries = vec![
             wgpu::BindGroupEntry { binding: 1, resource: uniform.as_entire_binding() },
             wgpu::BindGroupEntry { binding: 14, resource: shapes.as_entire_binding() },

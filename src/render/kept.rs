@@ -1,6 +1,7 @@
 //! What a renderer keeps from picture to picture: uniform buffers, the table's and the macrocells' textures, displacement maps by identity,
 //! targets by size, and the bind groups of all of these. A picture rewrites what has changed and makes what is not there.
 
+use super::atlas::Atlas;
 use super::prepare::{MapBounds, SampledMap};
 use super::surfaces::{KeptObject, Layer};
 use super::uniforms::{CutShapeUniform, FrameUniform, PlacedMapUniform};
@@ -12,7 +13,7 @@ use crate::scene::Prepared;
 use crate::transfer::{GRADIENT_ENTRIES, PREINTEGRATED_SIZE, Preintegrated, TABLE_ENTRIES, Table};
 use crate::{Error, Result};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use wgpu::{BufferUsages, Features, TextureFormat, TextureUsages};
+use wgpu::{BufferUsages, TextureFormat, TextureUsages};
 
 /// Maps that are kept at most, and their bytes. A stack in use is kept whole.
 const KEPT_MAPS: usize = 32;
@@ -39,7 +40,7 @@ impl Target {
 /// A displacement map on the GPU. The map itself is kept, so that nothing else can take its address.
 struct KeptMap {
     map: Arc<DisplacementMap>,
-    view: wgpu::TextureView,
+    texture: wgpu::Texture,
     /// Once something has asked for them.
     bounds: Option<MapBounds>,
 }
@@ -55,7 +56,8 @@ pub(super) struct Kept {
     nothing_preintegrated: Option<Target>,
     /// The most recently used last.
     maps: Mutex<Vec<KeptMap>>,
-    unused_map: Mutex<Option<wgpu::TextureView>>,
+    /// What shaders read of them: of half and of single precision.
+    atlases: Mutex<[Atlas; 2]>,
     /// By purpose, the most recently used last.
     targets: Vec<(&'static str, Target)>,
     groups: Vec<Group>,
@@ -80,7 +82,8 @@ pub(super) struct Shared {
     table: wgpu::TextureView,
     cells: wgpu::TextureView,
     preintegrated: wgpu::TextureView,
-    maps: Vec<wgpu::TextureView>,
+    /// The atlases of half and of single precision.
+    maps: [wgpu::TextureView; 2],
     nothing: Layer,
 }
 
@@ -90,6 +93,11 @@ fn lock<T>(m: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Kept {
+    /// The atlases of maps.
+    pub(super) fn atlases(&self) -> MutexGuard<'_, [Atlas; 2]> {
+        lock(&self.atlases)
+    }
+
     /// Bind groups hold what they bind: those of textures that are replaced must go, or the textures stay.
     pub(super) fn forget_groups(&mut self) {
         self.groups.clear();
@@ -185,58 +193,49 @@ impl Renderer {
         }
     }
 
-    fn upload_map(&self, map: &DisplacementMap) -> Result<wgpu::TextureView> {
-        let features = self.device.device.features();
-        let format = match map.storage {
-            Storage::F16 => TextureFormat::Rgba16Float,
-            Storage::Snorm16 if features.contains(Features::TEXTURE_FORMAT_16BIT_NORM) => TextureFormat::Rgba16Snorm,
-            Storage::Snorm16 => TextureFormat::Rgba16Float,
-            Storage::Snorm8 => TextureFormat::Rgba8Snorm,
-            Storage::F32 if features.contains(Features::FLOAT32_FILTERABLE) => TextureFormat::Rgba32Float,
-            Storage::F32 => TextureFormat::Rgba16Float,
-        };
-        let texture = self.texture_3d("displacement map", map.size, format)?;
-        let storage = if format == TextureFormat::Rgba16Float { Storage::F16 } else { map.storage };
-        self.write_layers(&texture, 0, &map.encode_as(storage), map.size);
-        Ok(texture.create_view(&wgpu::TextureViewDescriptor::default()))
+    fn upload_map(&self, map: &DisplacementMap) -> Result<wgpu::Texture> {
+        // Snorm texels stay the steps that they are, in the format of the others.
+        let (single, format) = self.format_of(map);
+        let usage = TextureUsages::COPY_DST | TextureUsages::COPY_SRC;
+        let texture = self.texture_3d_for("displacement map", map.size, format, usage)?;
+        self.write_layers(&texture, 0, &map.encode_as(if single { Storage::F32 } else { Storage::F16 }), map.size);
+        Ok(texture)
     }
 
-    /// A map by its identity.
-    fn map(&self, map: &Arc<DisplacementMap>) -> Result<wgpu::TextureView> {
+    /// A map by its identity, in a texture of its own: what bounds on its texels are found from, and what goes into an atlas.
+    pub(super) fn map(&self, map: &Arc<DisplacementMap>) -> Result<wgpu::Texture> {
         let mut kept = lock(&self.kept.maps);
         if let Some(at) = kept.iter().position(|k| Arc::ptr_eq(&k.map, map)) {
             let entry = kept.remove(at);
-            let view = entry.view.clone();
+            let texture = entry.texture.clone();
             kept.push(entry);
-            return Ok(view);
+            return Ok(texture);
         }
         self.tally.count(Made::Map);
         let made = map.recipe().filter(|_| self.strategy.prepare).and_then(|r| Some((r, r.formula()?)));
-        let (view, bounds) = match made {
+        let (texture, bounds) = match made {
             // Made by a renderer that is gone, or let go of.
-            Some((recipe, formula)) => self.sampled_map(recipe, &formula).map(|made| (made.view, Some(made.bounds)))?,
+            Some((recipe, formula)) => self.sampled_map(recipe, &formula).map(|made| (made.texture, Some(made.bounds)))?,
             None => (self.upload_map(map)?, None),
         };
-        kept.push(KeptMap { map: map.clone(), view: view.clone(), bounds });
-        Ok(view)
+        kept.push(KeptMap { map: map.clone(), texture: texture.clone(), bounds });
+        Ok(texture)
     }
 
-    /// Lets go of the maps that were used longest ago, beyond what is kept; whether there were any.
-    fn forget_maps(&self, in_use: &Stack) -> bool {
+    /// Lets go of the maps that were used longest ago, beyond what is kept.
+    fn forget_maps(&self, in_use: &Stack) {
         let mut kept = lock(&self.kept.maps);
         let bytes_of = |k: &KeptMap| k.map.gpu_bytes() + k.bounds.as_ref().map_or(0, MapBounds::bytes);
         let mut bytes: usize = kept.iter().map(bytes_of).sum();
         let mut count = kept.len();
-        let before = count;
         kept.retain(|k| {
-            let goes = (bytes > KEPT_MAP_BYTES || count > KEPT_MAPS) && !in_use.maps().iter().any(|m| Arc::ptr_eq(&m.map, &k.map));
+            let goes = (bytes > KEPT_MAP_BYTES || count > KEPT_MAPS) && !in_use.all_maps().any(|m| Arc::ptr_eq(&m.map, &k.map));
             if goes {
                 bytes -= bytes_of(k);
                 count -= 1;
             }
             !goes
         });
-        count < before
     }
 
     /// Maps on the device now.
@@ -247,7 +246,7 @@ impl Renderer {
     /// Keeps a map that was made here.
     pub(super) fn keep_map(&self, map: &Arc<DisplacementMap>, made: SampledMap) {
         self.tally.count(Made::Map);
-        lock(&self.kept.maps).push(KeptMap { map: map.clone(), view: made.view, bounds: Some(made.bounds) });
+        lock(&self.kept.maps).push(KeptMap { map: map.clone(), texture: made.texture, bounds: Some(made.bounds) });
     }
 
     /// Bounds on boxes of the texels of a map that is kept.
@@ -256,7 +255,10 @@ impl Renderer {
         let found = kept.iter_mut().find(|k| Arc::ptr_eq(&k.map, map)).ok_or_else(|| Error::Gpu("a map was let go of".into()))?;
         match &found.bounds {
             Some(bounds) => Ok(bounds.clone()),
-            None => Ok(found.bounds.insert(self.bound_texels(map.size, &found.view)).clone()),
+            None => {
+                let view = found.texture.create_view(&wgpu::TextureViewDescriptor::default());
+                Ok(found.bounds.insert(self.bound_texels(map.size, &view)).clone())
+            }
         }
     }
 
@@ -279,29 +281,35 @@ impl Renderer {
         buffer
     }
 
-    /// A stack's maps, and whether others had to go for them; the bindings that it leaves free get the identity.
-    pub(super) fn upload_maps(&self, stack: &Stack) -> Result<(Vec<wgpu::TextureView>, bool)> {
-        let mut views = Vec::with_capacity(MAX_MAPS);
-        for placed in stack.maps().iter().take(MAX_MAPS) {
-            views.push(self.map(&placed.map)?);
+    /// The atlases with a stack's maps in them, what shaders need to know of each, and whether a texture was replaced.
+    ///
+    /// # Errors
+    /// More maps than a pass evaluates, or than the device holds.
+    pub(super) fn upload_maps(&self, stack: &Stack) -> Result<([wgpu::TextureView; 2], [PlacedMapUniform; MAX_MAPS], bool)> {
+        let count = stack.all_maps().count();
+        if count > MAX_MAPS {
+            return Err(Error::Gpu(format!(
+                "the scene has {count} deformations, and a GPU takes {MAX_MAPS} at once; use --backend cpu, or --precompose"
+            )));
         }
-        let replaced = self.forget_maps(stack);
-        let mut unused = lock(&self.kept.unused_map);
-        let unused = match &*unused {
-            Some(view) => view.clone(),
-            None => unused.insert(self.upload_map(&DisplacementMap::identity([1; 3]))?).clone(),
-        };
-        views.resize(MAX_MAPS, unused);
-        Ok((views, replaced))
+        let (views, places, replaced) = self.place_maps(stack)?;
+        self.forget_maps(stack);
+        let sizes = [&views[0], &views[1]].map(|v| v.texture().size());
+        let mut uniforms = [bytemuck::Zeroable::zeroed(); MAX_MAPS];
+        for ((uniform, map), place) in uniforms.iter_mut().zip(stack.all_maps()).zip(places) {
+            let size = sizes[usize::from(place.single)];
+            *uniform = PlacedMapUniform::new(map, place.origin, place.single, [size.width, size.height, size.depth_or_array_layers]);
+        }
+        Ok((views, uniforms, replaced))
     }
 
     /// Uploads what of the shared shader functions' inputs has changed.
     pub(super) fn shared(&mut self, scene: &Prepared) -> Result<Shared> {
         let volume = self.volume.as_ref().ok_or_else(|| Error::Gpu("no volume was uploaded".into()))?;
         let frame = FrameUniform::new(scene, [volume.scale, volume.offset, volume.gradient_scale(scene)], volume.spanned);
-        let mut placed = [bytemuck::Zeroable::zeroed(); MAX_MAPS];
-        for (uniform, map) in placed.iter_mut().zip(scene.stack.maps()) {
-            *uniform = PlacedMapUniform::new(map);
+        let (maps, placed, replaced) = self.upload_maps(&scene.stack)?;
+        if replaced {
+            self.kept.forget_groups();
         }
         let mut shapes = [bytemuck::Zeroable::zeroed(); MAX_CUTS];
         for (shape, cut) in shapes.iter_mut().zip(scene.cuts.primitives()) {
@@ -319,10 +327,6 @@ impl Renderer {
                 self.kept.uniforms.insert(buffers).clone()
             }
         };
-        let (maps, replaced) = self.upload_maps(&scene.stack)?;
-        if replaced {
-            self.kept.forget_groups();
-        }
         let nothing = self.layer(["nothing: colour", "nothing: distance", "nothing: depth"], 1, 1);
         let (table, cells, preintegrated) = (self.table(&scene.table), self.cells(scene)?, self.preintegrated(scene));
         Ok(Shared { uniforms, table, cells, preintegrated, maps, nothing })

@@ -35,6 +35,7 @@
 //! Large pictures are drawn in bands and many slabs in batches, each its own submission: a driver that watches for hung commands must
 //! not take a long one for it. The next submission is recorded while one is under way.
 
+mod atlas;
 mod clock;
 mod draw;
 mod evaluate;
@@ -50,7 +51,6 @@ mod work;
 pub use strategy::Strategy;
 pub use work::Work;
 
-use crate::deform::MAX_MAPS;
 use crate::gpu::shaders::Program;
 use crate::gpu::{Device, checked, read_buffer, read_rgba16f, texture_bytes, wait};
 use crate::scene::{IsoLight, Mode, Normals, Picture, Prepared, RenderStats, Rendered, Stages};
@@ -77,6 +77,7 @@ struct Variant {
     program: Program,
     counting: bool,
     maps: usize,
+    shortcut: bool,
     normals: Normals,
     blend: u32,
     gradient: GradientFilter,
@@ -210,7 +211,7 @@ impl Renderer {
         if !shows_volume && scene.surfaces.objects.is_empty() {
             let pixels = vec![[0.0; 4]; width as usize * height as usize];
             let picture = Picture { width, height, pixels }.reduced(scene.settings.antialias);
-            let notices = scene.why_blank(&picture).into_iter().collect();
+            let notices = scene.notices.iter().cloned().chain(scene.why_blank(&picture)).collect();
             return Ok(Rendered { picture, stats: Some(RenderStats::default()), stages, notices });
         }
         stages.time("upload", || -> Result<()> {
@@ -267,6 +268,7 @@ impl Renderer {
         })?;
         let stats = counter.map(|c| c.read(self)).transpose()?;
         let picture = Picture { width, height, pixels }.reduced(scene.settings.antialias);
+        notices.extend(scene.notices.iter().cloned());
         notices.extend(scene.why_blank(&picture));
         Ok(Rendered { picture, stats, stages, notices })
     }
@@ -288,6 +290,7 @@ impl Renderer {
             exact: self.strategy.exact_filter,
             counting: counting && (march || program == Program::Surface),
             maps: scene.stack.maps().len(),
+            shortcut: scene.stack.shortcut().is_some(),
             normals: if scene.is_lit() { scene.settings.normals } else { Normals::None },
             blend: match scene.blend {
                 Blend::Composite => 0,
@@ -423,7 +426,7 @@ impl Renderer {
 }
 
 /// Values of the shaders' `override` constants.
-fn overrides(variant: &Variant) -> [(&'static str, f64); 12] {
+fn overrides(variant: &Variant) -> [(&'static str, f64); 13] {
     let normals = match variant.normals {
         Normals::None => 0.0,
         Normals::Source => 1.0,
@@ -433,6 +436,7 @@ fn overrides(variant: &Variant) -> [(&'static str, f64); 12] {
     let gradient = if variant.gradient == GradientFilter::Sobel { 1.0 } else { 0.0 };
     [
         ("MAPS", variant.maps as f64),
+        ("SHORTCUT", f64::from(u8::from(variant.shortcut))),
         ("NORMALS", normals),
         ("BLEND", f64::from(variant.blend)),
         ("GRADIENT", gradient),
@@ -465,7 +469,7 @@ fn shared_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
         entry(4, texture(wgpu::TextureSampleType::Float { filterable: false }, wgpu::TextureViewDimension::D2)),
         entry(5, texture(wgpu::TextureSampleType::Uint, wgpu::TextureViewDimension::D3)),
     ];
-    entries.extend((0..MAX_MAPS as u32).map(|k| entry(6 + k, texture(filtered, wgpu::TextureViewDimension::D3))));
+    entries.extend([6, 7].map(|n| entry(n, texture(filtered, wgpu::TextureViewDimension::D3))));
     entries.push(entry(14, uniform));
     entries.push(entry(17, texture(filtered, wgpu::TextureViewDimension::D3)));
     entries.push(entry(18, texture(filtered, wgpu::TextureViewDimension::D2)));

@@ -16,7 +16,7 @@ use crate::math::pyramid::Range;
 use crate::scene::{Accelerator, CellGrid, Contents, Flag};
 use crate::transfer::TABLE_ENTRIES;
 use crate::volume::{Grid, GridVoxels};
-use crate::{Error, Result};
+use crate::{Error, Result, Watch};
 use glam::Vec3;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
@@ -58,7 +58,7 @@ impl MapBounds {
 
 /// A map that was made here.
 pub(super) struct SampledMap {
-    pub view: wgpu::TextureView,
+    pub texture: wgpu::Texture,
     pub bounds: MapBounds,
     scale: f32,
     whole: Extent,
@@ -209,7 +209,7 @@ impl Renderer {
         let pipelines = self.map_pipelines();
         let size = recipe.size.map(|n| n as u32);
         let points = recipe.size.iter().product::<usize>() as u64;
-        let usage = wgpu::TextureUsages::STORAGE_BINDING;
+        let usage = wgpu::TextureUsages::STORAGE_BINDING | wgpu::TextureUsages::COPY_SRC;
         let texture = self.texture_3d_for("displacement map", recipe.size, TextureFormat::Rgba16Float, usage)?;
         let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
         let own =
@@ -245,7 +245,7 @@ impl Renderer {
         let bytes = read_buffer(&self.device.device, &back)?;
         let whole = bytemuck::pod_read_unaligned::<NodeBounds>(&bytes[..node as usize]).extent();
         let scale: f32 = bytemuck::pod_read_unaligned(&bytes[node as usize..][..4]);
-        Ok(SampledMap { view, bounds, scale: if scale > 0.0 { scale } else { 1.0 }, whole })
+        Ok(SampledMap { texture, bounds, scale: if scale > 0.0 { scale } else { 1.0 }, whole })
     }
 
     /// Whether the device can hold what sampling a map needs.
@@ -342,9 +342,9 @@ impl Accelerator for Renderer {
         self.evaluate_stack(stack, points)
     }
 
-    fn map(&self, recipe: Recipe) -> Result<Arc<DisplacementMap>> {
+    fn map(&self, recipe: Recipe, watch: &Watch) -> Result<Arc<DisplacementMap>> {
         let Some(formula) = recipe.formula().filter(|_| self.strategy.prepare && self.samples(&recipe)) else {
-            return Ok(recipe.map().into());
+            return recipe.map_until(watch).map(Arc::new);
         };
         let made = checked(&self.device.device, || self.sampled_map(&recipe, &formula))?;
         let map = Arc::new(DisplacementMap::made_elsewhere(recipe, made.scale, made.whole));

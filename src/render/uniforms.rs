@@ -100,7 +100,9 @@ pub struct PlacedMapUniform {
     pub added: f32,
     pub reach: [f32; 3],
     pub scale: f32,
-    pub per_size: [f32; 3],
+    pub origin: [f32; 3],
+    pub single: f32,
+    pub per_atlas: [f32; 3],
     pub padding: f32,
 }
 
@@ -162,8 +164,8 @@ impl FrameUniform {
 }
 
 impl PlacedMapUniform {
-    /// One map of the stack.
-    pub fn new(placed: &PlacedMap) -> Self {
+    /// One map of the stack, whose texels begin at `origin` in an atlas of half or `single` precision of `atlas` texels.
+    pub fn new(placed: &PlacedMap, origin: [u32; 3], single: bool, atlas: [u32; 3]) -> Self {
         let world_from_stored = Mat3::from(placed.placement.world_from_map.matrix3) * placed.map.scale;
         Self {
             map_from_world: affine(&placed.placement.map_from_world),
@@ -172,7 +174,9 @@ impl PlacedMapUniform {
             added: if placed.added { 1.0 } else { 0.0 },
             reach: placed.reach.into(),
             scale: placed.map.scale,
-            per_size: placed.map.size.map(|n| (n as f32).recip()),
+            origin: origin.map(|n| n as f32),
+            single: f32::from(u8::from(single)),
+            per_atlas: atlas.map(|n| (n as f32).recip()),
             padding: 0.0,
         }
     }

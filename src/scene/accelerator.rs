@@ -1,10 +1,10 @@
 //! What of preparing a scene a device may take over: sampling maps, finding empty space, evaluating stacks that are composed.
 
 use super::macrocells::{CellGrid, Contents, Flag};
-use crate::Result;
 use crate::deform::compose::{self, Sources};
 use crate::deform::{DisplacementMap, Recipe, Stack};
 use crate::volume::Grid;
+use crate::{Result, Watch};
 use glam::Vec3;
 use std::sync::Arc;
 
@@ -21,9 +21,9 @@ pub trait Accelerator {
     /// The map of a recipe.
     ///
     /// # Errors
-    /// Whatever the device reports.
-    fn map(&self, recipe: Recipe) -> Result<Arc<DisplacementMap>> {
-        Ok(recipe.map().into())
+    /// Whatever the device reports; [`crate::Error::Cancelled`].
+    fn map(&self, recipe: Recipe, watch: &Watch) -> Result<Arc<DisplacementMap>> {
+        recipe.map_until(watch).map(Arc::new)
     }
 
     /// Whether texels are wanted here, also of maps that a device has made before.

@@ -1,13 +1,13 @@
 //! A scene's deformations as a stack of maps.
 
 use super::{Accelerator, Deformation, ViewFrame};
-use crate::deform::compose::{self, Composed, Resolution};
+use crate::deform::compose::{self, Exactness};
 use crate::deform::cut::{Cuts, MAX_CUTS, Primitive};
 use crate::deform::kinds::{self, DefaultSize, Inputs, Kind, Sampling};
-use crate::deform::{Arguments, DisplacementMap, Library, MAX_MAPS, PlacedMap, Placement, Stack, Storage, saved};
+use crate::deform::{Arguments, DisplacementMap, Library, PlacedMap, Placement, Stack, Storage, saved};
 use crate::error::suggestion;
 use crate::math::Bounds;
-use crate::{Error, Result};
+use crate::{Error, Result, Watch};
 use glam::{Affine3A, Mat3, Vec3};
 use std::sync::Arc;
 
@@ -42,6 +42,7 @@ pub const FILE_KINDS: &[FileKind] = &[
 ];
 
 /// What a stack is made for.
+#[derive(Clone, Copy)]
 pub struct Making<'a> {
     /// Files and volumes.
     pub library: &'a Library,
@@ -57,17 +58,38 @@ pub struct Making<'a> {
     pub exact_cuts: bool,
     /// What makes maps.
     pub device: &'a dyn Accelerator,
+    /// Is told how far the work is, and tells when to stop.
+    pub watch: &'a Watch<'a>,
 }
 
-/// What composing has cost in exactness, for reports.
+/// What composing has come to, for reports.
 #[derive(Clone, Copy, Debug)]
 pub struct Composition {
-    /// Maps that were composed into one.
+    /// The bound that was asked for, mm.
+    pub bound_mm: f32,
+    /// Maps of the stack.
     pub maps: usize,
-    /// Largest error found, mm.
+    /// Whether one map stands for all of them, where it is exact enough.
+    pub composed: bool,
+    /// Largest error found where matter is, mm; within the bound.
     pub worst_mm: f32,
     /// 99th percentile of the error, mm.
     pub p99_mm: f32,
+    /// Share of the space with matter in it where the maps themselves are walked.
+    pub by_maps: f32,
+}
+
+impl Composition {
+    /// What a user should know: that composing did not help.
+    pub fn notice(&self) -> Option<String> {
+        let Self { bound_mm, maps, composed, by_maps, .. } = self;
+        (!composed).then(|| {
+            format!(
+                "the {maps} deformations are not composed: within {bound_mm} mm that fails in {:.0} % of the space (tears, cuts, or a bound finer than a map resolves); they are applied one after the other, which is as exact as asked, and slower",
+                100.0 * by_maps
+            )
+        })
+    }
 }
 
 /// The stack of a scene's deformations, with maps made by other means applied before and after them, and the cuts that come after all.
@@ -83,7 +105,13 @@ pub fn stack(deformations: &[Deformation], making: &Making, first: Vec<PlacedMap
         }
     }
     let mut maps = first;
-    for d in &enabled[..first_cut] {
+    let all = enabled[..first_cut].len().max(1) as f32;
+    for (n, d) in enabled[..first_cut].iter().enumerate() {
+        // Each is its share of the whole.
+        let progress = |share: f32| (making.watch.progress)((n as f32 + share) / all);
+        let watch = Watch { progress: &progress, cancel: making.watch.cancel };
+        watch.check()?;
+        let making = &Making { watch: &watch, ..*making };
         if let Some(name) = CUT_ONLY.iter().find(|n| kinds::kind(&d.kind).is_ok_and(|k| k.shape.is_some()) && d.parameters.0.contains_key(**n)) {
             let problem = if !making.exact_cuts {
                 "needs cuts to be shapes, which they are not here (render.exact_cuts is false, or a map is being made)".to_owned()
@@ -169,40 +197,25 @@ fn kind_placement(d: &Deformation, kind: &Kind, making: &Making) -> Result<Place
     stated_placement(d, making, || kind.default_size(&making.scene_box), kind.locked_to_view)
 }
 
-/// The stack as one pass can evaluate it: if it has more maps than [`MAX_MAPS`], or if asked to, the first ones are composed into one.
+/// A stack with one map that stands for it within a bound, if one is asked for.
 ///
 /// # Errors
-/// A placement that cannot be used.
-pub fn bounded(
-    stack: Stack,
-    scene_box: &Bounds,
-    within_mm: Option<f32>,
-    default_mm: f32,
-    device: &dyn Accelerator,
-) -> Result<(Stack, Option<Composition>)> {
-    let maps = stack.maps();
-    let first = match within_mm {
-        Some(_) => maps.len(),
-        None if maps.len() > MAX_MAPS => {
-            // A map that is added to the one before it must stay with it.
-            let mut first = maps.len() + 1 - MAX_MAPS;
-            while maps.get(first).is_some_and(|m| m.added) {
-                first += 1;
-            }
-            first
-        }
-        None => return Ok((stack, None)),
-    };
-    let head = Stack::new(maps[..first].to_vec());
-    let Some(Composed { placed, worst_mm, p99_mm }) =
-        compose::stack(&head, scene_box, Resolution::Within(within_mm.unwrap_or(default_mm)), Storage::F16, &|stack, points| {
-            device.evaluate(stack, points)
-        })?
-    else {
-        return Ok((stack, None));
-    };
-    let all = std::iter::once(placed).chain(maps[first..].iter().cloned()).collect();
-    Ok((Stack::new(all), Some(Composition { maps: first, worst_mm, p99_mm })))
+/// A placement that cannot be used; whatever the device reports.
+pub fn composed(stack: Stack, making: &Making, bound_mm: Option<f32>) -> Result<(Stack, Option<Composition>)> {
+    let Some(bound_mm) = bound_mm.filter(|_| stack.maps().len() > 1) else { return Ok((stack, None)) };
+    let evaluate = |stack: &Stack, points: &[Vec3]| making.device.evaluate(stack, points);
+    let (shortcut, exactness) = making
+        .library
+        .shortcut(&stack, &making.scene_box, bound_mm, || compose::shortcut(&stack, &making.scene_box, bound_mm, &evaluate, making.watch))?;
+    let Exactness { worst_mm, p99_mm, by_maps } = exactness;
+    let composition = Composition { bound_mm, maps: stack.maps().len(), composed: shortcut.is_some(), worst_mm, p99_mm, by_maps };
+    Ok((
+        match shortcut {
+            Some(shortcut) => stack.with_shortcut(shortcut),
+            None => stack,
+        },
+        Some(composition),
+    ))
 }
 
 /// Samples one deformation into a map and puts it into the world; a chain of transforms becomes several.
@@ -275,7 +288,7 @@ fn place_kind(deformation: &Deformation, making: &Making) -> Result<PlacedMap> {
     // A formula has the same map wherever its box lies: one that is moved or turned is not sampled, and not uploaded, again.
     let lies = (!kind.is_the_same_anywhere(&deformation.parameters)).then_some(world_from_local);
     let key = format!("{} {:?} {progress} {size_mm:?} {sampling:?} {lies:?}", kind.name, deformation.parameters);
-    let map = making.library.map(key, || making.device.map(kind.recipe(&values, progress, size_mm, &sampling, &inputs)?))?;
+    let map = making.library.map(key, || making.device.map(kind.recipe(&values, progress, size_mm, &sampling, &inputs)?, making.watch))?;
     Ok(PlacedMap::new(map, placement.scaled(Vec3::splat(kind.inflate))?))
 }
 

@@ -27,8 +27,6 @@ use std::time::Instant;
 pub const MAX_PICTURE_EDGE: u32 = 16_384;
 /// Most samples of a picture: its pixels, each as often as it is antialiased. Their floating-point form takes 16 bytes each.
 pub const MAX_PIXELS: u64 = 1 << 28;
-/// Composing maps that one pass cannot hold may err by this share of a voxel.
-const UNSEEN: f32 = 0.2;
 /// A cut's normal takes over within one sample of the cut and has faded out after this many.
 const BLEND_SAMPLES: f32 = 2.5;
 
@@ -272,10 +270,10 @@ impl Deformed {
         scene.check_limits()?;
         check_settings(&scene.render, &scene.light)?;
         let view = scene.camera.frame(&assets.scene_box(), scene.render.size)?;
-        Self::with(scene, assets, &view, Vec::new(), &Unaided)
+        Self::with(scene, assets, &view, Vec::new(), &Unaided, &Watch::NOBODY)
     }
 
-    fn with(scene: &Scene, assets: &Assets, view: &ViewFrame, more: Vec<PlacedMap>, device: &dyn Accelerator) -> Result<Self> {
+    fn with(scene: &Scene, assets: &Assets, view: &ViewFrame, more: Vec<PlacedMap>, device: &dyn Accelerator, watch: &Watch) -> Result<Self> {
         let settings = &scene.render;
         let scene_box = assets.scene_box();
         let reference_mm = assets.volume.spacing_mm().min_element() as f32;
@@ -287,6 +285,7 @@ impl Deformed {
             storage: None,
             exact_cuts: settings.exact_cuts,
             device,
+            watch,
         };
         let undeformed = more.is_empty() && !scene.deformation.iter().any(|d| d.enabled);
         let (inside, proxy_mesh) = match inside::of_scene(scene, assets, &scene_box, making.least_ramp_mm)? {
@@ -294,7 +293,7 @@ impl Deformed {
             None => (Vec::new(), None),
         };
         let (stack, cuts) = deformations::stack(&scene.deformation, &making, inside, more)?;
-        let (stack, composition) = deformations::bounded(stack, &scene_box, settings.precompose, UNSEEN * reference_mm, device)?;
+        let (stack, composition) = deformations::composed(stack, &making, settings.precompose)?;
         Ok(Self { stack, cuts, composition, proxy_mesh })
     }
 
@@ -303,12 +302,20 @@ impl Deformed {
     /// # Errors
     /// Any setting that cannot be used, by name.
     pub fn exact(scene: &Scene, assets: &Assets, exact_cuts: bool) -> Result<Self> {
+        Self::exact_until(scene, assets, exact_cuts, &Watch::NOBODY)
+    }
+
+    /// As [`Self::exact`], until it is told to stop.
+    ///
+    /// # Errors
+    /// As [`Self::exact`]; [`Error::Cancelled`].
+    pub fn exact_until(scene: &Scene, assets: &Assets, exact_cuts: bool, watch: &Watch) -> Result<Self> {
         scene.check_limits()?;
         let scene_box = assets.scene_box();
         let view = scene.camera.frame(&scene_box, scene.render.size)?;
         let least_ramp_mm = 1.5 * assets.volume.spacing_mm().min_element() as f32;
         let (library, device) = (&assets.library, &Unaided);
-        let making = Making { library, scene_box, least_ramp_mm, view: &view, storage: Some(Storage::F32), exact_cuts, device };
+        let making = Making { library, scene_box, least_ramp_mm, view: &view, storage: Some(Storage::F32), exact_cuts, device, watch };
         let inside = inside::of_scene(scene, assets, &scene_box, least_ramp_mm)?.map_or_else(Vec::new, |i| i.maps.clone());
         let (stack, cuts) = deformations::stack(&scene.deformation, &making, inside, Vec::new())?;
         Ok(Self { stack, cuts, composition: None, proxy_mesh: None })
@@ -375,6 +382,8 @@ pub struct Prepared<'a> {
     pub(super) density: Option<f64>,
     /// Empty space.
     pub macrocells: Arc<Macrocells>,
+    /// What a user should know of how it was resolved, one sentence each.
+    pub notices: Vec<String>,
     /// Time that preparing took.
     pub stages: Stages,
 }
@@ -393,7 +402,15 @@ impl<'a> Prepared<'a> {
     /// # Errors
     /// As [`Self::new`]; whatever the device reports.
     pub fn on(device: &dyn Accelerator, scene: &Scene, assets: &'a Assets) -> Result<Self> {
-        Self::with(scene, assets, Vec::new(), device)
+        Self::with(scene, assets, Vec::new(), device, &Watch::NOBODY)
+    }
+
+    /// As [`Self::on`], telling how far the work is, until it is told to stop.
+    ///
+    /// # Errors
+    /// As [`Self::on`]; [`Error::Cancelled`].
+    pub fn until(device: &dyn Accelerator, scene: &Scene, assets: &'a Assets, watch: &Watch) -> Result<Self> {
+        Self::with(scene, assets, Vec::new(), device, watch)
     }
 
     /// Resolves a scene and applies further maps, made by other means than a kind, after its own.
@@ -401,10 +418,10 @@ impl<'a> Prepared<'a> {
     /// # Errors
     /// As [`Self::new`].
     pub fn with_maps(scene: &Scene, assets: &'a Assets, more: Vec<PlacedMap>) -> Result<Self> {
-        Self::with(scene, assets, more, &Unaided)
+        Self::with(scene, assets, more, &Unaided, &Watch::NOBODY)
     }
 
-    fn with(scene: &Scene, assets: &'a Assets, more: Vec<PlacedMap>, device: &dyn Accelerator) -> Result<Self> {
+    fn with(scene: &Scene, assets: &'a Assets, more: Vec<PlacedMap>, device: &dyn Accelerator, watch: &Watch) -> Result<Self> {
         let mut stages = Stages::default();
         let settings = scene.render.clone();
         scene.check_limits()?;
@@ -437,7 +454,7 @@ impl<'a> Prepared<'a> {
         let step_mm = settings.step * reference_mm;
         let blend_mm = blend_mm(settings.step, reference_mm);
         let Deformed { stack, cuts, composition, proxy_mesh } = stages.time("maps", || -> Result<_> {
-            let deformed = Deformed::with(scene, assets, &view, more, device)?;
+            let deformed = Deformed::with(scene, assets, &view, more, device, watch)?;
             if device.wants_texels() {
                 deformed.stack.fetch_texels();
             }
@@ -520,6 +537,7 @@ impl<'a> Prepared<'a> {
             has_volume: assets.has_volume,
             value_range: volume.range,
             density: scene.transfer.density,
+            notices: composition.and_then(|c| c.notice()).into_iter().collect(),
             macrocells,
             stages,
         })

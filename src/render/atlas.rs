@@ -1,0 +1,283 @@
+//! The maps of a stack in one texture: a shader binds few textures (16 on WebGL and OpenGL), a scene may have many deformations. A map's texels lie
+//! together; shaders never read beyond them, so that neighbours do not touch.
+//!
+//! There are two: of half precision, and of single precision for displacement fields from files and maps of 16 bits. What is in an atlas stays there
+//! until something else needs its place, so that a hand that goes back and forth between two states uploads nothing.
+
+use super::kept::Target;
+use super::{Renderer, extent};
+use crate::deform::{DisplacementMap, PlacedMap, Stack, Storage};
+use crate::{Error, Result};
+use std::sync::Arc;
+use wgpu::{Features, TextureFormat, TextureUsages};
+
+/// Where a map lies, texels.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Place {
+    pub origin: [u32; 3],
+    /// In the atlas of single precision.
+    pub single: bool,
+}
+
+/// A box of texels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Region {
+    origin: [u32; 3],
+    size: [u32; 3],
+}
+
+impl Region {
+    fn texels(&self) -> u64 {
+        self.size.iter().map(|n| u64::from(*n)).product()
+    }
+
+    fn holds(&self, size: [u32; 3]) -> bool {
+        (0..3).all(|a| size[a] <= self.size[a])
+    }
+
+    /// What is left of it beside a box of `size` at its origin: up to three boxes.
+    fn rest(&self, size: [u32; 3]) -> impl Iterator<Item = Self> + use<> {
+        let whole = *self;
+        (0..3).map(move |axis| {
+            let mut part = whole;
+            // Before this axis only what the box takes up is cut off, behind it all.
+            part.size = std::array::from_fn(|a| if a < axis { size[a] } else { whole.size[a] });
+            part.origin[axis] += size[axis];
+            part.size[axis] = whole.size[axis] - size[axis];
+            part
+        })
+    }
+}
+
+/// Boxes in a box that grows.
+#[derive(Default)]
+struct Packing {
+    size: [u32; 3],
+    free: Vec<Region>,
+}
+
+impl Packing {
+    /// Takes a place out of what is free, the one that is filled best.
+    fn take(&mut self, size: [u32; 3]) -> Option<[u32; 3]> {
+        let best = self.free.iter().enumerate().filter(|(_, r)| r.holds(size)).min_by_key(|(_, r)| r.texels()).map(|(n, _)| n)?;
+        let region = self.free.swap_remove(best);
+        self.free.extend(region.rest(size).filter(|r| r.texels() > 0));
+        Some(region.origin)
+    }
+
+    /// Grows along the axis that costs least, until a box of `size` is free; false if an edge would be longer than `most`.
+    fn grow_for(&mut self, size: [u32; 3], most: u32) -> bool {
+        let grown = |axis: usize| -> [u32; 3] { std::array::from_fn(|a| if a == axis { self.size[a] + size[a] } else { self.size[a].max(size[a]) }) };
+        let volume = |s: [u32; 3]| s.iter().map(|n| u64::from(*n)).product::<u64>();
+        let fits = |axis: &usize| grown(*axis).iter().all(|n| *n <= most);
+        let Some(along) = (0..3).filter(fits).min_by_key(|axis| volume(grown(*axis))) else { return false };
+        let to = grown(along);
+        // What is new lies beside what there was, in one slab for each axis: the one that holds the box is the last, and so reaches over all else.
+        for axis in [(along + 1) % 3, (along + 2) % 3, along] {
+            let slab = Region {
+                origin: std::array::from_fn(|a| if a == axis { self.size[a] } else { 0 }),
+                size: std::array::from_fn(|a| if a == axis { to[a] - self.size[a] } else { self.size[a] }),
+            };
+            if slab.texels() > 0 {
+                self.free.push(slab);
+            }
+            self.size[axis] = to[axis];
+        }
+        true
+    }
+}
+
+/// A map in an atlas.
+struct Entry {
+    /// Kept, so that nothing else can take its address.
+    map: Arc<DisplacementMap>,
+    region: Region,
+}
+
+/// One texture of maps.
+#[derive(Default)]
+pub(super) struct Atlas {
+    target: Option<Target>,
+    packing: Packing,
+    /// The most recently used last.
+    entries: Vec<Entry>,
+}
+
+fn texels_of(map: &DisplacementMap) -> [u32; 3] {
+    map.size.map(|n| n as u32)
+}
+
+impl Atlas {
+    fn find(&self, map: &Arc<DisplacementMap>) -> Option<usize> {
+        self.entries.iter().position(|e| Arc::ptr_eq(&e.map, map))
+    }
+
+    /// A place for a map, if there is one without growing: what is free, or that of an unused map of the same size.
+    fn place(&mut self, map: &Arc<DisplacementMap>, in_use: &[Arc<DisplacementMap>]) -> Option<Region> {
+        let size = texels_of(map);
+        let unused = |e: &Entry| e.region.size == size && !in_use.iter().any(|m| Arc::ptr_eq(m, &e.map));
+        if let Some(n) = self.entries.iter().position(unused) {
+            return Some(self.entries.remove(n).region);
+        }
+        self.packing.take(size).map(|origin| Region { origin, size })
+    }
+
+    /// A packing of maps alone, and their places by order.
+    fn packed(maps: &[Arc<DisplacementMap>], most: u32) -> Option<(Packing, Vec<Region>)> {
+        let mut packing = Packing::default();
+        let mut order: Vec<usize> = (0..maps.len()).collect();
+        order.sort_by_key(|n| std::cmp::Reverse(maps[*n].size.iter().product::<usize>()));
+        let mut regions = vec![Region { origin: [0; 3], size: [0; 3] }; maps.len()];
+        for n in order {
+            let size = texels_of(&maps[n]);
+            let origin = match packing.take(size) {
+                Some(origin) => origin,
+                None if packing.grow_for(size, most) => packing.take(size)?,
+                None => return None,
+            };
+            regions[n] = Region { origin, size };
+        }
+        Some((packing, regions))
+    }
+}
+
+impl Renderer {
+    /// The atlas that a map goes into, and its format.
+    pub(super) fn format_of(&self, map: &DisplacementMap) -> (bool, TextureFormat) {
+        // What cannot be filtered cannot be bound where filtering is.
+        let single = matches!(map.storage, Storage::F32 | Storage::Snorm16) && self.device.device.features().contains(Features::FLOAT32_FILTERABLE);
+        (single, if single { TextureFormat::Rgba32Float } else { TextureFormat::Rgba16Float })
+    }
+
+    /// Puts the maps of a stack into their atlases: both textures, the place of each map, and whether a texture was replaced.
+    pub(super) fn place_maps(&self, stack: &Stack) -> Result<([wgpu::TextureView; 2], Vec<Place>, bool)> {
+        let all: Vec<&PlacedMap> = stack.all_maps().collect();
+        let mut atlases = self.kept.atlases();
+        let mut places = vec![Place::default(); all.len()];
+        let (mut views, mut replaced) = (Vec::with_capacity(2), false);
+        for (atlas, single) in atlases.iter_mut().zip([false, true]) {
+            let of_atlas = |n: &usize| self.format_of(&all[*n].map).0 == single;
+            let members: Vec<usize> = (0..all.len()).filter(of_atlas).collect();
+            let mut maps: Vec<Arc<DisplacementMap>> = Vec::new();
+            for n in &members {
+                let map = &all[*n].map;
+                if !maps.iter().any(|m| Arc::ptr_eq(m, map)) {
+                    maps.push(map.clone());
+                }
+            }
+            let format = if single { TextureFormat::Rgba32Float } else { TextureFormat::Rgba16Float };
+            replaced |= self.fill(atlas, &maps, format)?;
+            for n in members {
+                let entry = atlas.find(&all[n].map).map(|e| atlas.entries[e].region.origin);
+                places[n] = Place { origin: entry.unwrap_or_default(), single };
+            }
+            views.push(self.view_of(atlas, format)?);
+        }
+        let [half, single] = <[wgpu::TextureView; 2]>::try_from(views).map_err(|_| Error::Gpu("an atlas is missing".into()))?;
+        Ok(([half, single], places, replaced))
+    }
+
+    /// The texture of an atlas; a single texel if nothing is in it.
+    fn view_of(&self, atlas: &mut Atlas, format: TextureFormat) -> Result<wgpu::TextureView> {
+        if let Some(target) = &atlas.target {
+            return Ok(target.view.clone());
+        }
+        let filterable = format == TextureFormat::Rgba16Float || self.device.device.features().contains(Features::FLOAT32_FILTERABLE);
+        let format = if filterable { format } else { TextureFormat::Rgba16Float };
+        let target = Target::new(self.texture_3d("no displacement maps", [1; 3], format)?);
+        Ok(atlas.target.insert(target).view.clone())
+    }
+
+    /// Sees to it that maps are in an atlas; whether its texture was replaced.
+    fn fill(&self, atlas: &mut Atlas, maps: &[Arc<DisplacementMap>], format: TextureFormat) -> Result<bool> {
+        let missing: Vec<&Arc<DisplacementMap>> = maps.iter().filter(|m| atlas.find(m).is_none()).collect();
+        // Used last: they go last.
+        for map in maps {
+            if let Some(n) = atlas.find(map) {
+                let entry = atlas.entries.remove(n);
+                atlas.entries.push(entry);
+            }
+        }
+        if missing.is_empty() {
+            return Ok(false);
+        }
+        let mut found = Vec::new();
+        for map in &missing {
+            match atlas.place(map, maps) {
+                Some(region) => found.push(((*map).clone(), region)),
+                None => return self.rebuild(atlas, maps, format),
+            }
+        }
+        self.copy_into(atlas, found)?;
+        Ok(false)
+    }
+
+    /// A new texture for some maps alone.
+    fn rebuild(&self, atlas: &mut Atlas, maps: &[Arc<DisplacementMap>], format: TextureFormat) -> Result<bool> {
+        let most = self.device.device.limits().max_texture_dimension_3d;
+        let (packing, regions) = Atlas::packed(maps, most).ok_or_else(|| {
+            Error::Gpu(format!(
+                "the scene's {} displacement maps are more than this device's {most} texels per axis hold; use --backend cpu",
+                maps.len()
+            ))
+        })?;
+        let usage = TextureUsages::COPY_DST;
+        let texture = self.texture_3d_for("displacement maps", packing.size.map(|n| n as usize), format, usage)?;
+        *atlas = Atlas { target: Some(Target::new(texture)), packing, entries: Vec::new() };
+        self.copy_into(atlas, maps.iter().cloned().zip(regions).collect())?;
+        Ok(true)
+    }
+
+    fn copy_into(&self, atlas: &mut Atlas, found: Vec<(Arc<DisplacementMap>, Region)>) -> Result<()> {
+        let Some(target) = atlas.target.clone() else { return Ok(()) };
+        let mut encoder = self.device.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        for (map, region) in &found {
+            let texture = self.map(map)?;
+            let [x, y, z] = region.origin;
+            let mut to = target.texture.as_image_copy();
+            to.origin = wgpu::Origin3d { x, y, z };
+            encoder.copy_texture_to_texture(texture.as_image_copy(), to, extent(map.size));
+        }
+        self.device.queue.submit([encoder.finish()]);
+        atlas.entries.extend(found.into_iter().map(|(map, region)| Entry { map, region }));
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn overlap(a: &Region, b: &Region) -> bool {
+        (0..3).all(|n| a.origin[n] < b.origin[n] + b.size[n] && b.origin[n] < a.origin[n] + a.size[n])
+    }
+
+    /// Boxes never lie in each other, nor outside, whatever their sizes, and little is wasted where they are alike.
+    #[test]
+    fn boxes_are_packed_without_touching() {
+        let mut random = 12345u32;
+        let mut next = move |most: u32| {
+            random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            1 + (random >> 16) % most
+        };
+        for round in 0..200 {
+            let mut packing = Packing::default();
+            let mut taken: Vec<Region> = Vec::new();
+            for _ in 0..1 + round % 40 {
+                let size = if round % 3 == 0 { [64; 3] } else { [next(200), next(200), if round % 5 == 0 { 1 } else { next(200) }] };
+                let origin = packing.take(size).or_else(|| packing.grow_for(size, 2048).then(|| packing.take(size))?);
+                let Some(origin) = origin else { panic!("no place for {size:?} in {:?}", packing.size) };
+                let region = Region { origin, size };
+                assert!(taken.iter().all(|t| !overlap(t, &region)), "{region:?}");
+                assert!((0..3).all(|a| origin[a] + size[a] <= packing.size[a]));
+                taken.push(region);
+            }
+            let used: u64 = taken.iter().map(Region::texels).sum();
+            let all: u64 = packing.size.iter().map(|n| u64::from(*n)).product();
+            assert!(used <= all && (round % 3 != 0 || all <= 2 * used), "{used} of {all}");
+            let free: u64 = packing.free.iter().map(Region::texels).sum();
+            assert_eq!(used + free, all);
+        }
+        assert!(!Packing::default().grow_for([3000, 1, 1], 2048));
+    }
+}

@@ -1,0 +1,646 @@
+//! Random scenes of every key, kind and extreme, made from the schema of the format, rendered in process at 64 x 64. Whatever a scene says, the answer
+//! is a picture or one line that names what is wrong: never a panic, never more than 20 seconds, never an empty picture without a word; and the
+//! picture of a GPU is the CPU's.
+//!
+//! `INCISE_FUZZ_SCENES` says how many (300 by default), `INCISE_FUZZ_FIRST` which is the first: any scene can be made again by its number.
+
+use crate::metrics::{STEP, difference};
+use incise::deform::kinds::{self, Kind};
+use incise::math::Bounds;
+use incise::scene::deformations::FILE_KINDS;
+use incise::scene::{Assets, Picture, Prepared, Rendered, Scene, file, surface};
+use incise::{Result, cpu, transfer};
+use serde_json::Value as Schema;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+use toml::Value;
+
+/// No scene of this size may take longer.
+const MOST_SECONDS: f64 = 20.0;
+/// Longer than that by far: it will not end.
+const HANGS: Duration = Duration::from_secs(300);
+/// One scene of so many is rendered by a GPU as well.
+const ON_GPU: u64 = 5;
+
+/// Random numbers by number of scene: splitmix64.
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+    fn share(&mut self) -> f64 {
+        (self.next() >> 11) as f64 / (1u64 << 53) as f64
+    }
+    fn chance(&mut self, share: f64) -> bool {
+        self.share() < share
+    }
+    fn between(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.share()
+    }
+    fn below(&mut self, n: usize) -> usize {
+        (self.next() % n.max(1) as u64) as usize
+    }
+    fn one_of<'a, T: ?Sized>(&mut self, all: &[&'a T]) -> &'a T {
+        all[self.below(all.len())]
+    }
+}
+
+/// What no one types on purpose.
+const EXTREMES: [f64; 18] = [
+    0.0,
+    -0.0,
+    -1.0,
+    1.0,
+    1e-30,
+    -1e-30,
+    1e30,
+    -1e30,
+    1e7,
+    -1e7,
+    9.9e6,
+    1e-3,
+    3.4e38,
+    1e308,
+    f64::NAN,
+    f64::INFINITY,
+    f64::NEG_INFINITY,
+    2147483648.0,
+];
+
+const WORDS: [&str; 8] = [
+    "",
+    "x",
+    "a name",
+    "Größe π 脳",
+    "\u{1b}[2J\u{7}",
+    "../../etc/passwd",
+    "nul\0inside",
+    "a very long name indeed, longer than any that a person gives",
+];
+
+/// Files of every kind that a scene can name.
+struct Files {
+    folder: tempfile::TempDir,
+    volumes: Vec<String>,
+    meshes: Vec<String>,
+    labels: Vec<String>,
+    fields: Vec<String>,
+    maps: Vec<String>,
+    points: Vec<String>,
+}
+
+impl Files {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let f = folder.path();
+        let text = |name: &str, content: &str| {
+            std::fs::write(f.join(name), content).unwrap();
+            name.to_owned()
+        };
+        let nrrd = |name: &str, header: &str, values: &[u8]| {
+            let mut bytes = format!("NRRD0004\nencoding: raw\nspace: left-posterior-superior\n{header}\n\n").into_bytes();
+            bytes.extend_from_slice(values);
+            std::fs::write(f.join(name), bytes).unwrap();
+            name.to_owned()
+        };
+        let directions = "space directions: (4,0,0) (0,4,0) (0,0,4)\nspace origin: (-46,-46,-46)";
+        let at = |n: usize| glam::Vec3::new((n % 24) as f32, (n / 24 % 24) as f32, (n / 576) as f32) - 11.5;
+        let bytes: Vec<u8> = (0..13_824).map(|n| (255.0 - 20.0 * at(n).length()).clamp(0.0, 255.0) as u8).collect();
+        let regions: Vec<u8> =
+            (0..13_824).map(|n| if at(n).length() < 10.0 { 1 + u8::from(at(n).x > 0.0) + 2 * u8::from(at(n).z > 3.0) } else { 0 }).collect();
+        let odd: Vec<u8> = (0..13_824)
+            .flat_map(|n| {
+                if n % 7 == 0 {
+                    f32::NAN
+                } else if n % 11 == 0 {
+                    f32::INFINITY
+                } else {
+                    1e9 * at(n).x
+                }
+                .to_le_bytes()
+            })
+            .collect();
+        let vectors: Vec<u8> =
+            (0..13_824).flat_map(|n| [8.0 * (at(n).y * 0.3).sin(), 2.0, 0.5 * at(n).x].into_iter().flat_map(f32::to_le_bytes)).collect();
+        let plain = format!("type: uchar\ndimension: 3\nsizes: 24 24 24\n{directions}");
+        let volumes = vec![
+            nrrd("ball.nrrd", &plain, &bytes),
+            nrrd("odd.nrrd", &format!("type: float\nendian: little\ndimension: 3\nsizes: 24 24 24\n{directions}"), &odd),
+            nrrd(
+                "thin.nrrd",
+                "type: uchar\ndimension: 3\nsizes: 64 48 1\nspace directions: (1,0.2,0) (0,1,0) (0,0,9)\nspace origin: (0,0,0)",
+                &[200; 3072],
+            ),
+            nrrd("one.nrrd", "type: uchar\ndimension: 3\nsizes: 1 1 1\nspace directions: (1,0,0) (0,1,0) (0,0,1)\nspace origin: (0,0,0)", &[7]),
+            nrrd(
+                "flat.nrrd",
+                "type: uchar\ndimension: 3\nsizes: 16 16 16\nspace directions: (1,0,0) (0,1,0) (0,0,1)\nspace origin: (5e6,0,0)",
+                &[3; 4096],
+            ),
+            nrrd(
+                "colors.nrrd",
+                "type: uchar\ndimension: 4\nsizes: 3 16 16 16\nkinds: RGB-color domain domain domain\nspace directions: none (2,0,0) (0,2,0) (0,0,2)\nspace origin: (0,0,0)",
+                &bytes[..12_288],
+            ),
+        ];
+        let labels = vec![
+            nrrd("regions.nrrd", &plain, &regions),
+            nrrd("far.nrrd", &plain.replace("(-46,", "(9000,"), &regions),
+            "phantom:octants:size=16".into(),
+        ];
+        let fields = vec![
+            nrrd(
+                "field.nrrd",
+                &format!(
+                    "type: float\nendian: little\ndimension: 4\nsizes: 3 24 24 24\nkinds: vector domain domain domain\n{}",
+                    directions.replace(": (4", ": none (4")
+                ),
+                &vectors,
+            ),
+            text(
+                "affine.tfm",
+                "#Insight Transform File V1.0\n#Transform 0\nTransform: AffineTransform_double_3_3\nParameters: 0.9 0.1 0 0 1.1 0 0 0 1 4 0 -3\nFixedParameters: 0 0 0\n",
+            ),
+        ];
+        let points = vec![
+            text("pairs.csv", "0,0,40,0,0,60\n30,0,0,45,5,0\n-30,0,0,-30,0,0\n0,30,10,0,20,0\n"),
+            text("some.csv", "0,0,40\n10,0,40\n20,10,30\n"),
+        ];
+        let meshes = vec![
+            text(
+                "box.obj",
+                "v -30 -30 -30\nv 30 -30 -30\nv 30 30 -30\nv -30 30 -30\nv -30 -30 30\nv 30 -30 30\nv 30 30 30\nv -30 30 30\nf 4 3 2 1\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n",
+            ),
+            text("sheet.obj", "v 0 0 0\nv 40 0 0\nv 40 40 0\nv 0 40 0\nf 1 2 3 4\n"),
+            text("open.obj", "v -30 -30 -30\nv 30 -30 -30\nv 30 30 -30\nv -30 30 -30\nv 0 0 40\nf 1 2 5\nf 2 3 5\nf 3 4 5\n"),
+            text("tiny.obj", "v 0 0 0\nv 1e-5 0 0\nv 0 1e-5 0\nv 0 0 1e-5\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"),
+        ];
+        let made = std::process::Command::new(env!("CARGO_BIN_EXE_incise"))
+            .current_dir(f)
+            .args(["map", "twist", "-o", "twist.nrrd", "--resolution", "16"])
+            .output()
+            .unwrap();
+        assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+        Self { folder, volumes, meshes, labels, fields, maps: vec!["twist.nrrd".into()], points }
+    }
+
+    fn path(&self) -> &Path {
+        self.folder.path()
+    }
+}
+
+/// Makes scenes.
+struct Maker<'a> {
+    schema: &'a Schema,
+    files: &'a Files,
+    random: Random,
+    /// Share of keys that are stated, and of values that are extreme.
+    stated: f64,
+    extreme: f64,
+}
+
+impl Maker<'_> {
+    fn scene(&mut self) -> toml::Table {
+        let mut scene = self.table(self.schema, "");
+        scene.insert("incise".into(), Value::Integer(1));
+        // Most scenes show a volume, some a mesh, a few neither.
+        if !self.random.chance(0.8) && scene.contains_key("mesh") {
+            scene.remove("volume");
+        } else if !scene.contains_key("volume") && self.random.chance(0.97) {
+            scene.insert("volume".into(), self.section("VolumeSource", "volume"));
+        }
+        let render = scene.entry("render").or_insert_with(|| Value::Table(toml::Table::new()));
+        if let Some(render) = render.as_table_mut() {
+            let size = if self.random.chance(0.05) { [1, 64] } else { [64, 64] };
+            render.insert("size".into(), Value::Array(size.map(Value::Integer).to_vec()));
+        }
+        scene
+    }
+
+    fn section(&mut self, name: &str, path: &str) -> Value {
+        Value::Table(self.table(&self.schema["$defs"][name].clone(), path))
+    }
+
+    fn resolved(&self, schema: &Schema) -> Schema {
+        match schema.get("$ref").and_then(Schema::as_str) {
+            Some(reference) => self.resolved(self.schema.pointer(reference.trim_start_matches('#')).unwrap()),
+            None => schema.clone(),
+        }
+    }
+
+    fn table(&mut self, schema: &Schema, path: &str) -> toml::Table {
+        let schema = self.resolved(schema);
+        let required: Vec<&str> = schema["required"].as_array().into_iter().flatten().filter_map(Schema::as_str).collect();
+        let mut table = toml::Table::new();
+        for (key, of_key) in schema["properties"].as_object().into_iter().flatten() {
+            let wanted = match (path, key.as_str()) {
+                _ if required.contains(&key.as_str()) => 1.0,
+                ("", "deformation") => 0.8,
+                ("", "mesh") => 0.25,
+                ("", "measure") => 0.05,
+                ("", _) => 0.5,
+                // What a volume's file does not have is an error, again and again.
+                ("volume", _) => 0.04,
+                ("mesh", _) => 0.15,
+                _ => self.stated,
+            };
+            if self.random.chance(wanted) {
+                let within = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
+                if let Some(value) = self.value(of_key, key, &within) {
+                    table.insert(key.clone(), value);
+                }
+            }
+        }
+        match path {
+            "mesh" => self.made_of_something(&mut table),
+            "deformation" => self.parameters(&mut table),
+            "mesh.deformer" | "volume.inside.deformer" => {
+                let name = self.random.one_of(&["angle", "factor", "amount", "width", "amplitude", "length", "phase"]);
+                let value = self.number(name);
+                table.insert(name.into(), Value::Float(value));
+            }
+            _ => {}
+        }
+        table
+    }
+
+    /// A mesh is of one thing.
+    fn made_of_something(&mut self, mesh: &mut toml::Table) {
+        for key in ["path", "iso", "label", "shape", "volume"] {
+            mesh.remove(key);
+        }
+        let (key, value) = match self.random.below(10) {
+            0..4 => ("path", Value::String(self.of_files(|f| &f.meshes))),
+            4..7 => ("shape", self.list(&self.schema["$defs"]["MeshSource"]["properties"]["shape"].clone(), "shape", "mesh.shape")),
+            7 => ("iso", Value::Float(self.number("iso"))),
+            _ => ("label", Value::Array(vec![Value::Integer(self.random.below(6) as i64)])),
+        };
+        if matches!(key, "iso" | "label") && self.random.chance(0.6) {
+            let volume = self.of_files(|f| if key == "label" { &f.labels } else { &f.volumes });
+            mesh.insert("volume".into(), Value::String(volume));
+        }
+        mesh.insert(key.into(), value);
+    }
+
+    fn of_files(&mut self, list: impl for<'f> Fn(&'f Files) -> &'f Vec<String>) -> String {
+        let all = list(self.files);
+        if self.random.chance(0.02) { "nowhere.at.all".into() } else { all[self.random.below(all.len())].clone() }
+    }
+
+    /// A kind's own parameters and settings.
+    fn parameters(&mut self, deformation: &mut toml::Table) {
+        let name = deformation["kind"].as_str().unwrap_or_default().to_owned();
+        // Large maps take their time.
+        if let Some(n) = deformation.get_mut("resolution") {
+            *n = Value::Integer(8 + self.random.below(40) as i64);
+        } else if name != "map" {
+            deformation.insert("resolution".into(), Value::Integer(8 + self.random.below(24) as i64));
+        }
+        let Ok(kind) = kinds::kind(&name) else {
+            let path = if name == "map" { self.of_files(|f| &f.maps) } else { self.of_files(|f| &f.fields) };
+            deformation.insert("path".into(), Value::String(path));
+            if name == "field" {
+                for key in ["center", "size", "rotate", "matrix"] {
+                    if self.random.chance(0.95) {
+                        deformation.remove(key);
+                    }
+                }
+                if self.random.chance(0.3) {
+                    deformation.insert("invert".into(), Value::Boolean(true));
+                }
+            }
+            return;
+        };
+        self.numbers_of(kind, deformation);
+        let bounds = Bounds::new(glam::Vec3::splat(-40.0), glam::Vec3::splat(40.0));
+        for (key, value) in kind.example(&bounds).0 {
+            if self.random.chance(0.95) {
+                deformation.insert(key, Value::try_from(value).unwrap());
+            }
+        }
+        for setting in kind.settings() {
+            if self.random.chance(0.08) {
+                let value = match setting.name {
+                    "spare" | "label" => Value::Array(vec![Value::Integer(self.random.below(5) as i64)]),
+                    "labels" => Value::String(self.of_files(|f| &f.labels)),
+                    "mask" => Value::String(self.of_files(|f| &f.volumes)),
+                    "pairs" | "from" | "to" => Value::String(self.of_files(|f| &f.points)),
+                    "mapping" => Value::String(self.random.one_of(&["cylindrical", "none", "conical"]).into()),
+                    "invert" => Value::Boolean(self.random.chance(0.7)),
+                    "group" => Value::String(self.random.one_of(&["a", "b"]).into()),
+                    "combine" => Value::String(self.random.one_of(&["and", "or"]).into()),
+                    "iso" => Value::Float(self.number("iso")),
+                    _ => match self.random.below(4) {
+                        0 => Value::Boolean(true),
+                        1 => Value::Float(self.number(setting.name)),
+                        2 => Value::Array((0..self.random.below(30)).map(|_| Value::Float(self.number("points"))).collect()),
+                        _ => Value::String(self.random.one_of(&WORDS).into()),
+                    },
+                };
+                deformation.insert(setting.name.into(), value);
+            }
+        }
+        // Spared labels are of a map.
+        if deformation.contains_key("spare") && self.random.chance(0.9) {
+            deformation.insert("labels".into(), Value::String(self.files.labels[0].clone()));
+        }
+    }
+
+    fn numbers_of(&mut self, kind: &Kind, deformation: &mut toml::Table) {
+        let size = deformation.get("size").and_then(|s| s.as_float().map(|s| [s; 3]).or_else(|| s.clone().try_into::<[f64; 3]>().ok()));
+        let size = glam::Vec3::from(size.unwrap_or([80.0; 3]).map(|s| s as f32));
+        for p in kind.parameters {
+            if self.random.chance(0.4) {
+                let (low, high) = (f64::from(p.min.resolve(size)), f64::from(p.max.resolve(size)));
+                let value = match self.random.below(20) {
+                    0 => EXTREMES[self.random.below(EXTREMES.len())],
+                    1 => low,
+                    2 => high,
+                    _ => self.random.between(low, high),
+                };
+                deformation.insert(p.name.into(), Value::Float(value));
+            }
+        }
+    }
+
+    fn list(&mut self, schema: &Schema, key: &str, path: &str) -> Value {
+        let schema = self.resolved(schema);
+        let [least, most] = ["minItems", "maxItems"].map(|n| schema[n].as_u64());
+        let count = match (least, most) {
+            (Some(n), _) | (None, Some(n)) => n as usize,
+            _ if key == "deformation" => [1, 1, 1, 2, 2, 3, 4, 6, 9, 12][self.random.below(10)],
+            _ => 1 + self.random.below(3),
+        };
+        let items = schema["items"].clone();
+        let mut values: Vec<Value> = (0..count).filter_map(|_| self.value(&items, key, path)).collect();
+        if key == "points" && path.starts_with("transfer") {
+            values.sort_by(|a, b| a["value"].as_float().unwrap_or(0.0).total_cmp(&b["value"].as_float().unwrap_or(0.0)));
+        }
+        Value::Array(values)
+    }
+
+    fn value(&mut self, schema: &Schema, key: &str, path: &str) -> Option<Value> {
+        let schema = self.resolved(schema);
+        if let Some(all) = schema["anyOf"].as_array() {
+            let all: Vec<&Schema> = all.iter().filter(|s| s["type"] != "null").collect();
+            let n = self.random.below(all.len());
+            return self.value(&all[n].clone(), key, path);
+        }
+        if let Some(all) = schema["oneOf"].as_array() {
+            let n = self.random.below(all.len());
+            return all[n]["const"].as_str().map(|s| Value::String(s.into()));
+        }
+        let of_type = match &schema["type"] {
+            Schema::String(t) => t.clone(),
+            Schema::Array(all) => all[0].as_str().unwrap_or_default().to_owned(),
+            _ => return None,
+        };
+        Some(match of_type.as_str() {
+            "object" => Value::Table(self.table(&schema, path)),
+            "array" => self.list(&schema, key, path),
+            "boolean" => Value::Boolean(self.random.chance(0.6)),
+            "integer" => Value::Integer(self.integer(key, path)),
+            "number" => Value::Float(self.number(key)),
+            _ => Value::String(self.text(key, path)),
+        })
+    }
+
+    fn integer(&mut self, key: &str, path: &str) -> i64 {
+        if self.random.chance(self.extreme) {
+            return [0, 1, -1, i64::MAX, 1 << 31, 4096][self.random.below(6)];
+        }
+        match key {
+            "antialias" => [1, 1, 1, 2][self.random.below(4)],
+            // Fields of surfaces cost with the third power.
+            "resolution" if path.starts_with("mesh") || path.starts_with("surface") => 16 + self.random.below(32) as i64,
+            "time" | "channel" => 1,
+            _ => self.random.below(6) as i64,
+        }
+    }
+
+    fn number(&mut self, key: &str) -> f64 {
+        if self.random.chance(self.extreme) {
+            return EXTREMES[self.random.below(EXTREMES.len())];
+        }
+        match key {
+            "center" | "target" | "points" => self.random.between(-60.0, 60.0),
+            "size" => 10f64.powf(self.random.between(0.7, 2.4)),
+            "rotate" | "roll" | "phase" | "angle" => self.random.between(-180.0, 180.0),
+            "matrix" => self.random.between(-90.0, 90.0),
+            "progress" => [0.0, 0.3, 0.7, 1.0][self.random.below(4)],
+            "color" | "inside_color" | "cut_color" | "background" | "opacity" | "factor" | "ambient" | "diffuse" | "specular" => self.random.share(),
+            "direction" => self.random.between(-1.0, 1.0),
+            "shininess" => self.random.between(1.0, 100.0),
+            "step" => [0.4, 0.7, 1.0, 1.0, 2.0, 5.0][self.random.below(6)],
+            "zoom" => 10f64.powf(self.random.between(-0.4, 0.8)),
+            "field_of_view" => self.random.between(5.0, 90.0),
+            "density" => 10f64.powf(self.random.between(-1.5, 1.0)),
+            "window" => [0.5, 1.0, 200.0, 1500.0][self.random.below(4)],
+            "level" | "iso" | "value" => [0.3, 0.5, 0.9, 60.0, 150.0, 300.0, -300.0, -1000.0][self.random.below(8)],
+            "magnitude" => self.random.between(0.0, 100.0),
+            "precompose" => [0.05, 0.2, 1.0, 5.0][self.random.below(4)],
+            "spacing" => self.random.between(0.5, 5.0),
+            _ => 10f64.powf(self.random.between(-0.5, 1.6)),
+        }
+    }
+
+    fn text(&mut self, key: &str, path: &str) -> String {
+        if self.random.chance(self.extreme) {
+            return self.random.one_of(&WORDS).into();
+        }
+        let owned = |s: &str| s.to_owned();
+        match (path, key) {
+            ("volume.path", _) => match self.random.below(6) {
+                0..4 => {
+                    let name = self.random.one_of(&["ball", "shell", "checker", "piggy-bank", "tomato", "teddy", "octants", "head-ct"]);
+                    format!("phantom:{name}:size={}", [4, 16, 24, 32, 48, 64][self.random.below(6)])
+                }
+                4 => self.of_files(|f| &f.volumes),
+                _ => self.of_files(|f| &f.labels),
+            },
+            ("volume.labels", _) => self.of_files(|f| &f.labels),
+            ("volume.inside.path", _) => self.of_files(|f| &f.meshes),
+            ("deformation.kind", _) => {
+                let all: Vec<&str> = kinds::list().map(|k| k.name).chain(FILE_KINDS.iter().map(|k| k.name)).collect();
+                all[self.random.below(all.len())].into()
+            }
+            (_, "kind") if path.contains("shape") => owned(self.random.one_of(&["sphere", "box", "torus", "cylinder", "gyroid"])),
+            (_, "kind") if path.contains("deformer") => owned(self.random.one_of(&["twist", "bend", "taper", "shear", "bulge", "wave", "lattice"])),
+            (_, "join") => owned(self.random.one_of(&["union", "intersect", "subtract"])),
+            (_, "face") => owned(self.random.one_of(&["-x", "+x", "-y", "+y", "-z", "+z"])),
+            (_, "look") => {
+                let all: Vec<&str> = surface::looks().collect();
+                all[self.random.below(all.len())].into()
+            }
+            (_, "preset") => {
+                let all: Vec<&str> = transfer::list().map(|p| p.name).collect();
+                all[self.random.below(all.len())].into()
+            }
+            (_, "view") => match self.random.below(3) {
+                0 => owned(self.random.one_of(&["anterior", "posterior", "left", "right", "superior", "inferior"])),
+                _ => format!("{:.1},{:.1}", self.random.between(-180.0, 180.0), self.random.between(-90.0, 90.0)),
+            },
+            _ => owned(self.random.one_of(&WORDS)),
+        }
+    }
+}
+
+/// What became of a scene.
+enum Outcome {
+    Picture { assets: Box<Assets>, scene: Box<Scene>, rendered: Rendered },
+    Refused(String),
+}
+
+fn run(text: &str, folder: &Path) -> Outcome {
+    let attempt = || -> Result<Outcome> {
+        let mut scene = Scene::from_toml(text).map_err(|problem| incise::Error::value("scene", problem))?;
+        scene.folder = folder.to_owned();
+        let assets = Assets::load(&scene, &|_, _| ())?;
+        let prepared = Prepared::new(&scene, &assets)?;
+        let rendered = cpu::render(&prepared, &|_| ());
+        drop(prepared);
+        Ok(Outcome::Picture { assets: Box::new(assets), scene: Box::new(scene), rendered })
+    };
+    attempt().unwrap_or_else(|error| Outcome::Refused(error.printable().to_string()))
+}
+
+/// What is wrong with an outcome; none if nothing is.
+fn complaint(outcome: &Outcome) -> Option<String> {
+    match outcome {
+        Outcome::Refused(message) if message.trim().is_empty() || message.trim().lines().count() != 1 => Some(format!("the message is {message:?}")),
+        Outcome::Refused(message) if message.contains("Texts(") || message.contains("Number(") || message.contains("Some(") => {
+            Some(format!("the message speaks of the program's insides: {message}"))
+        }
+        Outcome::Refused(_) => None,
+        Outcome::Picture { rendered, .. } => {
+            let picture: &Picture = &rendered.picture;
+            if let Some(bad) = picture.pixels.iter().find(|p| !p.iter().all(|v| v.is_finite() && (-0.01..=1.01).contains(v))) {
+                return Some(format!("a pixel is {bad:?}"));
+            }
+            (picture.is_blank() && rendered.notices.is_empty()).then(|| "the picture is empty, and nothing is said".to_owned())
+        }
+    }
+}
+
+/// The GPU's picture against the CPU's; none if there is no GPU, or it says why it cannot.
+#[cfg(feature = "gpu")]
+fn on_a_gpu(scene: &Scene, assets: &Assets, picture: &Picture) -> Option<std::result::Result<(), String>> {
+    if !crate::parity::has_renderer() {
+        return None;
+    }
+    let rendered = crate::parity::with_renderer(|renderer| {
+        let prepared = Prepared::on(renderer, scene, assets)?;
+        renderer.render(&prepared, false, &|_| ())
+    });
+    let rendered = match rendered {
+        Ok(rendered) => rendered,
+        Err(error) => return Some(Err(format!("the GPU says: {error}"))),
+    };
+    let difference = match difference(picture, &rendered.picture) {
+        Ok(difference) => difference,
+        // Both are empty.
+        Err(_) if picture.is_blank() && rendered.picture.is_blank() => return Some(Ok(())),
+        Err(problem) => return Some(Err(problem)),
+    };
+    let agrees = difference.mean <= STEP && difference.within_4 >= 0.99;
+    Some(if agrees {
+        Ok(())
+    } else {
+        Err(format!("the GPU's picture differs: mean {:.2}/255, {:.2} % within 4/255", difference.mean / STEP, 100.0 * difference.within_4))
+    })
+}
+
+#[cfg(not(feature = "gpu"))]
+fn on_a_gpu(_: &Scene, _: &Assets, _: &Picture) -> Option<std::result::Result<(), String>> {
+    None
+}
+
+fn number_from(variable: &str, otherwise: u64) -> u64 {
+    std::env::var(variable).ok().map_or(otherwise, |v| v.parse().unwrap())
+}
+
+pub fn random_scenes_do_no_harm() {
+    let (count, first) = (number_from("INCISE_FUZZ_SCENES", 300), number_from("INCISE_FUZZ_FIRST", 0));
+    let files = Files::new();
+    let schema = file::schema();
+    let (mut pictures, mut blank, mut compared, mut slowest) = (0u64, 0u64, 0u64, (0.0f64, 0u64));
+    let mut complaints: Vec<String> = Vec::new();
+    let mut refusals = std::collections::BTreeMap::<String, u64>::new();
+    // A scene that never ends is named before the process is given up.
+    static CURRENT: AtomicU64 = AtomicU64::new(u64::MAX);
+    std::thread::spawn(|| {
+        let (mut last, mut since) = (u64::MAX, Instant::now());
+        loop {
+            std::thread::sleep(Duration::from_secs(1));
+            let current = CURRENT.load(Ordering::Relaxed);
+            if current != last {
+                (last, since) = (current, Instant::now());
+            } else if current != u64::MAX && since.elapsed() > HANGS {
+                eprintln!("scene {current} does not end; run it again with INCISE_FUZZ_FIRST={current} INCISE_FUZZ_SCENES=1");
+                std::process::exit(101);
+            }
+        }
+    });
+    let keep: Option<PathBuf> = std::env::var_os("INCISE_FUZZ_KEEP").map(PathBuf::from);
+    for n in first..first + count {
+        let mut random = Random(n.wrapping_mul(0x2545_f491_4f6c_dd1d) ^ 0x1234_5678);
+        let (stated, extreme) = ([0.05, 0.15, 0.4][random.below(3)], [0.0, 0.0, 0.005, 0.03][random.below(4)]);
+        let mut maker = Maker { schema: &schema, files: &files, random, stated, extreme };
+        let text = toml::to_string(&maker.scene()).unwrap();
+        if let Some(folder) = &keep {
+            std::fs::write(folder.join(format!("{n}.toml")), &text).unwrap();
+        }
+        CURRENT.store(n, Ordering::Relaxed);
+        let start = Instant::now();
+        let outcome = catch_unwind(AssertUnwindSafe(|| run(&text, files.path())));
+        let seconds = start.elapsed().as_secs_f64();
+        slowest = if seconds > slowest.0 { (seconds, n) } else { slowest };
+        let mut complain = |problem: String| {
+            eprintln!("scene {n}: {problem}\n{text}");
+            complaints.push(format!("{n}: {}", problem.lines().next().unwrap_or_default()));
+        };
+        if seconds > MOST_SECONDS {
+            complain(format!("took {seconds:.1} s"));
+        }
+        let Ok(outcome) = outcome else {
+            complain("panicked".into());
+            continue;
+        };
+        if let Some(problem) = complaint(&outcome) {
+            complain(problem);
+        }
+        if let Outcome::Refused(message) = &outcome {
+            let plain: String = message.chars().filter(|c| !c.is_ascii_digit()).take(60).collect();
+            *refusals.entry(plain).or_default() += 1;
+        }
+        if let Outcome::Picture { assets, scene, rendered } = &outcome {
+            pictures += 1;
+            blank += u64::from(rendered.picture.is_blank());
+            if pictures % ON_GPU == 0 {
+                match catch_unwind(AssertUnwindSafe(|| on_a_gpu(scene, assets, &rendered.picture))) {
+                    Ok(None) => {}
+                    Ok(Some(Ok(()))) => compared += 1,
+                    Ok(Some(Err(problem))) => complain(problem),
+                    Err(_) => complain("panicked on the GPU".into()),
+                }
+            }
+        }
+    }
+    CURRENT.store(u64::MAX, Ordering::Relaxed);
+    println!(
+        "{count} scenes: {pictures} pictures, {blank} empty with a word, {compared} compared with a GPU's; the slowest took {:.1} s (scene {})",
+        slowest.0, slowest.1
+    );
+    let mut refusals: Vec<_> = refusals.into_iter().collect();
+    refusals.sort_by_key(|(_, n)| std::cmp::Reverse(*n));
+    refusals.iter().take(15).for_each(|(message, n)| println!("{n:6} {message}"));
+    assert!(complaints.is_empty(), "{} of {count}:\n{}", complaints.len(), complaints.join("\n"));
+    // Scenes that are all refused would find nothing.
+    assert!(count < 100 || pictures * 3 >= count, "only {pictures} of {count} scenes became pictures");
+}
