@@ -39,6 +39,9 @@ pub enum Error {
     /// No graphics adapter, or one that cannot do the work.
     #[error("GPU: {0}")]
     Gpu(String),
+    /// A scene that a graphics adapter which works cannot take; the CPU can.
+    #[error("GPU: {0}")]
+    GpuLimit(String),
 }
 
 /// A result with this crate's [`Error`].

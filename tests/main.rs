@@ -120,7 +120,9 @@ fn main() {
         every_panel_is_there, a_peel_is_placed_undone_saved_and_opened_again, lasso_cuts_and_restores, renderers_are_compared_and_reported,
         broken_files_are_told, loading_is_cancelled, dragging_never_waits, the_last_save_opens_after_a_crash,
         slices_show_deformed_and_source, a_brush_paints_and_a_map_is_used_again, the_transfer_function_is_edited, measures_ride_along,
-        exports_are_written, unsaved_work_is_asked_about, a_missing_file_is_located, the_palette_finds_commands, views_turn_pan_and_zoom));
+        exports_are_written, unsaved_work_is_asked_about, a_missing_file_is_located, the_palette_finds_commands, views_turn_pan_and_zoom,
+        what_is_drawn_over_a_picture_belongs_to_it, a_picture_that_fails_keeps_its_letters, uneven_slices_are_told_and_mended, a_field_refuses_what_it_cannot_use,
+        where_matter_came_from_is_exact));
     #[cfg(feature = "gui")]
     all.extend(workstation::on_a_gpu());
     libtest_mimic::run(&arguments, all).exit();

@@ -182,7 +182,8 @@ pub fn real_series_have_their_geometry() {
     assert!((v.tilt_degrees() - 18.5).abs() < 0.01, "{}", v.tilt_degrees());
     assert!(v.world_from_voxel.matrix3.determinant() > 0.0 && v.orientation() == "LPS");
     let uneven = v.warnings.iter().find(|w| w.contains("mm apart")).unwrap();
-    assert!(uneven.contains("1.08 to 7.00") && uneven.contains("--resample"), "{uneven}");
+    assert!(uneven.contains("1.08 to 7.00") && uneven.contains("off by up to"), "{uneven}");
+    assert!(v.misplaced.is_some_and(|m| m.resampling_helps && (m.by_mm - 21.61).abs() < 0.01), "{:?}", v.misplaced);
     // Where each slice lies is known: the first and last of the volume are at their places.
     let report: Value = serde_json::from_slice(&incise(&["info", "--json", head.path().to_str().unwrap()]).stdout).unwrap();
     let at: Vec<f64> = report["slice_positions_mm"].as_array().unwrap().iter().map(|p| p.as_f64().unwrap()).collect();
@@ -193,6 +194,7 @@ pub fn real_series_have_their_geometry() {
     let step = even.world_from_voxel.matrix3.z_axis.dot(normal);
     // The report rounds to a tenth of a micrometre.
     assert!((step * (even.size[2] - 1) as f64 - (at[27] - at[0])).abs() < 1e-3 && even.size[2] > 28);
+    assert!(even.misplaced.is_none() && !even.warnings.iter().any(|w| w.contains("off by")), "{:?}", even.warnings);
     // A slice that lies on the even grid is kept as it was.
     for k in [0usize, 27] {
         let to = if k == 0 { 0 } else { even.size[2] - 1 };
@@ -300,7 +302,7 @@ pub fn orientations_are_one_world() {
     assert_eq!(count, 5 * 48 + 24);
 }
 
-mod dicom {
+pub mod dicom {
     //! A series written slice by slice, in no order.
     use super::*;
     use dicom_core::value::{DataSetSequence, PrimitiveValue};

@@ -24,8 +24,10 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
+mod pictures;
 mod tools;
 
+pub use pictures::*;
 pub use tools::*;
 
 /// Set in the process that edits until it is killed: the folder it keeps its scenes in.

@@ -74,7 +74,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let Deformed { stack, cuts, .. } = Deformed::exact_until(&scene, &assets, true, &Watch::telling(&preparing))?;
     let deformation = bake::Deformation { stack: &stack, cuts: &cuts };
     if !arguments.quiet {
-        for note in volume.warnings.iter().map(|w| format!("{}: {w}", scene.volume_name())).chain(assets.library.notices()) {
+        for note in volume.warnings_with_options().iter().map(|w| format!("{}: {w}", scene.volume_name())).chain(assets.library.notices()) {
             super::tell(note);
         }
     }

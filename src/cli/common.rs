@@ -125,7 +125,7 @@ pub struct Common {
 
 /// What the volume's reader warns of.
 pub fn warnings(scene: &Scene, assets: &Assets) -> Vec<String> {
-    assets.volume.warnings.iter().map(|warning| format!("{}: {warning}", shown(scene.volume_name()))).collect()
+    assets.volume.warnings_with_options().iter().map(|warning| format!("{}: {warning}", shown(scene.volume_name()))).collect()
 }
 
 /// A name from a scene, as it is printed.

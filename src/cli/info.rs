@@ -104,7 +104,7 @@ fn volume_report(volume: &Volume) -> Value {
         "rescale": { "slope": volume.rescale.slope, "intercept": volume.rescale.intercept },
         "stored_bytes": stored,
         "memory_bytes": stored + converted + colors,
-        "warnings": volume.warnings,
+        "warnings": volume.warnings_with_options(),
     });
     if let (Some(labels), Some(entries)) = (volume.labels(), report.as_object_mut()) {
         entries.insert("labels".into(), json!(labels));

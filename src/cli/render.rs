@@ -142,7 +142,7 @@ impl Gpu {
             return Prepared::until(&Unaided, scene, assets, watch);
         };
         match Prepared::until(renderer, scene, assets, watch) {
-            Err(error @ Error::Gpu(_)) if backend == Backend::Auto => {
+            Err(error @ (Error::Gpu(_) | Error::GpuLimit(_))) if backend == Backend::Auto => {
                 (self.renderer, self.refusal) = (None, Some(error));
                 Prepared::until(&Unaided, scene, assets, watch)
             }

@@ -11,12 +11,13 @@ use super::panels::{self, Thumbnails, compare::ComparePanel, editor::Editor, ins
 use super::session::Session;
 use super::tasks::Task;
 use super::tool::Tool;
+use super::views::slice_paint::Regions;
 use super::views::{slices::Slices, volume3d::View3d};
 use super::worker::{Answer, Backend, Measured, Output, Prober, Purpose, Target, What, Worker};
 use super::{history, theme};
 use crate::Error;
-use crate::scene::Scene;
-use crate::scene::measure::Measure;
+use crate::scene::measure::{Measure, nearest_value};
+use crate::scene::{Assets, Scene};
 use eframe::egui::{self, Context, Ui};
 use egui_dock::{DockArea, DockState, TabViewer};
 use glam::Vec3;
@@ -61,14 +62,46 @@ pub enum Gesture {
 }
 
 /// What lies under the pointer.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Hover {
     /// Where it is seen, mm; none in a view of the source.
     pub deformed: Option<Vec3>,
     /// Where it came from, mm.
     pub source: Vec3,
-    /// Its value, if it was asked of the picture; else the nearest voxel's is told.
+    /// The volume's value there.
     pub value: Option<f64>,
+    /// The label's name there.
+    pub region: Option<String>,
+}
+
+impl Hover {
+    /// A point of what is shown; its value is the picture's own, or else the nearest voxel's.
+    pub fn new(assets: &Assets, deformed: Option<Vec3>, source: Vec3, value: Option<f64>) -> Self {
+        let value = value.or_else(|| assets.has_volume.then(|| nearest_value(&assets.volume, source.as_dvec3())).flatten());
+        let region = Regions::new(assets).and_then(|r| r.label(source).filter(|l| *l > 0).map(|l| r.name(l)));
+        Self { deformed, source, value, region }
+    }
+
+    /// For the status line.
+    pub fn words(&self) -> String {
+        let place = |p: Vec3| {
+            let side = |v: f32, high: char, low: char| format!("{:.1} {}", v.abs(), if v > -0.05 { high } else { low });
+            format!("{} {} {}", side(p.x, 'L', 'R'), side(p.y, 'P', 'A'), side(p.z, 'S', 'I'))
+        };
+        let mut words = match self.deformed {
+            Some(deformed) if deformed.distance(self.source) > 0.05 => {
+                format!("{} mm {} source {}", place(deformed), egui_phosphor::regular::ARROW_RIGHT, place(self.source))
+            }
+            _ => format!("{} mm", place(self.source)),
+        };
+        if let Some(value) = self.value {
+            words += &format!(" · {}", panels::number(value, ""));
+        }
+        if let Some(region) = &self.region {
+            words += &format!(" · {region}");
+        }
+        words
+    }
 }
 
 /// A point that was clicked.
@@ -268,17 +301,14 @@ impl Workstation {
 
     /// Whether something is still under way: loading, tasks, pictures.
     pub fn is_busy(&self) -> bool {
-        let views = self.doc.is_some() && self.view.rect.width() > 8.0 && !self.view.is_fine && self.view_is_shown();
+        let waits = !self.view.is_fine && self.view.failure().is_none();
+        let views = self.doc.is_some() && self.view.rect.width() > 8.0 && waits && self.dock.find_tab(&Panel::View3d).is_some();
         self.loading.is_some() || !self.tasks.is_empty() || !self.worker.is_idle() || self.prober.open > 0 || views
     }
 
     /// Whether every question about what lies under the pointer has been answered.
     pub fn prober_is_idle(&self) -> bool {
         self.prober.open == 0
-    }
-
-    fn view_is_shown(&self) -> bool {
-        self.failure.is_none() && self.dock.find_tab(&Panel::View3d).is_some()
     }
 
     /// Takes over what threads have done.
@@ -292,16 +322,19 @@ impl Workstation {
             match done.outcome {
                 Ok(output) => self.take(ctx, done.target, done.serial, done.ms, output),
                 Err(error) => {
-                    self.view.failed(done.target);
                     let text = error.to_string();
+                    self.view.failed(done.target, done.serial, &text);
+                    if let Target::Slice(n) = done.target {
+                        self.slices.failed(n, done.serial, &text);
+                    }
+                    if let Target::Compare(side) = done.target {
+                        self.compare.failed(side, done.serial, &text);
+                    }
                     if matches!(done.target, Target::Coarse | Target::Fine | Target::Slice(_) | Target::Compare(_))
                         && self.failure.as_ref() != Some(&text)
                     {
                         self.failure = Some(text.clone());
                         self.say(Level::Error, text);
-                    }
-                    if let Target::Compare(side) = done.target {
-                        self.compare.failed(side);
                     }
                 }
             }
@@ -317,10 +350,9 @@ impl Workstation {
         }
         match (target, output) {
             (Target::Coarse | Target::Fine, Output::Picture(shown)) => {
-                let step = self.doc.as_ref().map_or(1.0, |d| d.scene.render.step) * if target == Target::Coarse { 2.0 } else { 1.0 };
-                self.view.arrived(ctx, target, serial, ms, *shown, step);
+                self.view.arrived(ctx, target, serial, ms, *shown);
             }
-            (Target::Slice(n), Output::Slice(picture)) => self.slices.arrived(ctx, n, *picture),
+            (Target::Slice(n), Output::Slice(picture)) => self.slices.arrived(ctx, n, serial, *picture),
             (Target::Compare(side), Output::Picture(shown)) => self.compare_arrived(ctx, side, serial, ms, *shown),
             (Target::Preset(n), Output::Picture(shown)) => self.thumbnails.preset_arrived(ctx, n, shown.image),
             (Target::Kind(n), Output::Picture(shown)) => self.thumbnails.kind_arrived(ctx, n, shown.image),
@@ -338,7 +370,7 @@ impl Workstation {
         let pick = answer.pick.unwrap_or_default();
         match answer.purpose {
             Purpose::Hover => {
-                self.hover = pick.map(|p| Hover { deformed: Some(p.deformed), source: p.source, value: p.value });
+                self.hover = pick.map(|p| Hover::new(&answer.assets, Some(p.deformed), p.source, p.value));
             }
             Purpose::Center => {
                 if let (Some(p), Some(doc)) = (pick, &mut self.doc) {
@@ -464,6 +496,10 @@ impl Workstation {
         }
         let scene_changed = self.last_scene.as_deref().is_none_or(|s| *s != doc.scene);
         if scene_changed {
+            // Points that were clicked lie where matter was seen before.
+            if self.last_scene.as_deref().is_some_and(|s| s.deformation != doc.scene.deformation) {
+                self.pending_points.clear();
+            }
             self.edits += 1;
             self.last_scene = Some(Arc::new(doc.scene.clone()));
             self.failure = None;
@@ -558,6 +594,7 @@ impl Workstation {
         let frame = egui::Frame::NONE.fill(ui.visuals().panel_fill);
         egui::CentralPanel::default().frame(frame).show(ui, |ui| {
             if self.doc.is_some() && self.loading.as_ref().is_none_or(|l| l.same) {
+                self.show_misplaced(ui);
                 self.show_dock(ui);
             } else {
                 self.show_empty(ui);

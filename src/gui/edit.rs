@@ -16,7 +16,6 @@ use crate::scene::measure::{Measure, MeasureKind};
 use crate::scene::{Deformed, Mode, Projection};
 use eframe::egui::{self, Context};
 use glam::{Vec2, Vec3};
-use std::sync::Arc;
 
 /// How much `[` and `]` change progress.
 const PROGRESS_STEP: f32 = 0.05;
@@ -324,7 +323,7 @@ impl Workstation {
     pub fn place(&mut self, kind: &'static Kind, at: Option<(Vec3, Vec3)>) {
         let Some(doc) = &mut self.doc else { return };
         // Towards the viewer, and to the right where the surface faces the viewer.
-        let frame = doc.scene.camera.frame(&doc.bounds(), self.view.size()).ok();
+        let frame = self.view.picture().map(|p| p.frame);
         let viewer = frame.map_or(Vec3::X, |f| f.right.normalize_or_zero() * 0.35 - f.forward);
         let deformation = dropped(kind, &doc.bounds(), at, viewer);
         if let Some((point, _)) = at {
@@ -355,7 +354,7 @@ impl Workstation {
         let points = self.pending_points.drain(..).map(|p| super::tool::tidy(p.source)).collect();
         let Some(doc) = &mut self.doc else { return };
         let name = Some(format!("{} {}", kind.name(), 1 + doc.scene.measure.iter().filter(|m| m.kind == kind).count()));
-        doc.scene.measure.push(Measure { kind, name, points, label: None });
+        doc.scene.measure.push(Measure { kind, name, points, label: None, before_resampling: false });
         doc.selected = Selection::Measure(doc.scene.measure.len() - 1);
         self.show_panel_if_hidden(Panel::Measure);
     }
@@ -378,7 +377,7 @@ impl Workstation {
         self.stroke_points.clear();
         let n = doc.painted();
         self.stroke_before = Some(doc.strokes(n));
-        self.stroke_scene = self.scene_of_view().map(Arc::new);
+        self.stroke_scene = self.view.picture().map(|p| p.of.scene.clone());
     }
 
     /// A further point of it.

@@ -83,7 +83,7 @@ impl Workstation {
                     let prepared = Prepared::until(renderer, scene, assets, watch);
                     match prepared.and_then(|p| renderer.render_until(&p, false, watch)) {
                         Ok(rendered) => return Ok(rendered.picture),
-                        Err(Error::Gpu(_)) => {}
+                        Err(Error::Gpu(_) | Error::GpuLimit(_)) => {}
                         Err(other) => return Err(other),
                     }
                 }

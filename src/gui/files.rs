@@ -292,7 +292,7 @@ impl Workstation {
 
     /// Nothing that was shown belongs to the scene any more.
     fn forget_pictures(&mut self) {
-        self.view.forget();
+        self.view.clear();
         self.slices.forget();
         self.compare.forget();
         self.thumbnails.forget();

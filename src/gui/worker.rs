@@ -8,7 +8,7 @@ use super::log::Level;
 use crate::cpu::pick::{self, Pick};
 use crate::cpu::section::{self, Plane, Section};
 use crate::scene::measure::{Measure, Quantity};
-use crate::scene::{Assets, Deformed, Picture, Prepared, RenderStats, Scene};
+use crate::scene::{Assets, Deformed, Picture, Prepared, RenderStats, Scene, ViewFrame};
 use crate::{Error, Result, Watch, cpu};
 use eframe::egui::{self, ColorImage};
 use glam::Vec3;
@@ -135,6 +135,15 @@ pub struct SlicePicture {
     pub section: Section,
     /// How it is shown.
     pub style: SliceStyle,
+    /// The deformation it was made with; none of the source, or if there is none.
+    deformed: Option<Deformed>,
+}
+
+impl SlicePicture {
+    /// Where the matter at a point of it came from, mm.
+    pub fn source(&self, point: Vec3) -> Vec3 {
+        self.deformed.as_ref().map_or(point, |d| d.stack.walk(point).0)
+    }
 }
 
 /// A rendered picture.
@@ -151,6 +160,12 @@ pub struct Shown {
     pub notices: Vec<String>,
     /// Where it was made.
     pub backend: String,
+    /// Its sampling distance, voxels.
+    pub step: f32,
+    /// The camera it was made with.
+    pub frame: ViewFrame,
+    /// Of a picture of the 3D view: the scene's measurements that have points, by their place in the list.
+    pub measured: Vec<Option<Measured>>,
 }
 
 /// What came out.
@@ -426,14 +441,20 @@ impl Engine {
 
     fn work(&mut self, job: &Job, watch: &Watch, say: &Sender<(Level, String)>) -> Result<Output> {
         match &job.what {
-            What::Picture { counting, keep } => self.picture(job, *counting, *keep, watch, say).map(|p| Output::Picture(Box::new(p))),
+            What::Picture { counting, keep } => {
+                let mut picture = self.picture(job, *counting, *keep, watch, say)?;
+                if matches!(job.target, Target::Coarse | Target::Fine) {
+                    picture.measured = measured_points(job, watch)?;
+                }
+                Ok(Output::Picture(Box::new(picture)))
+            }
             What::Slice(plane, style) => slice(job, *plane, *style, watch).map(|s| Output::Slice(Box::new(s))),
             What::Measures(measures) => measured(job, measures, watch).map(Output::Measures),
         }
     }
 
     fn picture(&mut self, job: &Job, counting: bool, keep: bool, watch: &Watch, say: &Sender<(Level, String)>) -> Result<Shown> {
-        let mut prepared = None;
+        let mut beyond_gpu = None;
         // The device may be lost at any time: it is opened once more, and then the CPU takes over.
         for again in [true, false] {
             let Some(renderer) = &mut self.gpu else { break };
@@ -461,14 +482,19 @@ impl Engine {
                         self.open(self.chosen.unwrap_or_default(), say);
                     }
                 }
+                Err(error @ Error::GpuLimit(_)) => {
+                    // The next scene may be one for it again.
+                    beyond_gpu = Some(format!("{error}; computed on the CPU instead"));
+                    break;
+                }
                 Err(other) => return Err(other),
             }
         }
         watch.check()?;
-        let prepared = prepared.get_or_insert(Prepared::until(&crate::scene::Unaided, &job.scene, &job.assets, watch)?);
-        watch.check()?;
-        let rendered = cpu::render_until(prepared, watch)?;
-        Ok(shown(prepared, rendered, format!("CPU {} threads", rayon::current_num_threads()), keep))
+        let prepared = Prepared::until(&crate::scene::Unaided, &job.scene, &job.assets, watch)?;
+        let mut rendered = cpu::render_until(&prepared, watch)?;
+        rendered.notices.extend(beyond_gpu);
+        Ok(shown(&prepared, rendered, format!("CPU {} threads", rayon::current_num_threads()), keep))
     }
 }
 
@@ -477,7 +503,17 @@ fn shown(prepared: &Prepared, rendered: crate::scene::Rendered, backend: String,
     let bytes = picture.over(prepared.settings.background);
     let image = ColorImage::from_rgba_unmultiplied([picture.width as usize, picture.height as usize], &bytes);
     let stages = prepared.stages.0.iter().chain(&rendered.stages.0).map(|(name, ms)| ((*name).to_owned(), *ms)).collect();
-    Shown { image, picture: keep.then_some(picture), stats: rendered.stats, stages, notices: rendered.notices, backend }
+    Shown {
+        image,
+        picture: keep.then_some(picture),
+        stats: rendered.stats,
+        stages,
+        notices: rendered.notices,
+        backend,
+        step: prepared.settings.step,
+        frame: prepared.frame.view,
+        measured: Vec::new(),
+    }
 }
 
 fn slice(job: &Job, plane: Plane, style: SliceStyle, watch: &Watch) -> Result<SlicePicture> {
@@ -487,20 +523,35 @@ fn slice(job: &Job, plane: Plane, style: SliceStyle, watch: &Watch) -> Result<Sl
     let determinants = style.overlay == Overlay::Jacobian;
     let section = section::sample(&assets.volume, assets.grid(), maps, plane, determinants, watch)?;
     let image = super::views::slice_paint::paint(&section, assets, style);
-    Ok(SlicePicture { image, plane, section, style })
+    let deformed = deformed.filter(|d| !d.stack.is_empty());
+    Ok(SlicePicture { image, plane, section, style, deformed })
 }
 
 fn measured(job: &Job, measures: &[Measure], watch: &Watch) -> Result<Vec<Measured>> {
     let deformed = Deformed::new(&job.scene, &job.assets)?;
-    let of = |measure: &Measure| {
+    measures.iter().map(|m| watch.check().map(|()| measured_in(m, &job.assets, &deformed))).collect()
+}
+
+/// The measurements of a picture that lie in it.
+fn measured_points(job: &Job, watch: &Watch) -> Result<Vec<Option<Measured>>> {
+    let measures = &job.scene.measure;
+    if measures.iter().all(|m| m.points.is_empty()) {
+        return Ok(vec![None; measures.len()]);
+    }
+    let deformed = Deformed::new(&job.scene, &job.assets)?;
+    let of = |m: &Measure| {
         watch.check()?;
-        Ok(Measured {
-            quantities: measure.quantities(&job.assets, &deformed).map_err(|e| e.to_string()),
-            seen: measure.points.iter().map(|p| deformed.forward(Vec3::from(*p))).collect(),
-            measure: measure.clone(),
-        })
+        Ok((!m.points.is_empty()).then(|| measured_in(m, &job.assets, &deformed)))
     };
     measures.iter().map(of).collect()
+}
+
+fn measured_in(measure: &Measure, assets: &Assets, deformed: &Deformed) -> Measured {
+    Measured {
+        quantities: measure.quantities(assets, deformed).map_err(|e| e.to_string()),
+        seen: measure.points.iter().map(|p| deformed.forward(Vec3::from(*p))).collect(),
+        measure: measure.clone(),
+    }
 }
 
 /// Why something under the pointer is asked for.

@@ -216,7 +216,7 @@ impl Renderer {
     fn rebuild(&self, atlas: &mut Atlas, maps: &[Arc<DisplacementMap>], format: TextureFormat) -> Result<bool> {
         let most = self.device.device.limits().max_texture_dimension_3d;
         let (packing, regions) = Atlas::packed(maps, most).ok_or_else(|| {
-            Error::Gpu(format!(
+            Error::GpuLimit(format!(
                 "the scene's {} displacement maps are more than this device's {most} texels per axis hold; use --backend cpu",
                 maps.len()
             ))

@@ -48,7 +48,7 @@ impl Renderer {
                 first += 1;
             }
             if stack.maps()[first].added && first > 0 {
-                return Err(Error::Gpu(format!(
+                return Err(Error::GpuLimit(format!(
                     "more than {MAX_MAPS} deformations are added to each other, which this pass cannot hold; use --backend cpu"
                 )));
             }

@@ -288,7 +288,7 @@ impl Renderer {
     pub(super) fn upload_maps(&self, stack: &Stack) -> Result<([wgpu::TextureView; 2], [PlacedMapUniform; MAX_MAPS], bool)> {
         let count = stack.all_maps().count();
         if count > MAX_MAPS {
-            return Err(Error::Gpu(format!(
+            return Err(Error::GpuLimit(format!(
                 "the scene has {count} deformations, and a GPU takes {MAX_MAPS} at once; use --backend cpu, or --precompose"
             )));
         }

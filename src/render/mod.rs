@@ -194,7 +194,7 @@ impl Renderer {
         let [width, height] = scene.frame.size;
         let limits = self.device.device.limits();
         if width.max(height) > limits.max_texture_dimension_2d {
-            return Err(Error::Gpu(format!(
+            return Err(Error::GpuLimit(format!(
                 "this device makes pictures up to {} pixels wide or high; use --backend cpu",
                 limits.max_texture_dimension_2d
             )));
@@ -203,7 +203,7 @@ impl Renderer {
             && scene.blend != Blend::Composite
             && !self.device.device.features().contains(Features::FLOAT32_BLENDABLE)
         {
-            return Err(Error::Gpu(
+            return Err(Error::GpuLimit(
                 "this device cannot blend 32-bit values, which projections by slices need; use --mode raycast or --backend cpu".into(),
             ));
         }

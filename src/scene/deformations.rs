@@ -27,17 +27,21 @@ pub const FILE_KINDS: &[FileKind] = &[
         name: "field",
         about: "a registration's transform or displacement field; progress=0..1",
         settings: &[
-            kinds::Setting { name: "path", about: "file, or files that a deformed point goes through in order" },
-            kinds::Setting { name: "moving", about: "the image that is deformed, for FSL's files" },
-            kinds::Setting { name: "reference", about: "the image onto which it was registered, for FSL's files" },
-            kinds::Setting { name: "convention", about: "of vectors: lps, ras, fsl or fsl-absolute, where the file does not say" },
-            kinds::Setting { name: "invert", about: "true takes the inverse" },
+            kinds::Setting { name: "path", form: kinds::Form::Files, about: "file, or files that a deformed point goes through in order" },
+            kinds::Setting { name: "moving", form: kinds::Form::File, about: "the image that is deformed, for FSL's files" },
+            kinds::Setting { name: "reference", form: kinds::Form::File, about: "the image onto which it was registered, for FSL's files" },
+            kinds::Setting {
+                name: "convention",
+                form: kinds::Form::OneOf(&["lps", "ras", "fsl", "fsl-absolute"]),
+                about: "of vectors: lps, ras, fsl or fsl-absolute, where the file does not say",
+            },
+            kinds::Setting { name: "invert", form: kinds::Form::Flag, about: "true takes the inverse" },
         ],
     },
     FileKind {
         name: "map",
         about: "a displacement map made by incise map; placed anew where center, size or rotate are given",
-        settings: &[kinds::Setting { name: "path", about: "file" }],
+        settings: &[kinds::Setting { name: "path", form: kinds::Form::Files, about: "file" }],
     },
 ];
 

@@ -39,6 +39,9 @@ pub struct Measure {
     /// The label, of a label map.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub label: Option<u32>,
+    /// It was made before the volume's slices were resampled, which has moved them under it.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub before_resampling: bool,
 }
 
 /// One number of a measurement.
@@ -196,16 +199,17 @@ fn surface_mm2(labels: &Volume, label: u32) -> Option<f64> {
     Some(area * cell)
 }
 
-/// All measurements as a table: kind, name, quantity, value, unit, and the points in the patient, mm.
+/// All measurements as a table: kind, name, quantity, value, unit, the points in the patient (mm), and what is to be known of it.
 pub fn csv(measures: &[(Measure, Vec<Quantity>)]) -> String {
     let quoted = |text: &str| if text.contains([',', '"', '\n', '\r']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.to_owned() };
-    let mut out = String::from("kind,name,quantity,value,unit,points_lps_mm\n");
+    let mut out = String::from("kind,name,quantity,value,unit,points_lps_mm,note\n");
     for (measure, quantities) in measures {
         let points: Vec<String> = measure.points.iter().map(|p| format!("{} {} {}", p[0], p[1], p[2])).collect();
         for q in quantities {
             let value = q.value.map_or_else(String::new, |v| format!("{v}"));
             let name = quoted(measure.name.as_deref().unwrap_or_default());
-            out.push_str(&format!("{},{name},{},{value},{},{}\n", measure.kind.name(), q.what, q.unit, points.join("; ")));
+            let note = if measure.before_resampling { "made before resampling" } else { "" };
+            out.push_str(&format!("{},{name},{},{value},{},{},{note}\n", measure.kind.name(), q.what, q.unit, points.join("; ")));
         }
     }
     out
@@ -220,7 +224,7 @@ mod tests {
     use std::sync::Arc;
 
     fn measure(kind: MeasureKind, points: &[[f32; 3]]) -> Measure {
-        Measure { kind, name: None, points: points.to_vec(), label: None }
+        Measure { kind, name: None, points: points.to_vec(), label: None, before_resampling: false }
     }
 
     #[test]
@@ -266,7 +270,9 @@ mod tests {
         let scene = Scene::of_volume("phantom:ball");
         let assets = Assets::of_volume(volume, crate::scene::Stages::default());
         let deformed = Deformed::new(&scene, &assets).unwrap();
-        let found = Measure { kind: MeasureKind::Label, name: None, points: Vec::new(), label: Some(3) }.quantities(&assets, &deformed).unwrap();
+        let found = Measure { kind: MeasureKind::Label, name: None, points: Vec::new(), label: Some(3), before_resampling: false }
+            .quantities(&assets, &deformed)
+            .unwrap();
         let r = radius * spacing;
         let (volume, surface) = (4.0 / 3.0 * std::f64::consts::PI * r.powi(3) / 1000.0, 4.0 * std::f64::consts::PI * r * r / 100.0);
         assert!((found[0].value.unwrap() / volume - 1.0).abs() < 0.01, "{found:?} {volume}");
@@ -278,6 +284,6 @@ mod tests {
         let mut m = measure(MeasureKind::Probe, &[[1.0, 2.0, 3.0]]);
         m.name = Some("a, \"b\"".into());
         let text = csv(&[(m, vec![Quantity { what: "Value", value: Some(7.5), unit: "" }])]);
-        assert_eq!(text.lines().nth(1), Some("Probe,\"a, \"\"b\"\"\",Value,7.5,,1 2 3"));
+        assert_eq!(text.lines().nth(1), Some("Probe,\"a, \"\"b\"\"\",Value,7.5,,1 2 3,"));
     }
 }

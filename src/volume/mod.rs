@@ -53,6 +53,8 @@ pub struct Volume {
     pub source_type: &'static str,
     /// Format of the file.
     pub format: &'static str,
+    /// Slices that are shown elsewhere than they were taken.
+    pub misplaced: Option<Misplaced>,
     /// Where the volume came from says that it holds labels.
     pub declared_labels: bool,
     /// What it says of single labels.
@@ -63,6 +65,15 @@ pub struct Volume {
     pub warnings: Vec<String>,
     /// What has been found out about the voxels.
     known: Known,
+}
+
+/// Slices of a scan that are shown elsewhere than they were taken.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Misplaced {
+    /// By how much at most, mm.
+    pub by_mm: f64,
+    /// Whether interpolating them onto an even grid (`resample`) puts them right.
+    pub resampling_helps: bool,
 }
 
 /// What takes a walk through all voxels, kept once it is known: a live view asks for it at every frame. A copy finds it out anew, as it may be
@@ -150,6 +161,7 @@ impl Volume {
             declared_labels: false,
             label_table: Vec::new(),
             details: Vec::new(),
+            misplaced: None,
             warnings: Vec::new(),
             known: Known::default(),
         }
@@ -222,6 +234,13 @@ impl Volume {
             letters[axis] = [['L', 'R'], ['P', 'A'], ['S', 'I']][world][usize::from(column[world] < 0.0)];
         }
         letters.iter().collect()
+    }
+
+    /// What was odd about the source, and which option mends it: for a command line.
+    pub fn warnings_with_options(&self) -> Vec<String> {
+        let mends = self.misplaced.is_some_and(|m| m.resampling_helps);
+        let option = mends.then(|| "--resample interpolates its slices onto an even grid".to_owned());
+        self.warnings.iter().cloned().chain(option).collect()
     }
 
     /// The angle between the k axis and the normal of the planes of i and j, degrees: a CT gantry's tilt.

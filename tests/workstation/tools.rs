@@ -1,6 +1,7 @@
 //! What is done in the views and panels, one kind of work after the other.
 
 use super::*;
+use egui::accesskit::Role;
 
 pub fn slices_show_deformed_and_source() {
     let mut bench = Bench::open(HEAD);
@@ -323,7 +324,7 @@ pub fn views_turn_pan_and_zoom() {
     bench.harness.event(egui::Event::PointerMoved(view.center() + vec2(14.0, 3.0)));
     bench.step();
     bench.until("nothing under the pointer", |app| app.prober_is_idle() && app.hover.is_some());
-    let hover = bench.app().hover.unwrap();
+    let hover = bench.app().hover.clone().unwrap();
     let (scene, assets) = (bench.scene(), bench.app().doc.as_ref().unwrap().assets.clone());
     let expected = incise::scene::Deformed::new(&scene, &assets).unwrap().stack.walk(hover.deformed.unwrap()).0;
     assert!(hover.source.distance(expected) < 0.1 && hover.value.is_some());
@@ -359,5 +360,88 @@ pub fn views_turn_pan_and_zoom() {
     bench.harness.event(press(moved + vec2(40.0, 0.0), false));
     bench.step();
     assert_eq!(bench.scene().deformation[0].center, place);
+    bench.no_errors();
+}
+
+/// Slices that are not where they were taken: a bar that stays says so, and its button puts them right; what was measured before is marked.
+pub fn uneven_slices_are_told_and_mended() {
+    let folder = tempfile::tempdir().unwrap();
+    let series = folder.path().join("series");
+    let size = [16, 14, 12];
+    let grid = incise::volume::GridGeometry { size, world_from_voxel: glam::DAffine3::from_scale(glam::DVec3::new(2.0, 2.0, 3.0)) };
+    let values: Vec<i16> = (0..16 * 14 * 12).map(|n: i32| (n % 97 * 10) as i16).collect();
+    crate::readers::dicom::write(&series, &grid, &values);
+    // Two slices of the middle are lost.
+    for k in [5, 6] {
+        std::fs::remove_file(series.join(format!("{}.dcm", 12 - k))).unwrap();
+    }
+    let mut bench = Bench::open_in(folder, &series);
+    let depth = |bench: &mut Bench| bench.app().doc.as_ref().unwrap().assets.volume.size[2];
+    assert_eq!(depth(&mut bench), 10);
+    let bar = |bench: &Bench| bench.harness.query_by_label_contains("unevenly spaced").is_some();
+    for _ in 0..400 {
+        bench.step();
+    }
+    assert!(bar(&bench), "the bar is gone");
+    let text = bench.app().log.text();
+    assert!(!text.contains("--resample"), "a window has no options: {text}");
+    let measure = incise::scene::measure::Measure {
+        kind: MeasureKind::Distance,
+        name: Some("across the gap".into()),
+        points: vec![[10.0, 10.0, 3.0], [10.0, 10.0, 27.0]],
+        label: None,
+        before_resampling: false,
+    };
+    bench.app().doc.as_mut().unwrap().scene.measure.push(measure);
+    bench.app().show_panel(incise::gui::layout::Panel::Measure);
+    bench.settle();
+    assert!(bench.harness.query_by_label_contains("the slices are not where").is_some());
+    bench.click("Resample");
+    bench.until("not resampled", |app| app.doc.as_ref().unwrap().assets.volume.size[2] == 12);
+    bench.settle();
+    assert!(!bar(&bench) && bench.harness.query_by_label_contains("made before resampling").is_some());
+    // The mark is saved, and a table of the measurements has it too.
+    let file = bench.folder.path().join("m.csv");
+    bench.chosen(&file, Purpose::Measures);
+    assert!(std::fs::read_to_string(&file).unwrap().contains("made before resampling"));
+    bench.key(Modifiers::COMMAND, Key::Z);
+    bench.until("not undone", |app| app.doc.as_ref().unwrap().assets.volume.size[2] == 10);
+    assert!(!bench.scene().measure[0].before_resampling);
+    bench.settle();
+    bench.key(Modifiers::COMMAND | Modifiers::SHIFT, Key::Z);
+    bench.until("not done again", |app| app.doc.as_ref().unwrap().assets.volume.size[2] == 12);
+    bench.settle();
+    let file = bench.folder.path().join("scene.toml");
+    bench.chosen(&file, Purpose::Save(None));
+    assert!(Scene::load(&file).unwrap().measure[0].before_resampling);
+    bench.no_errors();
+}
+
+/// A field refuses what it cannot use, says why beside it, and changes nothing.
+pub fn a_field_refuses_what_it_cannot_use() {
+    let mut bench = Bench::open(HEAD);
+    let mut lift = Deformation::new("lift");
+    lift.progress = Some(0.5);
+    bench.app().doc.as_mut().unwrap().add(lift);
+    bench.settle();
+    let shown = bench.picture();
+    let before = bench.scene();
+    for (field, text, word) in
+        [("Label", "labels.nii.gz", "is a file"), ("Mask", "no-such-mask.nii", "no such file"), ("Iso", "high", "is not a number")]
+    {
+        bench.harness.get_by_role_and_label(Role::TextInput, field).scroll_to_me();
+        bench.settle();
+        bench.harness.get_by_role_and_label(Role::TextInput, field).focus();
+        bench.step();
+        for c in text.chars() {
+            bench.harness.event(egui::Event::Text(c.to_string()));
+        }
+        bench.step();
+        bench.key(Modifiers::NONE, Key::Enter);
+        bench.settle();
+        assert!(bench.harness.query_by_label_contains(word).is_some(), "{field}: nothing is said of \"{text}\"");
+        assert_eq!(bench.scene(), before, "{field}");
+    }
+    assert_eq!(bench.picture(), shown);
     bench.no_errors();
 }

@@ -18,7 +18,7 @@
 //! puts back.
 
 use super::outline::Outline;
-use super::{Backward, Build, Context, DefaultSize, Field, Gaps, Inputs, Kind, Setting, UNCUT, forward_numerically, lasso};
+use super::{Backward, Build, Context, DefaultSize, Field, Form, Gaps, Inputs, Kind, Setting, UNCUT, forward_numerically, lasso};
 use crate::deform::{Argument, Arguments};
 use crate::math::{Bounds, redistance, smoothstep, trilinear};
 use crate::{Error, Result};
@@ -53,6 +53,7 @@ pub(super) const KIND: Kind = Kind {
     build: Build::Sourced {
         settings: &[Setting {
             name: "strokes",
+            form: Form::Words,
             about: "one text each: push, smooth, cut or restore with RADIUS STRENGTH x y z ..., lasso-cut or lasso-restore with EYE, a point, \
                     right, up and x y ...; mm",
         }],

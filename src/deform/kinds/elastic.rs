@@ -4,7 +4,7 @@
 //! lattice's interpolation stretches one cell over the gap; there the cell is taken apart again into two rigid halves and the gap between them, which is
 //! what is cut away.
 
-use super::{Amount, Backward, Build, Context, DefaultSize, Field, Inputs, Kind, Parameter, Setting, UNCUT, Unit, forward_numerically};
+use super::{Amount, Backward, Build, Context, DefaultSize, Field, Form, Inputs, Kind, Parameter, Setting, UNCUT, Unit, forward_numerically};
 use crate::deform::Argument;
 use crate::deform::elastic::{Grab, Incision, Setup, Solver};
 use crate::deform::invert;
@@ -38,10 +38,10 @@ pub(super) const KIND: Kind = Kind {
     shape: None,
     build: Build::Sourced {
         settings: &[
-            Setting { name: "grab", about: "x,y,z,radius,dx,dy,dz in mm: what is dragged, and by how much; place after place" },
-            Setting { name: "fixed", about: "x,y,z,radius: what is held, besides the box's faces" },
-            Setting { name: "incision", about: "x,y,z,nx,ny,nz,radius: a round cut and its normal" },
-            Setting { name: "stiffness", about: "label,stiffness: relative to 1, by the labels of `labels`" },
+            Setting { name: "grab", form: Form::Rows(7), about: "x,y,z,radius,dx,dy,dz in mm: what is dragged, and by how much; place after place" },
+            Setting { name: "fixed", form: Form::Rows(4), about: "x,y,z,radius: what is held, besides the box's faces" },
+            Setting { name: "incision", form: Form::Rows(7), about: "x,y,z,nx,ny,nz,radius: a round cut and its normal" },
+            Setting { name: "stiffness", form: Form::Rows(2), about: "label,stiffness: relative to 1, by the labels of `labels`" },
         ],
         example,
         build,

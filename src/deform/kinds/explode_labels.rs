@@ -4,7 +4,7 @@
 //! distance field, how far inside it the point would be had it not moved; the one that it is inside of is seen, the nearest one
 //! lends its displacement to the space between. Displacements are blended by distance there, so that D stays continuous.
 
-use super::{Amount, Backward, Build, Context, DefaultSize, Field, Inputs, Kind, Parameter, Setting, UNCUT, Unit};
+use super::{Amount, Backward, Build, Context, DefaultSize, Field, Form, Inputs, Kind, Parameter, Setting, UNCUT, Unit};
 use crate::deform::Argument;
 use crate::math::DistanceGrid;
 use crate::math::{Bounds, normalize_or};
@@ -37,7 +37,10 @@ pub(super) const KIND: Kind = Kind {
     locked_to_view: false,
     shape: None,
     build: Build::Sourced {
-        settings: &[Setting { name: "label", about: "the labels" }, Setting { name: "rest", about: "hide or keep what has none of the labels" }],
+        settings: &[
+            Setting { name: "label", form: Form::Whole, about: "the labels" },
+            Setting { name: "rest", form: Form::Choice(&["hide", "keep"]), about: "hide or keep what has none of the labels" },
+        ],
         example,
         build,
     },

@@ -10,7 +10,7 @@
 //! surface's own lines. Heights are continued smoothly where the field has none (its medial axis), where nothing of the layer is.
 
 use super::peel::Peel;
-use super::{Amount, Backward, Build, Context, DefaultSize, Field, Gaps, Inputs, Kind, Parameter, Setting, UNCUT, Unit, forward_numerically};
+use super::{Amount, Backward, Build, Context, DefaultSize, Field, Form, Gaps, Inputs, Kind, Parameter, Setting, UNCUT, Unit, forward_numerically};
 use crate::Result;
 use crate::deform::Argument;
 use crate::math::DistanceGrid;
@@ -19,9 +19,9 @@ use glam::{Affine3A, Mat3, Vec3};
 use std::sync::Arc;
 
 const SURFACE: &[Setting] = &[
-    Setting { name: "label", about: "labels whose surface is followed" },
-    Setting { name: "mask", about: "a file whose voxels above 0 are inside" },
-    Setting { name: "iso", about: "value at which the scan's body begins; found by itself if nothing is given" },
+    Setting { name: "label", form: Form::Whole, about: "labels whose surface is followed" },
+    Setting { name: "mask", form: Form::File, about: "a file whose voxels above 0 are inside" },
+    Setting { name: "iso", form: Form::Number, about: "value at which the scan's body begins; found by itself if nothing is given" },
 ];
 
 fn example(_: &Bounds) -> Vec<(&'static str, Argument)> {

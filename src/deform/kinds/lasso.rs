@@ -4,7 +4,7 @@
 //! outline widens away from it, as the picture's perspective does.
 
 use super::outline::Outline;
-use super::{Amount, Backward, Build, Context, DefaultSize, Field, Inputs, Kind, Parameter, Setting, Unit};
+use super::{Amount, Backward, Build, Context, DefaultSize, Field, Form, Inputs, Kind, Parameter, Setting, Unit};
 use crate::deform::Argument;
 use crate::math::Bounds;
 use crate::{Error, Result};
@@ -31,8 +31,12 @@ pub(super) const KIND: Kind = Kind {
     shape: None,
     build: Build::Sourced {
         settings: &[
-            Setting { name: "points", about: "x,y of the outline in the box's plane through its centre, mm (x right, y up in the view)" },
-            Setting { name: "invert", about: "true removes what lies around the outline instead" },
+            Setting {
+                name: "points",
+                form: Form::Rows(2),
+                about: "x,y of the outline in the box's plane through its centre, mm (x right, y up in the view)",
+            },
+            Setting { name: "invert", form: Form::Flag, about: "true removes what lies around the outline instead" },
         ],
         example,
         build,

@@ -5,7 +5,7 @@
 //! displacement and its first two derivatives vanish on all faces. Both are forward maps; the inverse is found numerically (`deform::invert`)
 //! for every texel, and what folds is cut away.
 
-use super::{Backward, Build, Context, DefaultSize, Field, Inputs, Kind, Setting, UNCUT};
+use super::{Backward, Build, Context, DefaultSize, Field, Form, Inputs, Kind, Setting, UNCUT};
 use crate::deform::{Argument, invert};
 use crate::math::Bounds;
 use crate::{Error, Result};
@@ -28,9 +28,13 @@ pub(super) const KIND: Kind = Kind {
     shape: None,
     build: Build::Sourced {
         settings: &[
-            Setting { name: "lattice", about: "control points along x, y, z; 4,4,4 by default" },
-            Setting { name: "basis", about: "bernstein or b-spline" },
-            Setting { name: "offsets", about: "i,j,k,dx,dy,dz (indices from 0, mm), point after point; or a .csv file of six columns" },
+            Setting { name: "lattice", form: Form::Whole, about: "control points along x, y, z; 4,4,4 by default" },
+            Setting { name: "basis", form: Form::Choice(&["bernstein", "b-spline"]), about: "bernstein or b-spline" },
+            Setting {
+                name: "offsets",
+                form: Form::RowsOrFile(6),
+                about: "i,j,k,dx,dy,dz (indices from 0, mm), point after point; or a .csv file of six columns",
+            },
         ],
         example,
         build,

@@ -28,6 +28,7 @@ mod pull;
 mod removal;
 mod retractor;
 mod seam;
+mod settings;
 mod slab;
 mod spline_pull;
 mod taper;
@@ -35,6 +36,7 @@ mod twist;
 mod wave;
 
 pub use modifiers::vary_everywhere;
+pub use settings::{Form, Setting};
 
 use super::cut::Shape;
 use super::{Argument, Arguments, DisplacementMap, Formula, FormulaKind, Library, Recipe, Storage};
@@ -186,14 +188,6 @@ pub enum Build {
     },
 }
 
-/// A named setting that is no number.
-pub struct Setting {
-    /// What people type.
-    pub name: &'static str,
-    /// What it is and what it is by default, one line for lists.
-    pub about: &'static str,
-}
-
 /// What a kind's constructor gets.
 pub struct Context<'a> {
     /// Values by the order of the kind's parameters.
@@ -249,9 +243,13 @@ const UNCUT: f32 = 1e6;
 
 /// Settings of removals that a formula can say.
 pub const CUT_SETTINGS: &[Setting] = &[
-    Setting { name: "invert", about: "true removes what is outside instead" },
-    Setting { name: "group", about: "a name: cuts of one group count together" },
-    Setting { name: "combine", about: "or (what any cut of the group removes) or and (only what every one does)" },
+    Setting { name: "invert", form: Form::Flag, about: "true removes what is outside instead" },
+    Setting { name: "group", form: Form::Words, about: "a name: cuts of one group count together" },
+    Setting {
+        name: "combine",
+        form: Form::Choice(&["or", "and"]),
+        about: "or (what any cut of the group removes) or and (only what every one does)",
+    },
 ];
 
 const KINDS: &[&Kind] = &[

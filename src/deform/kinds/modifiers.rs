@@ -1,6 +1,6 @@
 //! What every kind can be asked to do besides: leave labels alone, or work in cylindrical coordinates.
 
-use super::{Backward, Context, Field, Inputs, Setting};
+use super::{Backward, Context, Field, Form, Inputs, Setting};
 use crate::Result;
 use crate::deform::Arguments;
 use crate::math::DistanceGrid;
@@ -11,9 +11,13 @@ use std::sync::Arc;
 
 /// Settings of every kind.
 pub(super) const SETTINGS: &[Setting] = &[
-    Setting { name: "spare", about: "labels that are neither cut nor moved" },
-    Setting { name: "labels", about: "file of the label map; by default the volume itself" },
-    Setting { name: "mapping", about: "none, or cylindrical: the kind's x runs around the box's z axis, its y along it, its z outwards" },
+    Setting { name: "spare", form: Form::Whole, about: "labels that are neither cut nor moved" },
+    Setting { name: "labels", form: Form::File, about: "file of the label map; by default the volume itself" },
+    Setting {
+        name: "mapping",
+        form: Form::Choice(&["none", "cylindrical"]),
+        about: "none, or cylindrical: the kind's x runs around the box's z axis, its y along it, its z outwards",
+    },
 ];
 
 /// Whether the settings make a map vary along all axes.

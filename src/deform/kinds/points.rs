@@ -1,6 +1,6 @@
 //! Control points: matter goes from given places to given places, and in between smoothly (`deform::points`).
 
-use super::{Amount, Backward, Build, Context, DefaultSize, Field, Inputs, Kind, Parameter, Setting, UNCUT, Unit, forward_numerically, window};
+use super::{Amount, Backward, Build, Context, DefaultSize, Field, Form, Inputs, Kind, Parameter, Setting, UNCUT, Unit, forward_numerically, window};
 use crate::deform::Argument;
 use crate::deform::points::{Interpolant, Method, Pair, read_pairs, read_points};
 use crate::math::Bounds;
@@ -38,10 +38,18 @@ pub(super) const KIND: Kind = Kind {
     shape: None,
     build: Build::Sourced {
         settings: &[
-            Setting { name: "pairs", about: "from x,y,z and to x,y,z in mm, pair after pair; or a .csv file of six columns" },
-            Setting { name: "from", about: "file of the points (.mrk.json, .fcsv, .csv), in the order of to" },
-            Setting { name: "to", about: "file of their places" },
-            Setting { name: "method", about: "tps (thin-plate spline), rbf (Gaussians) or idw (inverse distances)" },
+            Setting {
+                name: "pairs",
+                form: Form::RowsOrFile(6),
+                about: "from x,y,z and to x,y,z in mm, pair after pair; or a .csv file of six columns",
+            },
+            Setting { name: "from", form: Form::File, about: "file of the points (.mrk.json, .fcsv, .csv), in the order of to" },
+            Setting { name: "to", form: Form::File, about: "file of their places" },
+            Setting {
+                name: "method",
+                form: Form::Choice(&["tps", "rbf", "idw"]),
+                about: "tps (thin-plate spline), rbf (Gaussians) or idw (inverse distances)",
+            },
         ],
         example,
         build,

@@ -5,6 +5,7 @@ use crate::compare::{Difference, difference, difference_picture};
 use crate::gui::action::Action;
 use crate::gui::app::{Gesture, Workstation};
 use crate::gui::theme;
+use crate::gui::views::shown::{self, Delay};
 use crate::gui::views::text;
 use crate::gui::worker::{Shown, Target, What};
 use crate::scene::{Assets, Mode, Picture, RenderStats, Scene};
@@ -65,6 +66,9 @@ pub enum Arrangement {
 #[derive(Default)]
 struct Result {
     texture: Option<TextureHandle>,
+    /// What it shows.
+    side: Option<Side>,
+    delay: Delay,
     picture: Option<Arc<Picture>>,
     stats: Option<RenderStats>,
     ms: f64,
@@ -81,7 +85,10 @@ pub struct ComparePanel {
     swipe: f32,
     results: [Result; 2],
     asked: [Option<Arc<Scene>>; 2],
-    assets: usize,
+    asked_sides: [Option<Side>; 2],
+    assets: Option<Arc<Assets>>,
+    /// The scene has changed since the pair was asked for.
+    behind: bool,
     changed_at: Instant,
     serials: [u64; 2],
     /// Numbers of the present pair.
@@ -103,7 +110,9 @@ impl Default for ComparePanel {
             swipe: 0.5,
             results: Default::default(),
             asked: [None, None],
-            assets: 0,
+            asked_sides: [None; 2],
+            assets: None,
+            behind: false,
             changed_at: Instant::now(),
             serials: [0; 2],
             difference: None,
@@ -125,16 +134,19 @@ impl ComparePanel {
     }
 
     /// A side could not be rendered.
-    pub fn failed(&mut self, side: usize) {
-        if let Some(result) = self.results.get_mut(side) {
-            *result = Result::default();
+    pub fn failed(&mut self, side: usize, serial: u64, problem: &str) {
+        if self.serials.get(side) == Some(&serial) {
+            self.results[side].delay.failure = Some(problem.to_owned());
         }
-        self.difference = None;
+    }
+
+    fn is_current(&self, side: usize) -> bool {
+        !self.behind && self.serials[side] > 0 && self.results[side].serial == self.serials[side]
     }
 
     /// Whether both pictures and their numbers are there.
     pub fn is_done(&self) -> bool {
-        self.difference.is_some() && !self.difference_open && (0..2).all(|n| self.results[n].serial == self.serials[n] && self.serials[n] > 0)
+        self.difference.is_some() && !self.difference_open && (0..2).all(|n| self.is_current(n))
     }
 }
 
@@ -153,6 +165,8 @@ impl Workstation {
             None => result.texture = Some(ctx.load_texture(format!("compare {side}"), shown.image, TextureOptions::LINEAR)),
         }
         result.picture = shown.picture.map(Arc::new);
+        result.side = panel.asked_sides[side];
+        result.delay.note(true);
         (result.stats, result.ms, result.backend, result.serial) = (shown.stats, ms, shown.backend, serial);
         self.compare_numbers(ctx);
     }
@@ -201,9 +215,10 @@ impl Workstation {
         scene.render.size = self.compare.pane;
         scene.measure.clear();
         let panel = &mut self.compare;
-        let same_assets = panel.assets == Arc::as_ptr(&assets) as usize;
+        let same_assets = panel.assets.as_ref().is_some_and(|a| Arc::ptr_eq(a, &assets));
         let wanted: [Scene; 2] = std::array::from_fn(|n| panel.sides[n].scene(&scene));
         let changed = (0..2).any(|n| !same_assets || panel.asked[n].as_deref().is_none_or(|a| *a != wanted[n]));
+        panel.behind = changed;
         if !changed {
             return;
         }
@@ -216,12 +231,14 @@ impl Workstation {
         if self.compare.changed_at.elapsed().as_secs_f64() < REST {
             return;
         }
-        self.compare.assets = Arc::as_ptr(&assets) as usize;
+        self.compare.assets = Some(assets.clone());
+        self.compare.behind = false;
         for n in pending {
             let shared = Arc::new(wanted[n].clone());
             self.compare.asked[n] = Some(shared.clone());
             let serial = self.submit(Target::Compare(n), shared, assets.clone(), What::Picture { counting: true, keep: true });
-            self.compare.serials[n] = serial;
+            let panel = &mut self.compare;
+            (panel.serials[n], panel.asked_sides[n], panel.results[n].delay.failure) = (serial, Some(panel.sides[n]), None);
         }
     }
 
@@ -275,49 +292,59 @@ impl Workstation {
             panel.changed_at = Instant::now();
         }
         panel.rect = rect;
-        let all = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));
-        let title = |n: usize, at: egui::Pos2, align: Align2| {
-            text(&painter, at, align, format!("{} · {}", ["A", "B"][n], panel.sides[n].words()), 13.0, theme::ON_CANVAS)
+        for n in 0..2 {
+            let current = panel.is_current(n) && panel.results[n].delay.failure.is_none();
+            panel.results[n].delay.note(current);
+        }
+        // The title and the veil are those of the picture that is there.
+        let one = |n: usize, painter: &egui::Painter, place: Rect, at: egui::Pos2, align: Align2| {
+            let result = &panel.results[n];
+            let there = result.texture.as_ref().zip(result.side);
+            if let Some((texture, _)) = there {
+                shown::image(painter, texture, place);
+            }
+            result.delay.draw(painter, painter.clip_rect().intersect(place), there.is_some());
+            if let Some((_, side)) = there {
+                text(painter, at, align, format!("{} · {}", ["A", "B"][n], side.words()), 13.0, theme::ON_CANVAS);
+            }
         };
         match panel.arrangement {
             Arrangement::Split => {
                 for n in 0..2 {
                     let place = pane.translate(vec2(n as f32 * (pane.width() + 2.0), 0.0));
-                    if let Some(texture) = &panel.results[n].texture {
-                        painter.image(texture.id(), place, all, Color32::WHITE);
-                    }
-                    title(n, place.min + vec2(8.0, 6.0), Align2::LEFT_TOP);
+                    one(n, &painter, place, place.min + vec2(8.0, 6.0), Align2::LEFT_TOP);
                 }
             }
             Arrangement::Swipe => {
                 let x = rect.left() + panel.swipe * rect.width();
-                for n in 0..2 {
-                    let clip =
-                        if n == 0 { Rect::from_min_max(rect.min, pos2(x, rect.bottom())) } else { Rect::from_min_max(pos2(x, rect.top()), rect.max) };
-                    if let Some(texture) = &panel.results[n].texture {
-                        painter.with_clip_rect(clip).image(texture.id(), rect, all, Color32::WHITE);
-                    }
-                }
+                let left = painter.with_clip_rect(Rect::from_min_max(rect.min, pos2(x, rect.bottom())));
+                let right = painter.with_clip_rect(Rect::from_min_max(pos2(x, rect.top()), rect.max));
+                one(0, &left, rect, rect.min + vec2(8.0, 6.0), Align2::LEFT_TOP);
+                one(1, &right, rect, pos2(rect.right() - 8.0, rect.top() + 6.0), Align2::RIGHT_TOP);
                 painter.vline(x, rect.y_range(), Stroke::new(2.0, theme::SELECTED));
                 painter.circle(pos2(x, rect.center().y), 7.0, theme::SELECTED, Stroke::new(2.0, Color32::from_black_alpha(200)));
-                title(0, rect.min + vec2(8.0, 6.0), Align2::LEFT_TOP);
-                title(1, pos2(rect.right() - 8.0, rect.top() + 6.0), Align2::RIGHT_TOP);
             }
             Arrangement::Difference => {
                 if let Some(texture) = &panel.difference_texture {
-                    painter.image(texture.id(), rect, all, Color32::WHITE);
+                    shown::image(&painter, texture, rect);
+                    text(&painter, rect.min + vec2(8.0, 6.0), Align2::LEFT_TOP, format!("Difference × {AMPLIFY}"), 13.0, theme::ON_CANVAS);
                 }
-                text(&painter, rect.min + vec2(8.0, 6.0), Align2::LEFT_TOP, format!("Difference × {AMPLIFY}"), 13.0, theme::ON_CANVAS);
+                if let Some(result) =
+                    panel.results.iter().find(|r| r.delay.failure.is_some()).or_else(|| panel.results.iter().find(|r| r.delay.words(true).is_some()))
+                {
+                    result.delay.draw(&painter, rect, panel.difference_texture.is_some());
+                }
             }
         }
-        if !panel.is_done() {
+        let failed = panel.results.iter().any(|r| r.delay.failure.is_some());
+        if !panel.is_done() && !failed {
             text(&painter, pos2(rect.center().x, rect.bottom() - 10.0), Align2::CENTER_BOTTOM, "Rendering…", 13.0, theme::ON_CANVAS);
         }
         self.handle_compare_input(ui, &response, rect);
         if export {
             self.perform(&ctx, Action::ExportReport);
         }
-        if !self.compare.is_done() {
+        if !self.compare.is_done() && !failed {
             ctx.request_repaint_after_secs(REST as f32);
         }
     }
@@ -339,10 +366,7 @@ impl Workstation {
             } else if response.dragged_by(PointerButton::Secondary) {
                 self.zoom((-delta.y * 0.01).exp());
             } else if response.dragged_by(PointerButton::Middle) || modifiers.shift {
-                if let Some(mut projector) = self.projector() {
-                    projector.rect = rect;
-                    self.pan(delta.x, delta.y, &projector);
-                }
+                self.pan(delta.x, delta.y, rect);
             } else {
                 self.orbit(delta.x, delta.y);
             }

@@ -2,7 +2,7 @@
 
 use super::{heading, icon_button};
 use crate::deform::health::Health;
-use crate::deform::kinds::{DefaultSize, Kind, Unit};
+use crate::deform::kinds::{DefaultSize, Form, Kind, Setting, Unit};
 use crate::deform::{Argument, Storage};
 use crate::gui::action::Action;
 use crate::gui::app::Workstation;
@@ -14,6 +14,7 @@ use crate::scene::{CutFaces, Deformation, Mode, Normals, Projection, Size};
 use crate::volume::GradientFilter;
 use eframe::egui::{self, DragValue, RichText, Slider, Ui};
 use egui_phosphor::regular as icon;
+use std::path::Path;
 
 /// What the inspector keeps.
 #[derive(Default)]
@@ -30,10 +31,15 @@ pub fn health_words(health: &Health) -> (bool, String) {
     (folds, text)
 }
 
-/// A name that takes its value back to the default by a double-click; whether it was asked to.
-fn name(ui: &mut Ui, text: &str, about: &str) -> bool {
+/// A name that takes its value back to the default by a double-click.
+fn label(ui: &mut Ui, text: &str, about: &str) -> egui::Response {
     let label = ui.add(egui::Label::new(text).sense(egui::Sense::click()));
-    label.on_hover_text(format!("{about}\nDouble-click: back to the default")).double_clicked()
+    label.on_hover_text(format!("{about}\nDouble-click: back to the default"))
+}
+
+/// The same; whether it was asked to.
+fn name(ui: &mut Ui, text: &str, about: &str) -> bool {
+    label(ui, text, about).double_clicked()
 }
 
 /// A row of three numbers.
@@ -73,7 +79,7 @@ impl Workstation {
         let mut act = None;
         let health = self.inspector.health.clone();
         let Some(doc) = &mut self.doc else { return };
-        let scene_box = doc.bounds();
+        let (scene_box, folder) = (doc.bounds(), doc.scene.folder.clone());
         let Some(d) = doc.scene.deformation.get_mut(n) else { return };
         let kind = gizmos::kind_of(d);
         ui.horizontal(|ui| {
@@ -110,10 +116,10 @@ impl Workstation {
         }
         if let Some(kind) = kind {
             show_numbers(ui, d, kind, &scene_box);
-            show_settings(ui, d, kind);
+            show_settings(ui, d, n, kind, &folder);
             show_placement(ui, d, kind, &scene_box);
         } else {
-            show_file_settings(ui, d);
+            show_file_settings(ui, d, n, &folder);
         }
         egui::CollapsingHeader::new("Map").show(ui, |ui| show_map(ui, d));
         egui::CollapsingHeader::new("Field health").show(ui, |ui| {
@@ -381,52 +387,117 @@ fn setting_text(argument: Option<&Argument>) -> String {
     }
 }
 
-fn setting_of(text: &str) -> Option<Argument> {
-    let text = text.trim();
-    let words: Vec<&str> = text.split([',', ';']).map(str::trim).filter(|w| !w.is_empty()).collect();
-    let numbers: Option<Vec<f32>> = words.iter().map(|w| w.parse().ok()).collect();
-    match (&words[..], numbers) {
-        ([], _) => None,
-        (["true"], _) => Some(Argument::Flag(true)),
-        (["false"], _) => Some(Argument::Flag(false)),
-        ([_], Some(v)) => Some(Argument::Number(v[0])),
-        (_, Some(v)) => Some(Argument::Numbers(v)),
-        ([word], _) => Some(Argument::Text((*word).to_owned())),
-        (words, _) => Some(Argument::Texts(words.iter().map(|w| (*w).to_owned()).collect())),
+/// What was typed into a field and cannot be used.
+#[derive(Clone)]
+struct Refused {
+    text: String,
+    problem: String,
+    /// What the setting was then: a change of it by other means ends the matter.
+    kept: String,
+}
+
+/// What a text comes to as a setting; files are looked for in the scene's folder.
+fn typed(setting: &Setting, text: &str, folder: &Path) -> Result<Option<Argument>, String> {
+    let argument = setting.parse(text)?;
+    for file in argument.iter().flat_map(|a| setting.files(a)).filter(|f| !f.starts_with("phantom:")) {
+        if !folder.join(file).exists() {
+            return Err(format!(
+                "{file}: there is no such file in {}",
+                if folder.as_os_str().is_empty() { "this folder".into() } else { folder.display().to_string() }
+            ));
+        }
+    }
+    Ok(argument)
+}
+
+/// A setting: a box to tick, a list, or a text field that is taken over when it is left. What cannot be used is refused beside it.
+fn setting(ui: &mut Ui, d: &mut Deformation, place: usize, setting: &Setting, folder: &Path) {
+    let key = setting.name;
+    match setting.form {
+        Form::Flag => {
+            let mut on = d.parameters.flag(key).unwrap_or(false);
+            if ui.checkbox(&mut on, capital(key)).on_hover_text(setting.about).changed() {
+                d.parameters.0.remove(key);
+                if on {
+                    d.parameters.insert(key, Argument::Flag(true));
+                }
+            }
+        }
+        Form::Choice(all) | Form::OneOf(all) => {
+            let default = matches!(setting.form, Form::Choice(_)).then(|| all[0]);
+            let now = setting_text(d.parameters.0.get(key));
+            let shown = if now.is_empty() { default.unwrap_or("as the file says") } else { &now };
+            ui.horizontal(|ui| {
+                if name(ui, &capital(key), setting.about) {
+                    d.parameters.0.remove(key);
+                }
+                let combo = egui::ComboBox::from_id_salt((place, key)).selected_text(shown).show_ui(ui, |ui| {
+                    if default.is_none() && ui.selectable_label(now.is_empty(), "as the file says").clicked() {
+                        d.parameters.0.remove(key);
+                    }
+                    for word in all {
+                        if ui.selectable_label(shown == *word, *word).clicked() {
+                            d.parameters.0.remove(key);
+                            if default != Some(*word) {
+                                d.parameters.insert(key, *word);
+                            }
+                        }
+                    }
+                });
+                combo.response.widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::ComboBox, true, capital(key)));
+            });
+        }
+        _ => text_setting(ui, d, place, setting, folder),
     }
 }
 
-/// A text field for a setting, taken over when it is left.
-fn setting(ui: &mut Ui, d: &mut Deformation, setting: &'static str, about: &str) {
-    let id = ui.id().with(("setting", setting));
-    let kept = setting_text(d.parameters.0.get(setting));
-    let mut text = ui.data_mut(|m| m.get_temp::<String>(id)).unwrap_or_else(|| kept.clone());
+fn text_setting(ui: &mut Ui, d: &mut Deformation, place: usize, setting: &Setting, folder: &Path) {
+    let key = setting.name;
+    let id = ui.id().with(("setting", place, key));
+    let refused_id = id.with("refused");
+    let kept = setting_text(d.parameters.0.get(key));
+    let refused = ui.data(|m| m.get_temp::<Refused>(refused_id)).filter(|r| r.kept == kept);
+    let typed_before = ui.data(|m| m.get_temp::<String>(id));
+    let mut text = typed_before.or_else(|| refused.as_ref().map(|r| r.text.clone())).unwrap_or_else(|| kept.clone());
     ui.horizontal(|ui| {
-        if name(ui, &capital(setting), about) {
-            d.parameters.0.remove(setting);
+        let name = label(ui, &capital(key), setting.about);
+        if name.double_clicked() {
+            d.parameters.0.remove(key);
+            ui.data_mut(|m| m.remove::<Refused>(refused_id));
             text.clear();
         }
-        let field = ui.add(egui::TextEdit::singleline(&mut text).desired_width((ui.available_width() - 10.0).max(30.0)));
-        field.widget_info(|| egui::WidgetInfo::text_edit(true, "", "", setting));
+        let mut edit = egui::TextEdit::singleline(&mut text).desired_width((ui.available_width() - 10.0).max(30.0));
+        if refused.is_some() {
+            edit = edit.text_color(ui.visuals().error_fg_color);
+        }
+        let field = ui.add(edit).labelled_by(name.id);
         if field.has_focus() {
             ui.data_mut(|m| m.insert_temp(id, text.clone()));
         } else {
             ui.data_mut(|m| m.remove::<String>(id));
         }
-        if field.lost_focus() && text != kept {
-            match setting_of(&text) {
-                Some(argument) => {
-                    d.parameters.0.insert(setting.to_owned(), argument);
+        if field.lost_focus() {
+            ui.data_mut(|m| m.remove::<Refused>(refused_id));
+            match typed(setting, &text, folder) {
+                _ if text == kept => {}
+                Ok(Some(argument)) => d.parameters.insert(key, argument),
+                Ok(None) => {
+                    d.parameters.0.remove(key);
                 }
-                None => {
-                    d.parameters.0.remove(setting);
+                Err(problem) => {
+                    let refused = Refused { text, problem, kept: kept.clone() };
+                    ui.data_mut(|m| m.insert_temp(refused_id, refused));
                 }
             }
         }
     });
+    if let Some(Refused { problem, .. }) = refused {
+        let again = if kept.is_empty() { "Nothing is set.".to_owned() } else { format!("{kept} stays.") };
+        ui.label(RichText::new(format!("{problem}. {again}")).color(ui.visuals().error_fg_color));
+    }
 }
 
-fn show_settings(ui: &mut Ui, d: &mut Deformation, kind: &Kind) {
+fn show_settings(ui: &mut Ui, d: &mut Deformation, place: usize, kind: &Kind, folder: &Path) {
     if kind.name == "brush" {
         let strokes = d.parameters.texts("strokes").ok().flatten().unwrap_or_default();
         ui.label(format!("{} strokes; the panel Maps has the brushes", strokes.len()));
@@ -444,7 +515,7 @@ fn show_settings(ui: &mut Ui, d: &mut Deformation, kind: &Kind) {
     if kind.settings().next().is_some() {
         egui::CollapsingHeader::new("Settings").default_open(!kind.own_settings().is_empty()).show(ui, |ui| {
             for s in kind.settings() {
-                setting(ui, d, s.name, s.about);
+                setting(ui, d, place, s, folder);
             }
         });
     }
@@ -453,10 +524,10 @@ fn show_settings(ui: &mut Ui, d: &mut Deformation, kind: &Kind) {
     }
 }
 
-fn show_file_settings(ui: &mut Ui, d: &mut Deformation) {
+fn show_file_settings(ui: &mut Ui, d: &mut Deformation, place: usize, folder: &Path) {
     let kind = crate::scene::deformations::FILE_KINDS.iter().find(|k| k.name == d.kind);
     for s in kind.iter().flat_map(|k| k.settings) {
-        setting(ui, d, s.name, s.about);
+        setting(ui, d, place, s, folder);
     }
 }
 
@@ -527,17 +598,30 @@ fn show_map(ui: &mut Ui, d: &mut Deformation) {
 mod tests {
     use super::*;
 
+    /// What a field shows is what it takes.
     #[test]
     fn settings_survive_their_text() {
-        for argument in [
-            Argument::Flag(true),
-            Argument::Number(2.5),
-            Argument::Numbers(vec![1.0, 2.0, -3.5]),
-            Argument::Text("labels.nii.gz".into()),
-            Argument::Texts(vec!["a.mat".into(), "b.nii".into()]),
+        for (form, argument) in [
+            (Form::Flag, Argument::Flag(true)),
+            (Form::Number, Argument::Number(2.5)),
+            (Form::Whole, Argument::Numbers(vec![1.0, 2.0])),
+            (Form::Rows(3), Argument::Numbers(vec![1.0, 2.0, -3.5])),
+            (Form::Words, Argument::Text("left side".into())),
+            (Form::File, Argument::Text("labels.nii.gz".into())),
+            (Form::Files, Argument::Texts(vec!["a.mat".into(), "b.nii".into()])),
         ] {
-            assert_eq!(setting_of(&setting_text(Some(&argument))), Some(argument));
+            let setting = Setting { name: "x", form, about: "" };
+            assert_eq!(setting.parse(&setting_text(Some(&argument))), Ok(Some(argument)));
         }
-        assert_eq!(setting_of("  "), None);
+    }
+
+    #[test]
+    fn files_are_looked_for() {
+        let folder = tempfile::tempdir().unwrap();
+        let setting = Setting { name: "labels", form: Form::File, about: "" };
+        assert!(typed(&setting, "labels.nii", folder.path()).is_err_and(|e| e.contains("no such file")));
+        std::fs::write(folder.path().join("labels.nii"), "").unwrap();
+        assert_eq!(typed(&setting, "labels.nii", folder.path()), Ok(Some(Argument::Text("labels.nii".into()))));
+        assert!(typed(&setting, "phantom:octants", folder.path()).is_ok());
     }
 }

@@ -28,6 +28,13 @@ impl Workstation {
         self.show_label_tool(ui);
         heading(ui, "Results");
         let Some(doc) = &mut self.doc else { return };
+        let caution = ui.visuals().warn_fg_color;
+        if let Some(misplaced) = doc.assets.volume.misplaced.filter(|_| !doc.scene.measure.is_empty()) {
+            ui.label(
+                RichText::new(format!("Positions and lengths are off by up to {:.1} mm: the slices are not where they were taken", misplaced.by_mm))
+                    .color(caution),
+            );
+        }
         let mut remove = None;
         for (n, measure) in doc.scene.measure.iter_mut().enumerate() {
             ui.horizontal(|ui| {
@@ -45,6 +52,10 @@ impl Workstation {
                     remove = Some(n);
                 }
             });
+            if measure.before_resampling {
+                let mark = format!("    {} made before resampling; measure it again", icon::WARNING);
+                ui.label(RichText::new(mark).color(caution)).on_hover_text("The slices have moved under its points");
+            }
             // Numbers belong to the measurement they were made of, which may have changed since.
             match self
                 .measured
@@ -100,7 +111,7 @@ impl Workstation {
         }
         if let (Some(label), Some(doc)) = (add, &mut self.doc) {
             let name = Some(format!("Label {label}"));
-            doc.scene.measure.push(Measure { kind: MeasureKind::Label, name, points: Vec::new(), label: Some(label) });
+            doc.scene.measure.push(Measure { kind: MeasureKind::Label, name, points: Vec::new(), label: Some(label), before_resampling: false });
             doc.selected = Selection::Measure(doc.scene.measure.len() - 1);
         }
         if ask {

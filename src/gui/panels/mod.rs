@@ -5,6 +5,7 @@ pub mod dialogs;
 pub mod editor;
 pub mod inspector;
 pub mod measures;
+mod misplaced;
 pub mod palette;
 pub mod scene;
 pub mod transfer;
@@ -15,11 +16,10 @@ use super::document::Selection;
 use super::session::EXAMPLES;
 use super::theme;
 use super::tool::{Placed, Tool, symbol, words};
-use super::views::slice_paint::Regions;
 use super::views::slices::Space;
 use super::worker::{Backend, Overlay, Target, What};
 use crate::deform::kinds;
-use crate::scene::measure::{MeasureKind, nearest_value};
+use crate::scene::measure::MeasureKind;
 use crate::scene::{Mode, Scene, example};
 use crate::transfer::{TransferSettings, list as presets};
 use eframe::egui::{self, Align, Color32, ColorImage, Context, Layout, Response, RichText, TextureHandle, Ui, WidgetInfo, WidgetType, vec2};
@@ -362,7 +362,12 @@ impl Workstation {
             ui,
             |ui| {
                 ui.horizontal(|ui| {
-                    let left = self.hover_words().or_else(|| self.doc.as_ref().map(|_| self.title())).unwrap_or_else(|| "incise".into());
+                    let left = self
+                        .hover
+                        .as_ref()
+                        .map(super::app::Hover::words)
+                        .or_else(|| self.doc.as_ref().map(|_| self.title()))
+                        .unwrap_or_else(|| "incise".into());
                     ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
                         self.show_work(ui, &ctx);
                         if self.doc.is_some() {
@@ -376,31 +381,6 @@ impl Workstation {
                 });
             },
         );
-    }
-
-    fn hover_words(&self) -> Option<String> {
-        let doc = self.doc.as_ref()?;
-        let hover = self.hover?;
-        let place = |p: glam::Vec3| {
-            let side = |v: f32, high: char, low: char| format!("{:.1} {}", v.abs(), if v >= 0.0 { high } else { low });
-            format!("{} {} {}", side(p.x, 'L', 'R'), side(p.y, 'P', 'A'), side(p.z, 'S', 'I'))
-        };
-        let value = hover.value.or_else(|| doc.assets.has_volume.then(|| nearest_value(&doc.assets.volume, hover.source.as_dvec3())).flatten());
-        let mut words = match hover.deformed {
-            Some(deformed) if deformed.distance(hover.source) > 0.05 => {
-                format!("{} mm {} source {}", place(deformed), icon::ARROW_RIGHT, place(hover.source))
-            }
-            _ => format!("{} mm", place(hover.source)),
-        };
-        if let Some(value) = value {
-            words += &format!(" · {}", number(value, ""));
-        }
-        if let Some(regions) = Regions::new(&doc.assets)
-            && let Some(label) = regions.label(hover.source).filter(|l| *l > 0)
-        {
-            words += &format!(" · {}", regions.name(label));
-        }
-        Some(words)
     }
 
     fn show_work(&mut self, ui: &mut Ui, ctx: &Context) {
@@ -426,7 +406,9 @@ impl Workstation {
     fn show_backend(&mut self, ui: &mut Ui) {
         let facts = self.view.facts.clone();
         let mut words = format!("{} · step {:.1} · {:.0} ms", if facts.backend.is_empty() { "…" } else { &facts.backend }, facts.step, facts.ms);
-        if !self.view.is_fine {
+        if !self.view.is_current() {
+            words += " · out of date";
+        } else if !self.view.is_fine {
             words += " · coarse";
         }
         if !facts.notices.is_empty() {

@@ -1,6 +1,7 @@
 //! The pictures: the 3D view and the slices, with what is drawn and grabbed on them.
 
 pub mod cube;
+pub mod shown;
 pub mod slice_paint;
 pub mod slices;
 pub mod volume3d;

@@ -1,12 +1,13 @@
 //! Axial, coronal and sagittal slices through one crosshair, of the deformed scene, the source, or both side by side.
 
+use super::shown::{self, Delay};
 use super::{draw_points_of, edge_letters, scale_bar, text};
 use crate::cpu::section::Plane;
 use crate::gui::app::{Gesture, Workstation};
 use crate::gui::theme::{AXES, CANVAS, ON_CANVAS, SELECTED};
 use crate::gui::tool::Tool;
 use crate::gui::worker::{Overlay, SlicePicture, SliceStyle, Target, What};
-use crate::scene::Scene;
+use crate::scene::{Assets, Scene};
 use eframe::egui::{self, Align2, Color32, CursorIcon, Painter, PointerButton, Pos2, Rect, Response, Sense, Stroke, Ui, pos2, vec2};
 use glam::Vec3;
 use std::sync::Arc;
@@ -31,12 +32,21 @@ pub enum Space {
 }
 
 /// What a slice view was asked for.
-#[derive(Clone, PartialEq)]
+#[derive(Clone)]
 struct Asked {
     scene: Arc<Scene>,
+    assets: Arc<Assets>,
     plane: Plane,
     style: SliceStyle,
-    assets: usize,
+}
+
+impl Asked {
+    fn is(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.assets, &other.assets)
+            && self.plane == other.plane
+            && self.style == other.style
+            && (Arc::ptr_eq(&self.scene, &other.scene) || self.scene == other.scene)
+    }
 }
 
 /// One of the three, deformed or source.
@@ -44,8 +54,24 @@ struct Asked {
 struct Pane {
     rect: Option<Rect>,
     texture: Option<egui::TextureHandle>,
-    picture: Option<SlicePicture>,
+    /// What is shown, and what it was asked for.
+    picture: Option<(SlicePicture, Asked)>,
     asked: Option<Asked>,
+    /// What jobs that are not done yet were asked for.
+    open: Vec<(u64, Asked)>,
+    delay: Delay,
+}
+
+impl Pane {
+    fn asked_of(&mut self, serial: u64) -> Option<Asked> {
+        let found = self.open.iter().position(|(n, _)| *n == serial).map(|at| self.open.remove(at).1);
+        self.open.retain(|(n, _)| *n > serial);
+        found
+    }
+
+    fn is_current(&self) -> bool {
+        self.picture.as_ref().zip(self.asked.as_ref()).is_some_and(|((_, of), asked)| of.is(asked))
+    }
 }
 
 /// The three slice views.
@@ -89,15 +115,27 @@ impl Slices {
     }
 
     /// Takes a slice that has arrived.
-    pub fn arrived(&mut self, ctx: &egui::Context, n: usize, picture: SlicePicture) {
+    pub fn arrived(&mut self, ctx: &egui::Context, n: usize, serial: u64, picture: SlicePicture) {
         let Some(pane) = self.panes.get_mut(n) else { return };
+        // Of a scene that is gone.
+        let Some(of) = pane.asked_of(serial) else { return };
         let options = egui::TextureOptions::LINEAR;
         let image = picture.image.clone();
         match &mut pane.texture {
             Some(texture) => texture.set(image, options),
             None => pane.texture = Some(ctx.load_texture(format!("slice {n}"), image, options)),
         }
-        pane.picture = Some(picture);
+        pane.picture = Some((picture, of));
+        pane.delay.restart();
+    }
+
+    /// A slice could not be made.
+    pub fn failed(&mut self, n: usize, serial: u64, problem: &str) {
+        let Some(pane) = self.panes.get_mut(n) else { return };
+        let of = pane.asked_of(serial);
+        if of.zip(pane.asked.as_ref()).is_some_and(|(of, asked)| of.is(asked)) {
+            pane.delay.failure = Some(problem.to_owned());
+        }
     }
 
     /// Whether every shown slice has its picture.
@@ -105,13 +143,13 @@ impl Slices {
         self.panes.iter().filter(|p| p.rect.is_some()).all(|p| p.picture.is_some())
     }
 
-    /// Where the matter at a point of a deformed slice came from.
+    /// Where the matter at a point of a deformed slice came from; none off the slice that is shown.
     fn source_of(&self, n: usize, world: Vec3) -> Option<Vec3> {
-        let picture = self.panes[n].picture.as_ref()?;
+        let picture = self.picture(n)?;
         let (x, y, away) = picture.plane.pixel(world);
         let [width, height] = picture.plane.size;
         let inside = x >= 0.0 && y >= 0.0 && x < width as f32 && y < height as f32 && away.abs() < 2.0 * picture.plane.mm_per_pixel.max(0.5);
-        inside.then(|| picture.section.sources[y as usize * width as usize + x as usize])
+        inside.then(|| picture.source(world))
     }
 
     /// The crosshair in the source, from whichever slice shows it.
@@ -120,9 +158,9 @@ impl Slices {
         (0..3).find_map(|n| self.source_of(n, cursor))
     }
 
-    /// The picture of a view, for tests.
+    /// What a view shows: axial, coronal, sagittal; from 3 on the same of the source.
     pub fn picture(&self, n: usize) -> Option<&SlicePicture> {
-        self.panes.get(n)?.picture.as_ref()
+        self.panes.get(n)?.picture.as_ref().map(|(picture, _)| picture)
     }
 }
 
@@ -192,31 +230,35 @@ impl Workstation {
         self.ask_slice(pane, plane, style);
         let state = &mut self.slices.panes[pane];
         state.rect = Some(rect);
+        let current = state.is_current() && state.delay.failure.is_none();
+        state.delay.note(current);
         let painter = ui.painter_at(rect);
-        let shown = state.picture.as_ref().map(|p| p.plane);
-        if let (Some(texture), Some(shown)) = (&state.texture, shown) {
-            // The picture stays where its plane is until the next one arrives.
-            let at = |x: f32, y: f32| {
-                let (px, py, _) = plane.pixel(shown.point(x, y));
-                rect.min + vec2(px, py) / ppp
-            };
-            let place = Rect::from_min_max(at(0.0, 0.0), at(shown.size[0] as f32, shown.size[1] as f32));
-            painter.image(texture.id(), place, Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0)), Color32::WHITE);
-        }
-        if self.slices.overlay == Overlay::Glyphs && !source {
-            self.draw_glyphs(&painter, rect, &plane, pane, ppp);
+        let (Some(texture), Some((picture, _))) = (&state.texture, &state.picture) else {
+            state.delay.draw(&painter, rect, false);
+            return;
+        };
+        // The picture stays where its plane is until the next one arrives.
+        let shown = picture.plane;
+        let at = |x: f32, y: f32| {
+            let (px, py, _) = plane.pixel(shown.point(x, y));
+            rect.min + vec2(px, py) / ppp
+        };
+        shown::image(&painter, texture, Rect::from_min_max(at(0.0, 0.0), at(shown.size[0] as f32, shown.size[1] as f32)));
+        if picture.style.overlay == Overlay::Glyphs && !source {
+            draw_glyphs(&painter, rect, &plane, picture, ppp);
         }
         let (x, y, _) = plane.pixel(through);
         let cross = rect.min + vec2(x, y) / ppp;
         draw_crosshair(&painter, rect, cross, n);
-        edge_letters(&painter, rect, right, -down);
+        edge_letters(&painter, rect, shown.right, -shown.down);
         scale_bar(&painter, rect, mm_per_pixel * ppp);
         let title = match (self.slices.space, source) {
-            (Space::Deformed, _) => format!("{name} {:.1} mm", through.dot(normal.abs())),
+            (Space::Deformed, _) => format!("{name} {:.1} mm", shown.center.dot(normal.abs())),
             (_, true) => format!("{name} source"),
             (_, false) => format!("{name} deformed"),
         };
         text(&painter, rect.min + vec2(8.0, 6.0), Align2::LEFT_TOP, title, 13.0, ON_CANVAS);
+        state.delay.draw(&painter, rect, true);
         if !source && !self.stroke_points.is_empty() {
             let points: Vec<Pos2> = self.stroke_points.iter().map(|p| plane.pixel(*p)).map(|(x, y, _)| rect.min + vec2(x, y) / ppp).collect();
             draw_points_of(&painter, &points, SELECTED);
@@ -224,6 +266,8 @@ impl Workstation {
         if let (Some(radius), Some(pos)) = (self.tool.brush().map(|_| self.editor.radius), response.hover_pos().filter(|_| !source)) {
             painter.circle_stroke(pos, radius / (mm_per_pixel * ppp), Stroke::new(1.5, SELECTED));
         }
+        // A place is one of the slice that is shown.
+        let plane = Plane { center: plane.center + normal * (shown.center - plane.center).dot(normal), ..plane };
         self.handle_slice_input(ui, &response, &plane, n, rect, ppp, source);
     }
 
@@ -239,10 +283,13 @@ impl Workstation {
                 shared
             }
         };
-        let asked = Asked { scene: shared.clone(), plane, style, assets: Arc::as_ptr(&assets) as usize };
-        if self.slices.panes[pane].asked.as_ref() != Some(&asked) {
-            self.slices.panes[pane].asked = Some(asked);
-            self.submit(Target::Slice(pane), shared, assets, What::Slice(plane, style));
+        let asked = Asked { scene: shared.clone(), assets: assets.clone(), plane, style };
+        if self.slices.panes[pane].asked.as_ref().is_none_or(|a| !a.is(&asked)) {
+            let serial = self.submit(Target::Slice(pane), shared, assets, What::Slice(plane, style));
+            let state = &mut self.slices.panes[pane];
+            state.open.push((serial, asked.clone()));
+            state.asked = Some(asked);
+            state.delay.failure = None;
         }
     }
 
@@ -343,7 +390,8 @@ impl Workstation {
 
     fn hover_slice(&mut self, at: Vec3, n: usize, source: bool) {
         let from = if source { Some(at) } else { self.slices.source_of(n, at) };
-        self.hover = from.map(|source_point| crate::gui::app::Hover { deformed: (!source).then_some(at), source: source_point, value: None });
+        let Some(doc) = &self.doc else { return };
+        self.hover = from.map(|from| crate::gui::app::Hover::new(&doc.assets, (!source).then_some(at), from, None));
     }
 
     fn click_slice(&mut self, at: Vec3, n: usize, source: bool) {
@@ -364,30 +412,30 @@ impl Workstation {
             _ => {}
         }
     }
+}
 
-    fn draw_glyphs(&self, painter: &Painter, rect: Rect, plane: &Plane, pane: usize, ppp: f32) {
-        let Some(picture) = &self.slices.panes[pane].picture else { return };
-        let [width, height] = picture.plane.size.map(|n| n as usize);
-        let step = (ARROWS * ppp) as usize;
-        for y in (step / 2..height).step_by(step.max(1)) {
-            for x in (step / 2..width).step_by(step.max(1)) {
-                let n = y * width + x;
-                if picture.section.mask[n] < 0.5 {
-                    continue;
-                }
-                let to = picture.plane.point(x as f32 + 0.5, y as f32 + 0.5);
-                let from = picture.section.sources[n];
-                if (to - from).length_squared() < 0.04 {
-                    continue;
-                }
-                let screen = |p: Vec3| {
-                    let (x, y, _) = plane.pixel(p);
-                    rect.min + vec2(x, y) / ppp
-                };
-                let (a, b) = (screen(from), screen(to));
-                painter.arrow(a, b - a, Stroke::new(2.6, Color32::from_black_alpha(150)));
-                painter.arrow(a, b - a, Stroke::new(1.2, Color32::from_rgb(250, 215, 110)));
+/// Arrows from where matter was to where it is.
+fn draw_glyphs(painter: &Painter, rect: Rect, plane: &Plane, picture: &SlicePicture, ppp: f32) {
+    let [width, height] = picture.plane.size.map(|n| n as usize);
+    let step = (ARROWS * ppp) as usize;
+    for y in (step / 2..height).step_by(step.max(1)) {
+        for x in (step / 2..width).step_by(step.max(1)) {
+            let n = y * width + x;
+            if picture.section.mask[n] < 0.5 {
+                continue;
             }
+            let to = picture.plane.point(x as f32 + 0.5, y as f32 + 0.5);
+            let from = picture.section.sources[n];
+            if (to - from).length_squared() < 0.04 {
+                continue;
+            }
+            let screen = |p: Vec3| {
+                let (x, y, _) = plane.pixel(p);
+                rect.min + vec2(x, y) / ppp
+            };
+            let (a, b) = (screen(from), screen(to));
+            painter.arrow(a, b - a, Stroke::new(2.6, Color32::from_black_alpha(150)));
+            painter.arrow(a, b - a, Stroke::new(1.2, Color32::from_rgb(250, 215, 110)));
         }
     }
 }

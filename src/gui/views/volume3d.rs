@@ -1,8 +1,9 @@
 //! The 3D view: picture, camera, handles, tools.
 //!
-//! What is shown is always the newest picture there is, drawn over the view whatever its size: a coarse one while something moves, a fine one when it
-//! rests. How coarse is decided by how long the last coarse pictures took.
+//! What is shown is always the newest picture there is: a coarse one while something moves, a fine one when it rests. How coarse is decided by how
+//! long the last coarse pictures took. Everything drawn over it, and every place that is clicked, goes by that picture ([`super::shown`]).
 
+use super::shown::{self, Delay, OnScreen, Wanted};
 use super::{Projector, cube, edge_letters, scale_bar, text};
 use crate::gui::app::{Gesture, Workstation};
 use crate::gui::document::Selection;
@@ -11,7 +12,7 @@ use crate::gui::theme::{CANVAS, ON_CANVAS, SELECTED};
 use crate::gui::tool::{Placed, Tool};
 use crate::gui::worker::{Job, Purpose, Question, Shown, Target, What};
 use crate::math::Bounds;
-use crate::scene::{Camera, Projection, Scene};
+use crate::scene::{Camera, Deformation, Projection, Scene};
 use eframe::egui::{self, Align2, Color32, CursorIcon, Painter, PointerButton, Pos2, Rect, Response, Sense, Shape, Stroke, Ui, pos2, vec2};
 use glam::{Vec2, Vec3};
 use std::sync::Arc;
@@ -28,10 +29,12 @@ const ORBIT: f32 = 0.4;
 pub struct View3d {
     /// Where it was last shown, points.
     pub rect: Rect,
-    texture: Option<egui::TextureHandle>,
-    /// The scene that was last asked for, at the view's size.
-    asked: Option<Arc<Scene>>,
-    asked_assets: usize,
+    picture: Option<OnScreen>,
+    /// What was last asked for.
+    asked: Option<Wanted>,
+    /// What jobs that are not done yet were asked for.
+    open: Vec<(u64, Wanted)>,
+    delay: Delay,
     changed_at: Instant,
     coarse_open: bool,
     fine_serial: Option<u64>,
@@ -46,6 +49,8 @@ pub struct View3d {
     pub gizmo: GizmoMode,
     /// An outline that is being drawn, points.
     pub lasso: Vec<Pos2>,
+    /// The camera of the picture that it is drawn on.
+    lasso_on: Option<Projector>,
     hover_asked: Option<([f32; 2], u64)>,
     pixels_per_point: f32,
     /// Pictures that have arrived.
@@ -71,9 +76,10 @@ impl Default for View3d {
     fn default() -> Self {
         Self {
             rect: Rect::ZERO,
-            texture: None,
+            picture: None,
             asked: None,
-            asked_assets: 0,
+            open: Vec::new(),
+            delay: Delay::default(),
             changed_at: Instant::now(),
             coarse_open: false,
             fine_serial: None,
@@ -83,6 +89,7 @@ impl Default for View3d {
             facts: Facts::default(),
             gizmo: GizmoMode::Shape,
             lasso: Vec::new(),
+            lasso_on: None,
             hover_asked: None,
             pixels_per_point: 1.0,
             pictures: 0,
@@ -106,8 +113,40 @@ impl View3d {
         [(size.x as u32).clamp(16, 8192), (size.y as u32).clamp(16, 8192)]
     }
 
+    /// Shows nothing any more: its picture is of another scene.
+    pub fn clear(&mut self) {
+        self.forget();
+        self.picture = None;
+        self.open.clear();
+        self.delay = Delay::default();
+        self.facts = Facts::default();
+    }
+
+    /// What is on the screen.
+    pub fn picture(&self) -> Option<&OnScreen> {
+        self.picture.as_ref()
+    }
+
+    /// Whether what is on the screen is what was asked for last.
+    pub fn is_current(&self) -> bool {
+        self.picture.as_ref().zip(self.asked.as_ref()).is_some_and(|(p, a)| p.of.is(a))
+    }
+
+    /// Why the scene cannot be shown as it is.
+    pub fn failure(&self) -> Option<&str> {
+        self.delay.failure.as_deref()
+    }
+
+    /// What a job was asked for; older ones are not waited for any longer.
+    fn asked_of(&mut self, serial: u64) -> Option<Wanted> {
+        let found = self.open.iter().position(|(n, _)| *n == serial).map(|at| self.open.remove(at).1);
+        self.open.retain(|(n, _)| *n > serial);
+        found
+    }
+
     /// Takes a picture that has arrived.
-    pub fn arrived(&mut self, ctx: &egui::Context, target: Target, serial: u64, ms: f64, shown: Shown, step: f32) {
+    pub fn arrived(&mut self, ctx: &egui::Context, target: Target, serial: u64, ms: f64, shown: Shown) {
+        let of = self.asked_of(serial);
         if target == Target::Coarse {
             self.coarse_open = false;
             let wanted = self.scale * ((ms / COARSE_MS) as f32).sqrt().clamp(0.6, 1.7);
@@ -123,21 +162,32 @@ impl View3d {
             self.is_fine = true;
             self.fine_ms = ms;
         }
+        // Of a scene that is gone.
+        let Some(of) = of else { return };
         self.pictures += 1;
-        self.facts = Facts { ms, backend: shown.backend, size: shown.image.size, step, notices: shown.notices };
+        self.facts = Facts { ms, backend: shown.backend, size: shown.image.size, step: shown.step, notices: shown.notices };
         let options = egui::TextureOptions::LINEAR;
-        match &mut self.texture {
-            Some(texture) => texture.set(shown.image, options),
-            None => self.texture = Some(ctx.load_texture("3D", shown.image, options)),
-        }
+        let texture = match self.picture.take() {
+            Some(mut before) => {
+                before.texture.set(shown.image, options);
+                before.texture
+            }
+            None => ctx.load_texture("3D", shown.image, options),
+        };
+        self.picture = Some(OnScreen { texture, of, frame: shown.frame, measured: shown.measured, serial });
+        self.delay.restart();
+        let current = self.is_current();
+        self.delay.note(current);
     }
 
     /// A job of this view failed: it is not waited for any longer.
-    pub fn failed(&mut self, target: Target) {
-        match target {
-            Target::Coarse => self.coarse_open = false,
-            Target::Fine => self.is_fine = true,
-            _ => {}
+    pub fn failed(&mut self, target: Target, serial: u64, problem: &str) {
+        if target == Target::Coarse {
+            self.coarse_open = false;
+        }
+        let of = self.asked_of(serial);
+        if of.zip(self.asked.as_ref()).is_some_and(|(of, asked)| of.is(asked)) {
+            self.delay.failure = Some(problem.to_owned());
         }
     }
 }
@@ -151,11 +201,9 @@ impl Workstation {
         Some(scene)
     }
 
-    /// The view's camera on the screen.
+    /// The shown picture's camera on the screen.
     pub fn projector(&self) -> Option<Projector> {
-        let doc = self.doc.as_ref()?;
-        let frame = doc.scene.camera.frame(&doc.bounds(), self.view.size()).ok()?;
-        Some(Projector { frame, rect: self.view.rect })
+        Some(self.view.picture()?.projector(self.view.rect, self.view.size()))
     }
 
     /// Asks for pictures of what has changed.
@@ -166,37 +214,46 @@ impl Workstation {
         }
         let assets = doc.assets.clone();
         let Some(scene) = self.scene_of_view() else { return };
-        let same_assets = self.view.asked_assets == Arc::as_ptr(&assets) as usize;
-        let changed = !same_assets || self.view.asked.as_deref().is_none_or(|a| *a != scene);
-        let shared = match (&self.view.asked, changed) {
-            (Some(asked), false) => asked.clone(),
-            _ => Arc::new(scene),
-        };
-        if changed {
-            self.view.asked = Some(shared.clone());
-            self.view.asked_assets = Arc::as_ptr(&assets) as usize;
-            self.view.changed_at = Instant::now();
-            self.view.is_fine = false;
-            self.view.fine_serial = None;
-            self.worker.drop_jobs(|t| t == Target::Fine);
-            // Fine pictures that come at once need no coarse ones before them.
-            if self.view.fine_ms > COARSE_MS {
-                let mut coarse = (*shared).clone();
-                coarse.render.size = shared.render.size.map(|n| ((n as f32 / self.view.scale) as u32).max(16));
-                coarse.render.step = (shared.render.step * if self.view.scale > 1.5 { 2.0 } else { 1.0 }).min(100.0);
-                coarse.render.antialias = 1;
-                self.view.coarse_open = true;
-                self.submit(Target::Coarse, Arc::new(coarse), assets.clone(), What::Picture { counting: false, keep: false });
+        let wanted = Wanted { scene: Arc::new(scene), assets: assets.clone(), undeformed: self.is_before() };
+        let wanted = match &self.view.asked {
+            Some(asked) if asked.is(&wanted) => asked.clone(),
+            _ => {
+                self.changed(&wanted);
+                wanted
             }
-        }
+        };
+        let current = self.view.is_current();
+        self.view.delay.note(current && self.view.delay.failure.is_none());
+        let waits = !self.view.is_fine && self.view.fine_serial.is_none() && self.view.delay.failure.is_none();
         let rested = self.view.changed_at.elapsed().as_secs_f64() >= REST;
         let at_once = self.view.fine_ms <= COARSE_MS;
         let held = ctx.input(|i| i.pointer.any_down()) && !at_once;
-        if !self.view.is_fine && self.view.fine_serial.is_none() && !held && (at_once || (rested && !self.view.coarse_open)) {
-            let serial = self.submit(Target::Fine, shared, assets, What::Picture { counting: false, keep: false });
+        if waits && !held && (at_once || (rested && !self.view.coarse_open)) {
+            let serial = self.submit(Target::Fine, wanted.scene.clone(), assets, What::Picture { counting: false, keep: false });
             self.view.fine_serial = Some(serial);
-        } else if !self.view.is_fine && self.view.fine_serial.is_none() {
+            self.view.open.push((serial, wanted));
+        } else if waits {
             ctx.request_repaint_after_secs(REST as f32);
+        }
+    }
+
+    /// The view is to show something else than before.
+    fn changed(&mut self, wanted: &Wanted) {
+        self.view.asked = Some(wanted.clone());
+        self.view.delay.failure = None;
+        self.view.changed_at = Instant::now();
+        self.view.is_fine = false;
+        self.view.fine_serial = None;
+        self.worker.drop_jobs(|t| t == Target::Fine);
+        // Fine pictures that come at once need no coarse ones before them.
+        if self.view.fine_ms > COARSE_MS {
+            let mut coarse = (*wanted.scene).clone();
+            coarse.render.size = coarse.render.size.map(|n| ((n as f32 / self.view.scale) as u32).max(16));
+            coarse.render.step = (coarse.render.step * if self.view.scale > 1.5 { 2.0 } else { 1.0 }).min(100.0);
+            coarse.render.antialias = 1;
+            self.view.coarse_open = true;
+            let serial = self.submit(Target::Coarse, Arc::new(coarse), wanted.assets.clone(), What::Picture { counting: false, keep: false });
+            self.view.open.push((serial, wanted.clone()));
         }
     }
 
@@ -209,13 +266,14 @@ impl Workstation {
 
     /// Asks what lies at a place of the view.
     pub fn ask(&mut self, at: [f32; 2], purpose: Purpose) {
-        let (Some(scene), Some(doc)) = (self.view.asked.clone(), &self.doc) else { return };
+        let Some(picture) = &self.view.picture else { return };
+        let Wanted { scene, assets, .. } = picture.of.clone();
         // A stroke is drawn on what was there when it began.
         let scene = match (&purpose, &self.stroke_scene) {
-            (Purpose::Brush { .. }, Some(frozen)) => frozen.clone(),
+            (Purpose::Brush { .. }, Some(frozen)) if frozen.camera == scene.camera => frozen.clone(),
+            (Purpose::Brush { .. }, Some(frozen)) => Arc::new(Scene { camera: scene.camera.clone(), ..(**frozen).clone() }),
             _ => scene,
         };
-        let assets = doc.assets.clone();
         self.prober.ask(Question { scene, assets, at, purpose });
     }
 
@@ -226,22 +284,30 @@ impl Workstation {
         self.view.rect = rect;
         self.view.pixels_per_point = ui.ctx().pixels_per_point();
         let painter = ui.painter_at(rect);
-        let background = self.doc.as_ref().map_or([0.0; 4], |d| d.scene.render.background);
         painter.rect_filled(rect, 0.0, CANVAS);
-        if background[3] < 1.0 {
-            checkerboard(&painter, rect);
+        if self.doc.is_none() {
+            return;
         }
-        if let Some(texture) = &self.view.texture {
-            painter.image(texture.id(), rect, Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0)), Color32::WHITE);
-        }
-        let Some(projector) = self.projector() else { return };
+        let Some(projector) = self.projector() else {
+            self.view.delay.draw(&painter, rect, false);
+            self.gizmo_bar(ui, rect);
+            return;
+        };
         let pointer = response.hover_pos().filter(|p| rect.contains(*p));
-        let on_cube = cube::draw(&painter, rect, &projector, pointer.filter(|_| self.gesture.is_none()));
-        edge_letters(&painter, rect, projector.frame.right.normalize_or_zero(), projector.frame.up.normalize_or_zero());
-        let target = self.doc.as_ref().map_or(Vec3::ZERO, |d| d.scene.camera.target.map_or_else(|| d.bounds().center(), Vec3::from));
-        scale_bar(&painter, rect, projector.mm_per_point(target));
-        self.draw_measures(&painter, &projector);
+        let mut on_cube = None;
+        if let Some(picture) = &self.view.picture {
+            if picture.of.scene.render.background[3] < 1.0 {
+                checkerboard(&painter, rect);
+            }
+            shown::image(&painter, &picture.texture, projector.rect);
+            on_cube = cube::draw(&painter, rect, &projector, pointer.filter(|_| self.gesture.is_none()));
+            edge_letters(&painter, rect, projector.frame.right.normalize_or_zero(), projector.frame.up.normalize_or_zero());
+            let target = picture.of.scene.camera.target.map_or_else(|| picture.of.assets.scene_box().center(), Vec3::from);
+            scale_bar(&painter, rect, projector.mm_per_point(target));
+            self.draw_measures(&painter, &projector, picture);
+        }
         let hot = self.draw_gizmo(&painter, &projector, pointer);
+        self.view.delay.draw(&painter, rect, true);
         self.draw_progress(&painter, rect);
         self.draw_hint(&painter, rect);
         if !self.view.lasso.is_empty() {
@@ -319,7 +385,7 @@ impl Workstation {
         let delta = response.drag_delta();
         match self.gesture.clone() {
             Some(Gesture::Orbit) => self.orbit(delta.x, delta.y),
-            Some(Gesture::Pan) => self.pan(delta.x, delta.y, projector),
+            Some(Gesture::Pan) => self.pan(delta.x, delta.y, self.view.rect),
             Some(Gesture::Zoom) => self.zoom((-delta.y * 0.01).exp()),
             Some(Gesture::Roll) => {
                 let center = projector.rect.center();
@@ -331,7 +397,7 @@ impl Workstation {
                 }
             }
             Some(Gesture::Gizmo(drag)) => {
-                if let Some(moved) = self.with_gizmo(projector, |g| g.dragged(&drag, pos)).flatten()
+                if let Some(moved) = self.gizmo(projector).and_then(|g| g.dragged(&drag, pos))
                     && let Some(d) = self.doc.as_mut().and_then(super::super::document::Document::deformation)
                 {
                     *d = moved;
@@ -344,7 +410,7 @@ impl Workstation {
         }
         if response.drag_stopped() {
             match self.gesture.take() {
-                Some(Gesture::Lasso) => self.finish_lasso(projector),
+                Some(Gesture::Lasso) => self.finish_lasso(),
                 Some(Gesture::Brush) => self.ask(projector.at(pos), Purpose::Brush { last: true }),
                 _ => {}
             }
@@ -357,12 +423,16 @@ impl Workstation {
         if left && plain {
             // What was under the pointer when it was pressed: a fast drag is elsewhere by the time it is one.
             let grabbed = self.tool == Tool::Navigate && !self.is_before();
-            if let Some(drag) = self.with_gizmo(projector, |g| g.under(origin).filter(|_| grabbed).map(|h| g.grab(h, origin))).flatten() {
-                self.gesture = Some(Gesture::Gizmo(Box::new(drag)));
+            if let Some((gizmo, handle)) = self.gizmo(projector).filter(|_| grabbed).and_then(|g| g.under(origin).map(|h| (g, h))) {
+                // One that has changed since the picture was made is not where its handles are.
+                if self.is_as_shown(gizmo.deformation) {
+                    self.gesture = Some(Gesture::Gizmo(Box::new(gizmo.grab(handle, origin))));
+                }
                 return;
             }
             if self.tool.is_lasso() {
                 self.view.lasso = vec![origin];
+                self.view.lasso_on = Some(*projector);
                 self.gesture = Some(Gesture::Lasso);
                 return;
             }
@@ -410,7 +480,7 @@ impl Workstation {
             return;
         }
         let at = projector.at(pos);
-        let asked = (at, self.edits);
+        let asked = (at, self.view.pictures);
         if self.view.hover_asked != Some(asked) {
             self.view.hover_asked = Some(asked);
             self.ask(at, Purpose::Hover);
@@ -427,9 +497,12 @@ impl Workstation {
         camera.view.elevation_deg = (camera.view.elevation_deg + dy * ORBIT).clamp(-90.0, 90.0);
     }
 
-    /// Shifts the camera by a drag.
-    pub fn pan(&mut self, dx: f32, dy: f32, projector: &Projector) {
+    /// Shifts the camera by a drag in a view: the scene's camera, which the picture may not have followed yet.
+    pub fn pan(&mut self, dx: f32, dy: f32, rect: Rect) {
+        let size = self.view.size();
         let Some(doc) = &mut self.doc else { return };
+        let Ok(frame) = doc.scene.camera.frame(&doc.bounds(), size) else { return };
+        let projector = Projector { frame, rect };
         let bounds = doc.bounds();
         let target = doc.scene.camera.target.map_or_else(|| bounds.center(), Vec3::from);
         let mm = projector.mm_per_point(target);
@@ -473,11 +546,26 @@ impl Workstation {
         }
     }
 
-    fn with_gizmo<T>(&self, projector: &Projector, f: impl FnOnce(&Gizmo) -> T) -> Option<T> {
+    /// The handles of the selected deformation as the picture shows it; one that is dragged is as it has become.
+    fn gizmo(&self, projector: &Projector) -> Option<Gizmo<'_>> {
         let doc = self.doc.as_ref()?;
-        let d = &doc.scene.deformation[doc.deformation_index()?];
-        let kind = gizmos::kind_of(d).filter(|k| k.name != "brush" && !k.locked_to_view)?;
-        Some(f(&Gizmo { projector: *projector, kind, deformation: d, scene_box: doc.bounds(), mode: self.view.gizmo }))
+        let picture = self.view.picture.as_ref()?;
+        let n = doc.deformation_index()?;
+        let (own, seen) = (&doc.scene.deformation, &picture.of.scene.deformation);
+        let deformation = match &self.gesture {
+            Some(Gesture::Gizmo(_)) => own.get(n)?,
+            // Deformations that were added, taken away or moved since have other places in the list.
+            _ if own.len() == seen.len() && own.iter().zip(seen).all(|(a, b)| a.kind == b.kind) => seen.get(n)?,
+            _ => return None,
+        };
+        let kind = gizmos::kind_of(deformation).filter(|k| k.name != "brush" && !k.locked_to_view)?;
+        Some(Gizmo { projector: *projector, kind, deformation, scene_box: picture.of.assets.scene_box(), mode: self.view.gizmo })
+    }
+
+    /// Whether the selected deformation is still the one that the picture shows.
+    fn is_as_shown(&self, seen: &Deformation) -> bool {
+        let own = self.doc.as_ref().and_then(|d| d.scene.deformation.get(d.deformation_index()?));
+        own.is_some_and(|own| *own == Deformation { enabled: own.enabled, ..seen.clone() })
     }
 
     /// Draws the selected deformation's handles; the one under the pointer.
@@ -489,12 +577,10 @@ impl Workstation {
             Some(Gesture::Gizmo(drag)) => Some(drag.handle),
             _ => None,
         };
-        self.with_gizmo(projector, |g| {
-            let hot = dragged.or_else(|| pointer.filter(|_| self.gesture.is_none()).and_then(|p| g.under(p)));
-            g.draw(painter, hot);
-            hot
-        })
-        .flatten()
+        let gizmo = self.gizmo(projector)?;
+        let hot = dragged.or_else(|| pointer.filter(|_| self.gesture.is_none()).and_then(|p| gizmo.under(p)));
+        gizmo.draw(painter, hot);
+        hot
     }
 
     /// The choice of handles, in the lower left corner.
@@ -527,17 +613,21 @@ impl Workstation {
     }
 
     fn draw_hint(&self, painter: &Painter, rect: Rect) {
-        let hint = if self.is_before() { "Undeformed".to_owned() } else { self.tool.hint() };
+        let undeformed = self.view.picture.as_ref().is_some_and(|p| p.of.undeformed);
+        let hint = if undeformed { "Undeformed".to_owned() } else { self.tool.hint() };
         if !hint.is_empty() {
             text(painter, pos2(rect.left() + 12.0, rect.top() + 10.0), Align2::LEFT_TOP, hint, 13.5, ON_CANVAS);
         }
     }
 
-    fn draw_measures(&self, painter: &Painter, projector: &Projector) {
-        let selected = self.doc.as_ref().map(|d| d.selected);
-        for (n, measured) in self.measured.iter().enumerate() {
+    fn draw_measures(&self, painter: &Painter, projector: &Projector, picture: &OnScreen) {
+        let selected = self.doc.as_ref().and_then(|d| match d.selected {
+            Selection::Measure(n) => d.scene.measure.get(n),
+            _ => None,
+        });
+        for measured in picture.measured.iter().flatten() {
             let points: Vec<Pos2> = measured.seen.iter().flatten().filter_map(|p| projector.screen(*p)).collect();
-            let color = if selected == Some(Selection::Measure(n)) { SELECTED } else { Color32::from_rgb(250, 225, 120) };
+            let color = if selected == Some(&measured.measure) { SELECTED } else { Color32::from_rgb(250, 225, 120) };
             draw_points(painter, &points, color);
             let words =
                 measured.quantities.as_ref().ok().and_then(|q| q.first()).and_then(|q| q.value.map(|v| super::super::panels::number(v, q.unit)));
@@ -555,9 +645,9 @@ impl Workstation {
     }
 
     /// The drawn outline becomes a cut, or puts matter back.
-    fn finish_lasso(&mut self, projector: &Projector) {
+    fn finish_lasso(&mut self) {
         let outline = std::mem::take(&mut self.view.lasso);
-        let Some(doc) = &self.doc else { return };
+        let (Some(doc), Some(projector)) = (&self.doc, self.view.lasso_on.take()) else { return };
         if outline.len() < 3 || area(&outline) < 25.0 {
             return;
         }

@@ -2,7 +2,7 @@
 //! how it becomes a volume that can be shown.
 
 use super::super::colors::{self, Colors, Label};
-use super::super::{Rescale, Volume, Voxels};
+use super::super::{Misplaced, Rescale, Volume, Voxels};
 use super::Choice;
 use crate::{Error, Result};
 use glam::{DAffine3, DMat3, DVec3};
@@ -75,6 +75,8 @@ pub struct Image {
     pub displacement: bool,
     /// The reader has read the channel that was chosen, and no other.
     pub channel_taken: bool,
+    /// Slices that lie elsewhere than on the even grid that they are shown on.
+    pub misplaced: Option<Misplaced>,
     /// What else the file says of itself, for `info`.
     pub details: Vec<(&'static str, Value)>,
     /// What was odd, one sentence each.
@@ -99,6 +101,7 @@ impl Image {
             frame: None,
             displacement: false,
             channel_taken: false,
+            misplaced: None,
             details: Vec::new(),
             warnings: Vec::new(),
         }
@@ -135,6 +138,7 @@ impl Image {
         volume.source_type = source_type;
         volume.format = self.format;
         volume.inverted = self.inverted;
+        volume.misplaced = self.misplaced;
         volume.details = self.details;
         // What is quoted of a file may hold anything.
         volume.warnings = self.warnings.into_iter().map(|w| w.replace(char::is_control, " ")).collect();

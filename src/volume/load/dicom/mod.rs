@@ -14,7 +14,7 @@ pub use scan::is_dicom;
 use super::image::{Image, Meaning};
 use super::source::{usable, zeroed};
 use super::{Choice, Voxels};
-use crate::volume::Rescale;
+use crate::volume::{Misplaced, Rescale};
 use crate::{Error, Meter, Result, Watch};
 use glam::{DAffine3, DMat3, DVec3};
 use pixels::{Pixel, check_syntax, decode, most_ratio, syntax_name};
@@ -281,9 +281,11 @@ struct Placement {
     /// Position of every slice in slices from the first one; whole numbers where they are even.
     at: Vec<f64>,
     even: bool,
+    /// Furthest that a slice lies from the even grid: along the normal, and aside, mm.
+    off_mm: [f64; 2],
 }
 
-fn placement(frames: &[&Frame], object: &Object, warnings: &mut Vec<String>) -> Placement {
+fn placement(frames: &[&Frame], object: &Object, resample: bool, warnings: &mut Vec<String>) -> Placement {
     let (first, last) = (frames[0], frames[frames.len() - 1]);
     let n = frames.len();
     let [columns, rows] = first.spacing;
@@ -320,6 +322,7 @@ fn placement(frames: &[&Frame], object: &Object, warnings: &mut Vec<String>) -> 
     let mm = step.dot(unit);
     let off_grid = |a: &f64| (a - a.round()).abs() * mm > UNEVEN[0].max(0.05 * mm);
     let uneven = if object.segmentation { along.iter().any(off_grid) } else { gaps.iter().any(|g| (g - mm).abs() > UNEVEN[0].max(UNEVEN[1] * mm)) };
+    let off = along.iter().enumerate().map(|(k, a)| (a - k as f64).abs() * mm).fold(0.0, f64::max);
     if uneven {
         let mut by_size = gaps.clone();
         by_size.sort_by(f64::total_cmp);
@@ -335,27 +338,31 @@ fn placement(frames: &[&Frame], object: &Object, warnings: &mut Vec<String>) -> 
         if !missing.is_empty() && gaps.iter().all(|g| whole(*g)) {
             let count: f64 = missing.iter().map(|&k| (gaps[k] / usual).round() - 1.0).sum();
             warnings.push(format!(
-                "{count} slices of {usual:.2} mm are missing between the positions {} mm along the normal; the rest is stretched over the gap (--resample interpolates instead)",
-                list(&missing)
+                "{count} slices of {usual:.2} mm are missing between the positions {} mm along the normal{}",
+                list(&missing),
+                if resample { "" } else { "; the rest is stretched over the gap" }
             ));
         } else {
             let odd: Vec<usize> = (0..gaps.len()).filter(|&k| (gaps[k] - usual).abs() > UNEVEN[0].max(UNEVEN[1] * usual)).collect();
-            let off = along.iter().enumerate().map(|(k, a)| (a - k as f64).abs() * mm).fold(0.0, f64::max);
+            let instead = format!("; the mean of {mm:.2} mm is taken, which is off by up to {off:.2} mm");
             warnings.push(format!(
-                "its slices are {:.2} to {:.2} mm apart (unlike the usual {usual:.2} mm between the positions {} mm along the normal); the mean of {mm:.2} mm is taken, which is off by up to {off:.2} mm (--resample interpolates instead)",
+                "its slices are {:.2} to {:.2} mm apart (unlike the usual {usual:.2} mm between the positions {} mm along the normal){}",
                 by_size[0],
                 by_size[by_size.len() - 1],
-                list(&odd)
+                list(&odd),
+                if resample { "" } else { &instead }
             ));
         }
     }
     // Slices that do not lie on one line.
     let aside = frames.iter().zip(&along).filter_map(|(f, a)| Some((f.position? - start - step * *a).length())).fold(0.0, f64::max);
-    if aside > 0.5 * columns.min(rows) {
+    let is_aside = aside > 0.5 * columns.min(rows);
+    if is_aside {
         warnings.push(format!("its slices do not lie behind one another: they are off by up to {aside:.2} mm"));
     }
     let matrix3 = DMat3::from_cols(first.along[0] * columns, first.along[1] * rows, step);
-    Placement { world_from_voxel: DAffine3 { matrix3, translation: start }, at: along, even: !uneven }
+    let off_mm = [if uneven { off } else { 0.0 }, if is_aside { aside } else { 0.0 }];
+    Placement { world_from_voxel: DAffine3 { matrix3, translation: start }, at: along, even: !uneven, off_mm }
 }
 
 /// The volume of a sorted set of frames.
@@ -375,7 +382,7 @@ fn volume(path: &Path, objects: &[Object], frames: &[Frame], choice: &Choice, wa
         }
         slot.push(slices.len() - 1);
     }
-    let placement = placement(&slices, object, warnings);
+    let placement = placement(&slices, object, choice.resample, warnings);
     let format = &object.format;
     let mut depth = slices.len();
     if object.segmentation && placement.even {
@@ -429,6 +436,11 @@ fn volume(path: &Path, objects: &[Object], frames: &[Frame], choice: &Choice, wa
         if choice.resample {
             evened(path, &mut image, &placement, warnings)?;
         }
+    }
+    let [along, aside] = placement.off_mm;
+    let along = if choice.resample { 0.0 } else { along };
+    if along.max(aside) > 0.0 {
+        image.misplaced = Some(Misplaced { by_mm: along.max(aside), resampling_helps: along > 0.0 && components == 1 });
     }
     Ok(image)
 }

@@ -1,0 +1,136 @@
+//! Settings of kinds that are not sliders: how each is written, and what cannot be one.
+
+use crate::deform::Argument;
+
+/// A named setting that is no number of the kind.
+pub struct Setting {
+    /// What people type.
+    pub name: &'static str,
+    /// How it is written.
+    pub form: Form,
+    /// What it is and what it is by default, one line for lists.
+    pub about: &'static str,
+}
+
+/// How a setting is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Form {
+    /// `true` or `false`, which is the default.
+    Flag,
+    /// One of some words, of which the first is the default.
+    Choice(&'static [&'static str]),
+    /// One of some words, or nothing.
+    OneOf(&'static [&'static str]),
+    /// One number.
+    Number,
+    /// Whole numbers from 0 on.
+    Whole,
+    /// Rows of so many numbers.
+    Rows(usize),
+    /// The same, or a `.csv` file of them.
+    RowsOrFile(usize),
+    /// A file.
+    File,
+    /// A file, or several.
+    Files,
+    /// Any words.
+    Words,
+}
+
+impl Setting {
+    /// What a text that was typed for it comes to; none of an empty one, which is the default.
+    ///
+    /// # Errors
+    /// What is wrong with the text and what to write instead, in one line.
+    pub fn parse(&self, text: &str) -> Result<Option<Argument>, String> {
+        let text = text.trim();
+        if text.is_empty() {
+            return Ok(None);
+        }
+        let words: Vec<&str> = text.split([',', ';']).map(str::trim).filter(|w| !w.is_empty()).collect();
+        let number = |w: &&str| w.parse::<f32>().ok().filter(|v| v.is_finite());
+        let numbers: Option<Vec<f32>> = words.iter().map(number).collect();
+        let is_file = |w: &str| w.contains(['.', '/', '\\', ':']) && number(&w).is_none();
+        let argument = match self.form {
+            Form::Flag => match text {
+                "true" => Argument::Flag(true),
+                "false" => Argument::Flag(false),
+                _ => return Err(format!("\"{text}\" is neither true nor false")),
+            },
+            Form::Choice(all) | Form::OneOf(all) if all.contains(&text) => Argument::Text(text.to_owned()),
+            Form::Choice(all) | Form::OneOf(all) => return Err(format!("\"{text}\" is not one of: {}", all.join(", "))),
+            Form::Number => match numbers.as_deref() {
+                Some([v]) => Argument::Number(*v),
+                _ => return Err(format!("\"{text}\" is not a number")),
+            },
+            Form::Whole => match numbers {
+                Some(v) if v.iter().all(|v| *v >= 0.0 && v.fract() == 0.0) => one_or_more(v),
+                _ if words.iter().any(|w| is_file(w)) => {
+                    return Err(format!("\"{text}\" is a file; whole numbers belong here, like 3 or 1, 4"));
+                }
+                _ => return Err(format!("\"{text}\" is not made of whole numbers; write 3, or 1, 4")),
+            },
+            Form::RowsOrFile(_) if words.len() == 1 && is_file(words[0]) => Argument::Text(text.to_owned()),
+            Form::Rows(each) | Form::RowsOrFile(each) => match numbers {
+                Some(v) if v.len() % each == 0 => Argument::Numbers(v),
+                Some(v) => return Err(format!("{} numbers are not rows of {each}", v.len())),
+                None => return Err(format!("\"{text}\" is not made of numbers; write rows of {each}, all separated by commas")),
+            },
+            Form::Files if words.len() > 1 => Argument::Texts(words.iter().map(|w| (*w).to_owned()).collect()),
+            Form::File | Form::Files | Form::Words => Argument::Text(text.to_owned()),
+        };
+        Ok(Some(argument))
+    }
+
+    /// The files that a value of it names.
+    pub fn files<'a>(&self, argument: &'a Argument) -> Vec<&'a str> {
+        match (self.form, argument) {
+            (Form::File | Form::Files | Form::RowsOrFile(_), Argument::Text(file)) => vec![file],
+            (Form::Files, Argument::Texts(files)) => files.iter().map(String::as_str).collect(),
+            _ => Vec::new(),
+        }
+    }
+}
+
+fn one_or_more(v: Vec<f32>) -> Argument {
+    match v[..] {
+        [one] => Argument::Number(one),
+        _ => Argument::Numbers(v),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_cannot_be_a_setting_is_refused() {
+        let of = |form| Setting { name: "x", form, about: "" };
+        let whole = of(Form::Whole);
+        assert_eq!(whole.parse(" 3 "), Ok(Some(Argument::Number(3.0))));
+        assert_eq!(whole.parse("1, 4"), Ok(Some(Argument::Numbers(vec![1.0, 4.0]))));
+        assert_eq!(whole.parse("  "), Ok(None));
+        for (text, word) in [("labels.nii.gz", "is a file"), ("1.5", "whole"), ("-1", "whole"), ("brain", "whole"), ("1, inf", "whole")] {
+            assert!(whole.parse(text).is_err_and(|e| e.contains(word)), "{text}: {:?}", whole.parse(text));
+        }
+        assert!(of(Form::Flag).parse("yes").is_err() && of(Form::Number).parse("1, 2").is_err());
+        assert!(of(Form::Choice(&["or", "and"])).parse("xor").is_err_and(|e| e.contains("or, and")));
+        let rows = of(Form::RowsOrFile(6));
+        assert!(rows.parse("1,2,3").is_err() && rows.parse("p.csv").is_ok() && rows.parse("0,0,0,1,2,3; 4,5,6,7,8,9").is_ok());
+        assert!(of(Form::Rows(6)).parse("p.csv").is_err());
+        let files = of(Form::Files).parse("a.mat, b.nii").unwrap().unwrap();
+        assert_eq!(of(Form::Files).files(&files), ["a.mat", "b.nii"]);
+    }
+
+    /// Every word that a kind's list offers is one that the kind takes.
+    #[test]
+    fn every_choice_is_taken() {
+        for kind in crate::deform::kinds::list() {
+            for setting in kind.settings() {
+                if let Form::Choice(all) = setting.form {
+                    assert!(all.iter().all(|w| setting.parse(w).is_ok()), "{}: {}", kind.name, setting.name);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,45 @@
+//! A bar over the views that stays while slices are shown elsewhere than they were taken, and offers to put them right.
+
+use crate::gui::app::Workstation;
+use eframe::egui::{self, RichText, Ui};
+use egui_phosphor::regular as icon;
+
+impl Workstation {
+    /// The bar, where there is reason for it.
+    pub(in crate::gui) fn show_misplaced(&mut self, ui: &mut Ui) {
+        let Some(misplaced) = self.doc.as_ref().and_then(|d| d.assets.volume.misplaced) else { return };
+        let by = misplaced.by_mm;
+        let words = if misplaced.resampling_helps {
+            format!("The slices are unevenly spaced and are shown as if they were even: positions and lengths are off by up to {by:.1} mm.")
+        } else {
+            format!("The slices do not lie on one even grid: positions and lengths are off by up to {by:.1} mm, which cannot be corrected here.")
+        };
+        let mut resample = false;
+        let frame = egui::Frame::NONE.fill(ui.visuals().extreme_bg_color).inner_margin(egui::Margin::symmetric(10, 5));
+        egui::Panel::top("misplaced").frame(frame).show(ui, |ui| {
+            ui.horizontal_wrapped(|ui| {
+                let color = ui.visuals().warn_fg_color;
+                ui.label(RichText::new(format!("{}  {words}", icon::WARNING)).color(color));
+                if misplaced.resampling_helps {
+                    resample = ui
+                        .button("Resample")
+                        .on_hover_text("Interpolate the slices onto an even grid. Measurements made before are marked")
+                        .clicked();
+                }
+            });
+        });
+        if resample {
+            self.resample();
+        }
+    }
+
+    /// Has the slices interpolated onto an even grid; what was measured before lies elsewhere in the patient then.
+    pub fn resample(&mut self) {
+        let Some(doc) = &mut self.doc else { return };
+        let Some(volume) = &mut doc.scene.volume else { return };
+        volume.choice.resample = true;
+        for measure in &mut doc.scene.measure {
+            measure.before_resampling = true;
+        }
+    }
+}

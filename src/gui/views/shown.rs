@@ -1,0 +1,142 @@
+//! What is on the screen, as opposed to what the scene has become since.
+//!
+//! Pictures arrive late, and some never do. Letters, cube, scale bar, handles and measurements that are drawn over a picture, and every
+//! question about a place in it, go by what that picture was rendered from. A picture that the scene has left behind is veiled, with the reason.
+
+use super::Projector;
+use crate::gui::theme::{CANVAS, ON_CANVAS};
+use crate::gui::worker::Measured;
+use crate::scene::{Assets, Scene, ViewFrame};
+use eframe::egui::{Align, Color32, FontId, Painter, Pos2, Rect, TextureHandle, pos2, vec2};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// A picture may be behind the scene for this long before it is veiled, seconds.
+const PATIENCE: f32 = 0.4;
+/// The veil thickens over this time, seconds.
+const THICKENING: f32 = 0.6;
+
+/// What a view is to show.
+#[derive(Clone)]
+pub struct Wanted {
+    /// The scene, at the view's size.
+    pub scene: Arc<Scene>,
+    /// What it shows.
+    pub assets: Arc<Assets>,
+    /// Without its deformations, for comparison.
+    pub undeformed: bool,
+}
+
+impl Wanted {
+    /// Whether a picture of one is a picture of the other.
+    pub fn is(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.assets, &other.assets) && (Arc::ptr_eq(&self.scene, &other.scene) || self.scene == other.scene)
+    }
+}
+
+/// A picture of the 3D view, with what it is a picture of.
+pub struct OnScreen {
+    /// Its pixels.
+    pub texture: TextureHandle,
+    /// What it shows.
+    pub of: Wanted,
+    /// Its camera.
+    pub frame: ViewFrame,
+    /// Measurements of its scene that have points, by their place in the list.
+    pub measured: Vec<Option<Measured>>,
+    /// The job it came from.
+    pub serial: u64,
+}
+
+impl OnScreen {
+    /// Where it lies in a view: all of it, unless it was made for another shape; it is never stretched.
+    pub fn place(&self, view: Rect, size: [u32; 2]) -> Rect {
+        let own = self.of.scene.render.size;
+        if own == size {
+            return view;
+        }
+        let own = vec2(own[0] as f32, own[1] as f32);
+        Rect::from_center_size(view.center(), own * (view.width() / own.x).min(view.height() / own.y))
+    }
+
+    /// Its camera on the screen.
+    pub fn projector(&self, view: Rect, size: [u32; 2]) -> Projector {
+        Projector { frame: self.frame, rect: self.place(view, size) }
+    }
+}
+
+/// How far a view's picture is behind what it should show.
+#[derive(Clone, Debug, Default)]
+pub struct Delay {
+    since: Option<Instant>,
+    /// Why there is no picture of what should be shown.
+    pub failure: Option<String>,
+}
+
+impl Delay {
+    /// The picture is of what should be shown, or is not.
+    pub fn note(&mut self, current: bool) {
+        if current {
+            *self = Self::default();
+        } else {
+            self.since.get_or_insert_with(Instant::now);
+        }
+    }
+
+    /// Another picture has arrived.
+    pub fn restart(&mut self) {
+        self.since = None;
+    }
+
+    /// How thick the veil is, 0 to 1.
+    fn thickness(&self) -> f32 {
+        if self.failure.is_some() {
+            return 1.0;
+        }
+        self.since.map_or(0.0, |since| ((since.elapsed().as_secs_f32() - PATIENCE) / THICKENING).clamp(0.0, 1.0))
+    }
+
+    /// What is said over the picture, if anything: `there` says whether there is one.
+    pub fn words(&self, there: bool) -> Option<String> {
+        match (&self.failure, there) {
+            (Some(problem), true) => Some(format!("This picture is out of date. The scene cannot be shown as it is now:\n{problem}")),
+            (Some(problem), false) => Some(format!("The scene cannot be shown:\n{problem}")),
+            (None, true) if self.thickness() > 0.0 => Some("Out of date; rendering…".to_owned()),
+            (None, _) => None,
+        }
+    }
+
+    /// Veils a picture that is behind.
+    pub fn draw(&self, painter: &Painter, rect: Rect, there: bool) {
+        let thickness = self.thickness();
+        if there && thickness > 0.0 {
+            let most = if self.failure.is_some() { 150.0 } else { 110.0 };
+            painter.rect_filled(rect, 0.0, Color32::from_black_alpha((most * thickness) as u8));
+        }
+        if let Some(words) = self.words(there) {
+            let color = ON_CANVAS.gamma_multiply(if there { thickness } else { 1.0 });
+            boxed(painter, rect, &words, color);
+        }
+        if self.since.is_some() && self.failure.is_none() && thickness < 1.0 {
+            painter.ctx().request_repaint_after_secs(0.1);
+        }
+    }
+}
+
+/// Lines of text on a dark box in the middle of a view.
+fn boxed(painter: &Painter, rect: Rect, words: &str, color: Color32) {
+    let width = (rect.width() - 60.0).clamp(60.0, 460.0);
+    let mut job = eframe::egui::text::LayoutJob::simple(words.to_owned(), FontId::proportional(14.0), color, width);
+    job.halign = Align::Center;
+    let galley = painter.layout_job(job);
+    let size = galley.rect.size();
+    let middle = rect.center();
+    let around = Rect::from_center_size(middle, size + vec2(24.0, 16.0));
+    painter.rect_filled(around, 5.0, CANVAS.gamma_multiply(f32::from(color.a()) / 255.0 * 0.9));
+    painter.galley(pos2(middle.x, middle.y - size.y / 2.0), galley, color);
+}
+
+/// Draws a texture into a place.
+pub fn image(painter: &Painter, texture: &TextureHandle, place: Rect) {
+    painter.image(texture.id(), place, Rect::from_min_max(Pos2::ZERO, pos2(1.0, 1.0)), Color32::WHITE);
+}
