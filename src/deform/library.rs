@@ -181,16 +181,18 @@ impl Library {
         }
     }
 
-    /// The distance field of labels.
+    /// The distance field of the labels that a setting names.
     ///
     /// # Errors
     /// No voxel has any of the labels (the ones that exist are named).
-    pub fn label_distance(&self, settings: &Arguments, wanted: &[usize]) -> Result<Arc<DistanceGrid>> {
+    pub fn label_distance(&self, settings: &Arguments, setting: &str, wanted: &[usize]) -> Result<Arc<DistanceGrid>> {
         let volume = self.labels(settings)?;
-        let key = format!("{:?} {wanted:?}", settings.text("labels")?);
+        let file = settings.text("labels")?;
+        let key = format!("{file:?} {wanted:?}");
+        let whose = if file.is_some() { "the label map" } else { "the volume, which was taken as the label map for want of labels=FILE," };
         self.distance(key, || {
             of_region(&volume, &Region::Labels(wanted), true)
-                .ok_or_else(|| Error::value("label", format!("{wanted:?}: no voxel has this label; the label map holds {}", some_labels(&volume))))
+                .ok_or_else(|| Error::value(setting, format!("{wanted:?}: no voxel has this label; {whose} holds {}", some_labels(&volume))))
         })
     }
 
@@ -203,7 +205,7 @@ impl Library {
         let mask = settings.text("mask")?;
         let iso = settings.number("iso")?;
         match (label, mask, iso) {
-            (Some(label), None, None) => self.label_distance(settings, &label),
+            (Some(label), None, None) => self.label_distance(settings, "label", &label),
             (None, Some(path), None) => {
                 let volume = self.load_volume(path)?;
                 self.note_distance("the mask", &self.path(path), &volume);

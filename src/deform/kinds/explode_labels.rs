@@ -60,7 +60,7 @@ fn build(c: &Context, inputs: &Inputs) -> Result<Box<dyn Field>> {
     }
     let keep_rest = settings.choice("rest", &["hide", "keep"])? == "keep";
     let volume = inputs.library.labels(settings)?;
-    let fields = labels.iter().map(|l| inputs.library.label_distance(settings, &[*l])).collect::<Result<Vec<_>>>()?;
+    let fields = labels.iter().map(|l| inputs.library.label_distance(settings, "label", &[*l])).collect::<Result<Vec<_>>>()?;
     let middles = middles(&volume, &labels);
     let center = middles.iter().sum::<DVec3>() / middles.len() as f64;
     let farthest = middles.iter().map(|m| m.distance(center)).fold(1e-6, f64::max);

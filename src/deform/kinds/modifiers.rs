@@ -32,7 +32,7 @@ pub(super) fn apply(field: Box<dyn Field>, context: &Context, inputs: &Inputs) -
         field = Box::new(Cylindrical { inner: field, size_mm: context.size_mm, radius: context.half().x.min(context.half().y) });
     }
     if let Some(labels) = inputs.settings.whole("spare")? {
-        let distance = inputs.library.label_distance(inputs.settings, &labels)?;
+        let distance = inputs.library.label_distance(inputs.settings, "spare", &labels)?;
         let fade_mm = 3.0 * context.texel_mm;
         field = Box::new(Spared { inner: field, distance, world_from_local: inputs.world_from_local, fade_mm });
     }

@@ -11,6 +11,8 @@ use eframe::egui::{Align, Color32, FontId, Painter, Pos2, Rect, TextureHandle, p
 use std::sync::Arc;
 use std::time::Instant;
 
+/// Below this width a view says no more than that it is out of date, points.
+const SMALL: f32 = 380.0;
 /// A picture may be behind the scene for this long before it is veiled, seconds.
 const PATIENCE: f32 = 0.4;
 /// The veil thickens over this time, seconds.
@@ -113,7 +115,10 @@ impl Delay {
             let most = if self.failure.is_some() { 150.0 } else { 110.0 };
             painter.rect_filled(rect, 0.0, Color32::from_black_alpha((most * thickness) as u8));
         }
-        if let Some(words) = self.words(there) {
+        if let Some(mut words) = self.words(there) {
+            if there && rect.width() < SMALL {
+                words = "Out of date".to_owned();
+            }
             let color = ON_CANVAS.gamma_multiply(if there { thickness } else { 1.0 });
             boxed(painter, rect, &words, color);
         }

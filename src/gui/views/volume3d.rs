@@ -51,6 +51,8 @@ pub struct View3d {
     pub lasso: Vec<Pos2>,
     /// The camera of the picture that it is drawn on.
     lasso_on: Option<Projector>,
+    /// What the last drag of a handle made of its deformation.
+    dragged: Option<Deformation>,
     hover_asked: Option<([f32; 2], u64)>,
     pixels_per_point: f32,
     /// Pictures that have arrived.
@@ -90,6 +92,7 @@ impl Default for View3d {
             gizmo: GizmoMode::Shape,
             lasso: Vec::new(),
             lasso_on: None,
+            dragged: None,
             hover_asked: None,
             pixels_per_point: 1.0,
             pictures: 0,
@@ -400,6 +403,7 @@ impl Workstation {
                 if let Some(moved) = self.gizmo(projector).and_then(|g| g.dragged(&drag, pos))
                     && let Some(d) = self.doc.as_mut().and_then(super::super::document::Document::deformation)
                 {
+                    self.view.dragged = Some(moved.clone());
                     *d = moved;
                 }
             }
@@ -546,14 +550,17 @@ impl Workstation {
         }
     }
 
-    /// The handles of the selected deformation as the picture shows it; one that is dragged is as it has become.
+    /// The handles of the selected deformation as the picture shows it. Those that are dragged lie under the pointer, and stay where they were
+    /// let go until the picture has followed.
     fn gizmo(&self, projector: &Projector) -> Option<Gizmo<'_>> {
         let doc = self.doc.as_ref()?;
         let picture = self.view.picture.as_ref()?;
         let n = doc.deformation_index()?;
         let (own, seen) = (&doc.scene.deformation, &picture.of.scene.deformation);
+        let let_go = self.view.delay.failure.is_none() && self.view.dragged.as_ref() == own.get(n);
         let deformation = match &self.gesture {
             Some(Gesture::Gizmo(_)) => own.get(n)?,
+            _ if let_go => own.get(n)?,
             // Deformations that were added, taken away or moved since have other places in the list.
             _ if own.len() == seen.len() && own.iter().zip(seen).all(|(a, b)| a.kind == b.kind) => seen.get(n)?,
             _ => return None,
