@@ -1,7 +1,7 @@
 // What every entry point binds, and the functions that read it. lib/ calls these and binds nothing itself.
 
 @group(0) @binding(0) var<uniform> frame: Frame;
-@group(0) @binding(1) var<uniform> maps: array<PlacedMap, 64>;
+@group(0) @binding(1) var<uniform> maps: array<PlacedMap, 65>;
 @group(0) @binding(2) var volume: texture_3d<f32>;
 @group(0) @binding(3) var linear_clamp: sampler;
 @group(0) @binding(4) var table: texture_2d<f32>;

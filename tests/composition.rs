@@ -146,7 +146,7 @@ pub fn tears_are_walked() {
     assert!(d.mean <= STEP && within_8(&picture(&composed), &picture(&exact)) >= 0.999, "{d:?}");
 }
 
-/// Twenty maps and more, on the fly: a GPU shows them as the CPU does, by slices and rays.
+/// Many maps, on the fly: a GPU shows them as the CPU does, by slices and rays.
 #[cfg(feature = "gpu")]
 pub fn many_maps_agree() {
     use incise::scene::Mode;
@@ -161,19 +161,20 @@ pub fn many_maps_agree() {
         scene.deformation.push(d);
     }
     let assets = Assets::load(&scene, &|_, _| ()).unwrap();
-    for mode in [Mode::Raycast, Mode::Slice] {
+    let little = Deformation { resolution: Some(8), progress: Some(0.02), ..Deformation::new("wave") };
+    // Also as many as a pass holds.
+    for (mode, count) in [(Mode::Raycast, 25), (Mode::Slice, 25), (Mode::Raycast, 64)] {
         scene.render.mode = mode;
+        scene.deformation.resize(count, little.clone());
         let prepared = Prepared::new(&scene, &assets).unwrap();
-        assert_eq!((prepared.stack.maps().len(), prepared.composition.is_none()), (25, true));
+        assert_eq!((prepared.stack.maps().len(), prepared.composition.is_none()), (count, true));
         let by_gpu = crate::parity::with_renderer(|r| r.render(&prepared, false, &|_| ()).unwrap()).picture;
         let d = difference(&picture(&prepared), &by_gpu).unwrap();
-        println!("25 maps, {mode:?}: mean {:.4}/255, within 4/255: {:.3} %", d.mean / STEP, 100.0 * d.within_4);
+        println!("{count} maps, {mode:?}: mean {:.4}/255, within 4/255: {:.3} %", d.mean / STEP, 100.0 * d.within_4);
         assert!(d.mean <= 0.5 * STEP && d.within_4 >= 0.995, "{mode:?}: {d:?}");
     }
     // More than a pass holds is refused in a line, and the CPU takes it.
-    for _ in 0..45 {
-        scene.deformation.push(Deformation { resolution: Some(8), progress: Some(0.02), ..Deformation::new("wave") });
-    }
+    scene.deformation.resize(70, little);
     let prepared = Prepared::new(&scene, &assets).unwrap();
     let refusal = crate::parity::with_renderer(|r| r.render(&prepared, false, &|_| ()).err()).map(|e| e.to_string()).unwrap_or_default();
     assert!(refusal.contains("70 deformations") && refusal.contains("64 at once"), "{refusal}");

@@ -12,6 +12,10 @@ use glam::{Affine3A, Mat3, Vec3, Vec3A, Vec4Swizzles};
 /// Where displacements differ by less than this share of a box, a bound by slopes is no better than a box of displacements.
 const SAME: f32 = 0.25;
 
+/// A box that lies partly in a map's cube goes on as two parts, this many times; then as one box around both, so that the work grows with the number
+/// of maps and not with the power of it.
+const FORKS: u32 = 4;
+
 impl PlacedMap {
     /// A box that holds the displacements of the points of a box.
     pub(super) fn displacement_bounds(&self, b: &Bounds) -> Bounds {
@@ -110,6 +114,13 @@ impl Moves {
         beside: Vec3::ZERO,
     };
 
+    /// Of points some of which lie in the cube and some outside of it.
+    fn or_none(&self) -> Self {
+        let all = self.all.union(&Self::NONE.all);
+        let mask = [self.mask[0].min(1.0), self.mask[1].max(1.0)];
+        Self { all, mask, at_center: all.center(), beside: all.size() * 0.5, ..Self::NONE }
+    }
+
     /// Of two maps that are added to each other.
     fn plus(&self, other: &Self) -> Self {
         Self {
@@ -147,27 +158,31 @@ impl Stack {
         // What stands for the maps is not as exact as they are.
         let beside = self.shortcut().map_or(0.0, |s| s.bound_mm);
         let mut grown = |part: &Bounds, alpha: [f32; 2]| found(&part.grown(beside), alpha);
-        self.parts_of(self.maps().len(), deformed, &Moves::NONE, [1.0; 2], &mut grown);
+        self.parts_of(self.maps().len(), FORKS, deformed, &Moves::NONE, [1.0; 2], &mut grown);
     }
 
-    /// Through the first `count` maps; those added to the next one have moved the box `together`.
-    fn parts_of(&self, count: usize, at: &Bounds, together: &Moves, alpha: [f32; 2], found: &mut dyn FnMut(&Bounds, [f32; 2])) {
+    /// Through the first `count` maps, with `forks` left; those added to the next one have moved the box `together`.
+    fn parts_of(&self, count: usize, forks: u32, at: &Bounds, together: &Moves, alpha: [f32; 2], found: &mut dyn FnMut(&Bounds, [f32; 2])) {
         let Some(map) = count.checked_sub(1).map(|n| &self.maps()[n]) else {
             return found(at, alpha);
         };
-        let (inside, outside) = map.moves(at);
-        let mut go_on = |moves: &Moves| {
+        let mut go_on = |moves: &Moves, forks: u32| {
             let alpha = [alpha[0].min(moves.mask[0]), alpha[1].min(moves.mask[1])];
             let together = together.plus(moves);
             if map.added {
-                self.parts_of(count - 1, at, &together, alpha, found);
+                self.parts_of(count - 1, forks, at, &together, alpha, found);
             } else {
-                self.parts_of(count - 1, &together.source(at), &Moves::NONE, alpha, found);
+                self.parts_of(count - 1, forks, &together.source(at), &Moves::NONE, alpha, found);
             }
         };
-        inside.iter().for_each(&mut go_on);
-        if outside {
-            go_on(&Moves::NONE);
+        match map.moves(at) {
+            (None, _) => go_on(&Moves::NONE, forks),
+            (Some(inside), false) => go_on(&inside, forks),
+            (Some(inside), true) if forks == 0 => go_on(&inside.or_none(), 0),
+            (Some(inside), true) => {
+                go_on(&inside, forks - 1);
+                go_on(&Moves::NONE, forks - 1);
+            }
         }
     }
 
@@ -207,7 +222,8 @@ impl Stack {
                 together = 1.0;
             }
         }
-        all
+        // Of hundreds of maps it may be beyond every number.
+        all.min(f32::MAX)
     }
 
     /// The box that holds the deformed scene: the source's box and every cube into which a map can bring its matter.
@@ -243,6 +259,15 @@ mod tests {
         let (got, _) = Stack::new(vec![map]).source_bounds(&b);
         let want = b.transformed(&Affine3A::from_mat3(linear));
         assert!(got.grown(1e-3).contains(&want) && want.grown(0.1).contains(&got), "{got:?} for {want:?}");
+    }
+
+    /// The work grows with the number of maps, although a box may lie partly in the cube of each.
+    #[test]
+    fn a_box_goes_on_as_few_parts() {
+        let maps = super::super::stack::tests::stack().maps().repeat(100);
+        let mut parts = 0;
+        Stack::new(maps).source_parts(&Bounds::new(Vec3::splat(-200.0), Vec3::splat(200.0)), &mut |_, _| parts += 1);
+        assert_eq!(parts, 1 << FORKS);
     }
 
     /// Where no mask is said to vary there is neither a cut nor a slope of one; no Jacobian is steeper than the steepest.

@@ -15,8 +15,8 @@ use crate::math::lanes::*;
 use glam::{Mat3, Vec3, Vec4, Vec4Swizzles};
 use std::sync::Arc;
 
-/// The most maps that one pass on a GPU evaluates: what a uniform buffer of 16 KiB, the least that every device has, holds the placements of. The CPU
-/// takes any number.
+/// The most maps that one pass on a GPU evaluates, besides the one that may stand for all of them: a uniform buffer of 16 KiB, the least that every
+/// device has, holds their placements. The CPU takes any number.
 pub const MAX_MAPS: usize = 64;
 
 /// A map in its place.
@@ -532,9 +532,10 @@ pub(super) mod tests {
         /// The box walk is conservative: every source point of a box lies in the box's image, and no mask exceeds the bound.
         #[test]
         fn source_bounds_hold(corner in prop::array::uniform3(-50.0f32..50.0), edge in 0.5f32..20.0, at in prop::array::uniform3(0.0f32..1.0),
-                              added: bool) {
+                              added: bool, times in 1usize..5) {
             let mut s = stack();
             s.maps[1].added = added;
+            s = Stack::new(s.maps.repeat(times));
             let low = Vec3::from(corner);
             let p = low + Vec3::from(at) * edge;
             let (b, [least, most]) = s.source_bounds(&Bounds::new(low, low + edge));

@@ -4,7 +4,7 @@
 use super::atlas::Atlas;
 use super::prepare::{MapBounds, SampledMap};
 use super::surfaces::{KeptObject, Layer};
-use super::uniforms::{CutShapeUniform, FrameUniform, PlacedMapUniform};
+use super::uniforms::{CutShapeUniform, FrameUniform, PLACED_MAPS, PlacedMapUniform};
 use super::work::{Made, Tally};
 use super::{Renderer, extent};
 use crate::deform::cut::MAX_CUTS;
@@ -285,17 +285,15 @@ impl Renderer {
     ///
     /// # Errors
     /// More maps than a pass evaluates, or than the device holds.
-    pub(super) fn upload_maps(&self, stack: &Stack) -> Result<([wgpu::TextureView; 2], [PlacedMapUniform; MAX_MAPS], bool)> {
-        let count = stack.all_maps().count();
+    pub(super) fn upload_maps(&self, stack: &Stack) -> Result<([wgpu::TextureView; 2], [PlacedMapUniform; PLACED_MAPS], bool)> {
+        let count = stack.maps().len();
         if count > MAX_MAPS {
-            return Err(Error::GpuLimit(format!(
-                "the scene has {count} deformations, and a GPU takes {MAX_MAPS} at once; use --backend cpu, or --precompose"
-            )));
+            return Err(Error::GpuLimit(format!("the scene has {count} deformations, and a GPU takes {MAX_MAPS} at once; use --backend cpu")));
         }
         let (views, places, replaced) = self.place_maps(stack)?;
         self.forget_maps(stack);
         let sizes = [&views[0], &views[1]].map(|v| v.texture().size());
-        let mut uniforms = [bytemuck::Zeroable::zeroed(); MAX_MAPS];
+        let mut uniforms = [bytemuck::Zeroable::zeroed(); PLACED_MAPS];
         for ((uniform, map), place) in uniforms.iter_mut().zip(stack.all_maps()).zip(places) {
             let size = sizes[usize::from(place.single)];
             *uniform = PlacedMapUniform::new(map, place.origin, place.single, [size.width, size.height, size.depth_or_array_layers]);

@@ -89,6 +89,9 @@ impl CutShapeUniform {
     }
 }
 
+/// The placements that a pass binds: of its maps, and of the one that may stand for all of them.
+pub const PLACED_MAPS: usize = MAX_MAPS + 1;
+
 /// `PlacedMap` of the shaders.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
