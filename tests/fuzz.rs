@@ -4,6 +4,7 @@
 //!
 //! `INCISE_FUZZ_SCENES` says how many (300 by default), `INCISE_FUZZ_FIRST` which is the first: any scene can be made again by its number.
 
+#[cfg(feature = "gpu")]
 use crate::metrics::{STEP, difference};
 use incise::deform::kinds::{self, Kind};
 use incise::math::Bounds;

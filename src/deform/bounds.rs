@@ -264,9 +264,8 @@ mod tests {
     /// The work grows with the number of maps, although a box may lie partly in the cube of each.
     #[test]
     fn a_box_goes_on_as_few_parts() {
-        let maps = super::super::stack::tests::stack().maps().repeat(100);
         let mut parts = 0;
-        Stack::new(maps).source_parts(&Bounds::new(Vec3::splat(-200.0), Vec3::splat(200.0)), &mut |_, _| parts += 1);
+        super::super::stack::tests::stack().repeated(100).source_parts(&Bounds::new(Vec3::splat(-200.0), Vec3::splat(200.0)), &mut |_, _| parts += 1);
         assert_eq!(parts, 1 << FORKS);
     }
 

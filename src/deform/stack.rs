@@ -528,6 +528,13 @@ pub(super) mod tests {
         Stack::new(vec![swirl, push])
     }
 
+    impl Stack {
+        /// Its maps over and over.
+        pub(in crate::deform) fn repeated(&self, times: usize) -> Stack {
+            Stack::new(std::iter::repeat_n(&self.maps, times).flatten().cloned().collect())
+        }
+    }
+
     proptest! {
         /// The box walk is conservative: every source point of a box lies in the box's image, and no mask exceeds the bound.
         #[test]
@@ -535,7 +542,7 @@ pub(super) mod tests {
                               added: bool, times in 1usize..5) {
             let mut s = stack();
             s.maps[1].added = added;
-            s = Stack::new(s.maps.repeat(times));
+            s = s.repeated(times);
             let low = Vec3::from(corner);
             let p = low + Vec3::from(at) * edge;
             let (b, [least, most]) = s.source_bounds(&Bounds::new(low, low + edge));

@@ -8,7 +8,7 @@
 //!   since a reader needs a length and a device has no end.
 //! - **Nothing is read without a bound.** Texts have a largest size, compressed streams a largest growth, large arrays are refused while there is
 //!   memory left to say so ([`memory`]).
-//! - **A file does not reach outside its own folder** unless the user allows it ([`reference`]).
+//! - **A file does not reach outside its own folder** unless the user allows it ([`mod@reference`]).
 
 pub mod input;
 pub mod inputs;

@@ -311,7 +311,8 @@ pub struct RenderSettings {
     /// Shift each pixel's samples along its ray by a fixed pseudo-random part of a step: the rings of a coarse step become fine grain.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub jitter: bool,
-    /// Compose all deformations into one map that is this exact, mm: the cost of a picture no longer depends on their number.
+    /// Let one map stand for all deformations wherever it is this exact, mm; elsewhere, as along tears, each of them is evaluated. The cost of a
+    /// picture then depends little on their number.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub precompose: Option<f32>,
 }
