@@ -39,7 +39,7 @@ pub enum Error {
     /// No graphics adapter, or one that cannot do the work.
     #[error("GPU: {0}")]
     Gpu(String),
-    /// A scene that a graphics adapter which works cannot take; the CPU can.
+    /// The scene exceeds a limit of a working graphics adapter; the CPU can render it.
     #[error("GPU: {0}")]
     GpuLimit(String),
 }

@@ -93,7 +93,7 @@ pub fn bad_input_is_named_and_leaves_no_file() {
         assert_eq!(std::fs::read_dir(f).unwrap().count(), before, "{arguments:?} left a file");
     }
     for (place, culprit) in
-        [("no/such/folder/out.png", "there is no folder no/such/folder"), (".", "."), ("out.jpg", "png"), ("/proc/out.png", "/proc/out.png")]
+        [("no/such/folder/out.png", "the folder no/such/folder does not exist"), (".", "."), ("out.jpg", "png"), ("/proc/out.png", "/proc/out.png")]
     {
         let output = incise(f, &["render", "good.nii", "-o", place, "--backend", "cpu"]);
         assert_eq!(output.status.code(), Some(1), "{place}");

@@ -204,10 +204,10 @@ pub fn every_writer_into_every_place() {
         let protected = place("protected");
         std::fs::write(&protected, "old").unwrap();
         std::fs::set_permissions(&protected, std::fs::Permissions::from_mode(0o444)).unwrap();
-        refused(&protected, "write-protected");
+        refused(&protected, "read-only");
         let link = place("link-to-protected");
         symlink(&protected, &link).unwrap();
-        refused(&link, "write-protected");
+        refused(&link, "read-only");
 
         // A link leads to what is replaced, and stays a link; one that leads nowhere is where it leads.
         std::fs::create_dir(f.join("elsewhere")).unwrap();
@@ -433,9 +433,9 @@ pub fn every_reader_of_every_kind_of_file() {
     std::os::unix::net::UnixListener::bind(f.join("socket")).unwrap();
     let mut tried = 0;
     for (kind, word) in [
-        ("zero", "no ordinary file"),
-        ("pipe", "no ordinary file"),
-        ("socket", "no ordinary file"),
+        ("zero", "not a regular file"),
+        ("pipe", "not a regular file"),
+        ("socket", "not a regular file"),
         ("folder", ""),
         ("bomb", ""),
         ("huge", ""),

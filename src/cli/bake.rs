@@ -101,7 +101,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     })?;
     bar.finish();
     if cut > 0 && !arguments.quiet {
-        super::tell(format_args!("{cut} points of the field are cut away; a field cannot say so, and goes on there as beside the cut"));
+        super::tell(format_args!(
+            "{cut} points of the field lie in cuts, which a displacement field cannot hold; the displacements around them were continued there"
+        ));
     }
     Ok(())
 }

@@ -88,7 +88,7 @@ pub struct Common {
     /// A deformation, applied after those of the scene; repeatable, in order.
     #[arg(long, value_name = "KIND[:name=value,...]")]
     deform: Vec<OsString>,
-    /// Let one map stand for all deformations wherever it is this exact, mm.
+    /// Replace all deformations by one precomputed map wherever its error is at most this, mm.
     #[arg(long, value_name = "MM")]
     precompose: Option<f32>,
     /// Value of the volume whose surface is shown (mode surface; data units).

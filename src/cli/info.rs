@@ -209,8 +209,8 @@ fn plain(report: &Value) -> String {
 fn notes(kind: &Kind) -> &'static str {
     match (kind.progressive, matches!(kind.size, DefaultSize::Across(_))) {
         (true, false) => "; progress=0..1",
-        (true, true) => "; progress=0..1; no size: it reaches across everything",
-        (false, true) => "; no size: it reaches across everything",
+        (true, true) => "; progress=0..1; no size: it affects the whole scene",
+        (false, true) => "; no size: it affects the whole scene",
         (false, false) => "",
     }
 }
@@ -222,8 +222,8 @@ pub fn catalogue() -> String {
         out.push_str(&format!("  {:<22} {}\n", p.name, p.about));
     }
     out.push_str(
-        "\nDeformations (--deform KIND:name=value,...); every kind takes center, size, rotate, storage, resolution, add, spare, labels, mapping,\n\
-         but for size where it says so, and for field and map\n",
+        "\nDeformations (--deform KIND:name=value,...); every kind except field and map accepts center, size, rotate, storage,\n\
+         resolution, add, spare, labels, mapping (no size where noted)\n",
     );
     for k in kinds::list() {
         out.push_str(&format!("  {:<22} {}{}\n", k.name, k.about, notes(k)));

@@ -126,7 +126,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
                     .ok_or_else(|| Error::value(&what, "makes no map"))?;
                 if !composed.within {
                     note(format!(
-                        "{what}: several transforms in one map; it is up to {:.2} mm off (99 %: {:.2} mm)",
+                        "{what}: the transforms were composed into one map; its error is up to {:.2} mm (99th percentile: {:.2} mm)",
                         composed.worst_mm, composed.p99_mm
                     ));
                 }

@@ -12,7 +12,7 @@ mod render;
 mod sdf;
 
 use crate::scene::file::schema;
-use crate::{Result, files};
+use crate::{Error, Result, files};
 use clap::{Parser, Subcommand};
 use std::io::Write;
 use std::process::ExitCode;
@@ -26,7 +26,7 @@ struct Cli {
     command: Option<Command>,
     /// A scene, a volume or a mesh to open in the workstation.
     file: Option<std::path::PathBuf>,
-    /// Let files name files outside of their own folders (headers of detached values, glTF), and follow links out of folders that are read.
+    /// Allow input files to refer to files outside their own folders (detached headers, glTF), and follow links that lead out of an input folder.
     #[arg(long, global = true)]
     allow_outside: bool,
 }
@@ -114,7 +114,8 @@ pub fn finish(result: Result<()>) -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            tell(error.printable());
+            let remedy = if matches!(error, Error::GpuLimit(_)) { "; use --backend cpu" } else { "" };
+            tell(format_args!("{}{remedy}", error.printable()));
             ExitCode::FAILURE
         }
     }

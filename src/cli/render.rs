@@ -84,7 +84,10 @@ fn outputs(arguments: &Arguments, scene: &Scene) -> Result<(Output, Option<Outpu
         protect(option, path, read.iter().map(PathBuf::as_path).chain([common.input.as_path()]))?;
     }
     if picture == Path::new("-") && common.reports_to_standard_output() {
-        return Err(Error::value("--stats, --json", "standard output takes the picture (-o -); name a file for one of them"));
+        return Err(Error::value(
+            "--stats, --json",
+            "the picture and the report cannot both go to standard output (-o -); write one of them to a file",
+        ));
     }
     if let Some(stats) = common.stats.as_ref().filter(|s| *s != Path::new("-")) {
         check_distinct(picture, "--stats", stats)?;

@@ -96,7 +96,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             ));
         }
         if field.turned > 0 {
-            super::tell(format_args!("{}: {} triangles were turned to face one way", arguments.mesh.display(), field.turned));
+            super::tell(format_args!("{}: {} triangles were flipped to make the orientation consistent", arguments.mesh.display(), field.turned));
         }
     }
     if arguments.json {

@@ -125,7 +125,7 @@ impl Library {
         if gap > 0.0 {
             let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
             self.notice(format!(
-                "{what} {name} lies {gap:.0} mm beside the volume, and has no part in it; check that both are of one patient and one frame of reference"
+                "{what} {name} lies {gap:.0} mm outside the volume and has no effect; check that both belong to the same patient and frame of reference"
             ));
         }
     }
@@ -189,10 +189,10 @@ impl Library {
         let volume = self.labels(settings)?;
         let file = settings.text("labels")?;
         let key = format!("{file:?} {wanted:?}");
-        let whose = if file.is_some() { "the label map" } else { "the volume, which was taken as the label map for want of labels=FILE," };
+        let whose = if file.is_some() { "the label map" } else { "the volume (used as the label map, since labels=FILE is not set)" };
         self.distance(key, || {
             of_region(&volume, &Region::Labels(wanted), true)
-                .ok_or_else(|| Error::value(setting, format!("{wanted:?}: no voxel has this label; {whose} holds {}", some_labels(&volume))))
+                .ok_or_else(|| Error::value(setting, format!("{wanted:?}: no voxel has this label; {whose} contains {}", some_labels(&volume))))
         })
     }
 
@@ -220,7 +220,7 @@ impl Library {
                 self.distance(format!("iso {iso}"), || {
                     of_region(volume, &Region::Body(iso), true).ok_or_else(|| {
                         let [low, high] = volume.range;
-                        Error::value("iso", format!("the volume has no surface at {iso}; its values go from {low} to {high}"))
+                        Error::value("iso", format!("the volume has no surface at {iso}; its values range from {low} to {high}"))
                     })
                 })
             }
@@ -289,7 +289,7 @@ fn some_labels(volume: &Volume) -> String {
     }
     let some: Vec<String> = seen.iter().take(12).map(u32::to_string).collect();
     match (seen.len(), seen.last()) {
-        (0, _) | (_, None) => "none (it is no label map)".into(),
+        (0, _) | (_, None) => "none (it is not a label map)".into(),
         (n, Some(last)) if n > 12 => format!("{} ... {last}", some.join(", ")),
         _ => some.join(", "),
     }

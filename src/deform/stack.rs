@@ -49,8 +49,8 @@ pub struct Stack {
     shortcut: Option<Shortcut>,
 }
 
-/// One map that stands for a whole stack within a bound ([`super::compose::shortcut`]). Where it does not, at tears and cuts, its texels are marked by a
-/// mask beyond all masks, so that any sample that one of them has a part in is, too: there the maps themselves are walked.
+/// One map that stands for a whole stack within a bound ([`super::compose::shortcut`]). Where it does not, at tears and cuts, its texels hold a mask
+/// above every valid one, which marks each sample that interpolates any of them: there the maps themselves are evaluated.
 #[derive(Clone, PartialEq)]
 pub struct Shortcut {
     /// The map, over the cubes of all.

@@ -47,7 +47,7 @@ fn ordinary(path: &Path, metadata: &std::fs::Metadata) -> Result<()> {
     match metadata.file_type() {
         t if t.is_file() => Ok(()),
         t if t.is_dir() => Err(Error::file(path, "is a folder; name a file in it")),
-        _ => Err(Error::file(path, "is no ordinary file (a pipe, socket or device); save its content to a file first")),
+        _ => Err(Error::file(path, "is not a regular file (it is a pipe, a socket or a device); save its content to a file and name that")),
     }
 }
 
@@ -83,7 +83,7 @@ pub fn read_error(path: &Path, e: std::io::Error) -> Error {
         ErrorKind::InvalidInput | ErrorKind::InvalidData | ErrorKind::Other => {
             Error::file(path, format!("its compressed stream is damaged ({e}); copy or download it again"))
         }
-        ErrorKind::OutOfMemory => Error::file(path, "needs more memory than there is; close other programs"),
+        ErrorKind::OutOfMemory => Error::file(path, "needs more memory than is available; close other programs"),
         _ => Error::io(path, "reading", e),
     }
 }
@@ -95,7 +95,7 @@ pub fn read_error(path: &Path, e: std::io::Error) -> Error {
 pub fn bytes(path: &Path, most: u64, what: &str) -> Result<Vec<u8>> {
     let (file, length) = open(path)?;
     if length > most {
-        return Err(Error::file(path, format!("is {length} bytes long, larger than any {what} ({most} bytes at most)")));
+        return Err(Error::file(path, format!("is {length} bytes long, too large for a {what} (at most {most} bytes)")));
     }
     read_all(path, file, length, most, what)
 }
@@ -117,10 +117,7 @@ fn read_all(path: &Path, reader: impl Read, expected: u64, most: u64, what: &str
     let mut all = memory::reserve(path, expected as usize)?;
     grow(path, &mut all, reader, most.saturating_add(1))?;
     if all.len() as u64 > most {
-        return Err(Error::file(
-            path,
-            format!("unpacks to more than {most} bytes, more than any {what} of its size; it is damaged or meant to do harm"),
-        ));
+        return Err(Error::file(path, format!("unpacks to more than {most} bytes, too much for a {what} of its size; it is damaged or malicious")));
     }
     Ok(all)
 }
@@ -154,7 +151,7 @@ fn grow(path: &Path, all: &mut Vec<u8>, reader: impl Read, most: u64) -> Result<
 /// # Errors
 /// As [`bytes`]; bytes that are no UTF-8.
 pub fn text(path: &Path, most: u64, what: &str) -> Result<String> {
-    String::from_utf8(bytes(path, most, what)?).map_err(|_| Error::file(path, format!("is no text (UTF-8), and no {what}")))
+    String::from_utf8(bytes(path, most, what)?).map_err(|_| Error::file(path, format!("is not text in UTF-8, so it is not a {what}")))
 }
 
 #[cfg(test)]
@@ -175,7 +172,7 @@ mod tests {
         std::fs::write(&path, packed).unwrap_or_else(|e| panic!("{e}"));
         let error = unzipped_bytes(&path, 4 << 30, "mesh").err().map(|e| e.to_string()).unwrap_or_default();
         assert!(error.contains("unpacks to more than"), "{error}");
-        assert!(bytes(&path, 10, "list").err().is_some_and(|e| e.to_string().contains("larger than any list")));
+        assert!(bytes(&path, 10, "list").err().is_some_and(|e| e.to_string().contains("too large for a list")));
         assert!(text(&path, 1 << 20, "list").err().is_some_and(|e| e.to_string().contains("no text")));
         assert!(bytes(folder.path(), 10, "list").err().is_some_and(|e| e.to_string().contains("is a folder")));
     }
@@ -187,7 +184,7 @@ mod tests {
         let link = folder.path().join("zero.toml");
         std::os::unix::fs::symlink("/dev/zero", &link).unwrap_or_else(|e| panic!("{e}"));
         for path in [&link, Path::new("/dev/zero")] {
-            assert!(open(path).err().is_some_and(|e| e.to_string().contains("no ordinary file")));
+            assert!(open(path).err().is_some_and(|e| e.to_string().contains("not a regular file")));
         }
     }
 }

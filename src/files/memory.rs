@@ -38,8 +38,8 @@ pub fn check(path: &Path, bytes: u64) -> Result<()> {
 
 fn too_large(path: &Path, bytes: u64, available: Option<u64>) -> Error {
     let mib = |b: u64| b.div_ceil(1 << 20);
-    let there = available.map_or_else(|| "more than there is".to_owned(), |a| format!("and {} MiB are free", mib(a)));
-    Error::file(path, format!("needs {} MiB of memory, {there}; close other programs or use a reduced copy", mib(bytes)))
+    let there = available.map_or_else(|| "more than is available".to_owned(), |a| format!("but only {} MiB are available", mib(a)));
+    Error::file(path, format!("needs {} MiB of memory, {there}; close other programs or use a downsampled copy", mib(bytes)))
 }
 
 /// Room for `count` values, asked for rather than taken.

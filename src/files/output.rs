@@ -105,7 +105,7 @@ impl Output {
             return Self::create(path);
         }
         if std::io::stdout().is_terminal() {
-            return Err(Error::value("-", "standard output is a terminal; send it to a file or another program, or name a file"));
+            return Err(Error::value("-", "standard output is a terminal; redirect it to a file or a pipe, or name an output file"));
         }
         Ok(standard_output())
     }
@@ -126,7 +126,7 @@ impl Output {
             }
             Ok(there) => {
                 if there.permissions().readonly() {
-                    return Err(Error::file(path, "is write-protected; choose another name, or allow writing first"));
+                    return Err(Error::file(path, "is read-only; choose another name, or make it writable"));
                 }
                 // Opened without being changed: the system's own word on whether it may be.
                 OpenOptions::new().write(true).open(path).map_err(writing)?;
@@ -148,10 +148,12 @@ impl Output {
         let Destination::File(target) = &self.destination else { return Ok(()) };
         match inputs::name_of(target).filter(|_| !self.replaces_read) {
             None => Ok(()),
-            Some(read) if read == self.path => Err(Error::file(&self.path, "is read, and nothing is written over what is read; choose another name")),
+            Some(read) if read == self.path => {
+                Err(Error::file(&self.path, "is an input of this run, and inputs are never overwritten; choose another name"))
+            }
             Some(read) => {
                 let problem =
-                    format!("is or belongs to {}, which is read, and nothing is written over what is read; choose another name", read.display());
+                    format!("is, or is part of, {}, an input of this run, and inputs are never overwritten; choose another name", read.display());
                 Err(Error::file(&self.path, problem))
             }
         }
@@ -167,7 +169,7 @@ impl Output {
         let Destination::File(target) = &self.destination else { return Ok(None) };
         let folder = target.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
         if !folder.is_dir() {
-            return Err(Error::file(&self.path, format!("there is no folder {}; make it, or choose another place", folder.display())));
+            return Err(Error::file(&self.path, format!("the folder {} does not exist; create it, or choose another one", folder.display())));
         }
         PartFile::in_folder(folder).map(Some).map_err(|e| Error::io(&self.path, "writing", e))
     }
@@ -217,7 +219,7 @@ impl Output {
     pub fn finish_by_path(self, write: impl FnOnce(&Path) -> Result<()>) -> Result<()> {
         self.check()?;
         let Destination::File(target) = &self.destination else {
-            return Err(Error::file(&self.path, "is no ordinary file, which is needed here; name a file"));
+            return Err(Error::file(&self.path, "is a pipe, a socket or a device, and this output needs a regular file; name one"));
         };
         let Some(part) = self.part()? else { return Ok(()) };
         write(part.path())?;

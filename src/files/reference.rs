@@ -34,7 +34,7 @@ pub fn beside(from: &Path, name: &str) -> Result<PathBuf> {
 pub fn below(from: &Path, folder: &Path, name: &str) -> Result<PathBuf> {
     let file = if folder == Path::new(".") { PathBuf::from(name) } else { folder.join(name) };
     if !outside_is_allowed() && (climbs(Path::new(name)) || leads_out(folder, &file)) {
-        let problem = format!("names the file {name}, which lies outside of its folder; move that file beside it, or allow it with --allow-outside");
+        let problem = format!("refers to the file {name}, which is outside its folder; move that file into the folder, or use --allow-outside");
         return Err(Error::file(from, problem));
     }
     Ok(file)
@@ -69,8 +69,8 @@ pub fn links_left_out(links: &[PathBuf]) -> Option<String> {
     let first = links.first()?;
     let name = first.file_name().unwrap_or(first.as_os_str()).to_string_lossy();
     Some(match links.len() {
-        1 => format!("the link {name} leads out of this folder and was not followed (--allow-outside follows it)"),
-        n => format!("{n} links ({name} and so on) lead out of this folder and were not followed (--allow-outside follows them)"),
+        1 => format!("the link {name} leads out of this folder and was not followed; use --allow-outside to follow it"),
+        n => format!("{n} links ({name} and others) lead out of this folder and were not followed; use --allow-outside to follow them"),
     })
 }
 

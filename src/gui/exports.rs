@@ -289,7 +289,10 @@ impl Workstation {
                     let composed =
                         crate::deform::compose::stack(&stack, &assets.scene_box(), resolution, storage, &crate::deform::compose::evaluate)?;
                     let composed = composed.ok_or_else(|| Error::value("map", "the stack moves nothing"))?;
-                    exactness = format!("; as one map it is up to {:.2} mm off (99 %: {:.2} mm)", composed.worst_mm, composed.p99_mm);
+                    exactness = format!(
+                        "; composed into one map, its error is up to {:.2} mm (99th percentile: {:.2} mm)",
+                        composed.worst_mm, composed.p99_mm
+                    );
                     composed.placed
                 }
             };

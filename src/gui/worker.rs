@@ -484,7 +484,7 @@ impl Engine {
                 }
                 Err(error @ Error::GpuLimit(_)) => {
                     // The next scene may be one for it again.
-                    beyond_gpu = Some(format!("{error}; computed on the CPU instead"));
+                    beyond_gpu = Some(format!("this picture was rendered on the CPU ({error})"));
                     break;
                 }
                 Err(other) => return Err(other),

@@ -217,7 +217,7 @@ impl Renderer {
         let most = self.device.device.limits().max_texture_dimension_3d;
         let (packing, regions) = Atlas::packed(maps, most).ok_or_else(|| {
             Error::GpuLimit(format!(
-                "the scene's {} displacement maps are more than this device's {most} texels per axis hold; use --backend cpu",
+                "the scene's {} displacement maps do not fit into a texture of this GPU (at most {most} texels per axis)",
                 maps.len()
             ))
         })?;

@@ -48,9 +48,7 @@ impl Renderer {
                 first += 1;
             }
             if stack.maps()[first].added && first > 0 {
-                return Err(Error::GpuLimit(format!(
-                    "more than {MAX_MAPS} deformations are added to each other, which this pass cannot hold; use --backend cpu"
-                )));
+                return Err(Error::GpuLimit(format!("more than {MAX_MAPS} deformations are added together, which a GPU does not support")));
             }
             let part = Stack::new(stack.maps()[first..end].to_vec());
             let positions: Vec<[f32; 3]> = results.iter().map(|(p, _)| p.to_array()).collect();

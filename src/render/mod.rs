@@ -194,18 +194,13 @@ impl Renderer {
         let [width, height] = scene.frame.size;
         let limits = self.device.device.limits();
         if width.max(height) > limits.max_texture_dimension_2d {
-            return Err(Error::GpuLimit(format!(
-                "this device makes pictures up to {} pixels wide or high; use --backend cpu",
-                limits.max_texture_dimension_2d
-            )));
+            return Err(Error::GpuLimit(format!("this GPU makes pictures up to {} pixels wide or high", limits.max_texture_dimension_2d)));
         }
         if scene.settings.mode == Mode::Slice
             && scene.blend != Blend::Composite
             && !self.device.device.features().contains(Features::FLOAT32_BLENDABLE)
         {
-            return Err(Error::GpuLimit(
-                "this device cannot blend 32-bit values, which projections by slices need; use --mode raycast or --backend cpu".into(),
-            ));
+            return Err(Error::GpuLimit("this GPU cannot blend 32-bit values, which projections by slices need (mode slice, not raycast)".into()));
         }
         let shows_volume = scene.settings.mode != Mode::Surface && !scene.frame.proxy.is_empty();
         if !shows_volume && scene.surfaces.objects.is_empty() {

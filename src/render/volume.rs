@@ -226,10 +226,7 @@ impl Renderer {
     pub(super) fn texture_3d_for(&self, label: &str, size: [usize; 3], format: TextureFormat, usage: wgpu::TextureUsages) -> Result<wgpu::Texture> {
         let most = self.device.device.limits().max_texture_dimension_3d as usize;
         if size.iter().any(|&n| n > most) {
-            return Err(Error::GpuLimit(format!(
-                "the {label} of {} x {} x {} exceeds this device's {most} per axis; use --backend cpu",
-                size[0], size[1], size[2]
-            )));
+            return Err(Error::GpuLimit(format!("the {label} of {} x {} x {} exceeds this GPU's {most} per axis", size[0], size[1], size[2])));
         }
         Ok(self.texture(&wgpu::TextureDescriptor {
             label: Some(label),

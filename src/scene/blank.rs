@@ -65,14 +65,14 @@ impl Prepared<'_> {
         } else if !found.left {
             "everything is cut away; make the cuts smaller, move them, or switch one off".to_owned()
         } else if !found.visible {
-            "what could be seen is cut away; make the cuts smaller, move them, or switch one off".to_owned()
+            "everything visible is cut away; make the cuts smaller, move them, or switch one off".to_owned()
         } else if !found.in_view {
-            "the camera looks past everything; reset camera.target, or lower camera.zoom".to_owned()
+            "nothing of the scene is in view; reset camera.target, or lower camera.zoom".to_owned()
         } else if shows_volume && self.blend == Blend::Composite && self.iso.is_none() {
-            "what lies in it is too transparent or too small to be seen; raise the opacities (transfer.density), move the window, or zoom in"
+            "everything in view is too transparent or too small to be seen; raise the opacity (transfer.density), adjust the window, or zoom in"
                 .to_owned()
         } else {
-            "what lies in it is too small to be seen; zoom in, or take smaller steps".to_owned()
+            "everything in view is too small to be seen; zoom in, or reduce render.step".to_owned()
         };
         Some(format!("the picture is empty: {said}"))
     }
@@ -89,7 +89,7 @@ impl Prepared<'_> {
         };
         let first = self.surfaces.objects.first().filter(|_| self.surfaces.objects.iter().all(empty) && !self.shows_volume())?;
         Some(format!(
-            "the picture is empty: {} encloses nothing (what is subtracted from it is larger, or its parts do not meet); change its shapes",
+            "the picture is empty: {} has no interior (a subtracted shape covers it, or intersected shapes do not overlap); change its shapes",
             first.name
         ))
     }
@@ -97,7 +97,7 @@ impl Prepared<'_> {
     /// Why nothing of the volume can be seen, even where nothing is deformed.
     fn why_invisible(&self) -> String {
         let [low, high] = self.value_range;
-        let range = format!("the volume's values go from {low} to {high}");
+        let range = format!("the volume's values range from {low} to {high}");
         if let Some(iso) = self.settings.iso {
             return format!("the volume has no surface at {iso} (iso): {range}; choose a value between them");
         }
@@ -105,7 +105,7 @@ impl Prepared<'_> {
             return "transfer.density is 0, which makes everything transparent; raise it".into();
         }
         format!(
-            "the transfer function makes every value of the volume transparent: {range}; move the window and level there, or choose another preset"
+            "the transfer function makes every value of the volume transparent ({range}); set window and level to this range, or choose another preset"
         )
     }
 

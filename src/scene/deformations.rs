@@ -35,7 +35,7 @@ pub const FILE_KINDS: &[FileKind] = &[
                 form: kinds::Form::OneOf(&["lps", "ras", "fsl", "fsl-absolute"]),
                 about: "of vectors: lps, ras, fsl or fsl-absolute, where the file does not say",
             },
-            kinds::Setting { name: "invert", form: kinds::Form::Flag, about: "true takes the inverse" },
+            kinds::Setting { name: "invert", form: kinds::Form::Flag, about: "true uses the inverse" },
         ],
     },
     FileKind {
@@ -89,7 +89,7 @@ impl Composition {
         let Self { bound_mm, maps, composed, by_maps, .. } = self;
         (!composed).then(|| {
             format!(
-                "the {maps} deformations are not composed: within {bound_mm} mm that fails in {:.0} % of the space (tears, cuts, or a bound finer than a map resolves); they are applied one after the other, which is as exact as asked, and slower",
+                "the {maps} deformations were not precomposed: in {:.0} % of the space one map would be off by more than {bound_mm} mm (tears, cuts, or too small a bound); they are evaluated one by one, which is exact but slower",
                 100.0 * by_maps
             )
         })
@@ -196,7 +196,7 @@ fn primitive(d: &Deformation, kind: &Kind, making: &Making) -> Result<(Option<St
 /// Where a kind's box lies.
 fn kind_placement(d: &Deformation, kind: &Kind, making: &Making) -> Result<Placement> {
     if matches!(kind.size, DefaultSize::Across(_)) && d.size.is_some() {
-        return Err(Error::value("size", "this kind reaches across everything and has no size; give center and rotate"));
+        return Err(Error::value("size", "this kind affects the whole scene and has no size; give center and rotate"));
     }
     stated_placement(d, making, || kind.default_size(&making.scene_box), kind.locked_to_view)
 }

@@ -1,5 +1,5 @@
 //! A scene's text against the schema of the format: keys that are not known are named with the closest known one, values of a wrong type with
-//! what is needed. The parser alone names the table in which something is wrong, not the key.
+//! what they must be. The parser alone names the table in which something is wrong, not the key.
 
 use super::deformations;
 use crate::deform::kinds;
@@ -31,11 +31,11 @@ fn parameters(kind: &str) -> Option<Vec<&'static str>> {
 /// A value in words, cut short.
 fn shown(value: &Value) -> String {
     match value {
-        Value::String(text) => format!("the text \"{}\"", text.chars().take(40).collect::<String>()),
+        Value::String(text) => format!("the string \"{}\"", text.chars().take(40).collect::<String>()),
         Value::Boolean(b) => b.to_string(),
         Value::Integer(n) => n.to_string(),
         Value::Float(v) => v.to_string(),
-        Value::Array(items) => format!("a list of {}", items.len()),
+        Value::Array(items) => format!("a list of length {}", items.len()),
         Value::Table(_) => "a section".into(),
         Value::Datetime(d) => format!("the date {d}"),
     }
@@ -63,8 +63,15 @@ impl<'a> Checker<'a> {
         let ways = self.ways(schema);
         let fitting = ways.iter().find(|way| self.fits(way, value));
         let Some(way) = fitting else {
+            let mut lists = ways.iter().filter(|way| has_length(way, value));
+            if let (Value::Array(items), Some(list), None) = (value, lists.next(), lists.next())
+                && let Some(of_items) = list.get("items")
+            {
+                // Only what is in it is of a wrong type.
+                items.iter().try_for_each(|item| self.value(of_items, item, path))?;
+            }
             let needed: Vec<String> = ways.iter().map(|way| self.needed(way)).collect();
-            return Err(format!("has {} where \"{path}\" needs {}", shown(value), needed.join(" or ")));
+            return Err(format!("has {} for \"{path}\", which must be {}", shown(value), needed.join(" or ")));
         };
         match value {
             Value::Array(items) => {
@@ -95,7 +102,7 @@ impl<'a> Checker<'a> {
                 match entry {
                     Value::Float(_) | Value::Integer(_) => continue,
                     other if matches!(key.as_str(), "angle" | "factor" | "amount" | "width" | "amplitude" | "length" | "phase") => {
-                        return Err(format!("has {} where \"{}\" needs a number", shown(other), within(key)));
+                        return Err(format!("has {} for \"{}\", which must be a number", shown(other), within(key)));
                     }
                     _ => {}
                 }
@@ -132,10 +139,9 @@ impl<'a> Checker<'a> {
             | ("number", Value::Float(_) | Value::Integer(_)) => true,
             ("integer", Value::Integer(n)) => bound("minimum").is_none_or(|m| *n as f64 >= m) && bound("maximum").is_none_or(|m| *n as f64 <= m),
             ("array", Value::Array(items)) => {
-                let n = items.len() as f64;
                 // Of several ways to write a list, the one with items of this kind.
                 let first = schema.get("items").zip(items.first()).is_none_or(|(s, i)| self.ways(s).into_iter().any(|way| self.fits(way, i)));
-                first && bound("minItems").is_none_or(|m| n >= m) && bound("maxItems").is_none_or(|m| n <= m)
+                first && has_length(schema, value)
             }
             _ => false,
         })
@@ -148,7 +154,7 @@ impl<'a> Checker<'a> {
         }
         let whole = |name: &str| schema.get(name).and_then(Schema::as_u64);
         match types(schema).first().copied() {
-            Some("string") => "a text in quotes".into(),
+            Some("string") => "a string in quotes".into(),
             Some("boolean") => "true or false".into(),
             Some("number") => "a number".into(),
             Some("integer") => match whole("maximum") {
@@ -158,7 +164,7 @@ impl<'a> Checker<'a> {
             Some("array") => {
                 let of = schema.get("items").map_or("values", |items| match types(self.resolved(items)).first().copied().unwrap_or("") {
                     "number" | "integer" => "numbers",
-                    "string" => "texts",
+                    "string" => "strings",
                     "array" => "rows of numbers",
                     "object" => "sections",
                     _ => "values",
@@ -172,6 +178,13 @@ impl<'a> Checker<'a> {
             _ => "something else".into(),
         }
     }
+}
+
+/// Whether a value is a list as long as a schema asks for.
+fn has_length(schema: &Schema, value: &Value) -> bool {
+    let bound = |name: &str| schema.get(name).and_then(Schema::as_u64);
+    let Some(n) = value.as_array().map(|items| items.len() as u64) else { return false };
+    types(schema).contains(&"array") && bound("minItems").is_none_or(|m| n >= m) && bound("maxItems").is_none_or(|m| n <= m)
 }
 
 /// The types of a schema, `null` left out.
@@ -210,6 +223,6 @@ fn argument(value: &Value, path: &str) -> Result<(), String> {
     if fits {
         Ok(())
     } else {
-        Err(format!("has {} where \"{path}\" needs a number, a text, true or false, or a list of numbers or texts", shown(value)))
+        Err(format!("has {} for \"{path}\", which must be a number, a string, true or false, or a list of numbers or strings", shown(value)))
     }
 }

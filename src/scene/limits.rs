@@ -57,9 +57,9 @@ fn walk(path: &str, name: &str, value: &Value) -> Result<()> {
         Value::Float(v) => number(path, name, *v),
         Value::Integer(v) => number(path, name, *v as f64),
         Value::String(text) if text.len() > MAX_TEXT => {
-            Err(Error::value(path, format!("is a text of {} bytes; at most {MAX_TEXT} can be used", text.len())))
+            Err(Error::value(path, format!("is a string of {} bytes; at most {MAX_TEXT} are allowed", text.len())))
         }
-        Value::String(text) if text.contains('\0') => Err(Error::value(path, "holds a character that no text and no file's name may hold (NUL)")),
+        Value::String(text) if text.contains('\0') => Err(Error::value(path, "contains a NUL character, which is not allowed; remove it")),
         _ => Ok(()),
     }
 }
@@ -71,10 +71,10 @@ fn number(path: &str, name: &str, value: f64) -> Result<()> {
         _ => (MAX_LENGTH_MM, ""),
     };
     if !value.is_finite() {
-        return Err(Error::value(path, format!("{value} is no number that can be used; give a finite one")));
+        return Err(Error::value(path, format!("{value} is not a finite number")));
     }
     if value.abs() > most {
-        return Err(Error::value(path, format!("{value} is out of range; at most {most}{unit} can be used, to either side of 0")));
+        return Err(Error::value(path, format!("{value} is out of range; use a value from -{most} to {most}{unit}")));
     }
     Ok(())
 }

@@ -39,7 +39,7 @@ pub struct Measure {
     /// The label, of a label map.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub label: Option<u32>,
-    /// It was made before the volume's slices were resampled, which has moved them under it.
+    /// Made before the volume's slices were resampled: its points may no longer mark the same anatomy.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub before_resampling: bool,
 }

@@ -311,8 +311,8 @@ pub struct RenderSettings {
     /// Shift each pixel's samples along its ray by a fixed pseudo-random part of a step: the rings of a coarse step become fine grain.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub jitter: bool,
-    /// Let one map stand for all deformations wherever it is this exact, mm; elsewhere, as along tears, each of them is evaluated. The cost of a
-    /// picture then depends little on their number.
+    /// Replace all deformations by one precomputed map wherever its error is at most this, mm; elsewhere, for example along tears, every deformation
+    /// is evaluated. The rendering time then depends little on their number.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub precompose: Option<f32>,
 }

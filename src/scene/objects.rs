@@ -358,7 +358,7 @@ impl Objects {
         let grid = match source.iso {
             Some(iso) => of_iso_value(&volume, iso).ok_or_else(|| {
                 let [low, high] = volume.range;
-                Error::value("iso", format!("the volume has no surface at {iso}; its values go from {low} to {high}"))
+                Error::value("iso", format!("the volume has no surface at {iso}; its values range from {low} to {high}"))
             }),
             None => of_region(&volume, &Region::Labels(&source.label), true)
                 .ok_or_else(|| Error::value("label", format!("no surface has the labels {:?}: no voxel has them, or all do", source.label))),

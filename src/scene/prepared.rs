@@ -622,7 +622,7 @@ fn check_size(settings: &RenderSettings) -> Result<()> {
     let samples = u64::from(width) * u64::from(height) * u64::from(n * n);
     if width.max(height) * n > MAX_PICTURE_EDGE || samples > MAX_PIXELS {
         let problem = format!(
-            "{width} x {height} with antialias {n} takes {} x {} samples; at most {MAX_PICTURE_EDGE} can be taken along an edge: make the picture smaller or antialias less",
+            "{width} x {height} with antialias {n} needs {} x {} samples, which is too many ({MAX_PICTURE_EDGE} along an edge and {MAX_PIXELS} in all are possible); reduce size or antialias",
             width * n,
             height * n
         );
@@ -635,7 +635,11 @@ fn check_size(settings: &RenderSettings) -> Result<()> {
             let mib = |b: u64| b >> 20;
             Err(Error::value(
                 "size",
-                format!("{width} x {height} needs {} MiB of memory, and {} are free; make the picture smaller", mib(bytes), mib(available)),
+                format!(
+                    "{width} x {height} needs {} MiB of memory, but only {} MiB are available; make the picture smaller",
+                    mib(bytes),
+                    mib(available)
+                ),
             ))
         }
         _ => Ok(()),

@@ -49,7 +49,7 @@ impl Volume {
     /// Colours, or a value that is no whole number from 0 on: a sentence that names it.
     pub fn into_label_map(mut self) -> Result<Self, String> {
         if self.colors.is_some() {
-            return Err("is no label map: it holds colours, not numbers of regions".into());
+            return Err("is not a label map: it contains colours, not labels".into());
         }
         let Rescale { slope, intercept } = self.rescale;
         let value = move |stored: f64| stored * slope + intercept;
@@ -58,13 +58,13 @@ impl Volume {
         let misfits =
             self.voxels.fold(Misfits::default, |found, stored| if is_padding(stored) { found } else { found.note(value(stored)) }, Misfits::and);
         if let Some(v) = misfits.fraction {
-            return Err(format!("is no label map: it holds the value {v}, and labels are whole numbers"));
+            return Err(format!("is not a label map: it contains the value {v}, but labels are whole numbers"));
         }
         if let Some(v) = misfits.out_of_range {
-            return Err(format!("is no label map: it holds the value {v}, and labels are whole numbers from 0 to {}", u32::MAX));
+            return Err(format!("is not a label map: it contains the value {v}, but labels are whole numbers from 0 to {}", u32::MAX));
         }
         if misfits.not_finite > 0 {
-            self.warnings.push(format!("{} voxels hold no number; they count as having no label", misfits.not_finite));
+            self.warnings.push(format!("{} voxels are not finite numbers; they are treated as unlabelled", misfits.not_finite));
         }
         if !self.voxels.is_integer() || self.rescale != Rescale::NONE || padding.is_some() {
             let label = |stored: f64| if is_padding(stored) || !stored.is_finite() { 0.0 } else { value(stored).round() };

@@ -239,7 +239,7 @@ impl Volume {
     /// What was odd about the source, and which option mends it: for a command line.
     pub fn warnings_with_options(&self) -> Vec<String> {
         let mends = self.misplaced.is_some_and(|m| m.resampling_helps);
-        let option = mends.then(|| "--resample interpolates its slices onto an even grid".to_owned());
+        let option = mends.then(|| "use --resample to interpolate the slices onto a regular grid".to_owned());
         self.warnings.iter().cloned().chain(option).collect()
     }
 

@@ -395,7 +395,7 @@ pub fn uneven_slices_are_told_and_mended() {
     bench.app().doc.as_mut().unwrap().scene.measure.push(measure);
     bench.app().show_panel(incise::gui::layout::Panel::Measure);
     bench.settle();
-    assert!(bench.harness.query_by_label_contains("the slices are not where").is_some());
+    assert!(bench.harness.query_by_label_contains("not shown at their acquired positions").is_some());
     bench.click("Resample");
     bench.until("not resampled", |app| app.doc.as_ref().unwrap().assets.volume.size[2] == 12);
     bench.settle();

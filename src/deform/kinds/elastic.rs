@@ -38,7 +38,11 @@ pub(super) const KIND: Kind = Kind {
     shape: None,
     build: Build::Sourced {
         settings: &[
-            Setting { name: "grab", form: Form::Rows(7), about: "x,y,z,radius,dx,dy,dz in mm: what is dragged, and by how much; place after place" },
+            Setting {
+                name: "grab",
+                form: Form::Rows(7),
+                about: "x,y,z,radius,dx,dy,dz in mm: a ball that is dragged, and its displacement; repeat for more",
+            },
             Setting { name: "fixed", form: Form::Rows(4), about: "x,y,z,radius: what is held, besides the box's faces" },
             Setting { name: "incision", form: Form::Rows(7), about: "x,y,z,nx,ny,nz,radius: a round cut and its normal" },
             Setting { name: "stiffness", form: Form::Rows(2), about: "label,stiffness: relative to 1, by the labels of `labels`" },

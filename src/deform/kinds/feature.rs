@@ -21,7 +21,7 @@ use std::sync::Arc;
 const SURFACE: &[Setting] = &[
     Setting { name: "label", form: Form::Whole, about: "labels whose surface is followed" },
     Setting { name: "mask", form: Form::File, about: "a file whose voxels above 0 are inside" },
-    Setting { name: "iso", form: Form::Number, about: "value at which the scan's body begins; found by itself if nothing is given" },
+    Setting { name: "iso", form: Form::Number, about: "threshold of the body's surface; automatic if not set" },
 ];
 
 fn example(_: &Bounds) -> Vec<(&'static str, Argument)> {

@@ -44,7 +44,7 @@ pub(super) const KIND: Kind = Kind {
                 about: "from x,y,z and to x,y,z in mm, pair after pair; or a .csv file of six columns",
             },
             Setting { name: "from", form: Form::File, about: "file of the points (.mrk.json, .fcsv, .csv), in the order of to" },
-            Setting { name: "to", form: Form::File, about: "file of their places" },
+            Setting { name: "to", form: Form::File, about: "file of the target points" },
             Setting {
                 name: "method",
                 form: Form::Choice(&["tps", "rbf", "idw"]),

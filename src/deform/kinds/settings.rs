@@ -66,15 +66,15 @@ impl Setting {
             Form::Whole => match numbers {
                 Some(v) if v.iter().all(|v| *v >= 0.0 && v.fract() == 0.0) => one_or_more(v),
                 _ if words.iter().any(|w| is_file(w)) => {
-                    return Err(format!("\"{text}\" is a file; whole numbers belong here, like 3 or 1, 4"));
+                    return Err(format!("\"{text}\" looks like a file name; enter whole numbers, such as 3 or 1, 4"));
                 }
-                _ => return Err(format!("\"{text}\" is not made of whole numbers; write 3, or 1, 4")),
+                _ => return Err(format!("\"{text}\" is not a list of whole numbers; enter numbers such as 3 or 1, 4")),
             },
             Form::RowsOrFile(_) if words.len() == 1 && is_file(words[0]) => Argument::Text(text.to_owned()),
             Form::Rows(each) | Form::RowsOrFile(each) => match numbers {
                 Some(v) if v.len() % each == 0 => Argument::Numbers(v),
-                Some(v) => return Err(format!("{} numbers are not rows of {each}", v.len())),
-                None => return Err(format!("\"{text}\" is not made of numbers; write rows of {each}, all separated by commas")),
+                Some(v) => return Err(format!("{} numbers do not fill complete rows of {each}; add or remove numbers", v.len())),
+                None => return Err(format!("\"{text}\" is not a list of numbers; enter rows of {each} numbers, separated by commas")),
             },
             Form::Files if words.len() > 1 => Argument::Texts(words.iter().map(|w| (*w).to_owned()).collect()),
             Form::File | Form::Files | Form::Words => Argument::Text(text.to_owned()),

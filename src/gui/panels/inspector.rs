@@ -402,8 +402,8 @@ fn typed(setting: &Setting, text: &str, folder: &Path) -> Result<Option<Argument
     for file in argument.iter().flat_map(|a| setting.files(a)).filter(|f| !f.starts_with("phantom:")) {
         if !folder.join(file).exists() {
             return Err(format!(
-                "{file}: there is no such file in {}",
-                if folder.as_os_str().is_empty() { "this folder".into() } else { folder.display().to_string() }
+                "{file}: file not found in {}",
+                if folder.as_os_str().is_empty() { "the current folder".into() } else { folder.display().to_string() }
             ));
         }
     }
@@ -426,13 +426,13 @@ fn setting(ui: &mut Ui, d: &mut Deformation, place: usize, setting: &Setting, fo
         Form::Choice(all) | Form::OneOf(all) => {
             let default = matches!(setting.form, Form::Choice(_)).then(|| all[0]);
             let now = setting_text(d.parameters.0.get(key));
-            let shown = if now.is_empty() { default.unwrap_or("as the file says") } else { &now };
+            let shown = if now.is_empty() { default.unwrap_or("from the file") } else { &now };
             ui.horizontal(|ui| {
                 if name(ui, &capital(key), setting.about) {
                     d.parameters.0.remove(key);
                 }
                 let combo = egui::ComboBox::from_id_salt((place, key)).selected_text(shown).show_ui(ui, |ui| {
-                    if default.is_none() && ui.selectable_label(now.is_empty(), "as the file says").clicked() {
+                    if default.is_none() && ui.selectable_label(now.is_empty(), "from the file").clicked() {
                         d.parameters.0.remove(key);
                     }
                     for word in all {
@@ -492,7 +492,7 @@ fn text_setting(ui: &mut Ui, d: &mut Deformation, place: usize, setting: &Settin
         }
     });
     if let Some(Refused { problem, .. }) = refused {
-        let again = if kept.is_empty() { "Nothing is set.".to_owned() } else { format!("{kept} stays.") };
+        let again = if kept.is_empty() { "The setting is empty.".to_owned() } else { format!("The setting is still {kept}.") };
         ui.label(RichText::new(format!("{problem}. {again}")).color(ui.visuals().error_fg_color));
     }
 }

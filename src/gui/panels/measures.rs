@@ -31,8 +31,11 @@ impl Workstation {
         let caution = ui.visuals().warn_fg_color;
         if let Some(misplaced) = doc.assets.volume.misplaced.filter(|_| !doc.scene.measure.is_empty()) {
             ui.label(
-                RichText::new(format!("Positions and lengths are off by up to {:.1} mm: the slices are not where they were taken", misplaced.by_mm))
-                    .color(caution),
+                RichText::new(format!(
+                    "Positions and lengths are off by up to {:.1} mm: the slices are not shown at their acquired positions",
+                    misplaced.by_mm
+                ))
+                .color(caution),
             );
         }
         let mut remove = None;
@@ -54,7 +57,8 @@ impl Workstation {
             });
             if measure.before_resampling {
                 let mark = format!("    {} made before resampling; measure it again", icon::WARNING);
-                ui.label(RichText::new(mark).color(caution)).on_hover_text("The slices have moved under its points");
+                ui.label(RichText::new(mark).color(caution))
+                    .on_hover_text("Resampling moved the slices; its points may no longer mark the same anatomy");
             }
             // Numbers belong to the measurement they were made of, which may have changed since.
             match self

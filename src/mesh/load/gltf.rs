@@ -20,7 +20,7 @@ const MOST_VISITS: usize = 1_000_000;
 pub fn read(bytes: &[u8], path: Option<&Path>) -> Result<Listing, String> {
     sound(bytes)?;
     // The library was not written for files that mean harm: what was not foreseen above ends here.
-    guarded(|| read_sound(bytes, path)).unwrap_or_else(|| Err("is not a readable glTF: it contradicts itself".into()))
+    guarded(|| read_sound(bytes, path)).unwrap_or_else(|| Err("is not a valid glTF: its content is inconsistent; export it again".into()))
 }
 
 /// Checks what the library takes for granted: numbers of accessors, types of indices, sizes, encodings.
@@ -73,26 +73,26 @@ fn unescaped(uri: &str) -> Option<String> {
 /// The bytes of a buffer: those behind the header of a .glb, those in its address, or those of a file beside.
 fn buffer(buffer: &gltf::Buffer, blob: &mut Option<Vec<u8>>, path: Option<&Path>) -> Result<Vec<u8>, String> {
     let mut bytes = match buffer.source() {
-        gltf::buffer::Source::Bin => blob.take().ok_or("lacks the binary part that it names")?,
+        gltf::buffer::Source::Bin => blob.take().ok_or("refers to a binary chunk that is missing; export it again")?,
         gltf::buffer::Source::Uri(uri) => match (uri.strip_prefix("data:"), path) {
             (Some(data), _) => {
                 let encoded = data.split_once(";base64,").ok_or("holds data in an encoding other than base64")?.1;
-                base64::engine::general_purpose::STANDARD.decode(encoded).map_err(|e| format!("holds data that is no base64 ({e})"))?
+                base64::engine::general_purpose::STANDARD.decode(encoded).map_err(|e| format!("has data that is not base64 ({e})"))?
             }
             (None, Some(path)) if !uri.contains("://") => {
-                let file = reference::beside(path, &unescaped(uri).ok_or("names a buffer file whose escaped letters are no text")?);
+                let file = reference::beside(path, &unescaped(uri).ok_or("refers to a buffer file whose percent-encoded name is invalid")?);
                 let read = file.and_then(|file| input::bytes(&file, super::MOST_BYTES, "buffer of a glTF"));
                 // Both name the mesh's file.
                 read.map_err(|e| match e {
                     Error::File { path: of, problem } if of == path => problem,
-                    other => format!("names a buffer that cannot be read: {other}"),
+                    other => format!("refers to a buffer that cannot be read: {other}"),
                 })?
             }
-            _ => return Err(format!("names the buffer {uri}, which is no file beside it")),
+            _ => return Err(format!("refers to the buffer {uri}, which is not a file next to it")),
         },
     };
     if bytes.len() < buffer.length() {
-        return Err(format!("names a buffer of {} bytes that holds {}", buffer.length(), bytes.len()));
+        return Err(format!("declares a buffer of {} bytes that has only {}; copy or export it again", buffer.length(), bytes.len()));
     }
     bytes.resize(bytes.len().next_multiple_of(4), 0);
     Ok(bytes)

@@ -139,14 +139,14 @@ fn data_files(path: &Path, data: &str, reader: &mut impl BufRead) -> Result<Opti
     let words: Vec<&str> = data.split_whitespace().collect();
     let names = if words.first().is_some_and(|w| w.eq_ignore_ascii_case("list")) {
         let mut text = String::new();
-        reader.take(MOST_HEADER).read_to_string(&mut text).map_err(|_| fail("has a list of data files that is no text".into()))?;
+        reader.take(MOST_HEADER).read_to_string(&mut text).map_err(|_| fail("has a list of data files that is not text in UTF-8".into()))?;
         text.lines().map(str::trim).filter(|l| !l.is_empty()).map(str::to_owned).collect()
     } else if let [pattern, first, last, rest @ ..] = &words[..]
         && pattern.contains('%')
     {
         let step = rest.first().map_or(Ok(1), |w| w.parse());
         let (Ok(first), Ok(last), Ok(step)) = (first.parse(), last.parse(), step) else {
-            return Err(fail(format!("has the data files \"{data}\", which cannot be read")));
+            return Err(fail(format!("has an invalid pattern of data files: \"{data}\"; it must be PATTERN FIRST LAST STEP")));
         };
         numbered(pattern, first, last, step).map_err(fail)?
     } else {

@@ -59,7 +59,7 @@ fn partner(path: &Path, name: &str, own: &str, other: &str) -> Result<PathBuf> {
     let stem = name.get(..at).unwrap_or(name);
     let candidates = [format!("{stem}{other_case}"), format!("{stem}{other_case}.gz")];
     let there = candidates.iter().find(|name| path.with_file_name(name).exists());
-    let missing = || Error::file(path, format!("is half of a pair: {stem}{other_case} is missing beside it"));
+    let missing = || Error::file(path, format!("needs the file {stem}{other_case} in the same folder, which is missing"));
     super::source::beside(path, there.ok_or_else(missing)?)
 }
 

@@ -283,7 +283,7 @@ fn data_files(path: &Path, fields: &HashMap<String, String>, axes: &Axes) -> Res
     {
         let numbers = [first, last, step].map(|w| w.parse::<i64>().ok());
         let [Some(first), Some(last), Some(step)] = numbers else {
-            return Err(fail(format!("has the data files \"{named}\", which cannot be read")));
+            return Err(fail(format!("has an invalid pattern of data files: \"{named}\"; it must be PATTERN FIRST LAST STEP")));
         };
         return of(numbered(pattern, first, last, step).map_err(fail)?);
     }

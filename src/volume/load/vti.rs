@@ -202,7 +202,7 @@ impl Read for Counting {
 impl BufRead for Counting {
     fn fill_buf(&mut self) -> std::io::Result<&[u8]> {
         if self.of_event > MOST_TAG {
-            return Err(std::io::Error::new(std::io::ErrorKind::InvalidData, "a megabyte without a tag"));
+            return Err(std::io::Error::new(std::io::ErrorKind::InvalidData, "a tag or text longer than 1 MiB"));
         }
         self.inner.fill_buf()
     }

@@ -247,7 +247,10 @@ impl ArrayLayout {
                 inputs::note(entry.path(), &metadata);
                 (there, files) = (there + metadata.len(), files + 1);
             } else if !metadata.is_dir() {
-                return Err(Error::file(entry.path(), "is no ordinary file (a pipe, socket or device), and no chunk of an array; remove it"));
+                return Err(Error::file(
+                    entry.path(),
+                    "is not a regular file (it is a pipe, a socket or a device), so it cannot be a chunk of the array; remove it",
+                ));
             }
         }
         // Each chunk is looked for, whether it is there or not.

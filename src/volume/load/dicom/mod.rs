@@ -338,15 +338,16 @@ fn placement(frames: &[&Frame], object: &Object, resample: bool, warnings: &mut 
         if !missing.is_empty() && gaps.iter().all(|g| whole(*g)) {
             let count: f64 = missing.iter().map(|&k| (gaps[k] / usual).round() - 1.0).sum();
             warnings.push(format!(
-                "{count} slices of {usual:.2} mm are missing between the positions {} mm along the normal{}",
+                "{count} {} missing at {} mm along the normal (spacing {usual:.2} mm){}",
+                if count == 1.0 { "slice is" } else { "slices are" },
                 list(&missing),
-                if resample { "" } else { "; the rest is stretched over the gap" }
+                if resample { "" } else { "; the slices that are there are spread evenly over the gap" }
             ));
         } else {
             let odd: Vec<usize> = (0..gaps.len()).filter(|&k| (gaps[k] - usual).abs() > UNEVEN[0].max(UNEVEN[1] * usual)).collect();
-            let instead = format!("; the mean of {mm:.2} mm is taken, which is off by up to {off:.2} mm");
+            let instead = format!("; the mean spacing of {mm:.2} mm is used, which misplaces slices by up to {off:.2} mm");
             warnings.push(format!(
-                "its slices are {:.2} to {:.2} mm apart (unlike the usual {usual:.2} mm between the positions {} mm along the normal){}",
+                "the spacing of its slices varies from {:.2} to {:.2} mm (it is not the usual {usual:.2} mm at {} mm along the normal){}",
                 by_size[0],
                 by_size[by_size.len() - 1],
                 list(&odd),
