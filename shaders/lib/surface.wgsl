@@ -4,6 +4,7 @@ const REFINEMENTS: i32 = 14;
 const SHORTEST: f32 = 0.25;
 const FINE: f32 = 0.25;
 const ONWARD: f32 = 1e-6;
+const FINEST: f32 = 1.0 / 32768.0;
 const MOST_SAMPLES: u32 = 100000u;
 
 const OUTSIDE: u32 = 0u;
@@ -169,6 +170,7 @@ fn trace(ray: Ray, taken: ptr<function, u32>) -> SurfaceEvent {
         return none;
     }
     var t = max(near, 0.0);
+    let finest = FINEST * (far - t);
     var before = SurfaceSample(-1.0, 0.0, 0.0);
     var count = 0u;
     while t < far && count < MOST_SAMPLES {
@@ -189,7 +191,7 @@ fn trace(ray: Ray, taken: ptr<function, u32>) -> SurfaceEvent {
             last = before;
             before = here;
             changed = last.t >= 0.0 && ((last.f > 0.0) != (here.f > 0.0) || (object.solid != 0u && last.cut > 0.0 && here.cut <= 0.0));
-            t += max(step_length(here, max(c.g, 1e-3), leaves(cell, 1.0, ray, inverse)), ONWARD * t);
+            t += max(step_length(here, max(c.g, 1e-3), leaves(cell, 1.0, ray, inverse)), max(ONWARD * t, finest));
         }
         if changed {
             let event = first_event(ray, last, here);

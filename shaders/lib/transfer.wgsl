@@ -3,6 +3,7 @@
 const TABLE_ENTRIES: i32 = 4096;
 const GRADIENT_ENTRIES: i32 = 256;
 const SLOPE_STEP: f32 = 0.02;
+const LEVEL: f32 = 1.0 - 1e-5;
 
 // Colour (not premultiplied) and optical depth.
 fn lookup(value: f32) -> vec4<f32> {
@@ -42,7 +43,7 @@ fn segment_depth(ends: vec2<f32>) -> f32 {
 
 fn falling_side(value: f32) -> f32 {
     let step = SLOPE_STEP / frame.table_scale;
-    return select(1.0, -1.0, lookup(value + step).a < lookup(value - step).a);
+    return select(1.0, -1.0, lookup(value + step).a < LEVEL * lookup(value - step).a);
 }
 
 fn gradient_factor(magnitude: f32) -> f32 {

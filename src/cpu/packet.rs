@@ -13,7 +13,7 @@
 //! known without a look; the distance to the shapes of cuts changes no faster than the point moves, so that between two evaluations it is
 //! bounded; the Jacobian is the identity outside all maps.
 
-use super::shading::{self, BACK_TO_CUT, ENTRY_STEPS, EVEN_LIGHT, FARTHEST_BACK, SURFACE};
+use super::shading::{self, BACK_STEPS, BACK_TO_CUT, ENTRY_STEPS, EVEN_LIGHT, FARTHEST_BACK, SURFACE};
 use super::{OPAQUE, Projection, shading::Sample};
 use crate::math::lanes::*;
 use crate::scene::{Mode, Normals, Prepared, RenderStats};
@@ -612,9 +612,17 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             let mut beside = beside & own.simd_lt(1.0) & facing.simd_gt(0.0);
             if beside.any_true() {
                 // As shading::seen_cut.
-                let way = (distance * BACK_TO_CUT / facing).min(FARTHEST_BACK * scene.frame.blend_mm[1]);
-                let back = self.look(simd, sampled - rays.direction * way, beside, false);
-                beside &= back.present & back.depth.simd_ge(at.depth * 0.5);
+                let mut way = (distance * BACK_TO_CUT / facing).min(FARTHEST_BACK * scene.frame.blend_mm[1]);
+                let mut untold = beside;
+                for _ in 0..BACK_STEPS {
+                    let back = self.look(simd, sampled - rays.direction * way, untold, false);
+                    beside &= !(untold & back.present) | back.depth.simd_ge(at.depth * 0.5);
+                    untold &= !back.present;
+                    if !untold.any_true() {
+                        break;
+                    }
+                    way = way * 0.5;
+                }
                 let of_face = one - own;
                 let blended = (normal * (own * confidence) + outward * of_face).normalized();
                 normal = Vec3x8::select(beside, blended, normal);

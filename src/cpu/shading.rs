@@ -101,7 +101,7 @@ pub(super) const BACK_TO_CUT: f32 = 0.9;
 /// The farthest that is looked, in reaches of the blend: along a face that a ray grazes nothing is told of what lies farther.
 pub(super) const FARTHEST_BACK: f32 = 4.0;
 /// How often half of that is tried where it is too far.
-const BACK_STEPS: u32 = 4;
+pub(super) const BACK_STEPS: u32 = 4;
 
 /// A cut near a sample in the midst of matter, if the ray came out of it; none if it came through another surface since, or goes towards it.
 fn seen_cut<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, sample: &Sample, cut: Cut, direction: Vec3) -> Cut {

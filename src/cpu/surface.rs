@@ -35,7 +35,9 @@ const SHORTEST: f32 = 0.25;
 const FINE: f32 = 0.25;
 /// A ray goes on by this share of its length at least, else rounding would hold it at the border of a cell.
 const ONWARD: f32 = 1e-6;
-/// Most samples along one ray: beyond any picture's need, and an end for broken fields.
+/// Steps are no shorter than this share of a ray's way through what an object may fill, however steep the deformation: beyond any picture's need.
+const FINEST: f32 = 1.0 / 32_768.0;
+/// Most samples along one ray: an end for broken fields.
 const MOST_SAMPLES: u32 = 100_000;
 
 /// What a ray sees of the surfaces.
@@ -200,6 +202,7 @@ pub fn trace(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: 
     let (near, far) = grid.occupied.intersect_ray(origin, direction)?;
     let inverse = direction.recip();
     let mut t = near.max(0.0);
+    let finest = FINEST * (far - t);
     let mut before: Option<Sample> = None;
     let is_distance = object.implicit.as_ref().is_some_and(crate::mesh::Implicit::is_distance);
     let mut count = 0;
@@ -220,7 +223,7 @@ pub fn trace(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: 
             return Some(hit);
         }
         before = Some(here);
-        t += step(scene, object, &here, p, is_distance, origin, inverse, t).max(ONWARD * t);
+        t += step(scene, object, &here, p, is_distance, origin, inverse, t).max(ONWARD * t).max(finest);
     }
     // The last part of the ray, to the end of what can be seen.
     let hit =

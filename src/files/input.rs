@@ -173,7 +173,7 @@ mod tests {
         let error = unzipped_bytes(&path, 4 << 30, "mesh").err().map(|e| e.to_string()).unwrap_or_default();
         assert!(error.contains("unpacks to more than"), "{error}");
         assert!(bytes(&path, 10, "list").err().is_some_and(|e| e.to_string().contains("too large for a list")));
-        assert!(text(&path, 1 << 20, "list").err().is_some_and(|e| e.to_string().contains("no text")));
+        assert!(text(&path, 1 << 20, "list").err().is_some_and(|e| e.to_string().contains("not text")));
         assert!(bytes(folder.path(), 10, "list").err().is_some_and(|e| e.to_string().contains("is a folder")));
     }
 

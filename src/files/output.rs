@@ -312,8 +312,8 @@ mod tests {
         let late = Output::create(&path).unwrap_or_else(|e| panic!("{e}"));
         super::super::input::text(&path, 10, "scene").unwrap_or_else(|e| panic!("{e}"));
         let said = |r: Result<()>| r.err().map(|e| e.to_string()).unwrap_or_default();
-        assert!(said(late.finish(b"y")).contains("is read"));
-        assert!(said(Output::create(&path).map(drop)).contains("is read"));
+        assert!(said(late.finish(b"y")).contains("is an input"));
+        assert!(said(Output::create(&path).map(drop)).contains("is an input"));
         assert_eq!(said(Output::replacing(&path).and_then(|o| o.finish(b"y"))), "");
         assert_eq!(std::fs::read(&path).ok().as_deref(), Some(&b"y"[..]));
     }

@@ -15,6 +15,8 @@ pub const TABLE_ENTRIES: usize = 4096;
 pub const GRADIENT_ENTRIES: usize = 256;
 /// Half the stretch of the table over which opacity is asked whether it rises or falls, table coordinates.
 const SLOPE_STEP: f32 = 0.02;
+/// An opacity that falls by less than this is level: what differs by rounding is.
+const LEVEL: f32 = 1.0 - 1e-5;
 /// Opacity 1 would be an infinite optical depth; 2^-16 of the light passes instead.
 const MAX_DEPTH: f32 = 16.0;
 
@@ -169,7 +171,7 @@ impl Table {
     /// 1 where opacity rises with the value, -1 where it falls: the side of a surface on which its matter lies.
     pub fn falling_side(&self, value: f32) -> f32 {
         let step = SLOPE_STEP / self.scale;
-        if self.lookup(value + step)[3] < self.lookup(value - step)[3] { -1.0 } else { 1.0 }
+        if self.lookup(value + step)[3] < LEVEL * self.lookup(value - step)[3] { -1.0 } else { 1.0 }
     }
 
     /// Factor on the optical depth at a gradient magnitude (normalised values per mm).

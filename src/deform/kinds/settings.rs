@@ -110,7 +110,7 @@ mod tests {
         assert_eq!(whole.parse(" 3 "), Ok(Some(Argument::Number(3.0))));
         assert_eq!(whole.parse("1, 4"), Ok(Some(Argument::Numbers(vec![1.0, 4.0]))));
         assert_eq!(whole.parse("  "), Ok(None));
-        for (text, word) in [("labels.nii.gz", "is a file"), ("1.5", "whole"), ("-1", "whole"), ("brain", "whole"), ("1, inf", "whole")] {
+        for (text, word) in [("labels.nii.gz", "file name"), ("1.5", "whole"), ("-1", "whole"), ("brain", "whole"), ("1, inf", "whole")] {
             assert!(whole.parse(text).is_err_and(|e| e.contains(word)), "{text}: {:?}", whole.parse(text));
         }
         assert!(of(Form::Flag).parse("yes").is_err() && of(Form::Number).parse("1, 2").is_err());

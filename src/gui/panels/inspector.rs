@@ -619,7 +619,7 @@ mod tests {
     fn files_are_looked_for() {
         let folder = tempfile::tempdir().unwrap();
         let setting = Setting { name: "labels", form: Form::File, about: "" };
-        assert!(typed(&setting, "labels.nii", folder.path()).is_err_and(|e| e.contains("no such file")));
+        assert!(typed(&setting, "labels.nii", folder.path()).is_err_and(|e| e.contains("file not found")));
         std::fs::write(folder.path().join("labels.nii"), "").unwrap();
         assert_eq!(typed(&setting, "labels.nii", folder.path()), Ok(Some(Argument::Text("labels.nii".into()))));
         assert!(typed(&setting, "phantom:octants", folder.path()).is_ok());
