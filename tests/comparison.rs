@@ -152,6 +152,11 @@ pub fn what_cannot_be_compared_is_told() {
     for n in 0..3 {
         image::GrayImage::from_pixel(4, 4, image::Luma([n * 40])).save(f.join(format!("slices/{n}.png"))).unwrap();
     }
+    std::fs::create_dir(f.join("protected")).unwrap();
+    std::fs::write(f.join("protected/runs.csv"), "precious").unwrap();
+    let mut permissions = std::fs::metadata(f.join("protected/runs.csv")).unwrap().permissions();
+    permissions.set_readonly(true);
+    std::fs::set_permissions(f.join("protected/runs.csv"), permissions).unwrap();
     let cases: &[(i32, &[&str], &str)] = &[
         (2, &["--steps", "fine"], "--steps"),
         (2, &["--steps", "1", "--step", "2"], "--step"),
@@ -196,13 +201,23 @@ pub fn what_cannot_be_compared_is_told() {
         (&["tet.obj", "-o", "lab", "--modes", "slice"], "--modes slice"),
         (&["slices", "-o", "slices"], "slices"),
         (&["phantom:ball:size=12", "-o", "taken"], "runs.csv"),
+        (&["phantom:ball:size=12", "-o", "protected"], "runs.csv"),
     ] {
         let output = compare(f, &[arguments, &common].concat());
         assert_eq!(output.status.code(), Some(1), "{arguments:?}: {}", stderr(&output));
         assert!(stderr(&output).contains(culprit) && stderr(&output).trim().lines().count() == 1, "{arguments:?}: {}", stderr(&output));
         assert_eq!(before(), files, "{arguments:?} left something");
     }
+    // Nor does a gallery come to lie among the slices that it shows.
+    let gallery = ["gallery", "--volume", "slices", "-o", "slices", "--kind", "half-space", "--edge", "16", "-q"];
+    let output = Command::new(env!("CARGO_BIN_EXE_incise")).current_dir(f).args(gallery).output().unwrap();
+    assert!(output.status.code() == Some(1) && stderr(&output).contains("input folder"), "{}", stderr(&output));
+    assert_eq!(before(), files);
     assert_eq!(std::fs::read(f.join("file")).unwrap(), b"precious");
+    // What is empty says why here as well.
+    let output =
+        compare(f, &[&["phantom:ball:size=12", "-o", "lab", "--no-reference", "--deform", "box:center=0,0,0,size=900"][..], &common].concat());
+    assert!(output.status.success() && stderr(&output).contains("everything is cut away"), "{}", stderr(&output));
     assert_eq!(compare(f, &["phantom:ball"]).status.code(), Some(2), "no --output");
     let help = compare(f, &["--help"]);
     let text = String::from_utf8_lossy(&help.stdout).into_owned();

@@ -80,7 +80,7 @@ fn main() {
         oblique_ball_is_round_and_lit_alike, path_through_a_cut_slab_is_exact, composition_is_the_formula, depth_of_projections, holes_are_empty));
     all.extend(trials!(scenes:
         every_scene_loads_and_comes_back, skipping_and_termination_change_nothing, halving_the_step_changes_little, what_holds_a_volume_is_kept, cuts_are_lit_alike_at_every_step,
-        slices_approach_rays, order_of_deformations_matters, left_is_left));
+        slices_approach_rays, order_of_deformations_matters, left_is_left, empty_pictures_say_why));
     all.extend(trials!(nifti:
         every_type_and_byte_order, rescale_is_sanitised, sform_qform_and_spacing, damaged_files_are_named, the_first_of_a_series_is_taken, the_bundled_head));
     all.extend(trials!(fields:

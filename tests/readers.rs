@@ -181,8 +181,8 @@ pub fn real_series_have_their_geometry() {
     assert_eq!((v.size, v.voxels.type_name()), ([512, 512, 28], "i16"));
     assert!((v.tilt_degrees() - 18.5).abs() < 0.01, "{}", v.tilt_degrees());
     assert!(v.world_from_voxel.matrix3.determinant() > 0.0 && v.orientation() == "LPS");
-    let uneven = v.warnings.iter().find(|w| w.contains("mm apart")).unwrap();
-    assert!(uneven.contains("1.08 to 7.00") && uneven.contains("off by up to"), "{uneven}");
+    let uneven = v.warnings.iter().find(|w| w.contains("spacing of its slices varies")).unwrap();
+    assert!(uneven.contains("1.08 to 7.00") && uneven.contains("misplaces slices by up to"), "{uneven}");
     assert!(v.misplaced.is_some_and(|m| m.resampling_helps && (m.by_mm - 21.61).abs() < 0.01), "{:?}", v.misplaced);
     // Where each slice lies is known: the first and last of the volume are at their places.
     let report: Value = serde_json::from_slice(&incise(&["info", "--json", head.path().to_str().unwrap()]).stdout).unwrap();

@@ -191,3 +191,49 @@ pub fn left_is_left() {
     }
     assert!(on_right > 1.1 * on_left, "label Precentral_L shows {on_left} on the left half, {on_right} on the right");
 }
+
+/// An empty picture is an answer, with the reason in a line.
+pub fn empty_pictures_say_why() {
+    let volume = "[volume]\npath = \"phantom:head-ct:size=16\"\n";
+    let solid = |join: &str, center: [f32; 3], radius: f32| {
+        format!(
+            "[[mesh]]\n[[mesh.shape]]\nkind = \"sphere\"\nradius = 10.0\n[[mesh.shape]]\njoin = \"{join}\"\nkind = \"sphere\"\nradius = {radius:?}\ncenter = {center:?}\n"
+        )
+    };
+    for (text, words) in [
+        (format!("{volume}[[deformation]]\nkind = \"box\"\ncenter = [0, 0, 0]\nsize = 2000.0"), "everything is cut away"),
+        (format!("{volume}[[deformation]]\nkind = \"knife\"\n[[deformation]]\nkind = \"box\"\ncenter = [0, 0, 0]\nsize = 2000.0"), "is cut away"),
+        (format!("{volume}[camera]\ntarget = [5000.0, 0.0, 0.0]"), "reset camera.target"),
+        (format!("{volume}[render]\niso = 9000.0"), "no surface at 9000"),
+        (format!("{volume}[render]\nmode = \"surface\"\n[surface]\niso = 9000.0"), "no surface at 9000"),
+        (format!("{volume}[render]\nmode = \"surface\"\n[[mesh]]\niso = 9000.0"), "no surface at 9000"),
+        (format!("{volume}[render]\nstep = 64.0"), "reduce render.step"),
+        (format!("{volume}[transfer]\ndensity = 0.0"), "transfer.density is 0"),
+        (format!("{volume}[transfer]\nwindow = 1.0\nlevel = 1e6"), "transparent"),
+        (format!("{volume}[transfer]\nblend = \"mip\"\nwindow = 1.0\nlevel = 1e6"), "transparent"),
+        (
+            format!(
+                "{volume}[[transfer.gradient_opacity]]\nmagnitude = 0.0\nfactor = 0.0\n[[transfer.gradient_opacity]]\nmagnitude = 1e9\nfactor = 0.0"
+            ),
+            "transfer.gradient_opacity",
+        ),
+        (solid("subtract", [0.0; 3], 20.0), "has no interior"),
+        (solid("intersect", [90.0, 0.0, 0.0], 10.0), "has no interior"),
+    ] {
+        let mut scene = Scene::from_toml(&format!("incise = 1\n{text}")).unwrap_or_else(|e| panic!("{e}\n{text}"));
+        scene.render.size = [32, 32];
+        if scene.volume.is_none() {
+            scene.render.mode = Mode::Surface;
+        }
+        let assets = assets(&scene);
+        let prepared = Prepared::new(&scene, &assets).unwrap_or_else(|e| panic!("{e}\n{text}"));
+        let rendered = incise::cpu::render(&prepared, &|_| ());
+        let said: Vec<String> = rendered.notices.into_iter().chain(assets.library.notices()).collect();
+        assert!(rendered.picture.is_blank(), "{text}");
+        assert!(said.iter().any(|line| line.contains(words)), "{text}\n{said:?}");
+    }
+    // And one with something in it says nothing of the kind.
+    let scene = Scene::of_volume("phantom:head-ct:size=16");
+    let assets = assets(&scene);
+    assert!(incise::cpu::render(&Prepared::new(&scene, &assets).unwrap(), &|_| ()).notices.is_empty());
+}

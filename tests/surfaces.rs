@@ -656,7 +656,10 @@ pub fn every_format_is_one_mesh() {
                 r#"{head}"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}}}}]}}],"accessors":[{{"componentType":5126,"count":10000000000,"type":"VEC3"}}],{data}"#
             ),
         ),
-        ("escaped", format!(r#"{head}"meshes":[],"buffers":[{{"byteLength":3,"uri":"%FF.bin"}}]}}"#)),
+        (
+            "percent-encoded",
+            r#"{"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[]}],"buffers":[{"byteLength":3,"uri":"%FF.bin"}]}"#.to_owned(),
+        ),
         ("too often", format!(r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{},{{}}]}}"#, nodes.join(","))),
     ] {
         let error = load::parse(text.as_bytes(), "gltf", Some(Path::new("."))).unwrap_err();

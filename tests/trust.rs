@@ -200,6 +200,13 @@ pub fn every_writer_into_every_place() {
             assert!(!given || owner == (1234, 4321), "{}: {owner:?}", writer.words);
         }
 
+        #[cfg(target_os = "linux")]
+        for _ in 0..2 {
+            let name = format!("twice.{}", writer.ending);
+            succeeds(&Path::new("/proc/self/cwd/places").join(name));
+            complete(&place("twice"));
+        }
+
         // A file that is write-protected is left alone, whoever asks.
         let protected = place("protected");
         std::fs::write(&protected, "old").unwrap();
@@ -262,13 +269,16 @@ pub fn every_writer_into_every_place() {
         for input in writer.reads {
             let endings = input.ends_with(writer.ending) || writer.words.contains("--stats OUT") || writer.words.contains("--csv OUT");
             if endings {
-                refused(&f.join(input), "read");
+                refused(&f.join(input), "input");
+                // By a way that leads through the system's names for what is open.
+                #[cfg(target_os = "linux")]
+                refused(&Path::new("/proc/self/cwd").join(input), "input");
             }
             let (link, hard) = (place("link-to-input"), place("hard-link-to-input"));
             symlink(f.join(input), &link).unwrap();
-            refused(&link, "read");
+            refused(&link, "input");
             std::fs::hard_link(f.join(input), &hard).unwrap();
-            refused(&hard, "read");
+            refused(&hard, "input");
             std::fs::remove_file(link).unwrap();
             std::fs::remove_file(hard).unwrap();
         }
@@ -288,7 +298,7 @@ pub fn standard_output_takes_a_picture() {
     }
     let output = incise(f, &words(&format!("{render} picture.png --stats /dev/stdout")));
     assert!(output.status.success() && is_complete(&output.stdout, "json"), "{}", stderr(&output));
-    for more in ["--stats -", "--json"] {
+    for more in ["--stats -", "--json", "--stats /dev/stdout"] {
         let output = incise(f, &words(&format!("{render} - {more}")));
         assert!(output.status.code() == Some(1) && stderr(&output).contains("standard output"), "{}", stderr(&output));
     }
@@ -344,6 +354,13 @@ pub fn what_cannot_be_printed_is_an_error() {
     assert_eq!(command(f, &words("info nowhere.nii")).stderr(full).status().unwrap().code(), Some(1));
 }
 
+/// Whether this process, and so each that it starts, was started to ignore a signal; unknown counts as not.
+fn is_ignored(signal: rustix::process::Signal) -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let ignored = status.lines().find_map(|l| u64::from_str_radix(l.strip_prefix("SigIgn:")?.trim(), 16).ok());
+    ignored.is_some_and(|set| set >> (signal.as_raw() - 1) & 1 == 1)
+}
+
 /// What a run that is told to end was writing is gone, and what one that was killed left is gone after the next.
 pub fn nothing_unfinished_is_left() {
     let folder = tempfile::tempdir().unwrap();
@@ -355,6 +372,10 @@ pub fn nothing_unfinished_is_left() {
     // Long enough to be interrupted: the volume is written slice by slice.
     let bake = words("bake phantom:checker:size=400 -o out.nii --deform twist --interpolation cubic -q");
     for signal in [rustix::process::Signal::INT, rustix::process::Signal::TERM, rustix::process::Signal::HUP, rustix::process::Signal::KILL] {
+        // Under `nohup`, say, it stays ignored.
+        if is_ignored(signal) {
+            continue;
+        }
         let mut child = command(f, &bake).spawn().unwrap();
         let start = Instant::now();
         let mut grown = false;

@@ -141,8 +141,9 @@ impl Arguments {
         if !nearest.as_os_str().is_empty() && !nearest.is_dir() {
             return Err(Error::file(nearest, "is a file; --output names a folder below it"));
         }
-        Output::create(&nearest.join("index.html"))?;
-        self.protect(scene, ["index.html", "report.json", "runs.csv", "pairs.csv", "picture.png"].into_iter())
+        let names = ["index.html", "report.json", "runs.csv", "pairs.csv", "picture.png"];
+        names.iter().try_for_each(|name| Output::create(&nearest.join(name)).map(|_tried| ()))?;
+        self.protect(scene, names.into_iter())
     }
 
     /// Nothing is ever written to a file that is read, nor two things to one file.

@@ -3,6 +3,7 @@
 use super::progress::Progress;
 use crate::deform::kinds::{self, Kind, Unit};
 use crate::export::png;
+use crate::export::protect;
 use crate::files::Output;
 use crate::files::path_text::text_of;
 use crate::scene::{Assets, Prepared, Scene, example};
@@ -40,6 +41,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if !(16..=2048).contains(&arguments.edge) {
         return Err(Error::value("--edge", format!("{} is outside 16 to 2048 pixels", arguments.edge)));
     }
+    // One of the pictures stands for all: none may come to lie among the slices of a folder that is read.
+    protect("--output", &arguments.output.join("picture.png"), [arguments.volume.as_path()])?;
     std::fs::create_dir_all(&arguments.output).map_err(|e| Error::io(&arguments.output, "making", e))?;
     let own = text_of(&arguments.volume);
     let bar = Progress::new(arguments.quiet);

@@ -239,8 +239,12 @@ fn run_check(arguments: &CheckArguments) -> Result<()> {
     if let (Some(csv), Some(picture)) = (&arguments.csv, &arguments.picture) {
         check_distinct(csv, "--picture", picture)?;
     }
-    let csv = arguments.csv.as_deref().map(Output::create).transpose()?;
-    let picture = arguments.picture.as_deref().map(Output::create).transpose()?;
+    let csv = arguments.csv.as_deref().map(Output::create_or_standard).transpose()?;
+    let picture = arguments.picture.as_deref().map(Output::create_or_standard).transpose()?;
+    let in_words = ![&csv, &picture].into_iter().flatten().any(Output::is_standard_output);
+    if arguments.json && !in_words {
+        return Err(Error::value("--json", "the report and a file cannot both go to standard output; write one of them to a file"));
+    }
     let (examined, warnings) = match saved_map(path)? {
         Some(map) => (Examined::of_map(&map), Vec::new()),
         None => {
@@ -279,7 +283,11 @@ fn run_check(arguments: &CheckArguments) -> Result<()> {
     for w in &warnings {
         line("note", w.clone());
     }
-    super::print(out.trim_end())
+    if in_words {
+        return super::print(out.trim_end());
+    }
+    super::tell(out.trim_end());
+    Ok(())
 }
 
 /// A field, all of it seen.

@@ -83,12 +83,6 @@ fn outputs(arguments: &Arguments, scene: &Scene) -> Result<(Output, Option<Outpu
     for (option, path) in written.into_iter().flatten().filter(|(_, path)| *path != Path::new("-")) {
         protect(option, path, read.iter().map(PathBuf::as_path).chain([common.input.as_path()]))?;
     }
-    if picture == Path::new("-") && common.reports_to_standard_output() {
-        return Err(Error::value(
-            "--stats, --json",
-            "the picture and the report cannot both go to standard output (-o -); write one of them to a file",
-        ));
-    }
     if let Some(stats) = common.stats.as_ref().filter(|s| *s != Path::new("-")) {
         check_distinct(picture, "--stats", stats)?;
     }
@@ -97,7 +91,11 @@ fn outputs(arguments: &Arguments, scene: &Scene) -> Result<(Output, Option<Outpu
     if output.is_file() && !is_png() {
         return Err(Error::value(format!("--output {}", picture.display()), "pictures are written as PNG; give a name that ends in .png"));
     }
-    Ok((output, common.stats_file()?))
+    let stats = common.stats_file()?;
+    if output.is_standard_output() && (common.reports_to_standard_output() || stats.as_ref().is_some_and(Output::is_standard_output)) {
+        return Err(Error::value("--stats, --json", "the picture and the report cannot both go to standard output; write one of them to a file"));
+    }
+    Ok((output, stats))
 }
 
 /// A picture and where it was made.

@@ -276,14 +276,18 @@ pub fn run(plan: &Plan, assets: &Assets, mut gpu: Option<Gpu>, title: &str, tell
                         let part = progress.part(mode_name(mode), repetition * plan.repeat as f32);
                         let measured = on_cpu(plan, &scene, assets, &part)?;
                         progress.done = part.end;
+                        notices.extend(measured.notices.iter().cloned());
                         runs.push(measured);
                     }
                     if let Some(gpu) = &mut gpu {
                         let part = progress.part(mode_name(mode), GPU_SHARE * repetition * (plan.repeat + 2) as f32);
-                        let measured = on_gpu(plan, &scene, assets, gpu, &part, &mut notices);
+                        let measured = on_gpu(plan, &scene, assets, gpu, &part);
                         progress.done = part.end;
                         match measured {
-                            Ok(measured) => runs.push(measured),
+                            Ok(measured) => {
+                                notices.extend(measured.notices.iter().cloned());
+                                runs.push(measured);
+                            }
                             Err(error) if plan.gpu_is_required => return Err(error),
                             Err(error) => {
                                 notices.push(format!("{} is left out: {error}", plan.name(&format!("{} gpu", mode_name(mode)), &scene, true)))
@@ -406,27 +410,25 @@ fn on_cpu(plan: &Plan, scene: &Scene, assets: &Assets, part: &Part) -> Result<Ru
     merged((0..plan.repeat).map(once).collect::<Result<_>>()?)
 }
 
-fn on_gpu(plan: &Plan, scene: &Scene, assets: &Assets, gpu: &mut Gpu, part: &Part, notices: &mut Vec<String>) -> Result<Run> {
+fn on_gpu(plan: &Plan, scene: &Scene, assets: &Assets, gpu: &mut Gpu, part: &Part) -> Result<Run> {
     let name = plan.name(&format!("{} gpu", mode_name(scene.render.mode)), scene, true);
     let pictures = plan.repeat + 2;
-    let mut once = |n: usize, counting: bool| -> Result<(Run, Vec<String>)> {
+    let mut once = |n: usize, counting: bool| -> Result<Run> {
         let share = |share: f32| part.tell((n as f32 + share) / pictures as f32);
         let start = Instant::now();
         let prepared = gpu.prepare(scene, assets)?;
         let before = start.elapsed().as_secs_f64() * 1e3;
         let rendered = gpu.render(&prepared, counting, &Watch::telling(&share))?;
         let all = start.elapsed().as_secs_f64() * 1e3;
-        let notices = rendered.notices.clone();
         let mut run = Run { name: name.clone(), backend: "gpu".to_owned(), ..super::once(scene, &prepared, rendered, [before, all]) };
         let [volume, gradients] = gpu.volume_bytes();
         run.memory.volume_bytes = if scene.volume.is_some() { volume } else { 0 };
         run.memory.gradient_bytes = gradients;
-        Ok((run, notices))
+        Ok(run)
     };
-    let (first, told) = once(0, false)?;
-    let timed = (0..plan.repeat).map(|n| once(n + 1, false).map(|r| r.0)).collect::<Result<_>>()?;
-    let (counted, _) = once(pictures - 1, true)?;
-    notices.extend(told);
+    let first = once(0, false)?;
+    let timed = (0..plan.repeat).map(|n| once(n + 1, false)).collect::<Result<_>>()?;
+    let counted = once(pictures - 1, true)?;
     Ok(Run { warm_up: Some(first.milliseconds.median), stats: counted.stats, ..merged(timed)? })
 }
 
@@ -602,6 +604,7 @@ mod tests {
             memory: crate::compare::Memory::default(),
             error: (error > 0.0).then(|| d(error)),
             is_reference: error == 0.0,
+            notices: Vec::new(),
         }
     }
 

@@ -124,6 +124,7 @@ fn once(scene: &Scene, prepared: &Prepared, rendered: Rendered, [before, all]: [
         memory: Memory::of(prepared, scene.volume.is_some()),
         error: None,
         is_reference: false,
+        notices: rendered.notices,
         picture: rendered.picture,
     }
 }

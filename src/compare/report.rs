@@ -76,6 +76,8 @@ pub struct Run {
     pub error: Option<Difference>,
     /// Whether it is what others are measured against.
     pub is_reference: bool,
+    /// What a user should know of it, one sentence each.
+    pub notices: Vec<String>,
 }
 
 /// Two runs and how their pictures differ.
@@ -335,13 +337,14 @@ impl Report {
 /// Writes files into a folder, which is made if it does not exist, in their order.
 ///
 /// # Errors
-/// A folder that cannot be made or written, or holds a folder where a file is to be; then nothing is written.
+/// A folder that cannot be made or written, or holds what cannot be replaced; then nothing is written.
 pub fn write_files(folder: &Path, files: &[(String, Vec<u8>)]) -> Result<()> {
     if let Some(path) = files.iter().map(|(file, _)| folder.join(file)).find(|path| path.is_dir()) {
         return Err(Error::file(&path, "is a folder where a file is to be written; remove it, or choose another folder"));
     }
     std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "making", e))?;
-    files.iter().try_for_each(|(file, content)| Output::create(&folder.join(file))?.finish(content))
+    let outputs = files.iter().map(|(file, _)| Output::create(&folder.join(file))).collect::<Result<Vec<_>>>()?;
+    outputs.into_iter().zip(files).try_for_each(|(output, (_, content))| output.finish(content))
 }
 
 /// Names of stages with their milliseconds.
@@ -435,6 +438,7 @@ mod tests {
             stats: Some(RenderStats { samples_taken: 1_234_567, samples_skipped: 2, samples_terminated: 3 }),
             backend: "cpu".to_owned(),
             step: 0.5,
+            notices: Vec::new(),
         }
     }
 

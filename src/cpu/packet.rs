@@ -368,7 +368,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                     (at.present, at.inside, at.clear) = (look.present, look.inside, clear);
                     (sampled, before, share) = (p, previous, part);
                     (near_shape, found) = (hit & beside, hit);
-                    (front_known, front_present, front_depth) = (known, last_present, last_depth);
+                    (front_known, front_present, front_depth) = (hit & known, hit & last_present, last_depth);
                     looking &= !hit;
                 } else if hit.any_true() {
                     at = Looks {
@@ -621,7 +621,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                     if !untold.any_true() {
                         break;
                     }
-                    way = way * 0.5;
+                    way *= 0.5;
                 }
                 let of_face = one - own;
                 let blended = (normal * (own * confidence) + outward * of_face).normalized();

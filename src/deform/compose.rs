@@ -36,7 +36,7 @@ const SHORTCUT_TEXELS: [usize; 4] = [48, 80, 128, 192];
 const CELL_PROBES: usize = 1_000_000;
 /// Share of the space that may be marked: a finer map is not worth it below, and none above.
 const FEW_MARKED: f32 = 0.12;
-const MOST_MARKED: f32 = 0.6;
+const MOST_MARKED: f32 = 0.5;
 /// Of the points of a cell, those at which Jacobians are compared, and how far their components may be apart: normals turn by about as much, radians.
 const SLOPE_PROBES: usize = 2;
 const MAX_SLOPE_ERROR: f32 = 0.05;

@@ -62,21 +62,29 @@ pub fn of_region(volume: &Volume, region: &Region, smooth: bool) -> Option<Dista
     Some(DistanceGrid::new(size, if smooth { keeping_sides(smoothed(signed.clone(), size), &signed) } else { signed }, world_from_grid))
 }
 
-/// Labels as a table of bits.
+/// Labels as a table of bits; those beyond it as a set.
 #[derive(Default)]
-struct LabelSet(Vec<u64>);
+struct LabelSet {
+    bits: Vec<u64>,
+    large: std::collections::HashSet<usize>,
+}
 
 impl LabelSet {
+    /// Labels that the table holds: 128 KiB.
+    const SMALL: usize = 1 << 20;
+
     fn new(labels: &[usize]) -> Self {
-        let mut bits = vec![0u64; labels.iter().max().map_or(0, |l| l / 64 + 1)];
-        labels.iter().for_each(|l| bits[l / 64] |= 1 << (l % 64));
-        Self(bits)
+        let (small, large): (Vec<usize>, Vec<usize>) = labels.iter().partition(|l| **l < Self::SMALL);
+        let mut bits = vec![0u64; small.iter().max().map_or(0, |l| l / 64 + 1)];
+        small.iter().for_each(|l| bits[l / 64] |= 1 << (l % 64));
+        Self { bits, large: large.into_iter().collect() }
     }
 
     #[inline(always)]
     fn holds(&self, value: f64) -> bool {
         let label = value as usize;
-        label as f64 == value && self.0.get(label / 64).is_some_and(|bits| bits >> (label % 64) & 1 == 1)
+        let listed = |bits: &u64| bits >> (label % 64) & 1 == 1;
+        label as f64 == value && (self.bits.get(label / 64).is_some_and(listed) || !self.large.is_empty() && self.large.contains(&label))
     }
 }
 
@@ -142,10 +150,20 @@ mod tests {
 
     #[test]
     fn labels_are_looked_up() {
-        let set = LabelSet::new(&[0, 3, 64, 1_000_000]);
-        for (value, held) in
-            [(0.0, true), (3.0, true), (3.5, false), (4.0, false), (64.0, true), (1e6, true), (-1.0, false), (1e18, false), (f64::NAN, false)]
-        {
+        let set = LabelSet::new(&[0, 3, 64, 1_000_000, 614_454_277]);
+        for (value, held) in [
+            (614_454_277.0, true),
+            (614_454_276.0, false),
+            (0.0, true),
+            (3.0, true),
+            (3.5, false),
+            (4.0, false),
+            (64.0, true),
+            (1e6, true),
+            (-1.0, false),
+            (1e18, false),
+            (f64::NAN, false),
+        ] {
             assert_eq!(set.holds(value), held, "{value}");
         }
         assert!(!LabelSet::default().holds(0.0));

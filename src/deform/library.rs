@@ -118,7 +118,7 @@ impl Library {
     }
 
     /// Notes that what should lie over the volume lies beside it: it will do nothing.
-    fn note_distance(&self, what: &str, path: &Path, other: &Volume) {
+    pub(crate) fn note_distance(&self, what: &str, path: &Path, other: &Volume) {
         let Some(volume) = &self.volume else { return };
         let (own, other) = (volume.bounds_in_world(), other.bounds_in_world());
         let gap = (other.min - own.max).max(own.min - other.max).max(glam::Vec3::ZERO).length();
@@ -283,7 +283,7 @@ fn some_labels(volume: &Volume) -> String {
     let mut seen = std::collections::BTreeSet::new();
     for n in 0..volume.voxels.len() {
         let v = volume.voxels.get(n) * volume.rescale.slope + volume.rescale.intercept;
-        if v > 0.0 && v.fract() == 0.0 && v <= 65_535.0 {
+        if v > 0.0 && v.fract() == 0.0 && v <= f64::from(u32::MAX) {
             seen.insert(v as u32);
         }
     }

@@ -8,7 +8,9 @@ pub fn available_bytes() -> Option<u64> {
     let text = std::fs::read_to_string("/proc/meminfo").ok()?;
     let line = text.lines().find(|l| l.starts_with("MemAvailable:"))?;
     let machine = line.split_whitespace().nth(1)?.parse::<u64>().ok()?.checked_mul(1024)?;
-    Some(control_group_bytes().map_or(machine, |group| group.min(machine)))
+    let available = control_group_bytes().map_or(machine, |group| group.min(machine));
+    // Something is left to all others.
+    Some(available - available / 16)
 }
 
 /// What is left of the memory limit of this process's control group (version 2); none without a limit.

@@ -74,9 +74,27 @@ fn target(path: &Path) -> Result<PathBuf> {
     Err(Error::file(&path, "is a link that leads back to itself; choose another name"))
 }
 
-/// One of the names that a system has for what a process has open: a link to something that need not have a name of its own.
+/// Whether a path is, or leads by links to, one of the names that a system has for what a process has open (`/dev/fd/3`, `/proc/self/fd/3`): a link to
+/// something that need not have a name of its own.
 fn names_an_open_file(path: &Path) -> bool {
-    cfg!(unix) && (path.starts_with("/dev") || path.starts_with("/proc"))
+    let mut path = path.to_owned();
+    for _ in 0..MAX_LINKS {
+        let folder = path.parent().and_then(|f| f.canonicalize().ok()).unwrap_or_default();
+        if folder.ends_with("fd") && (folder.starts_with("/proc") || folder.starts_with("/dev")) {
+            return cfg!(unix);
+        }
+        let Ok(next) = std::fs::read_link(&path) else { break };
+        path = folder.join(next);
+    }
+    false
+}
+
+/// Refuses to replace what must not be.
+///
+/// # Errors
+/// It is write-protected.
+fn check_replaceable(path: &Path, there: &Metadata) -> Result<()> {
+    if there.permissions().readonly() { Err(Error::file(path, "is read-only; choose another name, or make it writable")) } else { Ok(()) }
 }
 
 impl Output {
@@ -125,9 +143,7 @@ impl Output {
                 return of(stream(&there));
             }
             Ok(there) => {
-                if there.permissions().readonly() {
-                    return Err(Error::file(path, "is read-only; choose another name, or make it writable"));
-                }
+                check_replaceable(path, &there)?;
                 // Opened without being changed: the system's own word on whether it may be.
                 OpenOptions::new().write(true).open(path).map_err(writing)?;
                 of(Destination::File(target(path)?))?
@@ -145,7 +161,12 @@ impl Output {
     /// # Errors
     /// It is a file that was read in this run.
     pub fn check(&self) -> Result<()> {
-        let Destination::File(target) = &self.destination else { return Ok(()) };
+        let target = match &self.destination {
+            Destination::File(target) => target,
+            // Written through, but a file all the same.
+            Destination::Stream if std::fs::metadata(&self.path).is_ok_and(|m| m.is_file()) => &self.path,
+            _ => return Ok(()),
+        };
         match inputs::name_of(target).filter(|_| !self.replaces_read) {
             None => Ok(()),
             Some(read) if read == self.path => {
@@ -162,6 +183,11 @@ impl Output {
     /// Whether it is an ordinary file, rather than something that is written through.
     pub fn is_file(&self) -> bool {
         matches!(self.destination, Destination::File(_))
+    }
+
+    /// Whether it is standard output, by whatever name.
+    pub fn is_standard_output(&self) -> bool {
+        matches!(self.destination, Destination::StandardOutput)
     }
 
     /// A new file beside the destination.
@@ -230,7 +256,12 @@ impl Output {
         let writing = |e| Error::io(&self.path, "writing", e);
         let file = part.file().map_err(writing)?;
         file.sync_all().map_err(writing)?;
-        if let Ok(before) = std::fs::metadata(target) {
+        // Others may have been there since the place was tried.
+        if let Ok(before) = std::fs::symlink_metadata(target) {
+            if !before.is_file() {
+                return Err(Error::file(&self.path, "became something other than a file while it was written; choose another name"));
+            }
+            check_replaceable(&self.path, &before)?;
             keep_owner_and_mode(file, &before);
         }
         part.persist(target).map_err(writing)
@@ -316,6 +347,40 @@ mod tests {
         assert!(said(Output::create(&path).map(drop)).contains("is an input"));
         assert_eq!(said(Output::replacing(&path).and_then(|o| o.finish(b"y"))), "");
         assert_eq!(std::fs::read(&path).ok().as_deref(), Some(&b"y"[..]));
+    }
+
+    /// What came to be at a place while its file was made is not replaced, unless it is a file that may be.
+    #[cfg(unix)]
+    #[test]
+    fn what_appears_meanwhile_is_left() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().unwrap_or_else(|e| panic!("{e}"));
+        type Case = (&'static str, fn(&Path), Option<&'static str>);
+        let made: [Case; 4] = [
+            ("file", |p| std::fs::write(p, "old").unwrap_or_else(|e| panic!("{e}")), None),
+            ("link", |p| std::os::unix::fs::symlink("elsewhere", p).unwrap_or_else(|e| panic!("{e}")), Some("other than a file")),
+            ("folder", |p| std::fs::create_dir(p).unwrap_or_else(|e| panic!("{e}")), Some("other than a file")),
+            (
+                "protected",
+                |p| {
+                    std::fs::write(p, "old").unwrap_or_else(|e| panic!("{e}"));
+                    std::fs::set_permissions(p, std::fs::Permissions::from_mode(0o444)).unwrap_or_else(|e| panic!("{e}"));
+                },
+                Some("read-only"),
+            ),
+        ];
+        for (name, make, refusal) in made {
+            let path = folder.path().join(name);
+            let output = Output::create(&path).unwrap_or_else(|e| panic!("{e}"));
+            make(&path);
+            let before = std::fs::symlink_metadata(&path).map(|m| m.file_type()).ok();
+            let said = output.finish(b"new").err().map(|e| e.to_string());
+            assert_eq!(said.is_some(), refusal.is_some(), "{name}: {said:?}");
+            assert!(said.unwrap_or_default().contains(refusal.unwrap_or_default()), "{name}");
+            assert_eq!(std::fs::symlink_metadata(&path).map(|m| m.file_type()).ok(), before, "{name}");
+        }
+        assert_eq!(std::fs::read(folder.path().join("file")).ok().as_deref(), Some(&b"new"[..]));
+        assert_eq!(std::fs::read_dir(folder.path()).map(Iterator::count).ok(), Some(4));
     }
 
     #[cfg(unix)]

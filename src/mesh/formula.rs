@@ -116,19 +116,20 @@ impl Formula {
         all
     }
 
-    /// The box that holds it.
+    /// A box that holds it: that of the first solid where nothing is left.
     pub fn bounds(&self) -> Bounds {
-        let mut all = Bounds::EMPTY;
+        let (mut all, mut first) = (Bounds::EMPTY, None);
         for s in &self.0 {
             let half = s.solid.half();
             let b = Bounds::new(-half, half).transformed(&s.local_from_world.inverse());
+            first.get_or_insert(b);
             all = match s.join {
                 Join::Union => all.union(&b),
                 Join::Intersect => all.intersection(&b),
                 Join::Subtract => all,
             };
         }
-        all
+        if all.is_empty() || all.size().min_element() <= 0.0 { first.unwrap_or(all) } else { all }
     }
 }
 

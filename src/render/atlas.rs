@@ -1,8 +1,9 @@
 //! The maps of a stack in one texture: a shader binds few textures (16 on WebGL and OpenGL), a scene may have many deformations. A map's texels lie
 //! together; shaders never read beyond them, so that neighbours do not touch.
 //!
-//! There are two: of half precision, and of single precision for displacement fields from files and maps of 16 bits. What is in an atlas stays there
-//! until something else needs its place, so that a hand that goes back and forth between two states uploads nothing.
+//! There are two: of half precision, and of single precision for all other maps: displacement fields from files, and steps of 8 or 16 bits, which halves
+//! do not have. What is in an atlas stays there until something else needs its place, so that a hand that goes back and forth between two states
+//! uploads nothing.
 
 use super::kept::Target;
 use super::{Renderer, extent};
@@ -145,7 +146,7 @@ impl Renderer {
     /// The atlas that a map goes into, and its format.
     pub(super) fn format_of(&self, map: &DisplacementMap) -> (bool, TextureFormat) {
         // What cannot be filtered cannot be bound where filtering is.
-        let single = matches!(map.storage, Storage::F32 | Storage::Snorm16) && self.device.device.features().contains(Features::FLOAT32_FILTERABLE);
+        let single = map.storage != Storage::F16 && self.device.device.features().contains(Features::FLOAT32_FILTERABLE);
         (single, if single { TextureFormat::Rgba32Float } else { TextureFormat::Rgba16Float })
     }
 

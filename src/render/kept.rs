@@ -194,7 +194,6 @@ impl Renderer {
     }
 
     fn upload_map(&self, map: &DisplacementMap) -> Result<wgpu::Texture> {
-        // Snorm texels stay the steps that they are, in the format of the others.
         let (single, format) = self.format_of(map);
         let usage = TextureUsages::COPY_DST | TextureUsages::COPY_SRC;
         let texture = self.texture_3d_for("displacement map", map.size, format, usage)?;

@@ -6,7 +6,6 @@
 use super::prepared::{Picture, Prepared};
 use super::{Mode, Projection};
 use crate::math::Bounds;
-use crate::transfer::Blend;
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -59,6 +58,9 @@ impl Prepared<'_> {
         if let Some(problem) = self.surfaces_without_inside() {
             return Some(problem);
         }
+        if shows_volume && self.no_values && self.surfaces.objects.is_empty() {
+            return Some("the picture is empty: no voxel of the volume is a finite number; check the file".into());
+        }
         let found = self.search(shows_volume);
         let said = if !found.visible_before && shows_volume {
             self.why_invisible()
@@ -68,9 +70,12 @@ impl Prepared<'_> {
             "everything visible is cut away; make the cuts smaller, move them, or switch one off".to_owned()
         } else if !found.in_view {
             "nothing of the scene is in view; reset camera.target, or lower camera.zoom".to_owned()
-        } else if shows_volume && self.blend == Blend::Composite && self.iso.is_none() {
-            "everything in view is too transparent or too small to be seen; raise the opacity (transfer.density), adjust the window, or zoom in"
-                .to_owned()
+        } else if shows_volume && self.iso.is_none() {
+            let factors = if self.uses_gradient_opacity() { " and the factors of transfer.gradient_opacity" } else { "" };
+            let step = if self.settings.step > 1.0 { ", reduce render.step" } else { "" };
+            format!(
+                "everything in view is too transparent or too small to be seen; raise the opacity (transfer.density){factors}, adjust the window{step}, or zoom in"
+            )
         } else {
             "everything in view is too small to be seen; zoom in, or reduce render.step".to_owned()
         };
@@ -89,7 +94,7 @@ impl Prepared<'_> {
         };
         let first = self.surfaces.objects.first().filter(|_| self.surfaces.objects.iter().all(empty) && !self.shows_volume())?;
         Some(format!(
-            "the picture is empty: {} has no interior (a subtracted shape covers it, or intersected shapes do not overlap); change its shapes",
+            "the picture is empty: {} has no interior (a subtracted shape covers it, intersected shapes do not overlap, or the volume has no such value); change it",
             first.name
         ))
     }
@@ -123,7 +128,7 @@ impl Prepared<'_> {
             };
             let shows = |v: f32| match self.iso {
                 Some(iso) => v >= iso,
-                None => self.blend != Blend::Composite || self.table.lookup(v)[3] > 0.0,
+                None => self.table.lookup(v)[3] > 0.0,
             };
             // Every voxel counts for what could be seen at all: a thin sheet may lie between the points.
             let visible_before = self.iso.is_some_and(|iso| (0.0..=1.0).contains(&iso)) || self.iso.is_none() && self.shows_any_value();
@@ -171,7 +176,7 @@ impl Prepared<'_> {
 
     /// Whether the transfer function shows any value that the volume has.
     fn shows_any_value(&self) -> bool {
-        self.blend != Blend::Composite || self.table.max_depth(0.0, 1.0) > 0.0
+        self.table.max_depth(0.0, 1.0) > 0.0
     }
 
     /// Whether a point lies in the picture.

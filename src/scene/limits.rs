@@ -68,13 +68,14 @@ fn number(path: &str, name: &str, value: f64) -> Result<()> {
     let (most, unit) = match name {
         n if DATA_VALUES.contains(&n) => (MAX_DATA_VALUE, ""),
         n if ANGLES.contains(&n) => (MAX_ANGLE_DEG, " degrees"),
+        "label" | "spare" => (f64::from(u32::MAX), ""),
         _ => (MAX_LENGTH_MM, ""),
     };
     if !value.is_finite() {
         return Err(Error::value(path, format!("{value} is not a finite number")));
     }
     if value.abs() > most {
-        return Err(Error::value(path, format!("{value} is out of range; use a value from -{most} to {most}{unit}")));
+        return Err(Error::value(path, format!("{value:?} is out of range; use a value from -{most} to {most}{unit}")));
     }
     Ok(())
 }

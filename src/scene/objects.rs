@@ -355,11 +355,19 @@ impl Objects {
                 .map_err(|_| Error::value("iso, label", "need a volume, and the scene has none; name one with `volume`"))?
                 .clone(),
         };
+        if let Some(path) = &source.volume {
+            assets.library.note_distance("the volume", &assets.library.path(path), &volume);
+        }
         let grid = match source.iso {
-            Some(iso) => of_iso_value(&volume, iso).ok_or_else(|| {
-                let [low, high] = volume.range;
-                Error::value("iso", format!("the volume has no surface at {iso}; its values range from {low} to {high}"))
-            }),
+            Some(iso) => match of_iso_value(&volume, iso) {
+                Some(grid) => Ok(grid),
+                None => {
+                    let [low, high] = volume.range;
+                    let problem = format!("{}: the volume has no surface at {iso}; its values range from {low} to {high}", source.label(0));
+                    assets.library.notice(problem);
+                    return Ok(Arc::new(nothing_within(&volume.bounds_in_world())));
+                }
+            },
             None => of_region(&volume, &Region::Labels(&source.label), true)
                 .ok_or_else(|| Error::value("label", format!("no surface has the labels {:?}: no voxel has them, or all do", source.label))),
         }?;
@@ -482,12 +490,14 @@ fn formula(shapes: &[ShapeSource]) -> Result<Formula> {
         }
         Ok(PlacedSolid { solid, join, local_from_world: world_from_local.inverse() })
     });
-    let formula = Formula(solids.collect::<Result<_>>()?);
-    let bounds = formula.bounds();
-    if bounds.is_empty() || bounds.size().min_element() <= 0.0 {
-        return Err(Error::value("shape", "what is joined leaves nothing"));
-    }
-    Ok(formula)
+    solids.collect::<Result<_>>().map(Formula)
+}
+
+/// The field of no surface at all.
+fn nothing_within(bounds: &Bounds) -> DistanceGrid {
+    let size = bounds.size();
+    let world_from_grid = Affine3A::from_translation(bounds.min) * Affine3A::from_scale(size);
+    DistanceGrid::new([2; 3], vec![-size.length(); 8], world_from_grid)
 }
 
 fn named<T>(result: Result<T>, label: &str) -> Result<T> {

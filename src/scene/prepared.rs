@@ -378,6 +378,8 @@ pub struct Prepared<'a> {
     pub(super) has_volume: bool,
     /// The volume's lowest and highest value, data units.
     pub(super) value_range: [f64; 2],
+    /// No voxel is a finite number.
+    pub(super) no_values: bool,
     /// The factor on the opacities, if the scene states one.
     pub(super) density: Option<f64>,
     /// Empty space.
@@ -536,6 +538,7 @@ impl<'a> Prepared<'a> {
             settings,
             has_volume: assets.has_volume,
             value_range: volume.range,
+            no_values: volume.non_finite == volume.voxels.len(),
             density: scene.transfer.density,
             notices: composition.and_then(|c| c.notice()).into_iter().collect(),
             macrocells,
@@ -646,6 +649,9 @@ fn check_size(settings: &RenderSettings) -> Result<()> {
     }
 }
 
+/// Bounds on the error of a map that stands for several, mm.
+const PRECOMPOSE_MM: std::ops::RangeInclusive<f32> = 0.001..=100.0;
+
 fn check_settings(settings: &RenderSettings, light: &Light) -> Result<()> {
     check_size(settings)?;
     if !(settings.step.is_finite() && (0.01..=100.0).contains(&settings.step)) {
@@ -654,8 +660,9 @@ fn check_settings(settings: &RenderSettings, light: &Light) -> Result<()> {
     if settings.iso.is_some_and(|v| !v.is_finite()) {
         return Err(Error::value("iso", "must be a finite value"));
     }
-    if settings.precompose.is_some_and(|mm| !(mm.is_finite() && mm > 0.0)) {
-        return Err(Error::value("precompose", "is an error bound in mm; it must be positive"));
+    if settings.precompose.is_some_and(|mm| !PRECOMPOSE_MM.contains(&mm)) {
+        let [least, most] = [PRECOMPOSE_MM.start(), PRECOMPOSE_MM.end()];
+        return Err(Error::value("precompose", format!("is an error bound in mm, from {least} to {most}")));
     }
     if !settings.background.iter().all(|c| (0.0..=1.0).contains(c)) {
         return Err(Error::value("background", "its components must lie within 0..1"));

@@ -51,7 +51,10 @@ impl Format {
         let name = path.file_name().map(|n| n.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
         let endings = [(".nii.gz", Self::NiftiGz), (".nii", Self::Nifti), (".nrrd", Self::Nrrd), (".mha", Self::Mha), (".vti", Self::Vti)];
         endings.into_iter().find(|(e, _)| name.ends_with(e)).map(|(_, f)| f).ok_or_else(|| {
-            Error::value(format!("--output {}", path.display()), "is of a format that is not written; end it in .nii.gz, .nii, .nrrd, .mha or .vti")
+            Error::value(
+                format!("--output {}", path.display()),
+                "does not say its format; name a file that ends in .nii.gz, .nii, .nrrd, .mha or .vti",
+            )
         })
     }
 

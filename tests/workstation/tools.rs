@@ -427,7 +427,7 @@ pub fn a_field_refuses_what_it_cannot_use() {
     let shown = bench.picture();
     let before = bench.scene();
     for (field, text, word) in
-        [("Label", "labels.nii.gz", "is a file"), ("Mask", "no-such-mask.nii", "no such file"), ("Iso", "high", "is not a number")]
+        [("Label", "labels.nii.gz", "file name"), ("Mask", "no-such-mask.nii", "file not found"), ("Iso", "high", "is not a number")]
     {
         bench.harness.get_by_role_and_label(Role::TextInput, field).scroll_to_me();
         bench.settle();

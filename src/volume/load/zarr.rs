@@ -118,6 +118,9 @@ fn read_unguarded(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> 
 
     // Its metadata and chunks, those that are there and those that are not.
     inputs::note_path(path);
+    if array_folder.to_str().is_none() {
+        return Err(fail("has a name, or lies in a folder with one, that is not UTF-8, which OME-Zarr needs; rename it".into()));
+    }
     let store = FilesystemStore::new(&array_folder).map_err(|e| fail(format!("cannot be opened ({e})")))?;
     let array = Array::open(Arc::new(store), "/").map_err(|e| fail(format!("holds an array that cannot be read ({e})")))?;
     let subset = |channel: usize, slices: Range<usize>| -> ArraySubset {
