@@ -34,9 +34,11 @@ const OF_BOUND: f32 = 0.6;
 const SHORTCUT_TEXELS: [usize; 4] = [48, 80, 128, 192];
 /// Points compared in the cells of one of them.
 const CELL_PROBES: usize = 1_000_000;
-/// Share of the space that may be marked: a finer map is not worth it below, and none above.
+/// Share of the space that may be marked: a finer map is not worth it below.
 const FEW_MARKED: f32 = 0.12;
-const MOST_MARKED: f32 = 0.5;
+/// Share of the maps' work that a shortcut must save, and of the space that may be marked however many maps there are.
+const LEAST_SAVED: f32 = 0.2;
+const MOST_MARKED: f32 = 0.6;
 /// Of the points of a cell, those at which Jacobians are compared, and how far their components may be apart: normals turn by about as much, radians.
 const SLOPE_PROBES: usize = 2;
 const MAX_SLOPE_ERROR: f32 = 0.05;
@@ -119,7 +121,7 @@ pub fn stack(stack: &Stack, scene_box: &Bounds, resolution: Resolution, storage:
 }
 
 /// One map that stands for a stack within `bound_mm` wherever matter is, with marks where it cannot: cells that a tear or a cut runs through, or
-/// that bend more than the grid resolves. None, with the share that would have to be marked, where that is most of the space.
+/// that bend more than the grid resolves. None, with the share that would have to be marked, where that saves too little.
 ///
 /// # Errors
 /// A placement that cannot be used; whatever the device reports; [`crate::Error::Cancelled`].
@@ -131,6 +133,8 @@ pub fn shortcut(stack: &Stack, scene_box: &Bounds, bound_mm: f32, evaluate: Eval
     let finest = finest(size_mm, MAX_SEARCH_TEXELS);
     let exact = |p: &Vec3| stack.walk_through(*p);
     let comparison = Comparison { exact: &exact, scene_box };
+    // Every sample costs one map, those that are marked all others as well.
+    let most_marked = (1.0 - LEAST_SAVED - 1.0 / stack.maps().len() as f32).min(MOST_MARKED);
     let mut best: Option<Sheet> = None;
     for texels in SHORTCUT_TEXELS.map(|n| n.min(finest)) {
         watch.check()?;
@@ -139,7 +143,7 @@ pub fn shortcut(stack: &Stack, scene_box: &Bounds, bound_mm: f32, evaluate: Eval
         }
         let mut sheet = Sheet::new(stack, &placement, grid_for(size_mm, texels), bound_mm, evaluate)?;
         // Too coarse by far: not worth a look at every cell.
-        if sheet.bad_share_of_some(&comparison, bound_mm) > MOST_MARKED {
+        if sheet.bad_share_of_some(&comparison, bound_mm) > most_marked {
             continue;
         }
         sheet.find_bad_cells(&comparison, stack, bound_mm, watch)?;
@@ -148,7 +152,7 @@ pub fn shortcut(stack: &Stack, scene_box: &Bounds, bound_mm: f32, evaluate: Eval
             best = Some(sheet);
         }
         let share = best.as_ref().map_or(1.0, Sheet::share);
-        if share <= FEW_MARKED || !gained && share <= MOST_MARKED {
+        if share <= FEW_MARKED || !gained && share <= most_marked {
             break;
         }
     }
@@ -157,7 +161,7 @@ pub fn shortcut(stack: &Stack, scene_box: &Bounds, bound_mm: f32, evaluate: Eval
     for _ in 0..LAST_ROUNDS {
         watch.check()?;
         exactness.by_maps = sheet.share();
-        if exactness.by_maps > MOST_MARKED {
+        if exactness.by_maps > most_marked {
             return Ok((None, exactness));
         }
         let shortcut = Shortcut { map: sheet.marked_map(), bound_mm };
