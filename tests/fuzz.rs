@@ -19,7 +19,7 @@ use std::time::{Duration, Instant};
 use toml::Value;
 
 /// No scene of this size may take longer.
-const MOST_SECONDS: f64 = 20.0;
+const MAX_SECONDS: f64 = 20.0;
 /// Longer than that by far: it will not end.
 const HANGS: Duration = Duration::from_secs(300);
 /// One scene of so many is rendered by a GPU as well.
@@ -606,7 +606,7 @@ pub fn random_scenes_do_no_harm() {
             eprintln!("scene {n}: {problem}\n{text}");
             complaints.push(format!("{n}: {}", problem.lines().next().unwrap_or_default()));
         };
-        if seconds > MOST_SECONDS {
+        if seconds > MAX_SECONDS {
             complain(format!("took {seconds:.1} s"));
         }
         let Ok(outcome) = outcome else {

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// The largest whole number up to which single precision has all of them.
-const MOST_WHOLE: f32 = 16_777_216.0;
+const MAX_WHOLE: f32 = 16_777_216.0;
 
 /// One value.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -157,8 +157,8 @@ impl Arguments {
         if let Some(bad) = numbers.iter().find(|v| **v < 0.0 || v.fract() != 0.0) {
             return Err(Error::value(name, format!("{bad} is not a whole number from 0 on")));
         }
-        if let Some(bad) = numbers.iter().find(|v| **v > MOST_WHOLE) {
-            return Err(Error::value(name, format!("{bad} is too large; whole numbers up to {MOST_WHOLE} can be used here")));
+        if let Some(bad) = numbers.iter().find(|v| **v > MAX_WHOLE) {
+            return Err(Error::value(name, format!("{bad} is too large; whole numbers up to {MAX_WHOLE} can be used here")));
         }
         Ok(Some(numbers.into_iter().map(|v| v as usize).collect()))
     }

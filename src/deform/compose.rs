@@ -37,8 +37,8 @@ const CELL_PROBES: usize = 1_000_000;
 /// Share of the space that may be marked: a finer map is not worth it below.
 const FEW_MARKED: f32 = 0.12;
 /// Share of the maps' work that a shortcut must save, and of the space that may be marked however many maps there are.
-const LEAST_SAVED: f32 = 0.2;
-const MOST_MARKED: f32 = 0.6;
+const MIN_SAVED: f32 = 0.2;
+const MAX_MARKED: f32 = 0.6;
 /// Of the points of a cell, those at which Jacobians are compared, and how far their components may be apart: normals turn by about as much, radians.
 const SLOPE_PROBES: usize = 2;
 const MAX_SLOPE_ERROR: f32 = 0.05;
@@ -134,46 +134,46 @@ pub fn shortcut(stack: &Stack, scene_box: &Bounds, bound_mm: f32, evaluate: Eval
     let exact = |p: &Vec3| stack.walk_through(*p);
     let comparison = Comparison { exact: &exact, scene_box };
     // Every sample costs one map, those that are marked all others as well.
-    let most_marked = (1.0 - LEAST_SAVED - 1.0 / stack.maps().len() as f32).min(MOST_MARKED);
-    let mut best: Option<Sheet> = None;
+    let max_marked = (1.0 - MIN_SAVED - 1.0 / stack.maps().len() as f32).min(MAX_MARKED);
+    let mut best: Option<MarkedGrid> = None;
     for texels in SHORTCUT_TEXELS.map(|n| n.min(finest)) {
         watch.check()?;
         if best.as_ref().is_some_and(|b| b.size == grid_for(size_mm, texels)) {
             break;
         }
-        let mut sheet = Sheet::new(stack, &placement, grid_for(size_mm, texels), bound_mm, evaluate)?;
+        let mut grid = MarkedGrid::new(stack, &placement, grid_for(size_mm, texels), bound_mm, evaluate)?;
         // Too coarse by far: not worth a look at every cell.
-        if sheet.bad_share_of_some(&comparison, bound_mm) > most_marked {
+        if grid.bad_share_of_some(&comparison, bound_mm) > max_marked {
             continue;
         }
-        sheet.find_bad_cells(&comparison, stack, bound_mm, watch)?;
-        let gained = best.as_ref().is_none_or(|b| sheet.share() < LEAST_GAIN * b.share());
+        grid.find_bad_cells(&comparison, stack, bound_mm, watch)?;
+        let gained = best.as_ref().is_none_or(|b| grid.share() < LEAST_GAIN * b.share());
         if gained {
-            best = Some(sheet);
+            best = Some(grid);
         }
-        let share = best.as_ref().map_or(1.0, Sheet::share);
-        if share <= FEW_MARKED || !gained && share <= most_marked {
+        let share = best.as_ref().map_or(1.0, MarkedGrid::share);
+        if share <= FEW_MARKED || !gained && share <= max_marked {
             break;
         }
     }
-    let Some(mut sheet) = best else { return Ok((None, exactness)) };
+    let Some(mut grid) = best else { return Ok((None, exactness)) };
     // Many points at last, elsewhere than those that were asked: what they find is marked as well.
     for _ in 0..LAST_ROUNDS {
         watch.check()?;
-        exactness.by_maps = sheet.share();
-        if exactness.by_maps > most_marked {
+        exactness.by_maps = grid.share();
+        if exactness.by_maps > max_marked {
             return Ok((None, exactness));
         }
-        let shortcut = Shortcut { map: sheet.marked_map(), bound_mm };
+        let shortcut = Shortcut { map: grid.marked_map(), bound_mm };
         let with = Stack::new(stack.maps().to_vec()).with_shortcut(shortcut.clone());
-        let h = 0.25 * sheet.texel_mm();
+        let h = 0.25 * grid.texel_mm();
         let errors = comparison.errors(&|p| with.walk(*p), &bounds, LAST_PROBES, h);
         let beyond: Vec<Vec3> = errors.iter().filter(|(e, _)| *e > bound_mm).map(|(_, p)| *p).collect();
         if beyond.is_empty() {
             (exactness.worst_mm, exactness.p99_mm) = worst_and_p99(errors.into_iter().map(|(e, _)| e).collect());
             return Ok((Some(shortcut), exactness));
         }
-        sheet.mark_around(&beyond);
+        grid.mark_around(&beyond);
     }
     Ok((None, exactness))
 }
@@ -184,7 +184,7 @@ fn differs(a: &Mat3, b: &Mat3) -> bool {
 }
 
 /// A composite in the making: samples, and the cells between them that are not exact enough.
-struct Sheet {
+struct MarkedGrid {
     size: [usize; 3],
     placement: Placement,
     storage: Storage,
@@ -194,18 +194,9 @@ struct Sheet {
     seen: Vec<bool>,
 }
 
-impl Sheet {
+impl MarkedGrid {
     fn new(stack: &Stack, placement: &Placement, size: [usize; 3], bound_mm: f32, evaluate: Evaluate) -> Result<Self> {
-        let map_from_world = Mat3::from(placement.map_from_world.matrix3);
-        let points: Vec<Vec3> = (0..size.iter().product::<usize>())
-            .into_par_iter()
-            .map(|n| placement.world_from_map.transform_point3(DisplacementMap::grid_point(size, n)))
-            .collect();
-        let samples: Vec<TexelSample> = evaluate(stack, &points)?
-            .into_par_iter()
-            .zip(&points)
-            .map(|((source, alpha), p)| TexelSample { displacement: map_from_world * (source - *p), alpha })
-            .collect();
+        let samples = grid_samples(placement, size, &|points| evaluate(stack, points))?;
         // What half precision rounds to must not matter.
         let largest = samples.par_iter().map(|s| s.displacement.abs().max_element()).reduce(|| 0.0, f32::max);
         let rounding = largest * placement.size_mm().max_element() / 2048.0;
@@ -371,19 +362,20 @@ fn finest(size_mm: Vec3, most: usize) -> usize {
     (2..=4096).rev().find(|&n| grid_for(size_mm, n).iter().product::<usize>() <= most).unwrap_or(2)
 }
 
-/// The map of a mapping, with its error at some points.
-fn sampled(mapping: &Mapping, placement: &Placement, size: [usize; 3], storage: Storage, probes: usize) -> Result<Composed> {
+/// The texels of a map: what `many` says of its grid points, in map coordinates.
+fn grid_samples(placement: &Placement, size: [usize; 3], many: &dyn Fn(&[Vec3]) -> Result<Sources>) -> Result<Vec<TexelSample>> {
     let map_from_world = Mat3::from(placement.map_from_world.matrix3);
     let points: Vec<Vec3> = (0..size.iter().product::<usize>())
         .into_par_iter()
         .map(|n| placement.world_from_map.transform_point3(DisplacementMap::grid_point(size, n)))
         .collect();
-    let samples = (mapping.many)(&points)?
-        .into_par_iter()
-        .zip(&points)
-        .map(|((source, alpha), p)| TexelSample { displacement: map_from_world * (source - *p), alpha })
-        .collect();
-    let map = DisplacementMap::from_samples(size, storage, samples);
+    let texel = |((source, alpha), p): ((Vec3, f32), &Vec3)| TexelSample { displacement: map_from_world * (source - *p), alpha };
+    Ok(many(&points)?.into_par_iter().zip(&points).map(texel).collect())
+}
+
+/// The map of a mapping, with its error at some points.
+fn sampled(mapping: &Mapping, placement: &Placement, size: [usize; 3], storage: Storage, probes: usize) -> Result<Composed> {
+    let map = DisplacementMap::from_samples(size, storage, grid_samples(placement, size, mapping.many)?);
     let placed = PlacedMap::new(Arc::new(map), *placement);
     let (worst_mm, p99_mm) = error(mapping, &placed, probes);
     Ok(Composed { placed, worst_mm, p99_mm, within: false })
