@@ -87,7 +87,8 @@ const STRIPS_PER_THREAD: usize = 4;
 
 /// Renders a prepared scene. `progress` is told the share that is done, from several threads.
 pub fn render(scene: &Prepared, progress: &(dyn Fn(f32) + Sync)) -> Rendered {
-    render_rows(scene, &Watch::telling(progress))
+    let (picture, stats, stages) = render_rows(scene, &Watch::telling(progress));
+    scene.rendered(picture, Some(stats), stages, Vec::new())
 }
 
 /// As [`render`], until it is told to stop, which it does within a row.
@@ -95,13 +96,13 @@ pub fn render(scene: &Prepared, progress: &(dyn Fn(f32) + Sync)) -> Rendered {
 /// # Errors
 /// [`Error::Cancelled`](crate::Error::Cancelled).
 pub fn render_until(scene: &Prepared, watch: &Watch) -> Result<Rendered> {
-    let rendered = render_rows(scene, watch);
+    let (picture, stats, stages) = render_rows(scene, watch);
     watch.check()?;
-    Ok(rendered)
+    Ok(scene.rendered(picture, Some(stats), stages, Vec::new()))
 }
 
 /// Rows after a stop stay empty.
-fn render_rows(scene: &Prepared, watch: &Watch) -> Rendered {
+fn render_rows(scene: &Prepared, watch: &Watch) -> (Picture, RenderStats, Stages) {
     let mut stages = Stages::default();
     scene.stack.fetch_texels();
     let gradients = stages.time("gradients", || scene.gradients());
@@ -111,11 +112,7 @@ fn render_rows(scene: &Prepared, watch: &Watch) -> Rendered {
         GridVoxels::I16(v) => rows(scene, &Sampler::new(scene.grid, v).with_gradients(gradients), watch),
         GridVoxels::F32(v) => rows(scene, &Sampler::new(scene.grid, v).with_gradients(gradients), watch),
     });
-    let picture = picture.reduced(scene.settings.antialias);
-    // Rows that were not rendered are blank, too.
-    let why = if watch.stopped() { None } else { scene.why_blank(&picture) };
-    let notices = scene.notices.iter().cloned().chain(why).collect();
-    Rendered { picture, stats: Some(stats), stages, notices }
+    (picture.reduced(scene.settings.antialias), stats, stages)
 }
 
 fn rows<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, watch: &Watch) -> (Picture, RenderStats) {

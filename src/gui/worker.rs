@@ -158,6 +158,8 @@ pub struct Shown {
     pub stages: Vec<(String, f64)>,
     /// Notices.
     pub notices: Vec<String>,
+    /// Why nothing is to be seen, if nothing is.
+    pub blank: Option<String>,
     /// Where it was made.
     pub backend: String,
     /// Its sampling distance, voxels.
@@ -509,6 +511,7 @@ fn shown(prepared: &Prepared, rendered: crate::scene::Rendered, backend: String,
         stats: rendered.stats,
         stages,
         notices: rendered.notices,
+        blank: rendered.blank,
         backend,
         step: prepared.settings.step,
         frame: prepared.frame.view,

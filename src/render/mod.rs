@@ -206,8 +206,7 @@ impl Renderer {
         if !shows_volume && scene.surfaces.objects.is_empty() {
             let pixels = vec![[0.0; 4]; width as usize * height as usize];
             let picture = Picture { width, height, pixels }.reduced(scene.settings.antialias);
-            let notices = scene.notices.iter().cloned().chain(scene.why_blank(&picture)).collect();
-            return Ok(Rendered { picture, stats: Some(RenderStats::default()), stages, notices });
+            return Ok(scene.rendered(picture, Some(RenderStats::default()), stages, Vec::new()));
         }
         stages.time("upload", || -> Result<()> {
             self.upload_volume(scene.grid, scene.colors)?;
@@ -216,7 +215,7 @@ impl Renderer {
             }
             wait(&self.device.device)
         })?;
-        let mut notices: Vec<String> = self.volume.as_ref().and_then(|v| v.notice.clone()).filter(|_| shows_volume).into_iter().collect();
+        let reduced: Vec<String> = self.volume.as_ref().and_then(|v| v.notice.clone()).filter(|_| shows_volume).into_iter().collect();
         let shared = stages.time("bind", || self.shared(scene))?;
         let counter = counting.then(|| self.fresh_counter());
         let behind = if scene.surfaces.objects.is_empty() {
@@ -263,9 +262,7 @@ impl Renderer {
         })?;
         let stats = counter.map(|c| c.read(self)).transpose()?;
         let picture = Picture { width, height, pixels }.reduced(scene.settings.antialias);
-        notices.extend(scene.notices.iter().cloned());
-        notices.extend(scene.why_blank(&picture));
-        Ok(Rendered { picture, stats, stages, notices })
+        Ok(scene.rendered(picture, stats, stages, reduced))
     }
 
     /// The counters, at zero.

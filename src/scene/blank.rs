@@ -3,7 +3,7 @@
 //! What a scene holds is asked at points of a grid over it: whether matter is there, whether it would be seen, whether it lies in the picture. The
 //! first question that every point answers with no is the reason.
 
-use super::prepared::{Picture, Prepared};
+use super::prepared::{Picture, Prepared, RenderStats, Rendered, Stages};
 use super::{Mode, Projection};
 use crate::math::Bounds;
 use glam::Vec3;
@@ -46,8 +46,15 @@ impl Picture {
 }
 
 impl Prepared<'_> {
+    /// A picture of the scene with what a user should be told: what the renderer has to say, what resolving the scene has found, and why it is blank.
+    pub fn rendered(&self, picture: Picture, stats: Option<RenderStats>, stages: Stages, mut notices: Vec<String>) -> Rendered {
+        let blank = self.why_blank(&picture);
+        notices.extend(self.notices.iter().chain(&blank).cloned());
+        Rendered { picture, stats, stages, notices, blank }
+    }
+
     /// Why a picture of the scene is blank, and what to do; none if it is not.
-    pub fn why_blank(&self, picture: &Picture) -> Option<String> {
+    fn why_blank(&self, picture: &Picture) -> Option<String> {
         if !picture.is_blank() {
             return None;
         }

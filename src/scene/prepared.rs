@@ -715,6 +715,8 @@ pub struct Rendered {
     pub stages: Stages,
     /// What a user should be told, one sentence each.
     pub notices: Vec<String>,
+    /// Why nothing is to be seen, if nothing is; one of the notices.
+    pub blank: Option<String>,
 }
 
 impl Picture {

@@ -365,7 +365,8 @@ fn show_numbers(ui: &mut Ui, d: &mut Deformation, kind: &Kind, scene_box: &crate
     }
 }
 
-fn capital(text: &str) -> String {
+/// The text with a capital in front.
+pub(in crate::gui) fn capital(text: &str) -> String {
     let mut text = text.to_owned();
     if let Some(first) = text.get_mut(0..1) {
         first.make_ascii_uppercase();

@@ -128,6 +128,11 @@ impl Delay {
     }
 }
 
+/// Says something in the middle of a view.
+pub fn told(painter: &Painter, rect: Rect, sentence: &str) {
+    boxed(painter, rect, &crate::gui::panels::inspector::capital(sentence), ON_CANVAS);
+}
+
 /// Lines of text on a dark box in the middle of a view.
 fn boxed(painter: &Painter, rect: Rect, words: &str, color: Color32) {
     let width = (rect.width() - 60.0).clamp(60.0, 460.0);

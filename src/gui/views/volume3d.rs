@@ -70,8 +70,10 @@ pub struct Facts {
     pub size: [usize; 2],
     /// Sampling distance, voxels.
     pub step: f32,
-    /// What is reduced, in words.
+    /// What a user should be told of it, one sentence each.
     pub notices: Vec<String>,
+    /// Why nothing is to be seen, if nothing is.
+    pub blank: Option<String>,
 }
 
 impl Default for View3d {
@@ -168,7 +170,7 @@ impl View3d {
         // Of a scene that is gone.
         let Some(of) = of else { return };
         self.pictures += 1;
-        self.facts = Facts { ms, backend: shown.backend, size: shown.image.size, step: shown.step, notices: shown.notices };
+        self.facts = Facts { ms, backend: shown.backend, size: shown.image.size, step: shown.step, notices: shown.notices, blank: shown.blank };
         let options = egui::TextureOptions::LINEAR;
         let texture = match self.picture.take() {
             Some(mut before) => {
@@ -310,6 +312,9 @@ impl Workstation {
             self.draw_measures(&painter, &projector, picture);
         }
         let hot = self.draw_gizmo(&painter, &projector, pointer);
+        if let (Some(why), None) = (&self.view.facts.blank, self.view.delay.words(true)) {
+            shown::told(&painter, rect, why);
+        }
         self.view.delay.draw(&painter, rect, true);
         self.draw_progress(&painter, rect);
         self.draw_hint(&painter, rect);
