@@ -31,7 +31,8 @@ struct Classification {
     value_shift: u32,
     value_levels: u32,
     value_size: vec3<u32>,
-    padding: u32,
+    // What the map that stands for all of them may be off by; 0 without one.
+    beside_mm: f32,
     // Nodes along each axis, and the place of the first.
     values: array<vec4<u32>, 12>,
     // Of each map: how many levels there are, and whether its mask takes anything away.
@@ -285,7 +286,7 @@ fn contained(b: Box) -> Contained {
             together = no_moves();
         }
     }
-    return Contained(shows_source(at, kept.x >= 0.0 && alpha.x >= 0.5, alpha.y), alpha.x < 1.0);
+    return Contained(shows_source(grown(at, vec3<f32>(grid.beside_mm)), kept.x >= 0.0 && alpha.x >= 0.5, alpha.y), alpha.x < 1.0);
 }
 
 fn shows(cell: Box) -> bool {

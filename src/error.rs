@@ -36,7 +36,7 @@ pub enum Error {
     /// The work was told to stop.
     #[error("cancelled")]
     Cancelled,
-    /// No graphics adapter, or one that cannot do the work.
+    /// No graphics adapter, or one that failed.
     #[error("GPU: {0}")]
     Gpu(String),
     /// The scene exceeds a limit of a working graphics adapter; the CPU can render it.

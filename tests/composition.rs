@@ -1,6 +1,6 @@
 //! Stacks of many maps: composed within the bound that was asked for, or walked as they are with a word about it; and shown alike.
 //!
-//! `INCISE_STACKS` says how many random stacks are tried (12 by default).
+//! `INCISE_STACKS` says how many random stacks are tried (12 by default), `INCISE_STACKS_KEEP` in which folder those that fail are kept.
 
 use crate::contract::points;
 use crate::metrics::{STEP, difference};
@@ -123,7 +123,7 @@ pub fn random_stacks_keep_their_bound() {
     let share = 100.0 * by_maps / whole.max(1) as f32;
     println!("{made} stacks: one map stands for {whole}, but for {share:.1} % of the space; {as_they_are} stayed as they were");
     assert!(complaints.is_empty(), "{}", complaints.join("\n"));
-    assert!(made * 2 >= count && (count < 20 || whole > made / 3), "{made} {whole} {as_they_are}");
+    assert!(made * 2 >= count && whole > made / 3, "{made} {whole} {as_they_are}");
 }
 
 /// What was reported: three turned explosions, composed to a quarter of a millimetre, were 11 mm off and nothing was said.

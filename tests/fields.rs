@@ -280,7 +280,7 @@ pub fn live_is_the_baked_picture() {
     }
 }
 
-/// Beyond what one pass binds the first maps are composed: the picture is that of all of them.
+/// With a bound, one map stands for eleven: the picture is that of all of them.
 pub fn long_stacks_are_composed() {
     let mut scene = Scene::of_volume("phantom:tomato:size=96");
     scene.render.size = [160, 160];

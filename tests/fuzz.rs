@@ -3,6 +3,7 @@
 //! picture of a GPU is the CPU's.
 //!
 //! `INCISE_FUZZ_SCENES` says how many (300 by default), `INCISE_FUZZ_FIRST` which is the first: any scene can be made again by its number.
+//! `INCISE_FUZZ_KEEP` names a folder in which all of them are kept.
 
 #[cfg(feature = "gpu")]
 use crate::metrics::{STEP, difference};

@@ -416,6 +416,12 @@ fn empty_space_agrees() {
         };
         many.deformation.push(d);
     }
+    let mut composed = Scene::of_volume("phantom:tomato:size=64");
+    for (n, kind) in ["wave", "twist", "bulge", "spline-pull", "wave"].into_iter().enumerate() {
+        let d = Deformation { progress: Some(0.25), rotate: Some([15.0 * n as f32, 25.0, 0.0]), ..Deformation::new(kind) };
+        composed.deformation.push(d);
+    }
+    composed.render.precompose = Some(4.0);
     let mut shapes = Scene::of_volume("phantom:head-ct:size=64");
     shapes.deformation = ["twist", "sphere", "box", "wedge", "cylinder"].map(Deformation::new).to_vec();
     shapes.deformation[1].center = Some([40.0, -50.0, 10.0]);
@@ -429,6 +435,7 @@ fn empty_space_agrees() {
         small("teddy-seam", &|s| s.render.preintegrated = true),
         small("brain-labels", &|_| ()),
         ("six maps".to_owned(), many),
+        ("composed".to_owned(), composed),
         ("shapes".to_owned(), shapes),
     ];
     for (name, scene) in &mut scenes {

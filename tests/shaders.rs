@@ -61,7 +61,7 @@ pub fn uniforms_match_their_structs() {
     same_layout!(&m, "PlacedMap", PlacedMapUniform: map_from_world, world_from_stored, size, added, reach, scale, origin, single, per_atlas, padding);
     let c = module(Program::Classify, false);
     same_layout!(&c, "Classification", ClassificationUniform: voxel_from_world, origin, looks_back_mm, cell_mm, beside_cuts_mm, size, cut_margin_mm, voxel_low,
-        margin_mm, voxel_high, iso, table_scale, table_offset, has_iso, grey_faces, composite, stack_cuts, value_shift, value_levels, value_size, padding,
+        margin_mm, voxel_high, iso, table_scale, table_offset, has_iso, grey_faces, composite, stack_cuts, value_shift, value_levels, value_size, beside_mm,
         values, maps, levels);
     same_layout!(&c, "NodeBounds", NodeBounds: low, high, slope_low, slope_high);
     same_layout!(&module(Program::Sample, false), "Recipe", RecipeUniform: cube_mm, ramp_mm, size, kind, numbers);

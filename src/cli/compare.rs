@@ -142,7 +142,12 @@ impl Arguments {
             return Err(Error::file(nearest, "is a file; --output names a folder below it"));
         }
         let names = ["index.html", "report.json", "runs.csv", "pairs.csv", "picture.png"];
-        names.iter().try_for_each(|name| Output::create(&nearest.join(name)).map(|_tried| ()))?;
+        if folder.is_dir() {
+            names.iter().try_for_each(|name| Output::create(&folder.join(name)).map(|_tried| ()))?;
+        } else {
+            // It holds none of them yet; whether it can be made shows where it will be.
+            Output::create(&nearest.join(".incise"))?;
+        }
         self.protect(scene, names.into_iter())
     }
 

@@ -241,9 +241,9 @@ fn run_check(arguments: &CheckArguments) -> Result<()> {
     }
     let csv = arguments.csv.as_deref().map(Output::create_or_standard).transpose()?;
     let picture = arguments.picture.as_deref().map(Output::create_or_standard).transpose()?;
-    let in_words = ![&csv, &picture].into_iter().flatten().any(Output::is_standard_output);
-    if arguments.json && !in_words {
-        return Err(Error::value("--json", "the report and a file cannot both go to standard output; write one of them to a file"));
+    let to_standard_output = [&csv, &picture].into_iter().flatten().filter(|o| o.is_standard_output()).count();
+    if to_standard_output + usize::from(arguments.json) > 1 {
+        return Err(Error::value("--csv, --picture, --json", "only one of them can go to standard output; write the others to files"));
     }
     let (examined, warnings) = match saved_map(path)? {
         Some(map) => (Examined::of_map(&map), Vec::new()),
@@ -283,7 +283,7 @@ fn run_check(arguments: &CheckArguments) -> Result<()> {
     for w in &warnings {
         line("note", w.clone());
     }
-    if in_words {
+    if to_standard_output == 0 {
         return super::print(out.trim_end());
     }
     super::tell(out.trim_end());

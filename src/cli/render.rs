@@ -207,7 +207,7 @@ fn report(done: &Done, prepared: &Prepared, stages: &Stages, notices: &[String],
         .stack
         .maps()
         .iter()
-        .map(|m| json!({ "size": m.map.size, "storage": m.map.storage, "bytes": m.map.gpu_bytes(), "health": Examined::of_map(m).health(false) }))
+        .map(|m| json!({ "size": m.map.size, "storage": m.map.storage, "bytes": m.map.stored_bytes(), "health": Examined::of_map(m).health(false) }))
         .collect();
     let composition = prepared.composition.map(|c| {
         json!({ "bound_mm": c.bound_mm, "maps": c.maps, "composed": c.composed, "worst_mm": c.worst_mm, "p99_mm": c.p99_mm, "share_by_maps": c.by_maps })

@@ -74,7 +74,7 @@ impl Memory {
         Self {
             volume_bytes: if has_volume { (volume + colors) as u64 } else { 0 },
             gradient_bytes: scene.kept_gradients().map_or(0, |g| size_of_val(&*g.texels) as u64),
-            map_bytes: scene.stack.maps().iter().map(|m| m.map.gpu_bytes() as u64).sum(),
+            map_bytes: scene.stack.all_maps().map(|m| m.map.stored_bytes() as u64).sum(),
             surface_bytes: scene.surfaces.objects.iter().filter_map(|o| o.implicit.as_ref()).map(|i| i.gpu_bytes() as u64).sum(),
             peak_bytes: peak_memory_bytes(),
         }

@@ -37,7 +37,7 @@ const FINE: f32 = 0.25;
 const ONWARD: f32 = 1e-6;
 /// Steps are no shorter than this share of a ray's way through what an object may fill, however steep the deformation: beyond any picture's need.
 const FINEST: f32 = 1.0 / 32_768.0;
-/// Most samples along one ray: an end for broken fields.
+/// Most samples along one ray: three times as many as there is room for, an end whatever rounding does.
 const MOST_SAMPLES: u32 = 100_000;
 
 /// What a ray sees of the surfaces.

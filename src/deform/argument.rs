@@ -8,6 +8,15 @@ use std::collections::BTreeMap;
 /// The largest whole number up to which single precision has all of them.
 const MAX_WHOLE: f32 = 16_777_216.0;
 
+/// A number as a whole one.
+pub(super) fn whole(v: f32) -> Result<usize, String> {
+    match v {
+        v if v < 0.0 || v.fract() != 0.0 => Err(format!("{v} is not a whole number from 0 on")),
+        v if v > MAX_WHOLE => Err(format!("{v} is too large; whole numbers up to {MAX_WHOLE} can be used here")),
+        v => Ok(v as usize),
+    }
+}
+
 /// One value.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
@@ -154,13 +163,7 @@ impl Arguments {
     /// A value of another form.
     pub fn whole(&self, name: &str) -> Result<Option<Vec<usize>>> {
         let Some(numbers) = self.numbers(name)? else { return Ok(None) };
-        if let Some(bad) = numbers.iter().find(|v| **v < 0.0 || v.fract() != 0.0) {
-            return Err(Error::value(name, format!("{bad} is not a whole number from 0 on")));
-        }
-        if let Some(bad) = numbers.iter().find(|v| **v > MAX_WHOLE) {
-            return Err(Error::value(name, format!("{bad} is too large; whole numbers up to {MAX_WHOLE} can be used here")));
-        }
-        Ok(Some(numbers.into_iter().map(|v| v as usize).collect()))
+        numbers.into_iter().map(whole).collect::<Result<_, _>>().map(Some).map_err(|problem| Error::value(name, problem))
     }
 
     /// true or false; false if not given.

@@ -155,10 +155,13 @@ impl Stack {
 
     /// As [`Self::source_bounds`], in parts: points inside and outside of a map's cube may come from far apart.
     pub fn source_parts(&self, deformed: &Bounds, found: &mut dyn FnMut(&Bounds, [f32; 2])) {
-        // What stands for the maps is not as exact as they are.
-        let beside = self.shortcut().map_or(0.0, |s| s.bound_mm);
-        let mut grown = |part: &Bounds, alpha: [f32; 2]| found(&part.grown(beside), alpha);
+        let mut grown = |part: &Bounds, alpha: [f32; 2]| found(&part.grown(self.beside_mm()), alpha);
         self.parts_of(self.maps().len(), FORKS, deformed, &Moves::NONE, [1.0; 2], &mut grown);
+    }
+
+    /// How far sources may be from those of the maps, mm: what stands for them is not as exact as they are.
+    pub fn beside_mm(&self) -> f32 {
+        self.shortcut().map_or(0.0, |s| s.bound_mm)
     }
 
     /// Through the first `count` maps, with `forks` left; those added to the next one have moved the box `together`.
@@ -228,7 +231,7 @@ impl Stack {
 
     /// The box that holds the deformed scene: the source's box and every cube into which a map can bring its matter.
     pub fn deformed_bounds(&self, source: &Bounds) -> Bounds {
-        let mut all = source.grown(self.shortcut().map_or(0.0, |s| s.bound_mm));
+        let mut all = source.grown(self.beside_mm());
         for map in self.maps().iter().filter(|m| m.map.moves_matter()) {
             let cube = map.bounds_in_world();
             let moved = map.displacement_bounds(&cube);

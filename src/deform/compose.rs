@@ -143,7 +143,9 @@ pub fn shortcut(stack: &Stack, scene_box: &Bounds, bound_mm: f32, evaluate: Eval
         }
         let mut grid = MarkedGrid::new(stack, &placement, grid_for(size_mm, texels), bound_mm, evaluate)?;
         // Too coarse by far: not worth a look at every cell.
-        if grid.bad_share_of_some(&comparison, bound_mm) > max_marked {
+        let about = grid.bad_share_of_some(&comparison, bound_mm);
+        if about > max_marked {
+            exactness.by_maps = exactness.by_maps.min(about);
             continue;
         }
         grid.find_bad_cells(&comparison, stack, bound_mm, watch)?;

@@ -430,8 +430,8 @@ impl DisplacementMap {
         Some((Mat3::from_cols(dx.xyz(), dy.xyz(), dz.xyz()) * self.scale, Vec3::new(dx.w, dy.w, dz.w)))
     }
 
-    /// Bytes that the map takes on a GPU.
-    pub fn gpu_bytes(&self) -> usize {
+    /// Bytes of the texels in the map's own storage.
+    pub fn stored_bytes(&self) -> usize {
         self.size.iter().product::<usize>() * self.storage.bytes()
     }
 }
@@ -521,7 +521,7 @@ mod tests {
     fn encoding_has_the_size_it_says_and_keeps_the_values() {
         for storage in [Storage::F16, Storage::Snorm16, Storage::Snorm8, Storage::F32] {
             let map = DisplacementMap::from_fn([3, 4, 5], storage, linear());
-            assert_eq!(map.encode_as(storage).len(), map.gpu_bytes());
+            assert_eq!(map.encode_as(storage).len(), map.stored_bytes());
         }
         let map = DisplacementMap::from_fn([2, 2, 2], Storage::Snorm8, linear());
         assert_eq!(map.encode_as(Storage::Snorm8)[7] as i8, 127, "alpha of the second texel is 1");

@@ -185,7 +185,7 @@ impl Output {
         matches!(self.destination, Destination::File(_))
     }
 
-    /// Whether it is standard output, by whatever name.
+    /// Whether it is standard output: `-`, or one of the system's own names for it.
     pub fn is_standard_output(&self) -> bool {
         matches!(self.destination, Destination::StandardOutput)
     }
@@ -245,7 +245,7 @@ impl Output {
     pub fn finish_by_path(self, write: impl FnOnce(&Path) -> Result<()>) -> Result<()> {
         self.check()?;
         let Destination::File(target) = &self.destination else {
-            return Err(Error::file(&self.path, "is a pipe, a socket or a device, and this output needs a regular file; name one"));
+            return Err(Error::file(&self.path, "is a pipe, a socket, a device or an open file, and this output needs a file of its own; name one"));
         };
         let Some(part) = self.part()? else { return Ok(()) };
         write(part.path())?;

@@ -323,16 +323,13 @@ impl Workstation {
                 Ok(output) => self.take(ctx, done.target, done.serial, done.ms, output),
                 Err(error) => {
                     let text = error.to_string();
-                    self.view.failed(done.target, done.serial, &text);
-                    if let Target::Slice(n) = done.target {
-                        self.slices.failed(n, done.serial, &text);
+                    match done.target {
+                        Target::Coarse | Target::Fine => self.view.failed(done.target, done.serial, &text),
+                        Target::Slice(n) => self.slices.failed(n, done.serial, &text),
+                        Target::Compare(side) => self.compare.failed(side, done.serial, &text),
+                        Target::Preset(_) | Target::Kind(_) | Target::Measures => continue,
                     }
-                    if let Target::Compare(side) = done.target {
-                        self.compare.failed(side, done.serial, &text);
-                    }
-                    if matches!(done.target, Target::Coarse | Target::Fine | Target::Slice(_) | Target::Compare(_))
-                        && self.failure.as_ref() != Some(&text)
-                    {
+                    if self.failure.as_ref() != Some(&text) {
                         self.failure = Some(text.clone());
                         self.say(Level::Error, text);
                     }

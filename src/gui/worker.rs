@@ -521,7 +521,7 @@ fn shown(prepared: &Prepared, rendered: crate::scene::Rendered, backend: String,
 
 fn slice(job: &Job, plane: Plane, style: SliceStyle, watch: &Watch) -> Result<SlicePicture> {
     let assets = &job.assets;
-    let deformed = if style.source { None } else { Some(Deformed::new(&job.scene, assets)?) };
+    let deformed = if style.source { None } else { Some(Deformed::until(&job.scene, assets, watch)?) };
     let maps = deformed.as_ref().map(|d| section::Deformed { stack: &d.stack, cuts: &d.cuts });
     let determinants = style.overlay == Overlay::Jacobian;
     let section = section::sample(&assets.volume, assets.grid(), maps, plane, determinants, watch)?;
@@ -531,7 +531,7 @@ fn slice(job: &Job, plane: Plane, style: SliceStyle, watch: &Watch) -> Result<Sl
 }
 
 fn measured(job: &Job, measures: &[Measure], watch: &Watch) -> Result<Vec<Measured>> {
-    let deformed = Deformed::new(&job.scene, &job.assets)?;
+    let deformed = Deformed::until(&job.scene, &job.assets, watch)?;
     measures.iter().map(|m| watch.check().map(|()| measured_in(m, &job.assets, &deformed))).collect()
 }
 
@@ -541,7 +541,7 @@ fn measured_points(job: &Job, watch: &Watch) -> Result<Vec<Option<Measured>>> {
     if measures.iter().all(|m| m.points.is_empty()) {
         return Ok(vec![None; measures.len()]);
     }
-    let deformed = Deformed::new(&job.scene, &job.assets)?;
+    let deformed = Deformed::until(&job.scene, &job.assets, watch)?;
     let of = |m: &Measure| {
         watch.check()?;
         Ok((!m.points.is_empty()).then(|| measured_in(m, &job.assets, &deformed)))

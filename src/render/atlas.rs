@@ -2,8 +2,8 @@
 //! together; shaders never read beyond them, so that neighbours do not touch.
 //!
 //! There are two: of half precision, and of single precision for all other maps: displacement fields from files, and steps of 8 or 16 bits, which halves
-//! do not have. What is in an atlas stays there until something else needs its place, so that a hand that goes back and forth between two states
-//! uploads nothing.
+//! do not have. What is in an atlas stays there until a map of its size needs its place or a larger texture is made; maps have textures of their own, from
+//! which they are copied, so that a hand that goes back and forth between two states uploads nothing.
 
 use super::kept::Target;
 use super::{Renderer, extent};

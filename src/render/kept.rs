@@ -92,6 +92,13 @@ fn lock<T>(m: &Mutex<T>) -> MutexGuard<'_, T> {
     m.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+/// Bytes of a texture's texels.
+fn bytes_of(texture: &wgpu::Texture) -> usize {
+    let size = texture.size();
+    let texels = size.width as usize * size.height as usize * size.depth_or_array_layers as usize;
+    texels * texture.format().block_copy_size(None).unwrap_or(0) as usize
+}
+
 impl Kept {
     /// The atlases of maps.
     pub(super) fn atlases(&self) -> MutexGuard<'_, [Atlas; 2]> {
@@ -224,13 +231,13 @@ impl Renderer {
     /// Lets go of the maps that were used longest ago, beyond what is kept.
     fn forget_maps(&self, in_use: &Stack) {
         let mut kept = lock(&self.kept.maps);
-        let bytes_of = |k: &KeptMap| k.map.gpu_bytes() + k.bounds.as_ref().map_or(0, MapBounds::bytes);
-        let mut bytes: usize = kept.iter().map(bytes_of).sum();
+        let kept_bytes = |k: &KeptMap| bytes_of(&k.texture) + k.bounds.as_ref().map_or(0, MapBounds::bytes);
+        let mut bytes: usize = kept.iter().map(kept_bytes).sum();
         let mut count = kept.len();
         kept.retain(|k| {
             let goes = (bytes > KEPT_MAP_BYTES || count > KEPT_MAPS) && !in_use.all_maps().any(|m| Arc::ptr_eq(&m.map, &k.map));
             if goes {
-                bytes -= bytes_of(k);
+                bytes -= kept_bytes(k);
                 count -= 1;
             }
             !goes

@@ -41,7 +41,7 @@ pub const FILE_KINDS: &[FileKind] = &[
     FileKind {
         name: "map",
         about: "a displacement map made by incise map; placed anew where center, size or rotate are given",
-        settings: &[kinds::Setting { name: "path", form: kinds::Form::Files, about: "file" }],
+        settings: &[kinds::Setting { name: "path", form: kinds::Form::File, about: "file" }],
     },
 ];
 

@@ -68,7 +68,7 @@ fn number(path: &str, name: &str, value: f64) -> Result<()> {
     let (most, unit) = match name {
         n if DATA_VALUES.contains(&n) => (MAX_DATA_VALUE, ""),
         n if ANGLES.contains(&n) => (MAX_ANGLE_DEG, " degrees"),
-        "label" | "spare" => (f64::from(u32::MAX), ""),
+        "label" => (f64::from(u32::MAX), ""),
         _ => (MAX_LENGTH_MM, ""),
     };
     if !value.is_finite() {

@@ -267,10 +267,18 @@ impl Deformed {
     /// # Errors
     /// Any setting that cannot be used, by name.
     pub fn new(scene: &Scene, assets: &Assets) -> Result<Self> {
+        Self::until(scene, assets, &Watch::NOBODY)
+    }
+
+    /// As [`Self::new`], until it is told to stop.
+    ///
+    /// # Errors
+    /// As [`Self::new`]; [`Error::Cancelled`].
+    pub fn until(scene: &Scene, assets: &Assets, watch: &Watch) -> Result<Self> {
         scene.check_limits()?;
         check_settings(&scene.render, &scene.light)?;
         let view = scene.camera.frame(&assets.scene_box(), scene.render.size)?;
-        Self::with(scene, assets, &view, Vec::new(), &Unaided, &Watch::NOBODY)
+        Self::with(scene, assets, &view, Vec::new(), &Unaided, watch)
     }
 
     fn with(scene: &Scene, assets: &Assets, view: &ViewFrame, more: Vec<PlacedMap>, device: &dyn Accelerator, watch: &Watch) -> Result<Self> {

@@ -1,6 +1,7 @@
 //! Settings of kinds that are not sliders: how each is written, and what cannot be one.
 
 use crate::deform::Argument;
+use crate::deform::argument::whole;
 
 /// A named setting that is no number of the kind.
 pub struct Setting {
@@ -48,6 +49,9 @@ impl Setting {
             return Ok(None);
         }
         let words: Vec<&str> = text.split([',', ';']).map(str::trim).filter(|w| !w.is_empty()).collect();
+        if words.is_empty() {
+            return Err(format!("\"{text}\" names nothing"));
+        }
         let number = |w: &&str| w.parse::<f32>().ok().filter(|v| v.is_finite());
         let numbers: Option<Vec<f32>> = words.iter().map(number).collect();
         let is_file = |w: &str| w.contains(['.', '/', '\\', ':']) && number(&w).is_none();
@@ -64,7 +68,10 @@ impl Setting {
                 _ => return Err(format!("\"{text}\" is not a number")),
             },
             Form::Whole => match numbers {
-                Some(v) if v.iter().all(|v| *v >= 0.0 && v.fract() == 0.0) => one_or_more(v),
+                Some(v) if v.iter().all(|v| *v >= 0.0 && v.fract() == 0.0) => {
+                    v.iter().try_for_each(|v| whole(*v).map(drop))?;
+                    one_or_more(v)
+                }
                 _ if words.iter().any(|w| is_file(w)) => {
                     return Err(format!("\"{text}\" looks like a file name; enter whole numbers, such as 3 or 1, 4"));
                 }

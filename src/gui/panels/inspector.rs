@@ -4,6 +4,7 @@ use super::{heading, icon_button};
 use crate::deform::health::Health;
 use crate::deform::kinds::{DefaultSize, Form, Kind, Setting, Unit};
 use crate::deform::{Argument, Storage};
+use crate::files::path_text::path_of;
 use crate::gui::action::Action;
 use crate::gui::app::Workstation;
 use crate::gui::document::{Document, Selection};
@@ -401,7 +402,7 @@ struct Refused {
 fn typed(setting: &Setting, text: &str, folder: &Path) -> Result<Option<Argument>, String> {
     let argument = setting.parse(text)?;
     for file in argument.iter().flat_map(|a| setting.files(a)).filter(|f| !f.starts_with("phantom:")) {
-        if !folder.join(file).exists() {
+        if !folder.join(path_of(file)).exists() {
             return Err(format!(
                 "{file}: file not found in {}",
                 if folder.as_os_str().is_empty() { "the current folder".into() } else { folder.display().to_string() }
@@ -454,7 +455,7 @@ fn setting(ui: &mut Ui, d: &mut Deformation, place: usize, setting: &Setting, fo
 
 fn text_setting(ui: &mut Ui, d: &mut Deformation, place: usize, setting: &Setting, folder: &Path) {
     let key = setting.name;
-    let id = ui.id().with(("setting", place, key));
+    let id = ui.id().with(("setting", place, &d.kind, key));
     let refused_id = id.with("refused");
     let kept = setting_text(d.parameters.0.get(key));
     let refused = ui.data(|m| m.get_temp::<Refused>(refused_id)).filter(|r| r.kept == kept);

@@ -37,7 +37,8 @@ impl Workstation {
         let Some(volume) = &mut doc.scene.volume else { return };
         volume.choice.resample = true;
         for measure in &mut doc.scene.measure {
-            measure.before_resampling = true;
+            // What has no points is found anew in the voxels.
+            measure.before_resampling = !measure.points.is_empty();
         }
     }
 }
