@@ -8,7 +8,8 @@ use glam::Vec3;
 use incise::compare::plot::{Axis, Dot, STYLE, Series, curves};
 use incise::cpu;
 use incise::math::lanes::*;
-use incise::scene::{Assets, Deformation, Mode, Prepared, Scene};
+use incise::prepare::{Assets, Prepared};
+use incise::scene::{Deformation, Mode, Scene};
 use incise::volume::{GridVoxels, Sampler};
 use rayon::prelude::*;
 use std::fmt::Write as _;
@@ -90,14 +91,14 @@ fn main() {
         let mut series: Vec<Series> =
             names.iter().enumerate().map(|(color, n)| Series { name: (*n).into(), color, dashed: false, dots: Vec::new() }).collect();
         for &(volume, picture) in &cases {
-            let assets = Assets::load(&scene(volume, picture, "rays"), &|_, _| ()).expect("a phantom");
+            let assets = Assets::load(&scene(volume, picture, "rays")).expect("a phantom");
             if volume == 256 && picture == 512 {
                 ceiling(&assets);
             }
             for (name, series) in names.iter().zip(&mut series) {
                 let prepared = Prepared::new(&scene(volume, picture, name), &assets).expect("a scene");
                 let mut taken = 0;
-                let [least, median, greatest] = milliseconds(|| taken = cpu::render(&prepared, &|_| ()).stats.map_or(0, |s| s.samples_taken));
+                let [least, median, greatest] = milliseconds(|| taken = cpu::render(&prepared).stats.map_or(0, |s| s.samples_taken));
                 let rate = taken as f64 / median / 1e3;
                 println!(
                     "{name}, {volume}^3, {picture} x {picture}: {median:.1} ms ({least:.1} to {greatest:.1}), {rate:.0} million samples a second"

@@ -4,7 +4,8 @@
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use incise::cpu;
-use incise::scene::{Assets, Deformation, Mode, Prepared, Scene};
+use incise::prepare::{Assets, Prepared};
+use incise::scene::{Deformation, Mode, Scene};
 
 fn scene(deformation: Option<&str>) -> Scene {
     let mut scene = Scene::of_volume("phantom:head-ct:size=128");
@@ -15,15 +16,15 @@ fn scene(deformation: Option<&str>) -> Scene {
 }
 
 fn stages(c: &mut Criterion) {
-    let assets = Assets::load(&scene(None), &|_, _| ()).expect("a phantom");
+    let assets = Assets::load(&scene(None)).expect("a phantom");
     for (name, deformation) in [("undeformed", None), ("twist", Some("twist")), ("peel", Some("peel"))] {
         for mode in [Mode::Raycast, Mode::Slice] {
             let mut scene = scene(deformation);
             scene.render.mode = mode;
             let prepared = Prepared::new(&scene, &assets).expect("a scene");
-            c.bench_function(&format!("render/{name}/{mode:?}").to_lowercase(), |b| b.iter(|| cpu::render(&prepared, &|_| ())));
+            c.bench_function(&format!("render/{name}/{mode:?}").to_lowercase(), |b| b.iter(|| cpu::render(&prepared)));
         }
-        c.bench_function(&format!("prepare/{name}"), |b| b.iter(|| Prepared::new(&scene(deformation), &assets).map(|p| p.macrocells.size)));
+        c.bench_function(&format!("prepare/{name}"), |b| b.iter(|| Prepared::new(&scene(deformation), &assets).map(|p| p.volume().macrocells.size)));
     }
 }
 

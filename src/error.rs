@@ -69,6 +69,15 @@ impl Error {
         Self::File { path: path.to_owned(), problem: problem.into() }
     }
 
+    /// The same, of a part of something that has a name: `peel: radius: ...`.
+    #[must_use]
+    pub fn within(self, part: &str) -> Self {
+        match self {
+            Self::Value { name, problem } => Self::Value { name: format!("{part}: {name}"), problem },
+            other => other,
+        }
+    }
+
     /// The same without line breaks and other control characters, which a damaged file may have put into what is quoted of it.
     pub fn printable(self) -> Self {
         let plain = |text: String| if text.contains(char::is_control) { text.replace(char::is_control, " ") } else { text };

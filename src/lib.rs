@@ -28,6 +28,7 @@ pub mod cli;
 pub mod compare;
 pub mod cpu;
 pub mod deform;
+pub mod engine;
 mod error;
 pub mod export;
 pub mod files;
@@ -38,6 +39,8 @@ mod guard;
 pub mod gui;
 pub mod math;
 pub mod mesh;
+pub mod picture;
+pub mod prepare;
 #[cfg(feature = "gpu")]
 pub mod render;
 pub mod scene;
@@ -45,5 +48,8 @@ pub mod transfer;
 pub mod volume;
 mod watch;
 
+pub use engine::Engine;
 pub use error::{Error, Result};
+pub use picture::Picture;
+pub use scene::Scene;
 pub use watch::{Meter, Watch};

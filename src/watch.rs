@@ -1,9 +1,9 @@
-//! What long work tells, and how it is told to stop.
+//! How long work reports its progress, and how it is stopped.
 
 use crate::{Error, Result};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-/// Tells how far the work is and whether to go on.
+/// Receives the progress of some work, and says when it is to stop.
 #[derive(Clone, Copy)]
 pub struct Watch<'a> {
     /// Share of the work done, from several threads.
@@ -12,26 +12,26 @@ pub struct Watch<'a> {
     pub cancel: &'a AtomicBool,
 }
 
-/// Never asked to stop.
+/// Never set.
 static GO_ON: AtomicBool = AtomicBool::new(false);
 
 impl Watch<'static> {
-    /// Tells nobody.
-    pub const NOBODY: Self = Self { progress: &|_| (), cancel: &GO_ON };
+    /// Reports to nothing and never stops.
+    pub const NONE: Self = Self { progress: &|_| (), cancel: &GO_ON };
 }
 
 impl<'a> Watch<'a> {
-    /// Tells `progress`; never asked to stop.
-    pub fn telling(progress: &'a (dyn Fn(f32) + Sync)) -> Self {
+    /// Reports to `progress` and never stops.
+    pub fn reporting(progress: &'a (dyn Fn(f32) + Sync)) -> Self {
         Self { progress, cancel: &GO_ON }
     }
 
-    /// Whether it was asked to stop.
+    /// Whether the work is to stop.
     pub fn stopped(&self) -> bool {
         self.cancel.load(Ordering::Relaxed)
     }
 
-    /// Goes on, unless it was asked to stop.
+    /// An error if the work is to stop.
     ///
     /// # Errors
     /// [`Error::Cancelled`].

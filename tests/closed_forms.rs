@@ -5,18 +5,20 @@ use crate::metrics::{STEP, difference};
 use glam::{Affine3A, EulerRot, Mat3, Quat, Vec3};
 use incise::cpu::{self, shading};
 use incise::deform::{DisplacementMap, Jet, PlacedMap, Placement, Storage, TexelSample};
-use incise::scene::{Assets, Deformation, Mode, Normals, Picture, Prepared, Projection, Scene, Size, Stages};
+use incise::picture::Picture;
+use incise::prepare::{Assets, PrepareOptions, Prepared};
+use incise::scene::{Deformation, Mode, Normals, Projection, Scene, Size};
 use incise::transfer::{Blend, ControlPoint};
 use incise::volume::phantom::{self, BALL_RADIUS_MM};
 use incise::volume::{Grid, GridVoxels, Rescale, Sampler, Volume};
 use std::sync::Arc;
 
 pub fn assets(volume: Volume) -> Assets {
-    Assets::of_volume(volume, Stages::default())
+    Assets::of_volume(volume)
 }
 
 pub fn picture(prepared: &Prepared) -> Picture {
-    cpu::render(prepared, &|_| ()).picture
+    cpu::render(prepared).picture
 }
 
 fn ball(size: usize) -> Assets {
@@ -88,7 +90,7 @@ pub fn identity_map_changes_nothing() {
         s.render.mode = mode;
         s.camera.view = "30,20".parse().unwrap();
         let placement = Placement::new(Vec3::new(10.0, 20.0, 0.0), Vec3::new(120.0, 150.0, 200.0), Vec3::new(20.0, 30.0, 40.0)).unwrap();
-        let with = Prepared::with_maps(&s, &assets, vec![placed(DisplacementMap::identity([9, 8, 7]), placement)]).unwrap();
+        let with = Prepared::with(&s, &assets, &PrepareOptions::with_maps(&[placed(DisplacementMap::identity([9, 8, 7]), placement)])).unwrap();
         let d = difference(&picture(&Prepared::new(&s, &assets).unwrap()), &picture(&with)).unwrap();
         println!("identity map, {mode:?}: max {:.4}/255", d.max / STEP);
         assert!(d.max <= STEP, "{mode:?} {d:?}");
@@ -108,7 +110,7 @@ pub fn translation_as_a_map_is_a_translation() {
     let map = DisplacementMap::from_fn([4, 4, 4], Storage::F16, |_| TexelSample { displacement: -shift / edge, alpha: 1.0 });
     let map = placed(map, Placement::new(Vec3::ZERO, Vec3::splat(edge), Vec3::ZERO).unwrap());
     let (still, moved) = (assets(volume), assets(moved));
-    let by_map = picture(&Prepared::with_maps(&s, &still, vec![map]).unwrap());
+    let by_map = picture(&Prepared::with(&s, &still, &PrepareOptions::with_maps(&[map])).unwrap());
     let by_volume = picture(&Prepared::new(&s, &moved).unwrap());
     let unmoved = picture(&Prepared::new(&s, &still).unwrap());
     let d = difference(&by_map, &by_volume).unwrap();
@@ -123,7 +125,7 @@ fn normal_at(prepared: &Prepared, grid: &Grid, deformed: Vec3, with_cut: bool) -
     if jet.alpha < 0.5 {
         return None;
     }
-    let in_voxel = prepared.frame.voxel_from_world.transform_point3(jet.source);
+    let in_voxel = prepared.volume().voxel_from_world.transform_point3(jet.source);
     let gradient = match &grid.voxels {
         GridVoxels::F32(v) => Sampler::new(grid, v).gradient(in_voxel, prepared.gradient_filter()),
         GridVoxels::U8(v) => Sampler::new(grid, v).gradient(in_voxel, prepared.gradient_filter()),
@@ -163,7 +165,7 @@ pub fn normals_under_linear_maps() {
         // D(x) = (L - I)(x - 1/2) in map space; its Jacobian in the world is S = A L A⁻¹.
         let map =
             DisplacementMap::from_fn([33; 3], Storage::F16, |x| TexelSample { displacement: (in_map - Mat3::IDENTITY) * (x - 0.5), alpha: 1.0 });
-        let prepared = Prepared::with_maps(&scene(&[(0.0, 0.0), (1.0, 0.9)]), &assets, vec![placed(map, placement)]).unwrap();
+        let prepared = Prepared::with(&scene(&[(0.0, 0.0), (1.0, 0.9)]), &assets, &PrepareOptions::with_maps(&[placed(map, placement)])).unwrap();
         let s = linear * in_map * linear.inverse();
         let backward = |p: Vec3| center + s * (p - center);
         let (mut seen, mut worst) = (0, 0.0f32);
@@ -198,7 +200,7 @@ pub fn normals_under_a_twist() {
     let sampler = Sampler::new(assets.grid(), voxels);
     let field = |p: Vec3| {
         let source = prepared.stack.source_from_deformed(p).unwrap();
-        sampler.sample(prepared.frame.voxel_from_world.transform_point3(source))
+        sampler.sample(prepared.volume().voxel_from_world.transform_point3(source))
     };
     let (mut seen, mut close) = (0, 0);
     for x in points(20_000) {

@@ -470,13 +470,13 @@ pub fn meshes_and_fields_by_the_command_line() {
         let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
         assert_eq!((&report["open_edges"], &report["turned_triangles"]), (&0.into(), &0.into()));
         // The middle of the inscribed ball lies r inside, r = 60 / (3 + √3); the field is positive there and nowhere deeper.
-        let volume = incise::volume::load::volume(&f.join(name), &incise::volume::load::Choice::default(), &incise::Watch::NOBODY).unwrap();
+        let volume = incise::volume::load::volume(&f.join(name), &incise::volume::load::Choice::default(), &incise::Watch::NONE).unwrap();
         let r = 60.0 / (3.0 + 3.0f64.sqrt());
         assert!(volume.range[1] <= r + 0.01 && volume.range[1] > r - 1.5, "{name}: {:?} for {r}", volume.range);
     }
     let part = incise(f, &["sdf", "tet.obj", "-o", "part.nrrd", "--box=-5,-5,-5,20,20,20", "--cell", "1", "--exact"]);
     assert!(part.status.success(), "{}", stderr(&part));
-    let volume = incise::volume::load::volume(&f.join("part.nrrd"), &incise::volume::load::Choice::default(), &incise::Watch::NOBODY).unwrap();
+    let volume = incise::volume::load::volume(&f.join("part.nrrd"), &incise::volume::load::Choice::default(), &incise::Watch::NONE).unwrap();
     assert!(volume.size.iter().all(|n| (23..=27).contains(n)), "{:?}", volume.size);
     let open = incise(f, &["sdf", "open.obj", "-o", "open.nrrd", "--resolution", "32"]);
     assert!(open.status.success() && stderr(&open).contains("3 open edges"), "{}", stderr(&open));

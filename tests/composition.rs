@@ -5,10 +5,13 @@
 use crate::contract::points;
 use crate::metrics::{STEP, difference};
 use glam::Vec3;
+use incise::Watch;
 use incise::cpu;
 use incise::deform::kinds;
 use incise::math::Bounds;
-use incise::scene::{Assets, Deformation, Picture, Prepared, Scene, Size};
+use incise::picture::Picture;
+use incise::prepare::{Assets, Prepared};
+use incise::scene::{Deformation, Scene, Size};
 
 /// Numbers that look random.
 struct Random(u64);
@@ -61,7 +64,7 @@ fn scene(n: u64) -> Scene {
 }
 
 fn picture(prepared: &Prepared) -> Picture {
-    cpu::render(prepared, &|_| ()).picture
+    cpu::render(prepared).picture
 }
 
 /// The share of pixels of which no channel differs by more than 8/255.
@@ -76,7 +79,7 @@ pub fn random_stacks_keep_their_bound() {
     let mut complaints = Vec::new();
     for n in 0..count {
         let mut scene = scene(n);
-        let assets = Assets::load(&scene, &|_, _| ()).unwrap();
+        let assets = Assets::load(&scene).unwrap();
         // Some kinds do not go with others, or with this volume: those are told elsewhere.
         scene.render.exact_cuts = false;
         let Ok(exact) = Prepared::new(&scene, &assets) else { continue };
@@ -134,7 +137,7 @@ pub fn tears_are_walked() {
     }
     scene.render.size = [96, 96];
     scene.render.precompose = Some(0.25);
-    let assets = Assets::load(&scene, &|_, _| ()).unwrap();
+    let assets = Assets::load(&scene).unwrap();
     let composed = Prepared::new(&scene, &assets).unwrap();
     let c = composed.composition.unwrap();
     println!("three turned explosions: {c:?}");
@@ -160,7 +163,7 @@ pub fn many_maps_agree() {
         d.storage = [None, Some(incise::deform::Storage::F32), Some(incise::deform::Storage::Snorm16), Some(incise::deform::Storage::Snorm8)][n % 4];
         scene.deformation.push(d);
     }
-    let assets = Assets::load(&scene, &|_, _| ()).unwrap();
+    let assets = Assets::load(&scene).unwrap();
     let little = Deformation { resolution: Some(8), progress: Some(0.02), ..Deformation::new("wave") };
     // Also as many as a pass holds.
     for (mode, count) in [(Mode::Raycast, 25), (Mode::Slice, 25), (Mode::Raycast, 64)] {
@@ -168,7 +171,7 @@ pub fn many_maps_agree() {
         scene.deformation.resize(count, little.clone());
         let prepared = Prepared::new(&scene, &assets).unwrap();
         assert_eq!((prepared.stack.maps().len(), prepared.composition.is_none()), (count, true));
-        let by_gpu = crate::parity::with_renderer(|r| r.render(&prepared, false, &|_| ()).unwrap()).picture;
+        let by_gpu = crate::parity::with_renderer(|r| r.render(&prepared, false, &Watch::NONE).unwrap()).picture;
         let d = difference(&picture(&prepared), &by_gpu).unwrap();
         println!("{count} maps, {mode:?}: mean {:.4}/255, within 4/255: {:.3} %", d.mean / STEP, 100.0 * d.within_4);
         assert!(d.mean <= 0.5 * STEP && d.within_4 >= 0.995, "{mode:?}: {d:?}");
@@ -176,7 +179,7 @@ pub fn many_maps_agree() {
     // More than a pass holds is refused in a line, and the CPU takes it.
     scene.deformation.resize(70, little);
     let prepared = Prepared::new(&scene, &assets).unwrap();
-    let refusal = crate::parity::with_renderer(|r| r.render(&prepared, false, &|_| ()).err()).map(|e| e.to_string()).unwrap_or_default();
+    let refusal = crate::parity::with_renderer(|r| r.render(&prepared, false, &Watch::NONE).err()).map(|e| e.to_string()).unwrap_or_default();
     assert!(refusal.contains("70 deformations") && refusal.contains("at most 64"), "{refusal}");
     assert!(!picture(&prepared).is_blank());
 }

@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use std::sync::{Arc, LazyLock};
 
 pub const SIZE: Vec3 = Vec3::new(80.0, 64.0, 72.0);
-pub const SAMPLING: Sampling = Sampling { resolution: None, storage: Storage::F16, least_ramp_mm: 3.0 };
+pub const SAMPLING: Sampling = Sampling { resolution: None, storage: Storage::F16, min_ramp_mm: 3.0 };
 
 type Check = (&'static str, fn(&'static Kind));
 

@@ -4,10 +4,13 @@ use crate::metrics::{STEP, difference};
 use crate::parity::with_renderer;
 use crate::scenes;
 use glam::Vec3;
+use incise::Watch;
 use incise::gpu::{Device, Want};
+use incise::picture::Picture;
+use incise::prepare::{Assets, PrepareOptions, Prepared};
 use incise::render::{Renderer, Strategy, Work};
 use incise::scene::surface::{MeshSource, Representation, ShapeSource};
-use incise::scene::{Assets, Deformation, Mode, Picture, Prepared, Projection, Scene};
+use incise::scene::{Deformation, Mode, Projection, Scene};
 
 /// Two moving maps over a small head.
 fn scene(mode: Mode) -> Scene {
@@ -25,7 +28,7 @@ fn scene(mode: Mode) -> Scene {
 fn work_of(renderer: &mut Renderer, scene: &Scene, assets: &Assets) -> Work {
     let prepared = Prepared::new(scene, assets).unwrap();
     let before = renderer.work();
-    renderer.render(&prepared, false, &|_| ()).unwrap();
+    renderer.render(&prepared, false, &Watch::NONE).unwrap();
     renderer.work().since(&before)
 }
 
@@ -94,8 +97,8 @@ pub fn edits_prepare_what_changed() {
     let assets = scenes::assets(&scene);
     let mut work = |scene: &Scene| {
         let before = renderer.work();
-        let prepared = Prepared::on(&renderer, scene, &assets).unwrap();
-        renderer.render(&prepared, false, &|_| ()).unwrap();
+        let prepared = Prepared::with(scene, &assets, &PrepareOptions::on(&renderer)).unwrap();
+        renderer.render(&prepared, false, &Watch::NONE).unwrap();
         renderer.work().since(&before)
     };
     assert_eq!(work(&scene).map_uploads, 2);
@@ -122,12 +125,12 @@ pub fn edits_prepare_what_changed() {
     // A hand that drags for long does not fill the device.
     for n in 0..40 {
         scene.deformation[0].progress = Some(0.2 + 0.01 * n as f32);
-        let prepared = Prepared::on(&renderer, &scene, &assets).unwrap();
-        renderer.render(&prepared, false, &|_| ()).unwrap();
+        let prepared = Prepared::with(&scene, &assets, &PrepareOptions::on(&renderer)).unwrap();
+        renderer.render(&prepared, false, &Watch::NONE).unwrap();
     }
     assert!(renderer.maps_kept() <= 32, "{} maps", renderer.maps_kept());
     // None of it was asked of the CPU.
-    let prepared = Prepared::on(&renderer, &scene, &assets).unwrap();
+    let prepared = Prepared::with(&scene, &assets, &PrepareOptions::on(&renderer)).unwrap();
     assert!(prepared.stack.maps().iter().all(|m| m.map.recipe().is_some()));
 }
 
@@ -185,8 +188,9 @@ pub fn edits_of_surfaces_upload_what_changed() {
         work.bind_groups_created -= grids.min(work.bind_groups_created.saturating_sub(allowed.bind_groups_created));
         assert_eq!(work, Work { cell_uploads: work.cell_uploads.min(allowed.cell_uploads), ..allowed }, "{name}");
         let prepared = Prepared::new(&scene, &assets).unwrap();
-        let kept = renderer.render(&prepared, false, &|_| ()).unwrap().picture;
-        let anew = Renderer::new(Device::open(Want::Any).unwrap()).render(&Prepared::new(&scene, &scenes::assets(&scene)).unwrap(), false, &|_| ());
+        let kept = renderer.render(&prepared, false, &Watch::NONE).unwrap().picture;
+        let anew =
+            Renderer::new(Device::open(Want::Any).unwrap()).render(&Prepared::new(&scene, &scenes::assets(&scene)).unwrap(), false, &Watch::NONE);
         assert!(kept == anew.unwrap().picture, "{name}: what is kept shows something else");
         assert!(kept.pixels.iter().any(|p| p[3] > 0.0), "{name}: an empty picture");
     }
@@ -206,7 +210,7 @@ pub fn segments_and_shifts_agree_between_modes() {
         let mut s = scene.clone();
         (s.render.preintegrated, s.render.jitter, s.render.mode, s.render.step) = (preintegrated, jitter, mode, step);
         let prepared = Prepared::new(&s, &assets).unwrap();
-        with_renderer(|r| r.render(&prepared, false, &|_| ()).unwrap()).picture
+        with_renderer(|r| r.render(&prepared, false, &Watch::NONE).unwrap()).picture
     };
     for (preintegrated, jitter) in [(true, false), (false, true), (true, true)] {
         let d = difference(&picture(preintegrated, jitter, Mode::Raycast, 1.0), &picture(preintegrated, jitter, Mode::Slice, 1.0)).unwrap();

@@ -5,12 +5,14 @@ use crate::closed_forms::picture;
 use crate::contract::points;
 use crate::metrics::difference;
 use glam::{DAffine3, DMat3, DVec3, Vec3};
+use incise::Watch;
 use incise::deform::compose::{self, Resolution};
 use incise::deform::transform::{Context, Step, Transform, VectorField};
 use incise::deform::{Arguments, Stack, Storage, invert};
 use incise::export::bake::{self, Interpolation};
-use incise::scene::deformations::{self, Making};
-use incise::scene::{Assets, Deformation, Prepared, Scene};
+use incise::prepare::stack::{self, StackInputs};
+use incise::prepare::{Assets, Prepared};
+use incise::scene::{Deformation, Scene};
 use incise::volume::save::{self, Content, Format};
 use incise::volume::{GridGeometry, Rescale, Volume, load};
 use std::path::{Path, PathBuf};
@@ -36,21 +38,21 @@ fn field(path: &Path) -> Deformation {
 fn stack_of(scene: &Scene, assets: &Assets, storage: Option<Storage>) -> (Stack, incise::deform::cut::Cuts) {
     let scene_box = assets.volume.bounds_in_world();
     let view = scene.camera.frame(&scene_box, scene.render.size).unwrap();
-    let making = Making {
+    let inputs = StackInputs {
         library: &assets.library,
         scene_box,
-        least_ramp_mm: 1.5,
+        min_ramp_mm: 1.5,
         view: &view,
         storage,
         exact_cuts: true,
-        device: &incise::scene::Unaided,
-        watch: &incise::Watch::NOBODY,
+        accelerator: &incise::prepare::CpuOnly,
+        watch: &Watch::NONE,
     };
-    deformations::stack(&scene.deformation, &making, Vec::new(), Vec::new()).unwrap()
+    stack::stack(&scene.deformation, &inputs, Vec::new(), Vec::new()).unwrap()
 }
 
 fn assets(scene: &Scene) -> Assets {
-    Assets::load(scene, &|_, _| ()).unwrap()
+    Assets::load(scene).unwrap()
 }
 
 /// Bakes a scene and reads the result back.
@@ -64,7 +66,7 @@ fn baked(scene: &Scene, fill: f64, interpolation: Interpolation) -> Volume {
     let what = bake::Deformation { stack: &stack, cuts: &cuts };
     bake::volume(volume, &what, &volume.geometry(), interpolation, fill, Format::NiftiGz, &mut file, &|_| ()).unwrap();
     drop(file);
-    load::volume(&path, &load::Choice::default(), &incise::Watch::NOBODY).unwrap()
+    load::volume(&path, &load::Choice::default(), &Watch::NONE).unwrap()
 }
 
 /// Baking under each of ITK's transforms gives what SimpleITK's Resample gives, within one grey level everywhere.
@@ -83,10 +85,8 @@ pub fn baking_is_itk_resampling() {
     let mut scene = Scene::of_volume(fixture("volume.nii.gz").to_str().unwrap());
     for (transform, expected) in cases {
         scene.deformation = vec![field(&fixture(transform))];
-        let (got, want) = (
-            baked(&scene, -1000.0, Interpolation::Linear),
-            load::volume(&fixture(expected), &load::Choice::default(), &incise::Watch::NOBODY).unwrap(),
-        );
+        let (got, want) =
+            (baked(&scene, -1000.0, Interpolation::Linear), load::volume(&fixture(expected), &load::Choice::default(), &Watch::NONE).unwrap());
         let worst = (0..got.voxels.len()).map(|n| (got.voxels.get(n) - want.voxels.get(n)).abs()).fold(0.0, f64::max);
         println!("{transform}: largest difference {worst} grey levels");
         assert!(worst <= 1.0, "{transform}: {worst}");
@@ -99,7 +99,7 @@ pub fn baking_is_itk_resampling() {
     scene.deformation = vec![chain];
     let (got, want) = (
         baked(&scene, -1000.0, Interpolation::Linear),
-        load::volume(&fixture("resampled-affine-then-field.nii.gz"), &load::Choice::default(), &incise::Watch::NOBODY).unwrap(),
+        load::volume(&fixture("resampled-affine-then-field.nii.gz"), &load::Choice::default(), &Watch::NONE).unwrap(),
     );
     assert!((0..got.voxels.len()).all(|n| (got.voxels.get(n) - want.voxels.get(n)).abs() <= 1.0));
 }
@@ -146,7 +146,7 @@ pub fn affine_conventions_agree() {
 
 /// A vector field whose file states another frame is the same field in the world.
 pub fn vectors_turn_with_their_axes() {
-    let image = load::image(&fixture("field.nrrd"), &load::Choice::default(), &incise::Watch::NOBODY).unwrap();
+    let image = load::image(&fixture("field.nrrd"), &load::Choice::default(), &Watch::NONE).unwrap();
     let lps = VectorField::of_image(Path::new("x"), &image, &Context::default()).unwrap();
     // By hand: the same vectors as RAS numbers in a file that says RAS.
     let folder = tempfile::tempdir().unwrap();
@@ -198,9 +198,9 @@ pub fn vectors_turn_with_their_axes() {
 
 /// Volume and field turned into each of the 48 orders and directions of their axes: the same values in the world, the same picture.
 pub fn all_orientations_agree() {
-    let base = load::volume(&fixture("volume.nii.gz"), &load::Choice::default(), &incise::Watch::NOBODY).unwrap();
+    let base = load::volume(&fixture("volume.nii.gz"), &load::Choice::default(), &Watch::NONE).unwrap();
     let warp = {
-        let image = load::image(&fixture("field.nrrd"), &load::Choice::default(), &incise::Watch::NOBODY).unwrap();
+        let image = load::image(&fixture("field.nrrd"), &load::Choice::default(), &Watch::NONE).unwrap();
         VectorField::of_image(Path::new("x"), &image, &Context::default()).unwrap()
     };
     let folder = tempfile::tempdir().unwrap();
@@ -225,7 +225,7 @@ pub fn all_orientations_agree() {
         (GridGeometry { size, world_from_voxel: grid.world_from_voxel * base_from_turned }, at)
     };
     let index = |size: [usize; 3], c: DVec3| (c.z as usize * size[1] + c.y as usize) * size[0] + c.x as usize;
-    let mut reference: Option<(Vec<f64>, incise::scene::Picture)> = None;
+    let mut reference: Option<(Vec<f64>, incise::picture::Picture)> = None;
     let (mut worst_value, mut worst_picture) = (0.0f64, 0.0f64);
     for order in orders {
         for flips in 0..8 {
@@ -273,7 +273,7 @@ pub fn live_is_the_baked_picture() {
         let volume = baked(&scene, 0.0, interpolation);
         let mut still = scene.clone();
         still.deformation.clear();
-        let assets = Assets::of_volume(volume, Default::default());
+        let assets = Assets::of_volume(volume);
         let d = difference(&live, &picture(&Prepared::new(&still, &assets).unwrap())).unwrap();
         println!("live against baked ({interpolation:?}): PSNR {:.1} dB, mean {:.3}/255", d.psnr, d.mean * 255.0);
         assert!(d.psnr >= least, "{interpolation:?}: {d:?}");
@@ -372,14 +372,14 @@ pub fn radial_field_is_inverted() {
 /// Maps, fields and volumes written in each format come back with their numbers and their geometry.
 pub fn written_files_come_back() {
     let folder = tempfile::tempdir().unwrap();
-    let base = load::volume(&fixture("volume.nii.gz"), &load::Choice::default(), &incise::Watch::NOBODY).unwrap();
+    let base = load::volume(&fixture("volume.nii.gz"), &load::Choice::default(), &Watch::NONE).unwrap();
     let grid = base.geometry();
     let values: Vec<f32> = (0..base.voxels.len()).map(|n| base.voxels.get(n) as f32).collect();
     for name in ["a.nii", "a.nii.gz", "a.nrrd", "a.mha"] {
         let path = folder.path().join(name);
         let format = Format::of(&path).unwrap();
         std::fs::write(&path, save::encode(format, &grid, Content::Scalar(load::ScalarType::F32, Rescale::NONE), &values).unwrap()).unwrap();
-        let v = load::volume(&path, &load::Choice::default(), &incise::Watch::NOBODY).unwrap();
+        let v = load::volume(&path, &load::Choice::default(), &Watch::NONE).unwrap();
         assert_eq!(v.size, base.size);
         assert!((0..values.len()).all(|n| v.voxels.get(n) == f64::from(values[n])), "{name}");
         let (a, b) = (v.world_from_voxel, base.world_from_voxel);

@@ -7,10 +7,13 @@
 
 #[cfg(feature = "gpu")]
 use crate::metrics::{STEP, difference};
+use incise::Watch;
+use incise::deform::file_kinds::FILE_KINDS;
 use incise::deform::kinds::{self, Kind};
 use incise::math::Bounds;
-use incise::scene::deformations::FILE_KINDS;
-use incise::scene::{Assets, Picture, Prepared, Rendered, Scene, file, surface};
+use incise::picture::{Picture, Rendered};
+use incise::prepare::{Assets, PrepareOptions, Prepared};
+use incise::scene::{Scene, file, surface};
 use incise::{Result, cpu, transfer};
 use serde_json::Value as Schema;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -503,9 +506,9 @@ fn run(text: &str, folder: &Path) -> Outcome {
     let attempt = || -> Result<Outcome> {
         let mut scene = Scene::from_toml(text).map_err(|problem| incise::Error::value("scene", problem))?;
         scene.folder = folder.to_owned();
-        let assets = Assets::load(&scene, &|_, _| ())?;
+        let assets = Assets::load(&scene)?;
         let prepared = Prepared::new(&scene, &assets)?;
-        let rendered = cpu::render(&prepared, &|_| ());
+        let rendered = cpu::render(&prepared);
         drop(prepared);
         Ok(Outcome::Picture { assets: Box::new(assets), scene: Box::new(scene), rendered })
     };
@@ -537,8 +540,8 @@ fn on_a_gpu(scene: &Scene, assets: &Assets, picture: &Picture) -> Option<std::re
         return None;
     }
     let rendered = crate::parity::with_renderer(|renderer| {
-        let prepared = Prepared::on(renderer, scene, assets)?;
-        renderer.render(&prepared, false, &|_| ())
+        let prepared = Prepared::with(scene, assets, &PrepareOptions::on(renderer))?;
+        renderer.render(&prepared, false, &Watch::NONE)
     });
     let rendered = match rendered {
         Ok(rendered) => rendered,

@@ -1,6 +1,6 @@
 //! Comparing pictures, and tests of the comparer: one that compares a picture with itself passes everything.
 
-use incise::scene::Picture;
+use incise::picture::Picture;
 
 /// How two pictures differ, premultiplied RGBA, all four channels.
 #[derive(Debug)]

@@ -6,11 +6,13 @@ use crate::contract::points;
 use crate::metrics::{STEP, difference};
 use crate::scenes;
 use glam::Vec3;
+use incise::Watch;
 use incise::cpu;
 use incise::gpu::{Device, Want};
 use incise::math::Bounds;
+use incise::prepare::{PrepareOptions, Prepared};
 use incise::render::{Renderer, Strategy};
-use incise::scene::{CutFaces, Deformation, IsoLight, Mode, Prepared, Scene};
+use incise::scene::{CutFaces, Deformation, IsoLight, Mode, Scene};
 use incise::transfer::{Blend, GradientPoint};
 use incise::volume::{GradientFilter, Grid, GridVoxels, Sampler};
 use libtest_mimic::Trial;
@@ -91,11 +93,11 @@ fn with_strategy<T>(strategy: Strategy, work: impl FnOnce(&mut Renderer) -> T) -
 }
 
 fn agree(what: &str, prepared: &Prepared) {
-    agree_by(what, prepared, |r| r.render(prepared, false, &|_| ()));
+    agree_by(what, prepared, |r| r.render(prepared, false, &Watch::NONE));
 }
 
-fn agree_by(what: &str, prepared: &Prepared, render: impl FnOnce(&mut Renderer) -> incise::Result<incise::scene::Rendered>) {
-    let by_cpu = cpu::render(prepared, &|_| ()).picture;
+fn agree_by(what: &str, prepared: &Prepared, render: impl FnOnce(&mut Renderer) -> incise::Result<incise::picture::Rendered>) {
+    let by_cpu = cpu::render(prepared).picture;
     let by_gpu = with_renderer(|r| render(r).unwrap_or_else(|e| panic!("{what}: {e}"))).picture;
     let d = difference(&by_cpu, &by_gpu).unwrap_or_else(|e| panic!("{what}: {e}"));
     println!("{what}: mean {:.4}/255, max {:.2}/255, within 4/255: {:.4} %", d.mean / STEP, d.max / STEP, 100.0 * d.within_4);
@@ -126,7 +128,7 @@ fn numbers_agree(kind: &str) {
     // The same where the device has sampled the map: its texels against those that the CPU samples when it is asked.
     let by_cpu = prepared.stack.maps()[0].map.extent();
     let again = scenes::assets(&scene);
-    let prepared = with_strategy(PREPARE, |r| Prepared::on(r, &scene, &again).unwrap());
+    let prepared = with_strategy(PREPARE, |r| Prepared::with(&scene, &again, &PrepareOptions::on(r)).unwrap());
     let map = &prepared.stack.maps()[0].map;
     let formula = matches!(incise::deform::kinds::kind(kind).unwrap().build, incise::deform::kinds::Build::Formula(_));
     assert_eq!(map.recipe().is_some(), formula, "{kind}");
@@ -139,7 +141,7 @@ fn numbers_agree(kind: &str) {
     numbers_of(kind, &prepared, &again);
 }
 
-fn numbers_of(kind: &str, prepared: &Prepared, assets: &incise::scene::Assets) {
+fn numbers_of(kind: &str, prepared: &Prepared, assets: &incise::prepare::Assets) {
     let at: Vec<[f32; 3]> = points(10_000).map(|x| ((x - 0.5) * 150.0).to_array()).collect();
     let probes = with_strategy(PREPARE, |r| r.probe(prepared, &at).unwrap());
     assert_eq!(probes.len(), at.len());
@@ -149,7 +151,7 @@ fn numbers_of(kind: &str, prepared: &Prepared, assets: &incise::scene::Assets) {
     for (p, probe) in at.iter().zip(&probes) {
         let p = Vec3::from(*p);
         let jet = prepared.stack.jet(p);
-        let in_voxel = prepared.frame.voxel_from_world.transform_point3(jet.source);
+        let in_voxel = prepared.volume().voxel_from_world.transform_point3(jet.source);
         let value = sampler.sample(in_voxel);
         let gradient = sampler.gradient(in_voxel, GradientFilter::Central);
         let v = |n: usize| Vec3::new(probe[n], probe[n + 1], probe[n + 2]);
@@ -246,7 +248,7 @@ fn options_agree() {
             let mut s = scene.clone();
             s.render.mode = mode;
             let prepared = Prepared::new(&s, &assets).unwrap();
-            assert!(name != "mip" || prepared.blend == Blend::Mip);
+            assert!(name != "mip" || prepared.volume().blend == Blend::Mip);
             agree(&format!("{name} {mode:?}"), &prepared);
         }
     }
@@ -258,8 +260,8 @@ fn counts_agree() {
     scene.render.size = [128, 128];
     let assets = scenes::assets(&scene);
     let prepared = Prepared::new(&scene, &assets).unwrap();
-    let by_cpu = cpu::render(&prepared, &|_| ()).stats.unwrap();
-    let by_gpu = with_renderer(|r| r.render(&prepared, true, &|_| ()).unwrap()).stats.unwrap();
+    let by_cpu = cpu::render(&prepared).stats.unwrap();
+    let by_gpu = with_renderer(|r| r.render(&prepared, true, &Watch::NONE).unwrap()).stats.unwrap();
     let close = |a: u64, b: u64| a > 0 && (a as f64 - b as f64).abs() <= 0.005 * a as f64;
     assert!(close(by_cpu.samples_taken, by_gpu.samples_taken), "{by_cpu:?} {by_gpu:?}");
     assert!(close(by_cpu.samples_skipped, by_gpu.samples_skipped), "{by_cpu:?} {by_gpu:?}");
@@ -267,8 +269,8 @@ fn counts_agree() {
     // By invocations each pixel is counted once as well, also where a band does not end with the picture.
     scene.render.size = [700, 397];
     let prepared = Prepared::new(&scene, &assets).unwrap();
-    let fragments = with_strategy(Strategy { compute_rays: false, ..PREPARE }, |r| r.render(&prepared, true, &|_| ()).unwrap()).stats.unwrap();
-    let invocations = with_strategy(PREPARE, |r| r.render(&prepared, true, &|_| ()).unwrap()).stats.unwrap();
+    let fragments = with_strategy(Strategy { compute_rays: false, ..PREPARE }, |r| r.render(&prepared, true, &Watch::NONE).unwrap()).stats.unwrap();
+    let invocations = with_strategy(PREPARE, |r| r.render(&prepared, true, &Watch::NONE).unwrap()).stats.unwrap();
     let same = |a: u64, b: u64| a > 0 && (a as f64 - b as f64).abs() <= 1e-4 * a as f64;
     assert!(same(fragments.samples_taken, invocations.samples_taken), "{fragments:?} {invocations:?}");
     assert!(same(fragments.samples_skipped, invocations.samples_skipped), "{fragments:?} {invocations:?}");
@@ -286,7 +288,7 @@ fn composition_agrees() {
     scene.render.precompose = Some(0.4);
     let assets = scenes::assets(&scene);
     let by_cpu = Prepared::new(&scene, &assets).unwrap();
-    let by_gpu = with_renderer(|r| Prepared::on(r, &scene, &assets).unwrap());
+    let by_gpu = with_renderer(|r| Prepared::with(&scene, &assets, &PrepareOptions::on(r)).unwrap());
     let (a, b) = (&by_cpu.stack, &by_gpu.stack);
     let [of_a, of_b] = [a, b].map(|s| s.shortcut().unwrap().map.map.size);
     assert!(of_a == of_b && a.maps().len() == 11, "{of_a:?} {of_b:?}");
@@ -350,7 +352,7 @@ fn strategies_agree() {
         for compute_rays in [true, false] {
             agree_by(&format!("{name}, compute_rays {compute_rays}"), &prepared, |r| {
                 let own = r.set_strategy(Strategy { exact_filter: true, compute_rays, prepare: false });
-                let rendered = r.render(&prepared, false, &|_| ());
+                let rendered = r.render(&prepared, false, &Watch::NONE);
                 r.set_strategy(own);
                 rendered
             });
@@ -360,13 +362,13 @@ fn strategies_agree() {
 
 /// At points of cells that are said to be empty nothing shows; at those of cells that are said to be clear no mask does anything.
 fn empty_is_empty(name: &str, prepared: &Prepared) {
-    let cells = &prepared.macrocells;
-    let grid = prepared.grid;
+    let cells = &prepared.volume().macrocells;
+    let grid = prepared.volume().grid;
     // Cells are said to be clear of the maps' own masks.
     let maps = incise::deform::Stack::new(prepared.stack.maps().to_vec());
     let depth_at = |p: Vec3| -> f32 {
         let (source, alpha) = prepared.stack.walk(p);
-        let at = prepared.frame.voxel_from_world.transform_point3(source);
+        let at = prepared.volume().voxel_from_world.transform_point3(source);
         let top = Vec3::from(grid.size.map(|n| n as f32)) - 0.5;
         if alpha < 0.5 || prepared.cuts.kept(p) < 0.0 || at.cmplt(Vec3::splat(-0.5)).any() || at.cmpgt(top).any() {
             return 0.0;
@@ -377,10 +379,10 @@ fn empty_is_empty(name: &str, prepared: &Prepared) {
             GridVoxels::I16(v) => Sampler::new(grid, v).sample(at),
             GridVoxels::F32(v) => Sampler::new(grid, v).sample(at),
         };
-        match prepared.iso {
-            _ if prepared.blend != Blend::Composite => 1.0,
+        match prepared.volume().iso {
+            _ if prepared.volume().blend != Blend::Composite => 1.0,
             Some(iso) => f32::from(u8::from(value >= iso)),
-            None => prepared.table.lookup(value)[3],
+            None => prepared.volume().table.lookup(value)[3],
         }
     };
     for n in 0..cells.distance.len() {
@@ -445,8 +447,8 @@ fn empty_space_agrees() {
         let assets = scenes::assets(scene);
         let by_cpu = Prepared::new(scene, &assets).unwrap();
         let again = scenes::assets(scene);
-        let by_device = with_strategy(PREPARE, |r| Prepared::on(r, scene, &again).unwrap());
-        let (a, b) = (&by_cpu.macrocells, &by_device.macrocells);
+        let by_device = with_strategy(PREPARE, |r| Prepared::with(scene, &again, &PrepareOptions::on(r)).unwrap());
+        let (a, b) = (&by_cpu.volume().macrocells, &by_device.volume().macrocells);
         assert_eq!(a.size, b.size, "{name}");
         let clear = |d: u8| d == 255;
         let (mut both, mut more, mut lost, mut clear_in_both, mut also_clear) = (0, 0, 0, 0, 0);
@@ -466,10 +468,10 @@ fn empty_space_agrees() {
         empty_is_empty(name, &by_device);
         agree(&format!("{name}, prepared by the device"), &by_device);
         // What is left out would not have shown.
-        let picture = |prepared: &Prepared| with_strategy(PREPARE, |r| r.render(prepared, false, &|_| ()).unwrap()).picture;
+        let picture = |prepared: &Prepared| with_strategy(PREPARE, |r| r.render(prepared, false, &Watch::NONE).unwrap()).picture;
         let skipping = picture(&by_device);
         scene.render.empty_space_skipping = false;
-        let whole = with_strategy(PREPARE, |r| Prepared::on(r, scene, &again).unwrap());
+        let whole = with_strategy(PREPARE, |r| Prepared::with(scene, &again, &PrepareOptions::on(r)).unwrap());
         let d = difference(&skipping, &picture(&whole)).unwrap();
         println!("{name}: skipping changes mean {:.5}/255, max {:.3}/255", d.mean / STEP, d.max / STEP);
         assert!(d.max <= 0.51 * STEP, "{name}: skipping changes the picture by {}/255", d.max / STEP);
@@ -495,7 +497,7 @@ fn voxel_types_agree() {
         let factor = (volume.range[1] - volume.range[0]) / 205.0;
         scene.transfer.window = Some(200.0 * factor);
         scene.transfer.level = Some(140.0 * factor + volume.range[0] - 50.0 * factor);
-        let assets = incise::scene::Assets::of_volume(volume, incise::scene::Stages::default());
+        let assets = incise::prepare::Assets::of_volume(volume);
         assert!(Grid::new(&assets.volume).size == [48; 3]);
         agree(name, &Prepared::new(&scene, &assets).unwrap());
     }
@@ -514,7 +516,7 @@ fn own_colors_agree() {
     for (name, colors) in [("RGB", Colors::rgb(rgb)), ("RGBA", Colors::Rgba(rgba.into()))] {
         let mut volume = phantom.clone();
         volume.colors = Some(colors);
-        let assets = incise::scene::Assets::of_volume(volume, incise::scene::Stages::default());
+        let assets = incise::prepare::Assets::of_volume(volume);
         let mut scene = Scene::of_volume("phantom:tomato");
         scene.render.size = [96, 96];
         scene.deformation.push(Deformation::new("twist"));
@@ -522,9 +524,9 @@ fn own_colors_agree() {
             scene.render.mode = mode;
             agree(&format!("{name} {mode:?}"), &Prepared::new(&scene, &assets).unwrap());
         }
-        let own = cpu::render(&Prepared::new(&scene, &assets).unwrap(), &|_| ()).picture;
+        let own = cpu::render(&Prepared::new(&scene, &assets).unwrap()).picture;
         scene.transfer.own_colors = Some(false);
-        let table = cpu::render(&Prepared::new(&scene, &assets).unwrap(), &|_| ()).picture;
+        let table = cpu::render(&Prepared::new(&scene, &assets).unwrap()).picture;
         assert!(difference(&own, &table).unwrap().mean > 5.0 * STEP, "{name}: colours show");
     }
 }
@@ -534,12 +536,12 @@ fn larger_than_the_device_is_reduced() {
     use incise::volume::{Rescale, Volume};
     let most = with_renderer(|r| r.device().device.limits().max_texture_dimension_3d) as usize;
     let volume = Volume::new(vec![200u8; (most + 1) * 900].into(), [most + 1, 900, 1], Rescale::NONE, glam::DAffine3::IDENTITY);
-    let assets = incise::scene::Assets::of_volume(volume, incise::scene::Stages::default());
+    let assets = incise::prepare::Assets::of_volume(volume);
     let mut scene = Scene::of_volume("phantom:ball");
     scene.render.size = [64, 64];
     scene.camera.view = "superior".parse().unwrap();
     scene.transfer.points = vec![incise::transfer::ControlPoint { value: 0.0, color: [1.0; 3], opacity: 1.0 }];
-    let done = with_renderer(|r| r.render(&Prepared::new(&scene, &assets).unwrap(), false, &|_| ())).unwrap();
+    let done = with_renderer(|r| r.render(&Prepared::new(&scene, &assets).unwrap(), false, &Watch::NONE)).unwrap();
     assert!(
         done.notices[0].contains("more than this GPU holds") && done.notices[0].contains(&format!("{} x 900 x 1", (most + 1).div_ceil(2))),
         "{:?}",
@@ -554,10 +556,10 @@ fn larger_than_the_device_is_reduced() {
         scene.deformation.push(Deformation::new("box"));
         let assets = scenes::assets(&scene);
         let prepared = Prepared::new(&scene, &assets).unwrap();
-        let whole = with_renderer(|r| r.render(&prepared, false, &|_| ())).unwrap();
+        let whole = with_renderer(|r| r.render(&prepared, false, &Watch::NONE)).unwrap();
         let reduced = with_renderer(|r| {
             r.limit_volume(if spec.starts_with("phantom") { 40 } else { 110 }, u64::MAX);
-            let done = r.render(&prepared, false, &|_| ());
+            let done = r.render(&prepared, false, &Watch::NONE);
             r.limit_volume(usize::MAX, u64::MAX);
             done.unwrap()
         });
@@ -662,5 +664,5 @@ fn surface_options_agree() {
 
 /// Slices, rays and surface rays on the device: the silhouettes of a solid ball under one deformation agree to a pixel with the CPU's surface.
 fn one_deformation_on_the_gpu() {
-    crate::surfaces::three_silhouettes(&|prepared| with_renderer(|r| r.render(prepared, false, &|_| ()).unwrap()).picture);
+    crate::surfaces::three_silhouettes(&|prepared| with_renderer(|r| r.render(prepared, false, &Watch::NONE).unwrap()).picture);
 }

@@ -29,7 +29,7 @@ fn json(name: &str) -> Value {
 }
 
 pub fn read(path: &Path, choice: &Choice) -> incise::Result<Volume> {
-    load::volume(path, choice, &Watch::NOBODY)
+    load::volume(path, choice, &Watch::NONE)
 }
 
 fn incise(arguments: &[&str]) -> Output {
@@ -110,7 +110,7 @@ pub fn scans_are_what_peers_read() {
     let expected = json("expected.json");
     let (mut exact, mut lossy) = (0, 0);
     for (name, want) in expected.as_object().unwrap() {
-        let image = match load::image(&folder.join(name), &Choice::default(), &Watch::NOBODY) {
+        let image = match load::image(&folder.join(name), &Choice::default(), &Watch::NONE) {
             Ok(image) => image,
             Err(e) => {
                 // What cannot be decoded is named: JPEG-LS without its feature, and lossy JPEG of 12 bits.
@@ -404,7 +404,7 @@ pub fn loads_are_watched() {
         let path = fixtures().join("phantom").join(name);
         let seen = Mutex::new(Vec::new());
         let progress = |share: f32| seen.lock().unwrap().push(share);
-        load::volume(&path, &Choice::default(), &Watch::telling(&progress)).unwrap();
+        load::volume(&path, &Choice::default(), &Watch::reporting(&progress)).unwrap();
         let seen = seen.into_inner().unwrap();
         assert!(!seen.is_empty() && seen.iter().all(|s| (0.0..=1.0).contains(s)) && seen.last().is_some_and(|s| *s > 0.99), "{name}: {seen:?}");
         let cancel = AtomicBool::new(true);

@@ -2,7 +2,8 @@
 
 use crate::closed_forms::picture;
 use crate::metrics::{STEP, difference};
-use incise::scene::{Assets, Mode, Normals, Prepared, Projection, Scene};
+use incise::prepare::{Assets, Prepared};
+use incise::scene::{Mode, Normals, Projection, Scene};
 use std::path::PathBuf;
 
 /// The scene files, by name.
@@ -20,7 +21,7 @@ pub fn load(name: &str) -> Scene {
 }
 
 pub fn assets(scene: &Scene) -> Assets {
-    Assets::load(scene, &|_, _| ()).unwrap()
+    Assets::load(scene).unwrap()
 }
 
 pub fn every_scene_loads_and_comes_back() {
@@ -46,7 +47,7 @@ pub fn skipping_and_termination_change_nothing() {
                 s.render.empty_space_skipping = skipping;
                 s.render.early_termination = termination;
                 let prepared = Prepared::new(&s, &assets).unwrap();
-                incise::cpu::render(&prepared, &|_| ())
+                incise::cpu::render(&prepared)
             };
             let neither = render(false, false);
             let stats = neither.stats.unwrap();
@@ -227,7 +228,7 @@ pub fn empty_pictures_say_why() {
         }
         let assets = assets(&scene);
         let prepared = Prepared::new(&scene, &assets).unwrap_or_else(|e| panic!("{e}\n{text}"));
-        let rendered = incise::cpu::render(&prepared, &|_| ());
+        let rendered = incise::cpu::render(&prepared);
         let said: Vec<String> = rendered.notices.into_iter().chain(assets.library.notices()).collect();
         assert!(rendered.picture.is_blank(), "{text}");
         assert!(said.iter().any(|line| line.contains(words)), "{text}\n{said:?}");
@@ -235,5 +236,5 @@ pub fn empty_pictures_say_why() {
     // And one with something in it says nothing of the kind.
     let scene = Scene::of_volume("phantom:head-ct:size=16");
     let assets = assets(&scene);
-    assert!(incise::cpu::render(&Prepared::new(&scene, &assets).unwrap(), &|_| ()).notices.is_empty());
+    assert!(incise::cpu::render(&Prepared::new(&scene, &assets).unwrap()).notices.is_empty());
 }

@@ -9,13 +9,15 @@ use incise::deform::{DisplacementMap, PlacedMap, Placement, Storage, TexelSample
 use incise::math::Bounds;
 use incise::mesh::field::{FieldSettings, MeshField};
 use incise::mesh::{Mesh, load, shapes};
+use incise::picture::Picture;
+use incise::prepare::{Assets, PrepareOptions, Prepared};
 use incise::scene::surface::{CutModel, MeshSource, ShapeSource, Steps};
-use incise::scene::{Assets, Deformation, Mode, Picture, Prepared, Projection, Scene};
+use incise::scene::{Deformation, Mode, Projection, Scene};
 use incise::transfer::{Blend, ControlPoint};
 use std::path::{Path, PathBuf};
 
 fn field(mesh: &Mesh, settings: FieldSettings) -> MeshField {
-    MeshField::new(mesh, &settings, &Watch::NOBODY).unwrap_or_else(|e| panic!("{e}"))
+    MeshField::new(mesh, &settings, &Watch::NONE).unwrap_or_else(|e| panic!("{e}"))
 }
 
 fn grid_points(f: &MeshField) -> impl Iterator<Item = (Vec3, f32)> {
@@ -195,7 +197,7 @@ pub fn deformed_sphere_is_the_ellipsoid() {
         scene.surface.steps = steps;
         let assets = scenes::assets(&scene);
         let l = Mat3::from_cols(Vec3::new(1.4, 0.2, 0.0), Vec3::new(-0.1, 0.8, 0.3), Vec3::new(0.1, 0.0, 1.1));
-        let mut prepared = Prepared::with_maps(&scene, &assets, vec![linear(l)]).unwrap();
+        let mut prepared = Prepared::with(&scene, &assets, &PrepareOptions::with_maps(&[linear(l)])).unwrap();
         for sampled in [false, true] {
             if sampled {
                 // The same ball as a mesh's distance field.
@@ -269,8 +271,8 @@ pub fn narrow_pull_is_found_by_jacobian_steps() {
     let hits = |steps, step: f32| -> Vec<bool> {
         let scene = scene_with(steps, step);
         let assets = scenes::assets(&scene);
-        let prepared = Prepared::with_maps(&scene, &assets, vec![pull()]).unwrap();
-        incise::cpu::render(&prepared, &|_| ()).picture.pixels.iter().map(|p| p[3] > 0.5).collect()
+        let prepared = Prepared::with(&scene, &assets, &PrepareOptions::with_maps(&[pull()])).unwrap();
+        incise::cpu::render(&prepared).picture.pixels.iter().map(|p| p[3] > 0.5).collect()
     };
     let coarse = 6.0;
     let reference = hits(Steps::Uniform, coarse / 16.0);
@@ -299,7 +301,7 @@ fn beyond_a_pixel(a: &[bool], b: &[bool], width: usize) -> usize {
 
 /// One deformation texture in slicing, volume ray casting and surface ray casting: the silhouettes of a solid ball agree to a pixel.
 pub fn three_modes_share_one_deformation() {
-    three_silhouettes(&|prepared| incise::cpu::render(prepared, &|_| ()).picture);
+    three_silhouettes(&|prepared| incise::cpu::render(prepared).picture);
 }
 
 /// The same by any renderer.
@@ -337,7 +339,7 @@ pub fn three_silhouettes(draw: &dyn Fn(&Prepared) -> Picture) {
 fn render(scene: &Scene) -> Picture {
     let assets = scenes::assets(scene);
     let prepared = Prepared::new(scene, &assets).unwrap();
-    incise::cpu::render(&prepared, &|_| ()).picture
+    incise::cpu::render(&prepared).picture
 }
 
 /// Two stages or one: the same picture, and no line where they meet.
@@ -726,7 +728,7 @@ pub fn depth_map_cube_shows_the_field() {
     let bytes = prepared.surfaces.objects[0].implicit.as_ref().unwrap().gpu_bytes();
     assert_eq!(bytes, 6 * 128 * 128 * 4);
     assert!(assets.library.notices().iter().any(|n| n.contains(&bytes.to_string()) && n.contains(&(2 * 128usize.pow(3)).to_string())));
-    let by_cube = incise::cpu::render(&prepared, &|_| ()).picture;
+    let by_cube = incise::cpu::render(&prepared).picture;
     let (a, b) = (silhouette(&by_field), silhouette(&by_cube));
     let off = a.iter().zip(&b).filter(|(a, b)| a != b).count();
     assert!(off * 25 < a.iter().filter(|p| **p).count(), "{off} pixels");

@@ -438,7 +438,7 @@ pub fn every_reader_of_every_kind_of_file() {
         // Twenty megabytes of it would be twenty gigabytes; a tenth is as good.
         let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::best());
         for _ in 0..2000 {
-            std::io::Write::write_all(&mut encoder, &vec![b' '; 1 << 20]).unwrap();
+            std::io::Write::write_all(&mut encoder, &[b' '; 1 << 20]).unwrap();
         }
         encoder.finish().unwrap()
     };

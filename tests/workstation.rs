@@ -5,6 +5,7 @@ use eframe::egui::{self, Key, Modifiers, PointerButton, Pos2, Rect, pos2, vec2};
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
 use incise::cpu;
+use incise::engine::Backend;
 use incise::gui::action::{Action, Entry};
 use incise::gui::document::Selection;
 use incise::gui::files::{After, ClipForm, Dialog, PictureForm, Purpose, Travel};
@@ -13,10 +14,12 @@ use incise::gui::log::Level;
 use incise::gui::session::Session;
 use incise::gui::tool::Tool;
 use incise::gui::views::slices::Space;
-use incise::gui::worker::{Backend, Overlay};
+use incise::gui::worker::Overlay;
 use incise::gui::{Options, Workstation};
+use incise::picture::Picture;
+use incise::prepare::Prepared;
 use incise::scene::measure::MeasureKind;
-use incise::scene::{Deformation, Mode, Picture, Prepared, Scene};
+use incise::scene::{Deformation, Mode, Scene};
 use incise::volume::Volume;
 use proptest::prelude::Rng as _;
 use proptest::test_runner::{RngAlgorithm, TestRng};
@@ -169,7 +172,7 @@ impl Bench {
         let [w, h] = scene.render.size;
         scene.render.size = [w / 4, h / 4];
         let assets = self.app().doc.as_ref().unwrap().assets.clone();
-        cpu::render(&Prepared::new(&scene, &assets).unwrap(), &|_| ()).picture
+        cpu::render(&Prepared::new(&scene, &assets).unwrap()).picture
     }
 
     fn has_error(&mut self, text: &str) -> bool {
@@ -727,13 +730,13 @@ fn a_lost_device_is_recovered() {
     let harness = workstation(&folder.path().join("home"), Some(Path::new(HEAD)), Backend::Gpu);
     let mut bench = Bench { harness, folder };
     bench.settle();
-    assert!(!bench.app().view.facts.backend.starts_with("CPU"), "{}", bench.app().view.facts.backend);
+    assert!(!bench.app().view.facts.device.as_ref().is_some_and(|d| !d.is_gpu), "{:?}", bench.app().view.facts.device);
     let pictures = bench.app().view.pictures;
     bench.perform(Action::ResetGpu);
     bench.settle();
     bench.until("no picture after the loss", |app| app.view.pictures > pictures && app.view.is_fine);
-    assert!(bench.app().log.text().contains("opened anew"), "{}", bench.app().log.text());
-    assert!(!bench.app().view.facts.backend.starts_with("CPU"), "{}", bench.app().view.facts.backend);
+    assert!(bench.app().log.text().contains("incise reconnected"), "{}", bench.app().log.text());
+    assert!(!bench.app().view.facts.device.as_ref().is_some_and(|d| !d.is_gpu), "{:?}", bench.app().view.facts.device);
     bench.no_errors();
 }
 

@@ -5,11 +5,14 @@
 #![allow(missing_docs, reason = "a benchmark has no callers")]
 
 use anyhow::{Context as _, Result, bail};
+use incise::Watch;
 use incise::cpu;
 use incise::deform::invert;
 use incise::deform::transform::{Context, Step, Transform, VectorField};
 use incise::export::bake;
-use incise::scene::{Assets, Deformed, Prepared, Rendered, Scene, Stages};
+use incise::picture::{Rendered, Stages};
+use incise::prepare::{Assets, Deformed, PrepareOptions, Prepared};
+use incise::scene::Scene;
 use incise::volume::GradientVolume;
 use incise::volume::save::Format;
 use serde::Deserialize;
@@ -71,11 +74,11 @@ impl Gpu {
 
     fn prepare<'a>(&mut self, scene: &Scene, assets: &'a Assets) -> Result<Prepared<'a>> {
         let renderer = self.renderer()?;
-        Ok(Prepared::on(renderer, scene, assets)?)
+        Ok(Prepared::with(scene, assets, &PrepareOptions::on(renderer))?)
     }
 
     fn render(&mut self, prepared: &Prepared) -> Result<Rendered> {
-        Ok(self.renderer()?.render(prepared, false, &|_| ())?)
+        Ok(self.renderer()?.render(prepared, false, &Watch::NONE)?)
     }
 }
 
@@ -115,7 +118,7 @@ impl Worker {
             }
             Request::Load { name, path } => {
                 let start = Instant::now();
-                let assets = Assets::load(&Scene::of_volume(path), &|_, _| ())?;
+                let assets = Assets::load(&Scene::of_volume(path))?;
                 let answer = json!({ "ms": ms(start), "stages": stages(&[&assets.stages]), "size": assets.volume.size });
                 self.volumes.insert(name, assets);
                 Ok(answer)
@@ -146,7 +149,7 @@ impl Worker {
         let (prepared, rendered) = match backend {
             Backend::Cpu => {
                 let prepared = Prepared::new(&scene, assets)?;
-                let rendered = cpu::render(&prepared, &|_| ());
+                let rendered = cpu::render(&prepared);
                 (prepared, rendered)
             }
             Backend::Gpu => {
@@ -168,7 +171,7 @@ impl Worker {
         let volume = &assets.volume;
         let start = Instant::now();
         let mut bytes = Vec::with_capacity(volume.size.iter().product::<usize>() * 4);
-        let Deformed { stack, cuts, .. } = Deformed::exact(&scene, assets, true)?;
+        let Deformed { stack, cuts, .. } = Deformed::exact(&scene, assets, true, &Watch::NONE)?;
         let deformation = bake::Deformation { stack: &stack, cuts: &cuts };
         let (grid, fill) = (volume.geometry(), volume.range[0]);
         bake::volume(volume, &deformation, &grid, bake::Interpolation::Linear, fill, Format::Nifti, &mut bytes, &|_| ())?;

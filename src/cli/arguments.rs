@@ -1,7 +1,7 @@
 //! Values as people type them.
 
+use crate::deform::file_kinds::FILE_KINDS;
 use crate::deform::{Argument, Storage};
-use crate::scene::deformations::FILE_KINDS;
 use crate::scene::{Deformation, Scene, Size};
 use crate::volume::load::{Choice, RawLayout};
 use crate::{Error, Result};

@@ -5,7 +5,8 @@ use super::progress::Progress;
 use crate::export::{bake, protect};
 use crate::files::Output;
 use crate::files::path_text::text_of;
-use crate::scene::{Assets, Deformed, Scene};
+use crate::prepare::{Assets, Deformed, LoadOptions};
+use crate::scene::Scene;
 use crate::volume::save::Format;
 use crate::{Error, Result, Watch};
 use clap::{Args, ValueEnum};
@@ -67,11 +68,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if scene.volume.is_none() {
         return Err(Error::file(&arguments.input, "has no volume to bake; its meshes are rendered, not baked"));
     }
-    let assets = Assets::load(&scene, &|what, share| bar.set(what, share))?;
+    let assets = Assets::load_with(&scene, &LoadOptions { progress: Some(&|what, share| bar.set(what, share)), ..LoadOptions::default() })?;
     output.check()?;
     let volume = &assets.volume;
     let preparing = |share| bar.set("preparing", share);
-    let Deformed { stack, cuts, .. } = Deformed::exact_until(&scene, &assets, true, &Watch::telling(&preparing))?;
+    let Deformed { stack, cuts, .. } = Deformed::exact(&scene, &assets, true, &Watch::reporting(&preparing))?;
     let deformation = bake::Deformation { stack: &stack, cuts: &cuts };
     if !arguments.quiet {
         for note in volume.warnings_with_options().iter().map(|w| format!("{}: {w}", scene.volume_name())).chain(assets.library.notices()) {

@@ -4,8 +4,9 @@ use super::arguments;
 use super::progress::Progress;
 use crate::files::Output;
 use crate::files::path_text::{path_of, text_of};
+use crate::prepare::{Assets, LoadOptions};
 use crate::scene::surface::CutModel;
-use crate::scene::{Assets, Camera, InsideMesh, Mode, Projection, Scene, View};
+use crate::scene::{Camera, InsideMesh, Mode, Projection, Scene, View};
 use crate::{Error, Result};
 use clap::{Args, ValueEnum};
 use std::ffi::OsString;
@@ -213,7 +214,7 @@ impl Common {
     /// # Errors
     /// What the readers report.
     pub fn load(&self, scene: &Scene, bar: &Progress) -> Result<Assets> {
-        let assets = Assets::load(scene, &|what, share| bar.set(what, share))?;
+        let assets = Assets::load_with(scene, &LoadOptions { progress: Some(&|what, share| bar.set(what, share)), ..LoadOptions::default() })?;
         self.tell(warnings(scene, &assets));
         Ok(assets)
     }

@@ -3,7 +3,7 @@
 use super::arguments;
 use super::common::{Common, ModeName};
 use super::progress::Progress;
-use crate::compare::lab::{self, Gpu, Plan, REFERENCE_STEP};
+use crate::compare::lab::{self, Plan, REFERENCE_STEP};
 use crate::compare::plot::number;
 use crate::compare::{Report, write_files};
 use crate::export::protect;
@@ -175,8 +175,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     common.use_threads()?;
     let gpu = match arguments.backend {
         Backends::Cpu => None,
-        Backends::Gpu => Some(Gpu::open()?),
-        Backends::Auto => match Gpu::open() {
+        Backends::Gpu => Some(lab::open_gpu()?),
+        Backends::Auto => match lab::open_gpu() {
             Ok(gpu) => Some(gpu),
             Err(error) => {
                 common.tell([format!("{error}; comparing on the CPU alone")]);

@@ -6,7 +6,8 @@ use crate::export::png;
 use crate::export::protect;
 use crate::files::Output;
 use crate::files::path_text::text_of;
-use crate::scene::{Assets, Prepared, Scene, example};
+use crate::prepare::{Assets, Prepared};
+use crate::scene::{Scene, example};
 use crate::{Error, Result, cpu};
 use clap::Args;
 use std::path::PathBuf;
@@ -47,7 +48,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let own = text_of(&arguments.volume);
     let bar = Progress::new(arguments.quiet);
     let volumes = [("volume", own.as_str()), ("checker", "phantom:checker")];
-    let loaded = volumes.map(|(_, path)| Assets::load(&Scene::of_volume(path), &|_, _| ()));
+    let loaded = volumes.map(|(_, path)| Assets::load(&Scene::of_volume(path)));
     let [a, b] = loaded;
     let assets = [a?, b?];
     let mut rows = String::new();
@@ -58,7 +59,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         for (m, (label, path)) in volumes.iter().enumerate() {
             bar.set("rendering", (n * volumes.len() + m) as f32 / all as f32);
             let scene = example::of_kind(kind, path, arguments.edge, &assets[m].volume.bounds_in_world());
-            let picture = Prepared::new(&scene, &assets[m]).map(|p| cpu::render(&p, &|_| ()).picture);
+            let picture = Prepared::new(&scene, &assets[m]).map(|p| cpu::render(&p).picture);
             match picture {
                 Ok(picture) => {
                     let file = format!("{}-{label}.png", kind.name);

@@ -2,10 +2,10 @@
 
 use super::arguments::VolumeArguments;
 use super::progress::Progress;
+use crate::deform::file_kinds::FILE_KINDS;
 use crate::deform::kinds::{self, DefaultSize, Kind, Unit};
 use crate::files::path_text::path_of;
 use crate::scene::Scene;
-use crate::scene::deformations::FILE_KINDS;
 use crate::scene::surface::{DEFORMERS, LOOKS};
 use crate::transfer;
 use crate::volume::load::{self, Choice, SeriesInfo};
@@ -42,8 +42,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         _ => {
             let bar = Progress::new(arguments.json);
             let reading = |share: f32| bar.set("reading", share);
-            let watch = Watch::telling(&reading);
-            let series = load::series(path, arguments.patient, &Watch::NOBODY)?;
+            let watch = Watch::reporting(&reading);
+            let series = load::series(path, arguments.patient, &Watch::NONE)?;
             let volume = load::volume(path, &arguments.volume.over(&Choice::default()), &watch);
             bar.finish();
             match (volume, series) {
@@ -155,7 +155,7 @@ fn mesh_report(mesh: &mesh::Mesh) -> Value {
 fn scene_report(path: &Path) -> Result<Value> {
     let scene = Scene::load(path)?;
     let volume = match (scene.volume_path(), &scene.volume) {
-        (Some(path), Some(source)) => Some(load::volume(&path, &source.choice, &Watch::NOBODY)?),
+        (Some(path), Some(source)) => Some(load::volume(&path, &source.choice, &Watch::NONE)?),
         _ => None,
     };
     let meshes = scene

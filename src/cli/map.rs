@@ -2,6 +2,7 @@
 
 use super::arguments;
 use super::progress::Progress;
+use crate::deform::file_kinds::FILE_KINDS;
 use crate::deform::health::Examined;
 use crate::deform::transform::{Context, Step, Transform, VectorField};
 use crate::deform::{PlacedMap, Storage, compose, invert, saved};
@@ -9,7 +10,8 @@ use crate::export::{png_rgb, protect};
 use crate::files::path_text::text_of;
 use crate::files::{Output, check_distinct};
 use crate::math::Bounds;
-use crate::scene::{Assets, Deformed, Scene, deformations::FILE_KINDS};
+use crate::prepare::{Assets, Deformed};
+use crate::scene::Scene;
 use crate::volume::load::{self, Choice};
 use crate::volume::save::{self, Content, Format};
 use crate::{Error, Result, Watch};
@@ -114,8 +116,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         if scene.deformation[0].resolution.is_none() && arguments.resolution.is_some() {
             scene.deformation[0].resolution = arguments.resolution;
         }
-        let assets = Assets::load(&scene, &|_, _| ())?;
-        let stack = Deformed::exact(&scene, &assets, false)?.stack;
+        let assets = Assets::load(&scene)?;
+        let stack = Deformed::exact(&scene, &assets, false, &Watch::NONE)?.stack;
         assets.library.notices().into_iter().for_each(note);
         // A chain of transforms is several maps; a file holds one.
         let made = match stack.maps() {
@@ -177,7 +179,7 @@ fn report(r: &invert::Report, note: &impl Fn(String)) {
 
 /// The transform of a file, and the box of the volume that it is for.
 fn load_transform(path: &Path, volume: Option<&Path>, convention: Option<&str>) -> Result<(Transform, Bounds)> {
-    let volume = volume.map(|v| load::volume(v, &Choice::default(), &Watch::NOBODY)).transpose()?;
+    let volume = volume.map(|v| load::volume(v, &Choice::default(), &Watch::NONE)).transpose()?;
     let grid = volume.as_ref().map(|v| v.geometry());
     let transform = Transform::load(path, &Context { moving: grid, reference: grid, convention })?;
     let bounds = volume.map_or_else(
@@ -225,7 +227,7 @@ fn saved_map(path: &Path) -> Result<Option<PlacedMap>> {
     if !name.ends_with(".nrrd") && !name.ends_with(".nhdr") {
         return Ok(None);
     }
-    if load::image(path, &Choice::default(), &Watch::NOBODY)?.displacement { saved::read(path, Storage::F32, 1.0).map(Some) } else { Ok(None) }
+    if load::image(path, &Choice::default(), &Watch::NONE)?.displacement { saved::read(path, Storage::F32, 1.0).map(Some) } else { Ok(None) }
 }
 
 fn run_check(arguments: &CheckArguments) -> Result<()> {

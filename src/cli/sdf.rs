@@ -69,7 +69,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let bar = Progress::new(arguments.quiet);
     let settings = FieldSettings { resolution: arguments.resolution, cell_mm: arguments.cell, region, exact: arguments.exact, parity: false };
     let progress = |share| bar.set("distances", share);
-    let watch = Watch::telling(&progress);
+    let watch = Watch::reporting(&progress);
     let start = Instant::now();
     let field = MeshField::new(&mesh, &settings, &watch).map_err(|problem| Error::file(&arguments.mesh, problem))?;
     let field_ms = start.elapsed().as_secs_f64() * 1e3;

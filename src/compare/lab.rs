@@ -14,15 +14,17 @@
 //!   Curves show the time after the scene was prepared, because preparing is the same work for all. What is kept from picture to picture (maps, empty
 //!   space, tables) is kept here too; what it takes to make it the first time is told once.
 //!
-//! *How to call it*: a [`Plan`], [`Assets`] loaded for [`Plan::loading`], [`Gpu::open`] if there is to be one, [`run`].
+//! *How to call it*: a [`Plan`], [`Assets`] loaded for [`Plan::loading`], [`open_gpu`] if there is to be one, [`run`].
 
 use super::Times;
 use super::metrics::difference;
 use super::report::{Protocol, Report, Run, Shown, mode_name};
-use crate::scene::{Assets, Camera, MAX_PICTURE_EDGE, MAX_PIXELS, Mode, Prepared, Rendered, Scene};
+use crate::engine::{Backend, Engine, EngineOptions, RenderRequest};
+use crate::picture::{MAX_PICTURE_EDGE, MAX_PIXELS};
+use crate::prepare::{Assets, Prepared};
+use crate::scene::{Camera, Mode, Scene};
 use crate::{Error, Result, Watch};
 use std::collections::BTreeSet;
-use std::time::Instant;
 
 /// Step of references, voxels.
 pub const REFERENCE_STEP: f32 = 1.0 / 16.0;
@@ -180,84 +182,19 @@ impl Plan {
     }
 }
 
-/// A GPU to compare, software ones included.
-#[cfg(feature = "gpu")]
-pub struct Gpu {
-    renderer: crate::render::Renderer,
-}
-
-#[cfg(feature = "gpu")]
-impl Gpu {
-    /// The best adapter there is.
-    ///
-    /// # Errors
-    /// There is none, or it cannot be opened.
-    pub fn open() -> Result<Self> {
-        let device = crate::gpu::Device::open(crate::gpu::Want::Any)?;
-        let mut renderer = crate::render::Renderer::new(device);
-        renderer.time_passes(true);
-        Ok(Self { renderer })
-    }
-
-    /// What it is, for people.
-    pub fn name(&self) -> String {
-        let device = self.renderer.device();
-        let soft = if device.is_software() { ", a software adapter: its times are a processor's" } else { "" };
-        format!("{}{soft}", device.info())
-    }
-
-    fn prepare<'a>(&self, scene: &Scene, assets: &'a Assets) -> Result<Prepared<'a>> {
-        Prepared::on(&self.renderer, scene, assets)
-    }
-
-    fn render(&mut self, scene: &Prepared, counting: bool, watch: &Watch) -> Result<Rendered> {
-        self.renderer.render_until(scene, counting, watch)
-    }
-
-    fn volume_bytes(&self) -> [u64; 2] {
-        self.renderer.volume_bytes()
-    }
-}
-
-/// No GPU: there is never one.
-#[cfg(not(feature = "gpu"))]
-pub struct Gpu {
-    never: std::convert::Infallible,
-}
-
-#[cfg(not(feature = "gpu"))]
-impl Gpu {
-    /// There is none.
-    ///
-    /// # Errors
-    /// Always.
-    pub fn open() -> Result<Self> {
-        Err(Error::Gpu("this build has no GPU renderer; use --backend cpu, or build with the feature `gpu`".into()))
-    }
-
-    /// What it is, for people.
-    pub fn name(&self) -> String {
-        match self.never {}
-    }
-
-    fn prepare<'a>(&self, _scene: &Scene, _assets: &'a Assets) -> Result<Prepared<'a>> {
-        match self.never {}
-    }
-
-    fn render(&mut self, _scene: &Prepared, _counting: bool, _watch: &Watch) -> Result<Rendered> {
-        match self.never {}
-    }
-
-    fn volume_bytes(&self) -> [u64; 2] {
-        match self.never {}
-    }
+/// A GPU to compare, software ones included, which also reports its own times.
+///
+/// # Errors
+/// There is none, or it cannot be opened.
+pub fn open_gpu() -> Result<Engine> {
+    Engine::open(EngineOptions { backend: Backend::Gpu, strict: true, time_passes: true })
 }
 
 /// Renders everything of a plan and compares what can be compared. `tell` is told what is being rendered, and the share of all that is done.
 ///
 /// # Errors
 /// As [`Plan::check`]; any setting that cannot be used, by name; what the GPU reports, if it is required.
-pub fn run(plan: &Plan, assets: &Assets, mut gpu: Option<Gpu>, title: &str, tell: &(dyn Fn(&'static str, f32) + Sync)) -> Result<Report> {
+pub fn run(plan: &Plan, assets: &Assets, mut gpu: Option<Engine>, title: &str, tell: &(dyn Fn(&'static str, f32) + Sync)) -> Result<Report> {
     plan.check(usize::from(plan.on_cpu) + usize::from(gpu.is_some()))?;
     let mut progress = Progress { tell, done: 0.0, all: work(plan, gpu.is_some()) };
     let mut notices = Vec::new();
@@ -271,7 +208,7 @@ pub fn run(plan: &Plan, assets: &Assets, mut gpu: Option<Gpu>, title: &str, tell
                     let scene = plan.at(mode, step, size, camera);
                     let repetition = area(size) / step;
                     // What a live view has from its second picture on is not made within a time.
-                    Prepared::new(&scene, assets)?.keep_gradients();
+                    Prepared::new(&scene, assets)?.make_gradients();
                     if plan.on_cpu {
                         let part = progress.part(mode_name(mode), repetition * plan.repeat as f32);
                         let measured = on_cpu(plan, &scene, assets, &part)?;
@@ -308,7 +245,8 @@ pub fn run(plan: &Plan, assets: &Assets, mut gpu: Option<Gpu>, title: &str, tell
                     let name = plan.name(&format!("{} reference", mode_name(mode)), &scene, false);
                     Prepared::new(&scene, assets)?;
                     let share = |share: f32| part.tell(share);
-                    let reference = Run { is_reference: true, ..super::run_on_cpu(&scene, assets, &name, &Watch::telling(&share))? };
+                    let request = RenderRequest { watch: Watch::reporting(&share), ..RenderRequest::default() };
+                    let reference = Run { is_reference: true, ..super::run(&mut Engine::cpu(), &scene, assets, &name, &request)? };
                     progress.done = part.end;
                     for n in judged {
                         runs[n].error = Some(difference(&runs[n].picture, &reference.picture)?);
@@ -324,7 +262,7 @@ pub fn run(plan: &Plan, assets: &Assets, mut gpu: Option<Gpu>, title: &str, tell
     let mut report = Report::of_pairs(title, plan.scene.to_toml()?, plan.scene.render.background, runs, pairs)?;
     report.protocol = Some(Protocol {
         cpu: format!("{}, {} threads", std::env::consts::ARCH, rayon::current_num_threads()),
-        gpu: gpu.as_ref().map(Gpu::name),
+        gpu: gpu.as_ref().map(gpu_name),
         repeat: plan.repeat,
         reference_step: plan.reference,
         first_preparation,
@@ -405,31 +343,29 @@ fn on_cpu(plan: &Plan, scene: &Scene, assets: &Assets, part: &Part) -> Result<Ru
     let name = plan.name(&format!("{} cpu", mode_name(scene.render.mode)), scene, true);
     let once = |n: usize| {
         let share = |share: f32| part.tell((n as f32 + share) / plan.repeat as f32);
-        super::run_on_cpu(scene, assets, &name, &Watch::telling(&share))
+        super::run(&mut Engine::cpu(), scene, assets, &name, &RenderRequest { watch: Watch::reporting(&share), ..RenderRequest::default() })
     };
     merged((0..plan.repeat).map(once).collect::<Result<_>>()?)
 }
 
-fn on_gpu(plan: &Plan, scene: &Scene, assets: &Assets, gpu: &mut Gpu, part: &Part) -> Result<Run> {
+fn on_gpu(plan: &Plan, scene: &Scene, assets: &Assets, gpu: &mut Engine, part: &Part) -> Result<Run> {
     let name = plan.name(&format!("{} gpu", mode_name(scene.render.mode)), scene, true);
     let pictures = plan.repeat + 2;
-    let mut once = |n: usize, counting: bool| -> Result<Run> {
+    let mut once = |n: usize, count_samples: bool| {
         let share = |share: f32| part.tell((n as f32 + share) / pictures as f32);
-        let start = Instant::now();
-        let prepared = gpu.prepare(scene, assets)?;
-        let before = start.elapsed().as_secs_f64() * 1e3;
-        let rendered = gpu.render(&prepared, counting, &Watch::telling(&share))?;
-        let all = start.elapsed().as_secs_f64() * 1e3;
-        let mut run = Run { name: name.clone(), backend: "gpu".to_owned(), ..super::once(scene, &prepared, rendered, [before, all]) };
-        let [volume, gradients] = gpu.volume_bytes();
-        run.memory.volume_bytes = if scene.volume.is_some() { volume } else { 0 };
-        run.memory.gradient_bytes = gradients;
-        Ok(run)
+        super::run(gpu, scene, assets, &name, &RenderRequest { count_samples, watch: Watch::reporting(&share), ..RenderRequest::default() })
     };
     let first = once(0, false)?;
     let timed = (0..plan.repeat).map(|n| once(n + 1, false)).collect::<Result<_>>()?;
     let counted = once(pictures - 1, true)?;
     Ok(Run { warm_up: Some(first.milliseconds.median), stats: counted.stats, ..merged(timed)? })
+}
+
+/// What a GPU is, for people.
+fn gpu_name(gpu: &Engine) -> String {
+    let device = gpu.device();
+    let soft = if device.is_software { ", a software adapter: its times are a processor's" } else { "" };
+    format!("{}{soft}", device.name)
 }
 
 /// Everything that runs show, in order, each once.
@@ -578,7 +514,7 @@ pub fn at_error(points: &[Point], error: f64) -> Option<Point> {
 mod tests {
     use super::*;
     use crate::compare::Difference;
-    use crate::scene::Picture;
+    use crate::picture::Picture;
 
     /// error = c · step^p, milliseconds = k / step: straight lines on logarithmic axes.
     fn power(mode: Mode, c: f64, p: f64, k: f64, steps: &[f64]) -> Curve {

@@ -6,7 +6,7 @@
 //! they belong. Our difference from that paper: its window is cut off at the border of the picture and the mean is taken over what is left;
 //! here pixels beyond the border repeat it, so that every pixel counts.
 
-use crate::scene::Picture;
+use crate::picture::Picture;
 use crate::{Error, Result};
 use rayon::prelude::*;
 use serde::{Serialize, Serializer};

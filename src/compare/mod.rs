@@ -7,8 +7,7 @@
 //! sampling alone (above one voxel the blend of normals at cuts widens with the step, too). Beyond the paper's pictures and times there are numbers for how far pictures are apart ([`Difference`]), errors against a
 //! reference of a much finer step, and what a renderer costs where all are equally wrong ([`lab`]).
 //!
-//! *How to call it*: [`lab::Plan`] and [`lab::run`] for all of it; or a [`Run`] for every renderer ([`run_on_cpu`], or made from what another
-//! renderer gave) and [`Report::new`]. Then [`Report::write`].
+//! *How to call it*: [`lab::Plan`] and [`lab::run`] for all of it; or a [`Run`] for every renderer ([`run`]) and [`Report::new`]. Then [`Report::write`].
 
 pub mod lab;
 mod metrics;
@@ -19,9 +18,12 @@ mod report;
 pub use metrics::{Difference, difference, difference_picture};
 pub use report::{Pair, Protocol, Report, Run, Shown, write_files};
 
-use crate::scene::{Assets, Prepared, Rendered, Scene, Stages};
+use crate::engine::{Engine, RenderRequest};
+use crate::picture::{Rendered, Stages};
+use crate::prepare::{Assets, Prepared};
+use crate::scene::Scene;
 use crate::volume::{Colors, GridVoxels};
-use crate::{Result, Watch, cpu};
+use crate::{Result, Watch};
 use std::time::Instant;
 
 /// Milliseconds that something took, once or repeatedly.
@@ -64,16 +66,16 @@ pub struct Memory {
 impl Memory {
     /// What a scene holds that was prepared and rendered on the CPU; without a volume if it has none of its own.
     pub fn of(scene: &Prepared, has_volume: bool) -> Self {
-        let volume = match &scene.grid.voxels {
+        let volume = match &scene.volume().grid.voxels {
             GridVoxels::U8(v) => size_of_val(v.as_slice()),
             GridVoxels::U16(v) => size_of_val(v.as_slice()),
             GridVoxels::I16(v) => size_of_val(v.as_slice()),
             GridVoxels::F32(v) => size_of_val(v.as_slice()),
         };
-        let colors = scene.colors.map_or(0, Colors::size_in_bytes);
+        let colors = scene.volume().colors.map_or(0, Colors::size_in_bytes);
         Self {
             volume_bytes: if has_volume { (volume + colors) as u64 } else { 0 },
-            gradient_bytes: scene.kept_gradients().map_or(0, |g| size_of_val(&*g.texels) as u64),
+            gradient_bytes: scene.gradients().map_or(0, |g| size_of_val(&*g.texels) as u64),
             map_bytes: scene.stack.all_maps().map(|m| m.map.stored_bytes() as u64).sum(),
             surface_bytes: scene.surfaces.objects.iter().filter_map(|o| o.implicit.as_ref()).map(|i| i.gpu_bytes() as u64).sum(),
             peak_bytes: peak_memory_bytes(),
@@ -93,18 +95,23 @@ fn owned(stages: &[&Stages]) -> Vec<(String, f64)> {
     stages.iter().flat_map(|s| &s.0).map(|&(stage, ms)| (stage.to_owned(), ms)).collect()
 }
 
-/// Renders a scene on the CPU, as one run of a report. Loading the assets is not part of its time, preparing the scene is.
+/// Renders a scene, as one run of a report. Loading the assets is not part of its time, preparing the scene is.
 ///
 /// # Errors
-/// Any setting that cannot be used, by name; [`Error::Cancelled`](crate::Error::Cancelled).
-pub fn run_on_cpu(scene: &Scene, assets: &Assets, name: &str, watch: &Watch) -> Result<Run> {
-    watch.check()?;
+/// As [`Engine::picture`].
+pub fn run(engine: &mut Engine, scene: &Scene, assets: &Assets, name: &str, request: &RenderRequest) -> Result<Run> {
+    request.watch.check()?;
     let start = Instant::now();
-    let prepared = Prepared::new(scene, assets)?;
+    let prepared = engine.prepare(scene, assets, &Watch { progress: &|_| (), ..request.watch })?;
     let before = start.elapsed().as_secs_f64() * 1e3;
-    let rendered = cpu::render_until(&prepared, watch)?;
+    let (rendered, device) = engine.render(&prepared, request)?;
     let all = start.elapsed().as_secs_f64() * 1e3;
-    Ok(Run { name: name.to_owned(), backend: "cpu".to_owned(), ..once(scene, &prepared, rendered, [before, all]) })
+    let mut run = Run { name: name.to_owned(), backend: device.backend().to_owned(), ..once(scene, &prepared, rendered, [before, all]) };
+    if let Some([volume, gradients]) = engine.gpu_volume_bytes() {
+        run.memory.volume_bytes = if scene.volume.is_some() { volume } else { 0 };
+        run.memory.gradient_bytes = gradients;
+    }
+    Ok(run)
 }
 
 /// One timed picture, nameless: the times from the start to the prepared scene, and to the picture.
@@ -157,8 +164,8 @@ mod tests {
     /// Without perspective a ray meets slices at its own samples.
     #[test]
     fn slices_are_rays_where_rays_are_parallel() {
-        let assets = Assets::load(&scene(Mode::Slice), &|_, _| ()).unwrap();
-        let run = |mode, name| run_on_cpu(&scene(mode), &assets, name, &Watch::NOBODY).unwrap();
+        let assets = Assets::load(&scene(Mode::Slice)).unwrap();
+        let run = |mode, name| super::run(&mut Engine::cpu(), &scene(mode), &assets, name, &RenderRequest::default()).unwrap();
         let (slice, raycast) = (run(Mode::Slice, "slice"), run(Mode::Raycast, "raycast"));
         assert!(slice.picture.pixels.iter().any(|p| p[3] > 0.1), "the scene shows nothing");
         assert!(slice.milliseconds.median > 0.0 && slice.stages.iter().any(|s| s.0 == "render") && slice.stats.is_some());
@@ -168,8 +175,9 @@ mod tests {
 
     #[test]
     fn it_stops_when_told() {
-        let assets = Assets::load(&scene(Mode::Slice), &|_, _| ()).unwrap();
+        let assets = Assets::load(&scene(Mode::Slice)).unwrap();
         let watch = Watch { progress: &|_| (), cancel: &AtomicBool::new(true) };
-        assert!(matches!(run_on_cpu(&scene(Mode::Slice), &assets, "slice", &watch), Err(Error::Cancelled)));
+        let request = RenderRequest { watch, ..RenderRequest::default() };
+        assert!(matches!(run(&mut Engine::cpu(), &scene(Mode::Slice), &assets, "slice", &request), Err(Error::Cancelled)));
     }
 }

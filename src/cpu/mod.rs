@@ -31,7 +31,7 @@
 //! make them: neither was kept.
 //!
 //! Deformed frames, in other runs again, the twist and the knife of line 4 there: 73 and 83 became 58 and 63 as a surface by tighter bounds of empty
-//! space ([`crate::scene::Macrocells`]: 2.5 and 1.7 million samples became 1.5 and 1.0), 489 and 469 became 425 and 426 as haze, and 384 became 318 and
+//! space ([`crate::prepare::Macrocells`]: 2.5 and 1.7 million samples became 1.5 and 1.0), 489 and 469 became 425 and 426 as haze, and 384 became 318 and
 //! 457 became 387 when Jacobians were taken only for what has a normal or lies beside a cut. On pages of 2 MiB ([`crate::volume::pages`]) gradients take
 //! 29 instead of 67 to make. Of a surface's 33 ms, 10 went to pixels whose rays miss all that can be seen: they are left out.
 //!
@@ -40,7 +40,7 @@
 //! eighth of haze's time. Fetches check a lane's cell once, not each of its rows ([`crate::math::cells::Strides`]), and no structure of registers is
 //! copied by a call: a tenth each. Rays are made and meet the box in lanes. Values come alone where most looks show nothing, with differences and
 //! colours where most show something ([`packet::Habit`]); in haze half of the lanes are enough to shade, and in the midst of matter macrocells are not
-//! asked ([`crate::scene::Macrocells::blocks_lanes`]). Without any volume of gradients surfaces now take the same time, and haze a tenth more.
+//! asked ([`crate::prepare::Macrocells::blocks_lanes`]). Without any volume of gradients surfaces now take the same time, and haze a tenth more.
 //!
 //! Then, alternating in one run again: 157 became 128 and 221 became 182 as haze, 20 became 19 and 32 became 31 as surfaces, and 221 became 198 for the
 //! CT twisted, as haze. What eight rays will ask two steps later the cache is told to fetch now: an eighth of haze's time (one step is too late, the maps'
@@ -68,7 +68,9 @@ pub mod shading;
 pub mod surface;
 
 use crate::math::lanes::*;
-use crate::scene::{Mode, Picture, Prepared, RenderStats, Rendered, Stages};
+use crate::picture::{Picture, RenderStats, Rendered, Stages};
+use crate::prepare::Prepared;
+use crate::scene::Mode;
 use crate::transfer::Blend;
 use crate::volume::{GridVoxels, Sampler, Voxel};
 use crate::{Result, Watch};
@@ -85,17 +87,17 @@ const STRIP_ROWS: [usize; 2] = [16, 8];
 /// Tasks enough, for each thread.
 const STRIPS_PER_THREAD: usize = 4;
 
-/// Renders a prepared scene. `progress` is told the share that is done, from several threads.
-pub fn render(scene: &Prepared, progress: &(dyn Fn(f32) + Sync)) -> Rendered {
-    let (picture, stats, stages) = render_rows(scene, &Watch::telling(progress));
+/// Renders a prepared scene.
+pub fn render(scene: &Prepared) -> Rendered {
+    let (picture, stats, stages) = render_rows(scene, &Watch::NONE);
     scene.rendered(picture, Some(stats), stages, Vec::new())
 }
 
-/// As [`render`], until it is told to stop, which it does within a row.
+/// As [`render`], for a caller that may stop it, which it does within a row; its progress is reported from several threads.
 ///
 /// # Errors
 /// [`Error::Cancelled`](crate::Error::Cancelled).
-pub fn render_until(scene: &Prepared, watch: &Watch) -> Result<Rendered> {
+pub fn render_watched(scene: &Prepared, watch: &Watch) -> Result<Rendered> {
     let (picture, stats, stages) = render_rows(scene, watch);
     watch.check()?;
     Ok(scene.rendered(picture, Some(stats), stages, Vec::new()))
@@ -105,12 +107,12 @@ pub fn render_until(scene: &Prepared, watch: &Watch) -> Result<Rendered> {
 fn render_rows(scene: &Prepared, watch: &Watch) -> (Picture, RenderStats, Stages) {
     let mut stages = Stages::default();
     scene.stack.fetch_texels();
-    let gradients = stages.time("gradients", || scene.gradients());
-    let (picture, stats) = stages.time("render", || match &scene.grid.voxels {
-        GridVoxels::U8(v) => rows(scene, &Sampler::new(scene.grid, v).with_gradients(gradients), watch),
-        GridVoxels::U16(v) => rows(scene, &Sampler::new(scene.grid, v).with_gradients(gradients), watch),
-        GridVoxels::I16(v) => rows(scene, &Sampler::new(scene.grid, v).with_gradients(gradients), watch),
-        GridVoxels::F32(v) => rows(scene, &Sampler::new(scene.grid, v).with_gradients(gradients), watch),
+    let gradients = stages.time("gradients", || scene.gradients_for_picture());
+    let (picture, stats) = stages.time("render", || match &scene.volume().grid.voxels {
+        GridVoxels::U8(v) => rows(scene, &Sampler::new(scene.volume().grid, v).with_gradients(gradients), watch),
+        GridVoxels::U16(v) => rows(scene, &Sampler::new(scene.volume().grid, v).with_gradients(gradients), watch),
+        GridVoxels::I16(v) => rows(scene, &Sampler::new(scene.volume().grid, v).with_gradients(gradients), watch),
+        GridVoxels::F32(v) => rows(scene, &Sampler::new(scene.volume().grid, v).with_gradients(gradients), watch),
     });
     (picture.reduced(scene.settings.antialias), stats, stages)
 }
@@ -195,7 +197,7 @@ impl<T: Voxel> OverSimd for Strip<'_, T> {
                     // Samples are shifted by moving where the ray is measured from.
                     let direction = direction.lane(n);
                     let slant = if scene.settings.mode == Mode::Slice { direction.dot(frame.view.forward) } else { 1.0 };
-                    let shift = packet::pixel_shift((x + n % 4) as u32, (self.top + y + n / 4) as u32) * frame.step_mm / slant;
+                    let shift = packet::pixel_shift((x + n % 4) as u32, (self.top + y + n / 4) as u32) * frame.steps.step_mm / slant;
                     rays.origin.set(n, origin.lane(n) + direction * shift);
                     rays.until[n] = (rays.until[n] - shift).max(0.0);
                 }
@@ -236,12 +238,12 @@ fn look<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, deformed: Vec3) -> Loo
         return Look { in_voxel: Vec3::ZERO, value: 0.0, present: false, alpha: 0.0 };
     }
     let (source, alpha) = scene.stack.walk(deformed);
-    let in_voxel = scene.frame.voxel_from_world.transform_point3(source);
-    if alpha < 0.5 || in_voxel.cmplt(Vec3::splat(-0.5)).any() || in_voxel.cmpgt(scene.frame.grid_size - 0.5).any() {
+    let in_voxel = scene.volume().voxel_from_world.transform_point3(source);
+    if alpha < 0.5 || in_voxel.cmplt(Vec3::splat(-0.5)).any() || in_voxel.cmpgt(scene.volume().grid_size - 0.5).any() {
         return Look { in_voxel, value: 0.0, present: false, alpha };
     }
     let value = sampler.sample(in_voxel);
-    Look { in_voxel, value, present: !scene.grid.has_holes || value >= -1e-4, alpha }
+    Look { in_voxel, value, present: !scene.volume().grid.has_holes || value >= -1e-4, alpha }
 }
 
 /// Index of the first sample at or after `t`.
@@ -286,7 +288,7 @@ impl<S: Simd> Projection<S> {
             return [0.0; 4];
         }
         let value = if self.blend == Blend::Average { value / count } else { value };
-        let [r, g, b, depth] = scene.table.lookup(value);
+        let [r, g, b, depth] = scene.volume().table.lookup(value);
         let alpha = 1.0 - (-depth).exp2();
         [r * alpha, g * alpha, b * alpha, alpha]
     }

@@ -16,7 +16,9 @@
 use super::shading::{self, BACK_STEPS, BACK_TO_CUT, ENTRY_STEPS, EVEN_LIGHT, FARTHEST_BACK, SURFACE};
 use super::{OPAQUE, Projection, shading::Sample};
 use crate::math::lanes::*;
-use crate::scene::{Mode, Normals, Prepared, RenderStats};
+use crate::picture::RenderStats;
+use crate::prepare::Prepared;
+use crate::scene::{Mode, Normals};
 use crate::transfer::{Blend, Preintegrated};
 use crate::volume::{Sampler, Voxel};
 use glam::{Mat3, Vec3};
@@ -131,7 +133,7 @@ fn sum<S: Simd>(v: f32x8<S>) -> u64 {
 impl<'a, T: Voxel> Marcher<'a, T> {
     /// Prepares what does not depend on the ray.
     pub fn new(scene: &'a Prepared, sampler: &'a Sampler<'a, T>) -> Self {
-        let world_from_covector = Mat3::from(scene.frame.voxel_from_world.matrix3).transpose();
+        let world_from_covector = Mat3::from(scene.volume().voxel_from_world.matrix3).transpose();
         Self {
             scene,
             sampler,
@@ -139,18 +141,20 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             deformed_face: scene.voxels_beside_deformed_faces(),
             margin_mm: scene.cut_margin_mm(),
             world_from_covector,
-            composite: scene.blend == Blend::Composite,
+            composite: scene.volume().blend == Blend::Composite,
             grey_faces: scene.grey_faces(),
             lit: scene.is_lit(),
             gradient_opacity: scene.uses_gradient_opacity(),
             whole_shininess: Some(scene.light.shininess).filter(|s| s.fract() == 0.0 && (0.0..=1024.0).contains(s)).map(|s| s as u32),
-            preintegrated: scene.preintegrated().then(|| Preintegrated::new(&scene.table, scene.frame.step_mm / scene.frame.reference_mm)),
+            preintegrated: scene
+                .preintegrated()
+                .then(|| Preintegrated::new(&scene.volume().table, scene.frame.steps.step_mm / scene.frame.steps.reference_mm)),
         }
     }
 
     /// Colour and optical depth of the segment between two values.
     fn segment(&self, table: &Preintegrated, front: f32, back: f32) -> [f32; 4] {
-        let place = |value: f32| value * self.scene.table.scale + self.scene.table.offset;
+        let place = |value: f32| value * self.scene.volume().table.scale + self.scene.volume().table.offset;
         table.lookup(place(front), place(back))
     }
 
@@ -158,17 +162,17 @@ impl<'a, T: Voxel> Marcher<'a, T> {
     #[inline(always)]
     fn look<S: Simd>(&self, simd: S, p: Vec3x8<S>, lanes: mask32x8<S>, fused: bool) -> Looks<S> {
         let walk = self.scene.stack.walk_lanes(simd, p, lanes);
-        let in_voxel = walk.source.transformed(&self.scene.frame.voxel_from_world);
-        let top = self.scene.frame.grid_size - 0.5;
+        let in_voxel = walk.source.transformed(&self.scene.volume().voxel_from_world);
+        let top = self.scene.volume().grid_size - 0.5;
         let mut present =
             lanes & walk.alpha.simd_ge(0.5) & within(in_voxel.x, -0.5, top.x) & within(in_voxel.y, -0.5, top.y) & within(in_voxel.z, -0.5, top.z);
         let none = Vec3x8::splat(simd, Vec3::ZERO);
         let (value, differences) =
             if fused { self.sampler.sample_with_differences(simd, in_voxel) } else { (self.sampler.sample_lanes(simd, in_voxel), none) };
-        if self.scene.grid.has_holes {
+        if self.scene.volume().grid.has_holes {
             present &= value.simd_ge(-1e-4);
         }
-        let table = &self.scene.table;
+        let table = &self.scene.volume().table;
         let (color, depth) = if fused { table.lookup_lanes(simd, value) } else { (none, table.depth_lanes(simd, value)) };
         let depth = present.select(depth, f32x8::splat(simd, 0.0));
         Looks {
@@ -198,7 +202,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
     /// Which points are farther from the volume's faces than some voxels along each axis.
     #[inline(always)]
     fn far_from_faces<S: Simd>(&self, p: Vec3x8<S>, voxels: Vec3x8<S>) -> mask32x8<S> {
-        let top = self.scene.frame.grid_size - 0.5;
+        let top = self.scene.volume().grid_size - 0.5;
         let above = p.x.simd_gt(voxels.x - 0.5) & p.y.simd_gt(voxels.y - 0.5) & p.z.simd_gt(voxels.z - 0.5);
         above & p.x.simd_lt(-voxels.x + top.x) & p.y.simd_lt(-voxels.y + top.y) & p.z.simd_lt(-voxels.z + top.z)
     }
@@ -206,7 +210,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
     /// The nearer of some faces and the two across an axis.
     #[inline(always)]
     fn nearer_face<S: Simd>(&self, simd: S, x: f32x8<S>, axis: usize, (nearest, normal): (f32x8<S>, Vec3x8<S>)) -> (f32x8<S>, Vec3x8<S>) {
-        let (low, high) = (x + 0.5, -x + (self.scene.frame.grid_size[axis] - 0.5));
+        let (low, high) = (x + 0.5, -x + (self.scene.volume().grid_size[axis] - 0.5));
         let covector = self.world_from_covector.col(axis);
         let (inside, slope) = (low.min(high), covector.length());
         let nearer = inside.simd_lt(nearest * slope);
@@ -224,10 +228,10 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         let one = f32x8::splat(simd, 1.0);
         let inverse_direction = Vec3x8 { x: one / direction.x, y: one / direction.y, z: one / direction.z };
         let step = match scene.settings.mode {
-            Mode::Raycast | Mode::Surface => f32x8::splat(simd, frame.step_mm),
-            Mode::Slice => f32x8::splat(simd, frame.step_mm) / direction.dot(Vec3x8::splat(simd, frame.view.forward)),
+            Mode::Raycast | Mode::Surface => f32x8::splat(simd, frame.steps.step_mm),
+            Mode::Slice => f32x8::splat(simd, frame.steps.step_mm) / direction.dot(Vec3x8::splat(simd, frame.view.forward)),
         };
-        let length = step * frame.reference_mm.recip();
+        let length = step * frame.steps.reference_mm.recip();
         let (near, far) = frame.proxy.intersect_rays(simd, origin, inverse_direction);
         let mut i = first_sample_after(near, step);
         let end = first_sample_after(far.min(until), step);
@@ -238,7 +242,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         let half = (Vec3x8::splat(simd, frame.to_light) - direction).normalized();
         let mut color = Vec3x8::splat(simd, Vec3::ZERO);
         let mut transmittance = one;
-        let mut projection = Projection::new(simd, scene.blend);
+        let mut projection = Projection::new(simd, scene.volume().blend);
         // The last sample that was looked at: its number, whether it stood for its whole step, and what it showed.
         let (mut last, mut last_depth, mut last_value) = (f32x8::splat(simd, -2.0), zero, zero);
         let mut last_present = i.simd_lt(-1.0);
@@ -250,7 +254,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         let (mut clear, mut clear_until) = (nobody, never);
         let (mut skipped, mut terminated) = (zero, zero);
         let fused = self.sampler.has_gradients() && habit.shades_mostly();
-        let ahead = direction.mapped(&Mat3::from(frame.voxel_from_world.matrix3)) * (step * AHEAD);
+        let ahead = direction.mapped(&Mat3::from(scene.volume().voxel_from_world.matrix3)) * (step * AHEAD);
         while live.any_true() {
             let (mut looking, mut found) = (live, nobody);
             let mut at = Looks {
@@ -278,7 +282,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                     if (looking & !middle.simd_lt(clear_until)).all_false() {
                         break;
                     }
-                    let (empty, in_clear, exit) = scene.macrocells.blocks_lanes(simd, p, origin, inverse_direction);
+                    let (empty, in_clear, exit) = scene.volume().macrocells.blocks_lanes(simd, p, origin, inverse_direction);
                     clear = in_clear;
                     clear_until = clear.select(exit, never);
                     let empty = empty & looking;
@@ -354,7 +358,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                     }
                 }
                 let mut hit = asked
-                    & match scene.iso {
+                    & match scene.volume().iso {
                         Some(iso) => look.present & look.value.simd_ge(iso),
                         None => depth.simd_gt(0.0) | (look.alpha.simd_gt(0.0) & look.alpha.simd_lt(1.0)),
                     };
@@ -411,13 +415,13 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             let (mut rgb, mut depth) = (color, zero);
             // What is no plain sample, one by one.
             let mut single = near_shape & found;
-            if self.grey_faces || scene.iso.is_some() {
+            if self.grey_faces || scene.volume().iso.is_some() {
                 single = found;
             } else {
                 // Farther than a step from the volume's faces those change the normal alone, unless there are holes.
                 let beside = found & !at.inside & !self.far_from_faces(at.in_voxel, Vec3x8::splat(simd, self.face));
                 if beside.any_true() {
-                    let near = if scene.grid.has_holes { f32x8::splat(simd, self.margin_mm) } else { step * 1.1 };
+                    let near = if scene.volume().grid.has_holes { f32x8::splat(simd, self.margin_mm) } else { step * 1.1 };
                     single |= beside & self.nearest_face(simd, at.in_voxel).0.simd_lt(near);
                 }
                 // Matter that ends between the sample in front and this one, which both show nothing: only one of the two is present then.
@@ -483,7 +487,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         {
             return Single::Opaque(Vec3::splat(grey));
         }
-        if let Some(iso) = scene.iso {
+        if let Some(iso) = scene.volume().iso {
             if at.present && at.value >= iso {
                 return Single::Opaque(shading::iso_surface(scene, sampler, iso, sampled, direction, step));
             }
@@ -492,7 +496,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         if depth > 0.0 {
             let [r, g, b, depth] = match &self.preintegrated {
                 Some(table) => self.segment(table, front, at.value),
-                None => scene.table.lookup(at.value),
+                None => scene.volume().table.lookup(at.value),
             };
             let sample = Sample { deformed: sampled, in_voxel: at.in_voxel, color: Vec3::new(r, g, b), depth, value: at.value };
             let shaded = shading::shade(scene, sampler, &sample, direction, step);
@@ -525,7 +529,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         let (bits, mut cut) = (lanes.to_bitmask(), lanes & !lanes);
         let mut color = match &self.preintegrated {
             None if at.fused && !entered.any_true() => at.color,
-            None => scene.table.color_lanes(simd, entry.value),
+            None => scene.volume().table.color_lanes(simd, entry.value),
             Some(table) => {
                 let mut color = Vec3x8::splat(simd, Vec3::ZERO);
                 for n in lanes_of(bits) {
@@ -535,9 +539,9 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                 color
             }
         };
-        if let Some(colors) = scene.colors {
+        if let Some(colors) = scene.volume().colors {
             for n in lanes_of(bits) {
-                color.set(n, colors.sample(scene.grid.size, entry.in_voxel.lane(n)));
+                color.set(n, colors.sample(scene.volume().grid.size, entry.in_voxel.lane(n)));
             }
         }
         let (mut gradient, mut magnitude, mut factor) = (Vec3x8::splat(simd, Vec3::ZERO), one, one);
@@ -557,10 +561,10 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         }
         if self.gradient_opacity {
             for n in lanes_of(bits) {
-                factor[n] = scene.table.gradient_factor(magnitude[n]);
+                factor[n] = scene.volume().table.gradient_factor(magnitude[n]);
             }
         }
-        let per_reference = magnitude * (scene.table.scale.abs() * scene.frame.reference_mm);
+        let per_reference = magnitude * (scene.volume().table.scale.abs() * scene.frame.steps.reference_mm);
         let mut confidence = smoothstep(SURFACE[0], SURFACE[1], per_reference);
         let touched = lanes & (at.inside | entry.inside);
         let mut turned = [Vec3x8::splat(simd, Vec3::X), Vec3x8::splat(simd, Vec3::Y), Vec3x8::splat(simd, Vec3::Z)];
@@ -590,7 +594,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         let mut inward = gradient;
         if !scene.light.two_sided {
             for n in lanes_of(bits) {
-                if scene.table.falling_side(entry.value[n]) < 0.0 {
+                if scene.volume().table.falling_side(entry.value[n]) < 0.0 {
                     inward.set(n, -inward.lane(n));
                 }
             }
@@ -607,12 +611,12 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         let beside = lanes & !touched & !entered & !self.far_from_faces(at.in_voxel, Vec3x8::splat(simd, self.face));
         if scene.settings.normals == Normals::Blended && beside.any_true() {
             let (distance, outward) = self.nearest_face(simd, at.in_voxel);
-            let own = smoothstep(scene.frame.blend_mm[0], scene.frame.blend_mm[1], distance);
+            let own = smoothstep(scene.frame.steps.blend_mm[0], scene.frame.steps.blend_mm[1], distance);
             let facing = -outward.dot(rays.direction);
             let mut beside = beside & own.simd_lt(1.0) & facing.simd_gt(0.0);
             if beside.any_true() {
                 // As shading::seen_cut.
-                let mut way = (distance * BACK_TO_CUT / facing).min(FARTHEST_BACK * scene.frame.blend_mm[1]);
+                let mut way = (distance * BACK_TO_CUT / facing).min(FARTHEST_BACK * scene.frame.steps.blend_mm[1]);
                 let mut untold = beside;
                 for _ in 0..BACK_STEPS {
                     let back = self.look(simd, sampled - rays.direction * way, untold, false);

@@ -6,7 +6,8 @@
 use super::{Look, first_sample_after, look, shading, surface};
 use crate::deform::{Cut, Jet};
 use crate::math::normalize_or;
-use crate::scene::{Mode, Prepared};
+use crate::prepare::Prepared;
+use crate::scene::Mode;
 use crate::volume::{GridVoxels, Sampler, Voxel};
 use glam::{Mat3, Vec3};
 
@@ -29,11 +30,11 @@ pub struct Pick {
 /// What is at picture coordinates in -1..1 (v upwards); `range` is the volume's, data units. None where nothing is seen.
 pub fn at(scene: &Prepared, range: [f64; 2], u: f32, v: f32) -> Option<Pick> {
     let (origin, direction) = scene.frame.view.ray(u, v);
-    match &scene.grid.voxels {
-        GridVoxels::U8(voxels) => along(scene, &Sampler::new(scene.grid, voxels), range, origin, direction),
-        GridVoxels::U16(voxels) => along(scene, &Sampler::new(scene.grid, voxels), range, origin, direction),
-        GridVoxels::I16(voxels) => along(scene, &Sampler::new(scene.grid, voxels), range, origin, direction),
-        GridVoxels::F32(voxels) => along(scene, &Sampler::new(scene.grid, voxels), range, origin, direction),
+    match &scene.volume().grid.voxels {
+        GridVoxels::U8(voxels) => along(scene, &Sampler::new(scene.volume().grid, voxels), range, origin, direction),
+        GridVoxels::U16(voxels) => along(scene, &Sampler::new(scene.volume().grid, voxels), range, origin, direction),
+        GridVoxels::I16(voxels) => along(scene, &Sampler::new(scene.volume().grid, voxels), range, origin, direction),
+        GridVoxels::F32(voxels) => along(scene, &Sampler::new(scene.volume().grid, voxels), range, origin, direction),
     }
 }
 
@@ -72,13 +73,13 @@ fn first_seen<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, origin: Vec3, di
     let frame = &scene.frame;
     let (near, far) = frame.proxy.intersect_ray(origin, direction)?;
     // Half the renderer's step: the point is to lie on the surface, not up to a step behind it.
-    let step = 0.5 * frame.step_mm;
+    let step = 0.5 * frame.steps.step_mm;
     let (mut i, end) = (first_sample_after(near, step), first_sample_after(far.min(until), step));
     let inverse_direction = direction.recip();
     let mut transmittance = 1.0f32;
     while i < end {
         let deformed = origin + direction * ((i as f32 + 0.5) * step);
-        if let Some(t) = scene.macrocells.empty_until(deformed, origin, inverse_direction) {
+        if let Some(t) = scene.volume().macrocells.empty_until(deformed, origin, inverse_direction) {
             i = first_sample_after(t, step).max(i + 1).min(end);
             continue;
         }
@@ -87,14 +88,14 @@ fn first_seen<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, origin: Vec3, di
         if !at.present {
             continue;
         }
-        if let Some(iso) = scene.iso {
+        if let Some(iso) = scene.volume().iso {
             if at.value >= iso {
                 return Some((deformed, at));
             }
             continue;
         }
-        let depth = scene.table.lookup(at.value)[3];
-        transmittance *= (-depth * step / frame.reference_mm).exp2();
+        let depth = scene.volume().table.lookup(at.value)[3];
+        transmittance *= (-depth * step / frame.steps.reference_mm).exp2();
         if 1.0 - transmittance >= SEEN {
             return Some((deformed, at));
         }

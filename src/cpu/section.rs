@@ -136,11 +136,12 @@ fn at<T: Voxel>(sampler: &Sampler<T>, voxel_from_world: &Affine3A, top: Vec3, de
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{Assets, Prepared, Scene};
+    use crate::prepare::{Assets, Prepared};
+    use crate::scene::Scene;
 
     fn head() -> (Scene, Assets) {
         let scene = Scene::of_volume("phantom:ball:size=24");
-        let assets = Assets::load(&scene, &|_, _| ()).unwrap();
+        let assets = Assets::load(&scene).unwrap();
         (scene, assets)
     }
 
@@ -164,7 +165,7 @@ mod tests {
         // Through the centres of the voxels of one layer.
         let voxel = assets.volume.world_from_voxel.transform_point3(glam::DVec3::new(0.0, 0.0, 11.0)).as_vec3();
         plane.center.z = voxel.z;
-        let section = sample(&assets.volume, assets.grid(), None, plane, false, &Watch::NOBODY).unwrap();
+        let section = sample(&assets.volume, assets.grid(), None, plane, false, &Watch::NONE).unwrap();
         for (n, value) in section.values.iter().enumerate() {
             let expected = assets.volume.value(n % 24, n / 24, 11) as f32;
             assert!((value - expected).abs() < 1e-3, "{n}: {value} {expected}");
@@ -179,9 +180,9 @@ mod tests {
         scene.deformation.push(cut);
         let prepared = Prepared::new(&scene, &assets).unwrap();
         let deformed = Deformed { stack: &prepared.stack, cuts: &prepared.cuts };
-        let cut = sample(&assets.volume, assets.grid(), Some(deformed), plane(&assets), true, &Watch::NOBODY).unwrap();
+        let cut = sample(&assets.volume, assets.grid(), Some(deformed), plane(&assets), true, &Watch::NONE).unwrap();
         assert!(cut.values.iter().all(|v| v.is_nan()) && cut.mask.iter().all(|m| *m < 0.5));
-        let source = sample(&assets.volume, assets.grid(), None, plane(&assets), false, &Watch::NOBODY).unwrap();
+        let source = sample(&assets.volume, assets.grid(), None, plane(&assets), false, &Watch::NONE).unwrap();
         assert!(source.values.iter().all(|v| v.is_finite()));
     }
 }

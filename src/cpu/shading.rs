@@ -26,7 +26,8 @@
 use super::Look;
 use crate::deform::{Cut, Jet};
 use crate::math::{normalize_or, smoothstep};
-use crate::scene::{IsoLight, Normals, Prepared};
+use crate::prepare::Prepared;
+use crate::scene::{IsoLight, Normals};
 use crate::volume::{Sampler, Voxel};
 use glam::{Mat3, Vec3};
 
@@ -76,7 +77,7 @@ pub(super) fn visible(scene: &Prepared, at: &Look, deformed: Vec3) -> Option<Sam
     if !at.present {
         return None;
     }
-    let [r, g, b, depth] = scene.table.lookup(at.value);
+    let [r, g, b, depth] = scene.volume().table.lookup(at.value);
     (depth > 0.0).then_some(Sample { deformed, in_voxel: at.in_voxel, color: Vec3::new(r, g, b), depth, value: at.value })
 }
 
@@ -105,18 +106,18 @@ pub(super) const BACK_STEPS: u32 = 4;
 
 /// A cut near a sample in the midst of matter, if the ray came out of it; none if it came through another surface since, or goes towards it.
 fn seen_cut<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, sample: &Sample, cut: Cut, direction: Vec3) -> Cut {
-    if scene.settings.normals != Normals::Blended || cut.distance_mm >= scene.frame.blend_mm[1] {
+    if scene.settings.normals != Normals::Blended || cut.distance_mm >= scene.frame.steps.blend_mm[1] {
         return cut;
     }
     let facing = -cut.normal.dot(direction);
     if facing <= 0.0 {
         return Cut::NONE;
     }
-    let mut way = (BACK_TO_CUT * cut.distance_mm.max(0.0) / facing).min(FARTHEST_BACK * scene.frame.blend_mm[1]);
+    let mut way = (BACK_TO_CUT * cut.distance_mm.max(0.0) / facing).min(FARTHEST_BACK * scene.frame.steps.blend_mm[1]);
     for _ in 0..BACK_STEPS {
         let back = super::look(scene, sampler, sample.deformed - direction * way);
         if back.present {
-            return if scene.table.lookup(back.value)[3] >= 0.5 * sample.depth { cut } else { Cut::NONE };
+            return if scene.volume().table.lookup(back.value)[3] >= 0.5 * sample.depth { cut } else { Cut::NONE };
         }
         // Beyond the face: it is not as flat as it is taken for.
         way *= 0.5;
@@ -134,7 +135,7 @@ fn shade_entry<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, entry: &Entry, 
 
 /// The colour that voxels have of their own, if they have one and show it.
 fn own_color(scene: &Prepared, in_voxel: Vec3) -> Option<Vec3> {
-    scene.colors.map(|colors| colors.sample(scene.grid.size, in_voxel))
+    scene.volume().colors.map(|colors| colors.sample(scene.volume().grid.size, in_voxel))
 }
 
 /// Light and gradient opacity of a point.
@@ -144,11 +145,11 @@ fn shade_with<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, sample: &Sample,
         return Shaded { color, depth_factor: 1.0 };
     }
     let gradient_in_source = voxel_covector(scene, sampler.gradient(sample.in_voxel, scene.gradient_filter()));
-    let depth_factor = if scene.uses_gradient_opacity() { scene.table.gradient_factor(gradient_in_source.length()) } else { 1.0 };
+    let depth_factor = if scene.uses_gradient_opacity() { scene.volume().table.gradient_factor(gradient_in_source.length()) } else { 1.0 };
     if !scene.is_lit() {
         return Shaded { color, depth_factor };
     }
-    let falling = if scene.light.two_sided { 1.0 } else { scene.table.falling_side(sample.value) };
+    let falling = if scene.light.two_sided { 1.0 } else { scene.volume().table.falling_side(sample.value) };
     let normal = normal(scene, &jet.d_source_d_deformed, gradient_in_source * falling, cut, direction);
     Shaded { color: light(scene, normal, direction, color), depth_factor }
 }
@@ -221,7 +222,7 @@ fn entry<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, sample: &Sample, dire
             return Err(false);
         }
         let (in_voxel, value) = (at.in_voxel, at.value);
-        let [r, g, b, depth] = scene.table.lookup(value);
+        let [r, g, b, depth] = scene.volume().table.lookup(value);
         if depth >= 0.5 * sample.depth { Ok(Sample { deformed, in_voxel, color: Vec3::new(r, g, b), depth, value }) } else { Err(true) }
     };
     let mut through_cut = !dense(sample.deformed - direction * step_mm).err()?;
@@ -243,13 +244,13 @@ fn entry<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, sample: &Sample, dire
 
 /// A covector per voxel (a gradient along i, j, k) as one per millimetre of the source.
 pub fn voxel_covector(scene: &Prepared, per_voxel: Vec3) -> Vec3 {
-    Mat3::from(scene.frame.voxel_from_world.matrix3).transpose() * per_voxel
+    Mat3::from(scene.volume().voxel_from_world.matrix3).transpose() * per_voxel
 }
 
 /// The nearest of the masks' cuts and the six faces of the volume's box.
 pub fn nearest_cut(scene: &Prepared, jet: &Jet, in_voxel: Vec3) -> Cut {
     let low = in_voxel + 0.5;
-    let high = scene.frame.grid_size - 0.5 - in_voxel;
+    let high = scene.volume().grid_size - 0.5 - in_voxel;
     let mut cut = jet.cut;
     for axis in 0..3 {
         let (inside, inward) = if low[axis] < high[axis] { (low[axis], 1.0) } else { (high[axis], -1.0) };
@@ -263,7 +264,7 @@ pub fn nearest_cut(scene: &Prepared, jet: &Jet, in_voxel: Vec3) -> Cut {
 pub fn or_shape(scene: &Prepared, cut: Cut, deformed: Vec3) -> Cut {
     let kept = scene.cuts.kept(deformed);
     // Beyond the reach of the blend it matters no more.
-    if kept > scene.frame.blend_mm[1] { cut } else { cut.or_nearer(kept, scene.cuts.gradient(deformed, 0.05 * scene.frame.reference_mm)) }
+    if kept > scene.frame.steps.blend_mm[1] { cut } else { cut.or_nearer(kept, scene.cuts.gradient(deformed, 0.05 * scene.frame.steps.reference_mm)) }
 }
 
 /// Bisections of the step in which a ray meets the face of a cut, or a surface.
@@ -287,7 +288,7 @@ pub(super) fn grey_face<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, at: &L
     }
     // The ray may have left the volume's box between the cut and here.
     let face = super::look(scene, sampler, inside);
-    let [low, high] = scene.grey_window;
+    let [low, high] = scene.volume().grey_window;
     // What is black in the window (the air around a body) is not painted.
     (face.present && face.value > low).then(|| ((face.value - low) / (high - low).max(1e-6)).clamp(0.0, 1.0))
 }
@@ -295,7 +296,7 @@ pub(super) fn grey_face<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, at: &L
 /// Cosine of the angle between an iso-surface and the light: the derivative of the deformed volume towards the light over that in all directions,
 /// by differences of looks. Neither the source's gradient nor the Jacobian is needed.
 fn derivative_facing<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, at: Vec3) -> f32 {
-    let h = scene.frame.reference_mm;
+    let h = scene.frame.steps.reference_mm;
     let value = |p: Vec3| {
         let at = super::look(scene, sampler, p);
         if at.present { at.value } else { 0.0 }
@@ -328,7 +329,7 @@ pub(super) fn iso_surface<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, iso:
         }
     }
     let hit = super::look(scene, sampler, inside);
-    let [r, g, b, _] = scene.table.lookup(if through_cut { hit.value } else { iso });
+    let [r, g, b, _] = scene.volume().table.lookup(if through_cut { hit.value } else { iso });
     let color = own_color(scene, hit.in_voxel).unwrap_or(Vec3::new(r, g, b));
     if !scene.is_lit() {
         return color;
@@ -365,7 +366,7 @@ pub fn normal(scene: &Prepared, d_source_d_deformed: &Mat3, gradient_in_source: 
         Normals::Source | Normals::None => gradient_in_source,
         Normals::Transformed | Normals::Blended => d_source_d_deformed.transpose() * gradient_in_source,
     };
-    let per_reference = gradient_in_source.length() * scene.table.scale.abs() * scene.frame.reference_mm;
+    let per_reference = gradient_in_source.length() * scene.volume().table.scale.abs() * scene.frame.steps.reference_mm;
     let mut confidence = smoothstep(SURFACE[0], SURFACE[1], per_reference);
     // Out of the matter: down the gradient, which the caller has turned to where opacity rises.
     let mut normal = normalize_or(-gradient, Vec3::ZERO);
@@ -373,7 +374,7 @@ pub fn normal(scene: &Prepared, d_source_d_deformed: &Mat3, gradient_in_source: 
         normal = -normal;
     }
     if scene.settings.normals == Normals::Blended {
-        let [near, far] = scene.frame.blend_mm;
+        let [near, far] = scene.frame.steps.blend_mm;
         let own = smoothstep(near, far, cut.distance_mm);
         normal = normalize_or(normal * (own * confidence) + cut.normal * (1.0 - own), cut.normal);
         confidence = (own * confidence).max(1.0 - own);

@@ -22,8 +22,8 @@
 use crate::deform::{Cut, Jet};
 use crate::math::{normalize_or, smoothstep};
 use crate::mesh::MeshHit;
-use crate::scene::Prepared;
-use crate::scene::objects::{Stage, SurfaceObject, Triangles};
+use crate::prepare::Prepared;
+use crate::prepare::objects::{Stage, SurfaceObject, Triangles};
 use crate::scene::surface::{CutModel, Steps};
 use glam::{Mat3, Vec3};
 

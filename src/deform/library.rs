@@ -96,7 +96,7 @@ impl Library {
         if let Some(volume) = lock(&self.volumes).get(&path) {
             return Ok(volume.clone());
         }
-        let volume = Arc::new(load::volume(&path, &Choice::default(), &Watch::NOBODY)?);
+        let volume = Arc::new(load::volume(&path, &Choice::default(), &Watch::NONE)?);
         lock(&self.volumes).insert(path, volume.clone());
         Ok(volume)
     }
@@ -110,7 +110,7 @@ impl Library {
         if let Some(map) = lock(&self.label_maps).get(&path) {
             return Ok(map.clone());
         }
-        let volume = load::volume(&path, &Choice::default(), &Watch::NOBODY)?;
+        let volume = load::volume(&path, &Choice::default(), &Watch::NONE)?;
         let map = Arc::new(volume.into_label_map().map_err(|problem| Error::file(&path, problem))?);
         self.note_distance("the label map", &path, &map);
         lock(&self.label_maps).insert(path, map.clone());

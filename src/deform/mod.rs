@@ -17,6 +17,7 @@ pub mod compose;
 pub mod cut;
 pub mod distance;
 pub mod elastic;
+pub mod file_kinds;
 mod formula;
 pub mod health;
 pub mod invert;

@@ -18,7 +18,7 @@ use std::sync::Arc;
 /// # Errors
 /// A file that cannot be read or is no displacement map.
 pub fn read(path: &Path, storage: Storage, strength: f32) -> Result<PlacedMap> {
-    let image = load::image(path, &Choice::default(), &Watch::NOBODY)?;
+    let image = load::image(path, &Choice::default(), &Watch::NONE)?;
     if !image.displacement || image.components != 4 {
         let problem = format!(
             "is no displacement map of this program (it has {} values per voxel); a displacement field of another program is a field: --deform field:path=...",

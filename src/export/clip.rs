@@ -308,7 +308,7 @@ mod tests {
     }
 
     fn write_three(path: &Path, frames_per_second: f32) -> Result<()> {
-        write(path, SIZE, frames_per_second, 3, &mut |n| Ok(pixels(n)), &Watch::NOBODY)
+        write(path, SIZE, frames_per_second, 3, &mut |n| Ok(pixels(n)), &Watch::NONE)
     }
 
     fn names(folder: &Path) -> Vec<String> {
@@ -388,8 +388,8 @@ mod tests {
             );
             assert!(matches!(stopped, Err(Error::Cancelled)) && asked == 2, "{name}: {stopped:?}");
             let frame = |n: usize| if n == 2 { Err(Error::value("frame", "none")) } else { Ok(pixels(n)) };
-            assert!(write(&path, SIZE, 25.0, 3, &mut |n| frame(n), &Watch::NOBODY).is_err(), "{name}");
-            assert!(write(&path, SIZE, 25.0, 3, &mut |_| Ok(vec![0; 7]), &Watch::NOBODY).is_err(), "{name}");
+            assert!(write(&path, SIZE, 25.0, 3, &mut |n| frame(n), &Watch::NONE).is_err(), "{name}");
+            assert!(write(&path, SIZE, 25.0, 3, &mut |_| Ok(vec![0; 7]), &Watch::NONE).is_err(), "{name}");
             assert_eq!(names(folder.path()), [""; 0], "{name}");
         }
     }
@@ -423,7 +423,7 @@ mod tests {
     fn what_is_no_clip_is_an_error() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("clip.png");
-        let write = |size, rate, count| write(&path, size, rate, count, &mut |n| Ok(pixels(n)), &Watch::NOBODY);
+        let write = |size, rate, count| write(&path, size, rate, count, &mut |n| Ok(pixels(n)), &Watch::NONE);
         assert!(
             write([0, 6], 25.0, 3).is_err() && write(SIZE, 0.0, 3).is_err() && write(SIZE, f32::NAN, 3).is_err() && write(SIZE, 25.0, 0).is_err()
         );

@@ -5,7 +5,7 @@ pub mod clip;
 mod rows;
 
 use crate::files::inputs::FileId;
-use crate::scene::Picture;
+use crate::picture::Picture;
 use crate::volume::load;
 use crate::{Error, Result};
 use std::path::Path;

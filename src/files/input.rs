@@ -165,7 +165,7 @@ mod tests {
         let path = folder.path().join("bomb.obj.gz");
         let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::best());
         for _ in 0..300 {
-            encoder.write_all(&vec![b'#'; 1 << 20]).unwrap_or_else(|e| panic!("{e}"));
+            encoder.write_all(&[b'#'; 1 << 20]).unwrap_or_else(|e| panic!("{e}"));
         }
         let packed = encoder.finish().unwrap_or_else(|e| panic!("{e}"));
         assert!(packed.len() < 1 << 20);

@@ -1,7 +1,7 @@
 //! The workstation's state, and what happens in each of its frames.
 
 use super::action::{self, Action, Entry};
-use super::document::{AssetKey, Document, Selection};
+use super::document::{Document, Selection};
 use super::files::{Dialog, Files, Loading};
 use super::gizmos::{Drag, Mode as GizmoMode};
 use super::history::{Cameras, History};
@@ -13,11 +13,15 @@ use super::tasks::Task;
 use super::tool::Tool;
 use super::views::slice_paint::Regions;
 use super::views::{slices::Slices, volume3d::View3d};
-use super::worker::{Answer, Backend, Measured, Output, Prober, Purpose, Target, What, Worker};
+use super::worker::{Answer, Measured, Output, Prober, Purpose, Target, What, Worker};
 use super::{history, theme};
 use crate::Error;
-use crate::scene::measure::{Measure, nearest_value};
-use crate::scene::{Assets, Scene};
+use crate::engine::Backend;
+use crate::prepare::AssetKey;
+use crate::prepare::Assets;
+use crate::prepare::measure::nearest_value;
+use crate::scene::Scene;
+use crate::scene::measure::Measure;
 use eframe::egui::{self, Context, Ui};
 use egui_dock::{DockArea, DockState, TabViewer};
 use glam::Vec3;

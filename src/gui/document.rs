@@ -3,8 +3,8 @@
 use crate::deform::kinds::brush::Stroke;
 use crate::deform::{Argument, Arguments};
 use crate::math::Bounds;
-use crate::scene::surface::MeshSource;
-use crate::scene::{Assets, Deformation, Mode, Scene, VolumeSource};
+use crate::prepare::{AssetKey, Assets};
+use crate::scene::{Deformation, Scene};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -22,34 +22,6 @@ pub enum Selection {
     Deformation(usize),
     /// A measurement.
     Measure(usize),
-}
-
-/// Everything of a scene that has to be loaded anew when it changes.
-#[derive(Clone, Debug, PartialEq)]
-pub struct AssetKey {
-    volume: Option<VolumeSource>,
-    meshes: Vec<MeshSource>,
-    iso: Option<Option<f64>>,
-    folder: PathBuf,
-}
-
-impl AssetKey {
-    /// Of a scene.
-    pub fn of(scene: &Scene) -> Self {
-        let mut meshes = scene.mesh.clone();
-        for mesh in &mut meshes {
-            // How it looks needs nothing loaded.
-            mesh.appearance = crate::scene::surface::Appearance::default();
-            mesh.name = None;
-            mesh.hidden = false;
-        }
-        Self {
-            volume: scene.volume.clone(),
-            meshes,
-            iso: (scene.render.mode == Mode::Surface).then_some(scene.surface.iso),
-            folder: scene.folder.clone(),
-        }
-    }
 }
 
 /// The open scene.
@@ -239,7 +211,7 @@ mod tests {
 
     fn document() -> Document {
         let scene = Scene::of_volume("phantom:ball:size=8");
-        let assets = Arc::new(Assets::load(&scene, &|_, _| ()).unwrap());
+        let assets = Arc::new(Assets::load(&scene).unwrap());
         Document::new(scene, None, "ball".into(), assets)
     }
 

@@ -12,8 +12,9 @@ use crate::deform::health::Examined;
 use crate::deform::kinds::Kind;
 use crate::deform::kinds::brush::{Lasso, Stroke, Tool as BrushTool};
 use crate::deform::{Argument, PlacedMap};
+use crate::prepare::Deformed;
 use crate::scene::measure::{Measure, MeasureKind};
-use crate::scene::{Deformed, Mode, Projection};
+use crate::scene::{Mode, Projection};
 use eframe::egui::{self, Context};
 use glam::{Vec2, Vec3};
 
@@ -424,7 +425,7 @@ impl Workstation {
     pub(super) fn drag_transfer(&mut self, dx: f32, dy: f32) {
         let Some(doc) = &mut self.doc else { return };
         let volume = &doc.assets.volume;
-        let Ok(function) = doc.scene.transfer.resolve(volume, crate::transfer::default_preset(volume)) else { return };
+        let Ok(function) = doc.scene.transfer.resolve(volume, doc.scene.default_preset(volume)) else { return };
         let [low, high] = function.domain();
         let per_point = (volume.range[1] - volume.range[0]).max(1e-9) / 600.0;
         let width = (high - low + f64::from(dx) * per_point).max((volume.range[1] - volume.range[0]).max(1e-9) * 1e-3);
@@ -441,7 +442,7 @@ impl Workstation {
             scene.deformation = vec![doc.scene.deformation[n].clone()];
         }
         self.start(ctx, "Checking the field", move |watch| {
-            let exact = Deformed::exact(&scene, &assets, false)?;
+            let exact = Deformed::exact(&scene, &assets, false, &crate::Watch::NONE)?;
             let maps: &[PlacedMap] = exact.stack.maps();
             let mut report = Vec::new();
             for (n, map) in maps.iter().enumerate() {

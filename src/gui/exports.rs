@@ -7,13 +7,17 @@ use super::log::Level;
 use super::tasks::said;
 use crate::compare::Report;
 use crate::deform::{Stack, saved};
+use crate::engine::{Backend, Engine, EngineOptions, RenderRequest};
 use crate::export::{bake, clip, png, protect};
 use crate::files::path_text::text_of;
 use crate::files::{Output, input};
-use crate::scene::{Assets, Deformed, Prepared, Scene, measure};
+use crate::picture::Picture;
+use crate::prepare::measure;
+use crate::prepare::{Assets, Deformed};
+use crate::scene::Scene;
 use crate::transfer::TransferSettings;
 use crate::volume::save::Format;
-use crate::{Error, Result, Watch, cpu};
+use crate::{Error, Result, Watch};
 use eframe::egui::Context;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
@@ -69,26 +73,18 @@ impl Workstation {
     }
 
     /// What renders exports: the backend of the view, on a device of its own.
-    fn renderer(&self) -> impl Fn(&Scene, &Assets, &Watch) -> Result<crate::scene::Picture> + Send + 'static {
-        let on_gpu = self.backend() != super::worker::Backend::Cpu && !self.view.facts.backend.starts_with("CPU");
-        let want = if self.backend() == super::worker::Backend::Gpu { crate::gpu::Want::Any } else { crate::gpu::Want::Hardware };
-        let renderer = Mutex::new(None::<crate::render::Renderer>);
+    fn renderer(&self) -> impl Fn(&Scene, &Assets, &Watch) -> Result<Picture> + Send + 'static {
+        // A view that had to do without a GPU would find none for an export either.
+        let backend = if self.view.facts.device.as_ref().is_some_and(|d| d.is_gpu) { self.backend() } else { Backend::Cpu };
+        let engine = Mutex::new(None::<Engine>);
         move |scene, assets, watch| {
-            if on_gpu {
-                let mut renderer = renderer.lock().unwrap_or_else(PoisonError::into_inner);
-                if renderer.is_none() {
-                    *renderer = crate::gpu::Device::open(want).ok().map(crate::render::Renderer::new);
-                }
-                if let Some(renderer) = renderer.as_mut() {
-                    let prepared = Prepared::until(renderer, scene, assets, watch);
-                    match prepared.and_then(|p| renderer.render_until(&p, false, watch)) {
-                        Ok(rendered) => return Ok(rendered.picture),
-                        Err(Error::Gpu(_) | Error::GpuLimit(_)) => {}
-                        Err(other) => return Err(other),
-                    }
-                }
-            }
-            Ok(cpu::render_until(&Prepared::until(&crate::scene::Unaided, scene, assets, watch)?, watch)?.picture)
+            let mut engine = engine.lock().unwrap_or_else(PoisonError::into_inner);
+            let engine = match &mut *engine {
+                Some(engine) => engine,
+                none => none.insert(Engine::open(EngineOptions { backend, ..EngineOptions::default() })?),
+            };
+            let request = RenderRequest { watch: *watch, ..RenderRequest::default() };
+            Ok(engine.picture(scene, assets, &request)?.rendered.picture)
         }
     }
 
@@ -132,7 +128,7 @@ impl Workstation {
                 return Err(Error::value("bake", "there is no volume in this scene; meshes are rendered, not baked"));
             }
             let output = Output::create(&path)?;
-            let exact = Deformed::exact_until(&scene, &assets, true, watch)?;
+            let exact = Deformed::exact(&scene, &assets, true, watch)?;
             let deformation = bake::Deformation { stack: &exact.stack, cuts: &exact.cuts };
             let volume = &assets.volume;
             let grid = volume.geometry();
@@ -174,7 +170,8 @@ impl Workstation {
                 let part = Watch { progress: &tell, cancel: watch.cancel };
                 let label = side.words();
                 let label = if runs.iter().any(|r| r.name == label) { format!("{label} again") } else { label };
-                runs.push(crate::compare::run_on_cpu(&scene, &assets, &label, &part)?);
+                let request = RenderRequest { watch: part, ..RenderRequest::default() };
+                runs.push(crate::compare::run(&mut Engine::cpu(), &scene, &assets, &label, &request)?);
             }
             let report = Report::new(name, scene.to_toml()?, scene.render.background, runs)?;
             report.write(&folder)?;
@@ -275,7 +272,7 @@ impl Workstation {
         let path = self.session.map_path(name);
         self.start(ctx, "Making a map", move |watch| {
             // Masks, not shapes: a map is all there is of it.
-            let exact = Deformed::exact_until(&scene, &assets, false, watch)?;
+            let exact = Deformed::exact(&scene, &assets, false, watch)?;
             watch.check()?;
             let maps = exact.stack.maps();
             let mut exactness = String::new();

@@ -1,13 +1,14 @@
 //! Opening, saving and exporting, and the questions that come with it.
 
 use super::app::Workstation;
-use super::document::{AssetKey, Document};
+use super::document::Document;
 use super::log::Level;
 use super::session::Recovered;
 use crate::export::protect;
 use crate::files::Output;
 use crate::files::path_text::text_of;
-use crate::scene::{Assets, Mode, Prepared, Scene, VolumeSource};
+use crate::prepare::{AssetKey, Assets, LoadOptions, Prepared};
+use crate::scene::{Mode, Scene, VolumeSource};
 use crate::volume::load::Choice;
 use crate::{Error, Result, mesh};
 use eframe::egui::{self, Context};
@@ -361,7 +362,7 @@ impl Workstation {
         let key = Some(AssetKey::of(&scene));
         let spawned = std::thread::Builder::new().name("loading".into()).spawn(move || {
             let progress = |what: &'static str, share: f32| *told.lock().unwrap_or_else(PoisonError::into_inner) = (what, share);
-            let assets = Assets::load_after(before.as_deref(), &scene, &progress, &stop);
+            let assets = Assets::load_with(&scene, &LoadOptions { progress: Some(&progress), cancel: Some(&stop), previous: before.as_deref() });
             // A scene that cannot be resolved is no better than a file that cannot be read.
             let loaded = assets.map(|assets| {
                 // What every frame asks is found out here.

@@ -50,7 +50,7 @@ pub struct Settings {
     /// Size of the interface.
     pub scale: f32,
     /// Where pictures are computed.
-    pub backend: super::worker::Backend,
+    pub backend: crate::engine::Backend,
     /// Navigation as in Blender instead of 3D Slicer.
     pub blender: bool,
     /// Keys by the words of their actions; empty for none.
@@ -61,7 +61,7 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { light: false, scale: 1.0, backend: super::worker::Backend::Auto, blender: false, keys: BTreeMap::new(), recent: Vec::new() }
+        Self { light: false, scale: 1.0, backend: crate::engine::Backend::Auto, blender: false, keys: BTreeMap::new(), recent: Vec::new() }
     }
 }
 

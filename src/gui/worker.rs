@@ -7,9 +7,13 @@
 use super::log::Level;
 use crate::cpu::pick::{self, Pick};
 use crate::cpu::section::{self, Plane, Section};
-use crate::scene::measure::{Measure, Quantity};
-use crate::scene::{Assets, Deformed, Picture, Prepared, RenderStats, Scene, ViewFrame};
-use crate::{Error, Result, Watch, cpu};
+use crate::engine::{Backend, DeviceInfo, Engine, EngineOptions, Quality, RenderRequest, ScenePicture};
+use crate::picture::{Picture, RenderStats};
+use crate::prepare::measure::Quantity;
+use crate::prepare::{Assets, Deformed, Prepared};
+use crate::scene::measure::Measure;
+use crate::scene::{Scene, ViewFrame};
+use crate::{Error, Result, Watch};
 use eframe::egui::{self, ColorImage};
 use glam::Vec3;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -93,6 +97,8 @@ pub enum What {
         counting: bool,
         /// Give back the picture's own numbers.
         keep: bool,
+        /// How good it is to be.
+        quality: Quality,
     },
     /// A slice.
     Slice(Plane, SliceStyle),
@@ -160,8 +166,8 @@ pub struct Shown {
     pub notices: Vec<String>,
     /// Why nothing is to be seen, if nothing is.
     pub blank: Option<String>,
-    /// Where it was made.
-    pub backend: String,
+    /// What computed it.
+    pub device: DeviceInfo,
     /// Its sampling distance, voxels.
     pub step: f32,
     /// The camera it was made with.
@@ -190,19 +196,6 @@ pub struct Done {
     pub outcome: Result<Output>,
     /// How long it took.
     pub ms: f64,
-}
-
-/// Where pictures are computed.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Backend {
-    /// A hardware GPU if there is one, else the CPU.
-    #[default]
-    Auto,
-    /// Any GPU, a software one included.
-    Gpu,
-    /// The CPU.
-    Cpu,
 }
 
 struct Running {
@@ -338,9 +331,9 @@ pub fn quiet_pool() -> Option<rayon::ThreadPool> {
     rayon::ThreadPoolBuilder::new().num_threads(cores.saturating_sub(1).max(1)).build().ok()
 }
 
-fn run(shared: &Shared, send: &Sender<Done>, say: &Sender<(Level, String)>, ctx: &egui::Context) {
+fn run(shared: &Shared, send: &Sender<Done>, log: &Sender<(Level, String)>, ctx: &egui::Context) {
     let pool = quiet_pool();
-    let mut engine = Engine::default();
+    let mut renderer = Renderer { engine: None, log: log.clone() };
     loop {
         let (job, cancel, backend, lose) = {
             let mut queue = lock(&shared.queue);
@@ -359,11 +352,8 @@ fn run(shared: &Shared, send: &Sender<Done>, say: &Sender<(Level, String)>, ctx:
             }
         };
         shared.progress.store(0, Ordering::Relaxed);
-        engine.choose(backend, say);
-        if lose && engine.gpu.is_some() {
-            engine.lose();
-        } else if lose {
-            engine.open(backend, say);
+        if let (true, Ok(engine)) = (lose, renderer.engine(backend)) {
+            engine.lose_device();
         }
         let start = Instant::now();
         let tell = |share: f32| {
@@ -375,7 +365,7 @@ fn run(shared: &Shared, send: &Sender<Done>, say: &Sender<(Level, String)>, ctx:
         };
         let watch = Watch { progress: &tell, cancel: &cancel };
         let quiet = !matches!(job.target, Target::Fine | Target::Compare(_));
-        let mut work = || engine.work(&job, &watch, say);
+        let mut work = || renderer.work(&job, backend, &watch);
         // A fault in one picture is told, and the next one is made.
         let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| match &pool {
             Some(pool) if quiet => pool.install(work),
@@ -401,50 +391,39 @@ fn run(shared: &Shared, send: &Sender<Done>, say: &Sender<(Level, String)>, ctx:
     }
 }
 
-/// What computes pictures.
-#[derive(Default)]
-struct Engine {
-    chosen: Option<Backend>,
-    gpu: Option<crate::render::Renderer>,
+/// What computes pictures, and what it has to say.
+struct Renderer {
+    engine: Option<Engine>,
+    log: Sender<(Level, String)>,
 }
 
-impl Engine {
-    fn choose(&mut self, backend: Backend, say: &Sender<(Level, String)>) {
-        if self.chosen == Some(backend) {
-            return;
-        }
-        self.chosen = Some(backend);
-        self.gpu = None;
-        self.open(backend, say);
-    }
-
-    fn open(&mut self, backend: Backend, say: &Sender<(Level, String)>) {
-        use crate::gpu::{Device, Want};
-        let want = match backend {
-            Backend::Cpu => return,
-            Backend::Auto => Want::Hardware,
-            Backend::Gpu => Want::Any,
-        };
-        match Device::open(want) {
-            Ok(device) => self.gpu = Some(crate::render::Renderer::new(device)),
-            Err(error) if backend == Backend::Gpu => {
-                let _gone = say.send((Level::Warning, format!("{error}; pictures are computed on the CPU")));
+impl Renderer {
+    /// The engine of a backend; another one if another is asked for.
+    fn engine(&mut self, backend: Backend) -> Result<&mut Engine> {
+        if self.engine.as_ref().is_none_or(|engine| engine.backend() != backend) {
+            let engine = Engine::open(EngineOptions { backend, ..EngineOptions::default() })?;
+            if let (Backend::Gpu, Some(error)) = (backend, engine.fallback()) {
+                self.warn(format!("{error}; pictures are rendered on the CPU"));
             }
-            Err(_) => {}
+            self.engine = Some(engine);
         }
+        self.engine.as_mut().ok_or_else(|| Error::Gpu("no renderer could be opened".into()))
     }
 
-    /// The device no longer answers.
-    fn lose(&mut self) {
-        if let Some(renderer) = &self.gpu {
-            renderer.device().device.destroy();
-        }
+    fn warn(&self, text: String) {
+        // Nobody listens once the window has closed.
+        let _gone = self.log.send((Level::Warning, text));
     }
 
-    fn work(&mut self, job: &Job, watch: &Watch, say: &Sender<(Level, String)>) -> Result<Output> {
+    fn work(&mut self, job: &Job, backend: Backend, watch: &Watch) -> Result<Output> {
         match &job.what {
-            What::Picture { counting, keep } => {
-                let mut picture = self.picture(job, *counting, *keep, watch, say)?;
+            What::Picture { counting, keep, quality } => {
+                let request = RenderRequest { quality: *quality, count_samples: *counting, watch: *watch };
+                let engine = self.engine(backend)?;
+                let picture = engine.picture(&job.scene, &job.assets, &request);
+                let warnings = engine.take_warnings();
+                warnings.into_iter().for_each(|text| self.warn(text));
+                let mut picture = shown(picture?, *keep);
                 if matches!(job.target, Target::Coarse | Target::Fine) {
                     picture.measured = measured_points(job, watch)?;
                 }
@@ -454,53 +433,10 @@ impl Engine {
             What::Measures(measures) => measured(job, measures, watch).map(Output::Measures),
         }
     }
-
-    fn picture(&mut self, job: &Job, counting: bool, keep: bool, watch: &Watch, say: &Sender<(Level, String)>) -> Result<Shown> {
-        let mut beyond_gpu = None;
-        // The device may be lost at any time: it is opened once more, and then the CPU takes over.
-        for again in [true, false] {
-            let Some(renderer) = &mut self.gpu else { break };
-            let attempt = if renderer.device().is_lost() {
-                Err(Error::Gpu("the device was lost".into()))
-            } else {
-                // Lost in the middle of a picture, it may be found out by a call that cannot report it.
-                let attempt = || {
-                    let prepared = Prepared::until(renderer, &job.scene, &job.assets, watch)?;
-                    let rendered = renderer.render_until(&prepared, counting, watch)?;
-                    Ok((prepared, rendered))
-                };
-                std::panic::catch_unwind(std::panic::AssertUnwindSafe(attempt)).unwrap_or_else(|_| Err(Error::Gpu("the driver failed".into())))
-            };
-            match attempt {
-                Ok((p, rendered)) => {
-                    let backend = renderer.device().info();
-                    return Ok(shown(&p, rendered, backend, keep));
-                }
-                Err(Error::Gpu(problem)) => {
-                    let what = if again { "the GPU stopped answering and was opened anew" } else { "pictures are computed on the CPU from now on" };
-                    let _gone = say.send((Level::Warning, format!("{what} ({problem})")));
-                    self.gpu = None;
-                    if again {
-                        self.open(self.chosen.unwrap_or_default(), say);
-                    }
-                }
-                Err(error @ Error::GpuLimit(_)) => {
-                    // The next scene may be one for it again.
-                    beyond_gpu = Some(format!("this picture was rendered on the CPU ({error})"));
-                    break;
-                }
-                Err(other) => return Err(other),
-            }
-        }
-        watch.check()?;
-        let prepared = Prepared::until(&crate::scene::Unaided, &job.scene, &job.assets, watch)?;
-        let mut rendered = cpu::render_until(&prepared, watch)?;
-        rendered.notices.extend(beyond_gpu);
-        Ok(shown(&prepared, rendered, format!("CPU {} threads", rayon::current_num_threads()), keep))
-    }
 }
 
-fn shown(prepared: &Prepared, rendered: crate::scene::Rendered, backend: String, keep: bool) -> Shown {
+fn shown(picture: ScenePicture, keep: bool) -> Shown {
+    let ScenePicture { prepared, rendered, device } = picture;
     let picture = rendered.picture;
     let bytes = picture.over(prepared.settings.background);
     let image = ColorImage::from_rgba_unmultiplied([picture.width as usize, picture.height as usize], &bytes);
@@ -512,7 +448,7 @@ fn shown(prepared: &Prepared, rendered: crate::scene::Rendered, backend: String,
         stages,
         notices: rendered.notices,
         blank: rendered.blank,
-        backend,
+        device,
         step: prepared.settings.step,
         frame: prepared.frame.view,
         measured: Vec::new(),
@@ -521,7 +457,7 @@ fn shown(prepared: &Prepared, rendered: crate::scene::Rendered, backend: String,
 
 fn slice(job: &Job, plane: Plane, style: SliceStyle, watch: &Watch) -> Result<SlicePicture> {
     let assets = &job.assets;
-    let deformed = if style.source { None } else { Some(Deformed::until(&job.scene, assets, watch)?) };
+    let deformed = if style.source { None } else { Some(Deformed::watched(&job.scene, assets, watch)?) };
     let maps = deformed.as_ref().map(|d| section::Deformed { stack: &d.stack, cuts: &d.cuts });
     let determinants = style.overlay == Overlay::Jacobian;
     let section = section::sample(&assets.volume, assets.grid(), maps, plane, determinants, watch)?;
@@ -531,7 +467,7 @@ fn slice(job: &Job, plane: Plane, style: SliceStyle, watch: &Watch) -> Result<Sl
 }
 
 fn measured(job: &Job, measures: &[Measure], watch: &Watch) -> Result<Vec<Measured>> {
-    let deformed = Deformed::until(&job.scene, &job.assets, watch)?;
+    let deformed = Deformed::watched(&job.scene, &job.assets, watch)?;
     measures.iter().map(|m| watch.check().map(|()| measured_in(m, &job.assets, &deformed))).collect()
 }
 
@@ -541,7 +477,7 @@ fn measured_points(job: &Job, watch: &Watch) -> Result<Vec<Option<Measured>>> {
     if measures.iter().all(|m| m.points.is_empty()) {
         return Ok(vec![None; measures.len()]);
     }
-    let deformed = Deformed::until(&job.scene, &job.assets, watch)?;
+    let deformed = Deformed::watched(&job.scene, &job.assets, watch)?;
     let of = |m: &Measure| {
         watch.check()?;
         Ok((!m.points.is_empty()).then(|| measured_in(m, &job.assets, &deformed)))

@@ -7,7 +7,7 @@ use super::surfaces::Layer;
 use super::{Counter, GATHERED, Renderer, Variant, overrides};
 use crate::gpu::shaders::Program;
 use crate::gpu::{wait, wait_for};
-use crate::scene::Prepared;
+use crate::prepare::Prepared;
 use crate::transfer::Blend;
 use crate::{Result, Watch};
 use std::collections::VecDeque;
@@ -187,16 +187,16 @@ impl Renderer {
     pub(super) fn draw_slices(&mut self, draw: &Draw) -> Result<()> {
         let scene = draw.scene;
         let [width, height] = scene.frame.size;
-        let composite = scene.blend == Blend::Composite;
+        let composite = scene.volume().blend == Blend::Composite;
         let gathered = (!composite).then(|| self.target("gathered", width, height, GATHERED));
         let mask = composite.then(|| self.target("opaque pixels", width, height, MASK));
         let canvas = gathered.as_ref().map_or(&draw.target.view, |t| &t.view);
-        let empty = match scene.blend {
+        let empty = match scene.volume().blend {
             Blend::Composite | Blend::Average => wgpu::Color::TRANSPARENT,
             // Below every value; green stays 0 where nothing was drawn.
             Blend::Mip | Blend::Minip => wgpu::Color { r: -1e4, ..wgpu::Color::TRANSPARENT },
         };
-        let polygons = slices::slabs(&scene.frame, &scene.macrocells, scene.proxy_mesh.as_deref());
+        let polygons = slices::slabs(&scene.frame, &scene.volume().macrocells, scene.proxy_mesh.as_deref());
         let vertices = self.slice_vertices(bytemuck::cast_slice(&polygons.corners));
         let seen = mask.as_ref().filter(|_| scene.settings.early_termination).map(|_| self.gathered_group(&draw.target.view));
         let pipeline = &self.pipelines[&draw.variant(self, Program::Slice)];

@@ -8,7 +8,7 @@ use crate::deform::cut::{Cuts, MAX_CUTS};
 use crate::deform::{MAX_MAPS, Stack};
 use crate::gpu::shaders::Program;
 use crate::gpu::{checked, read_buffer};
-use crate::scene::Prepared;
+use crate::prepare::Prepared;
 use crate::{Error, Result};
 use glam::Vec3;
 use wgpu::util::DeviceExt;
@@ -25,7 +25,7 @@ impl Renderer {
     pub fn probe(&mut self, scene: &Prepared, points: &[[f32; 3]]) -> Result<Vec<[f32; 24]>> {
         let device = self.device.device.clone();
         checked(&device, || {
-            self.upload_volume(scene.grid, scene.colors)?;
+            self.upload_volume(scene.volume().grid, scene.volume().colors)?;
             let bindings = self.bind(scene)?;
             let variant = self.variant(scene, Program::Probe, false);
             let pipeline = self.compute_pipeline(Program::Probe, false, [&self.shared_layout, &self.points_layout()], &overrides(&variant));

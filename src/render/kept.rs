@@ -9,7 +9,7 @@ use super::work::{Made, Tally};
 use super::{Renderer, extent};
 use crate::deform::cut::MAX_CUTS;
 use crate::deform::{DisplacementMap, MAX_MAPS, Stack, Storage};
-use crate::scene::Prepared;
+use crate::prepare::Prepared;
 use crate::transfer::{GRADIENT_ENTRIES, PREINTEGRATED_SIZE, Preintegrated, TABLE_ENTRIES, Table};
 use crate::{Error, Result};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -332,13 +332,13 @@ impl Renderer {
             }
         };
         let nothing = self.layer(["nothing: colour", "nothing: distance", "nothing: depth"], 1, 1);
-        let (table, cells, preintegrated) = (self.table(&scene.table), self.cells(scene)?, self.preintegrated(scene));
+        let (table, cells, preintegrated) = (self.table(&scene.volume().table), self.cells(scene)?, self.preintegrated(scene));
         Ok(Shared { uniforms, table, cells, preintegrated, maps, nothing })
     }
 
     /// The macrocells' texture.
     fn cells(&mut self, scene: &Prepared) -> Result<wgpu::TextureView> {
-        let (size, blocks) = (scene.macrocells.size.to_array().map(|n| n as usize), scene.macrocells.blocks());
+        let (size, blocks) = (scene.volume().macrocells.size.to_array().map(|n| n as usize), scene.volume().macrocells.blocks());
         let target = match self.kept.cells.take() {
             Some((target, written)) if target.texture.size() == extent(size) => {
                 if written == blocks {
@@ -423,9 +423,9 @@ impl Renderer {
             let target = table_of(self, 1);
             return self.kept.nothing_preintegrated.insert(target).view.clone();
         }
-        let length = scene.frame.step_mm / scene.frame.reference_mm;
+        let length = scene.frame.steps.step_mm / scene.frame.steps.reference_mm;
         let target = match self.kept.preintegrated.take() {
-            Some((target, entries, of)) if of == length && entries == scene.table.entries => {
+            Some((target, entries, of)) if of == length && entries == scene.volume().table.entries => {
                 let view = target.view.clone();
                 self.kept.preintegrated = Some((target, entries, of));
                 return view;
@@ -433,7 +433,7 @@ impl Renderer {
             Some((target, ..)) => target,
             None => table_of(self, PREINTEGRATED_SIZE),
         };
-        let made = Preintegrated::new(&scene.table, length);
+        let made = Preintegrated::new(&scene.volume().table, length);
         let halves: Vec<u16> = made.entries.as_flattened().iter().map(|v| half::f16::from_f32(*v).to_bits()).collect();
         self.tally.count(Made::Table);
         self.device.queue.write_texture(
@@ -447,7 +447,7 @@ impl Renderer {
             target.texture.size(),
         );
         let view = target.view.clone();
-        self.kept.preintegrated = Some((target, scene.table.entries.clone(), length));
+        self.kept.preintegrated = Some((target, scene.volume().table.entries.clone(), length));
         view
     }
 

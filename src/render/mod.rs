@@ -23,7 +23,7 @@
 //! | size of the picture | none | targets, for the first time; two sizes are kept |
 //!
 //! What suits one device does not suit another: whether rays are fragments or invocations, who mixes texels, and who prepares scenes is a [`Strategy`].
-//! Where the device does ([`Accelerator`](crate::scene::Accelerator)), a map of a formula is not uploaded but sampled there, and empty space is found there by
+//! Where the device does ([`Accelerator`](crate::prepare::Accelerator)), a map of a formula is not uploaded but sampled there, and empty space is found there by
 //! bounds that are made there: on an H100 with 16 cores beside it an edited peel took 12 ms to the next picture, of which 1 went to the map, 8 to empty
 //! space (before the distances of its cells were found in less than half the time) and 2 to the rays; by the CPU alone 47: 21 to the map, 13 to empty
 //! space, 13 to the rays. What a device keeps for that is counted as well.
@@ -53,7 +53,9 @@ pub use work::Work;
 
 use crate::gpu::shaders::Program;
 use crate::gpu::{Device, checked, read_buffer, read_rgba16f, texture_bytes, wait};
-use crate::scene::{IsoLight, Mode, Normals, Picture, Prepared, RenderStats, Rendered, Stages};
+use crate::picture::{Picture, RenderStats, Rendered, Stages};
+use crate::prepare::Prepared;
+use crate::scene::{IsoLight, Mode, Normals};
 use crate::transfer::Blend;
 use crate::volume::GradientFilter;
 use crate::{Error, Result, Watch};
@@ -172,19 +174,11 @@ impl Renderer {
         self.tally.work()
     }
 
-    /// Renders a prepared scene; `counting` keeps sample counts, which costs a little. `progress` is told the share that is done.
+    /// Renders a prepared scene; `counting` keeps sample counts, which costs a little. It stops between two submissions.
     ///
     /// # Errors
-    /// A volume or picture that the device cannot hold; whatever the device reports.
-    pub fn render(&mut self, scene: &Prepared, counting: bool, progress: &(dyn Fn(f32) + Sync)) -> Result<Rendered> {
-        self.render_until(scene, counting, &Watch::telling(progress))
-    }
-
-    /// As [`Self::render`], until it is told to stop, which it does between two submissions.
-    ///
-    /// # Errors
-    /// As [`Self::render`]; [`Error::Cancelled`].
-    pub fn render_until(&mut self, scene: &Prepared, counting: bool, watch: &Watch) -> Result<Rendered> {
+    /// A volume or picture that the device cannot hold; whatever the device reports; [`Error::Cancelled`].
+    pub fn render(&mut self, scene: &Prepared, counting: bool, watch: &Watch) -> Result<Rendered> {
         let device = self.device.device.clone();
         checked(&device, || self.render_unchecked(scene, counting, watch))
     }
@@ -197,7 +191,7 @@ impl Renderer {
             return Err(Error::GpuLimit(format!("this GPU makes pictures up to {} pixels wide or high", limits.max_texture_dimension_2d)));
         }
         if scene.settings.mode == Mode::Slice
-            && scene.blend != Blend::Composite
+            && scene.volume().blend != Blend::Composite
             && !self.device.device.features().contains(Features::FLOAT32_BLENDABLE)
         {
             return Err(Error::GpuLimit("this GPU cannot blend 32-bit values, which projections by slices need (mode slice, not raycast)".into()));
@@ -209,7 +203,7 @@ impl Renderer {
             return Ok(scene.rendered(picture, Some(RenderStats::default()), stages, Vec::new()));
         }
         stages.time("upload", || -> Result<()> {
-            self.upload_volume(scene.grid, scene.colors)?;
+            self.upload_volume(scene.volume().grid, scene.volume().colors)?;
             if shows_volume {
                 self.upload_gradients(scene)?;
             }
@@ -284,7 +278,7 @@ impl Renderer {
             maps: scene.stack.maps().len(),
             shortcut: scene.stack.shortcut().is_some(),
             normals: if scene.is_lit() { scene.settings.normals } else { Normals::None },
-            blend: match scene.blend {
+            blend: match scene.volume().blend {
                 Blend::Composite => 0,
                 Blend::Mip => 1,
                 Blend::Minip => 2,
@@ -294,26 +288,26 @@ impl Renderer {
             slab: if program != Program::Slice || scene.proxy_mesh.is_some() { 1 } else { slices::SLICES_PER_SLAB as u32 },
             cuts: scene.cuts.primitives().len(),
             grey_faces: scene.grey_faces(),
-            iso: match (scene.iso, scene.settings.iso_light) {
-                _ if scene.blend != Blend::Composite => 0,
+            iso: match (scene.volume().iso, scene.settings.iso_light) {
+                _ if scene.volume().blend != Blend::Composite => 0,
                 (None, _) => 0,
                 (Some(_), IsoLight::Gradient) => 1,
                 (Some(_), IsoLight::Derivative) => 2,
             },
-            colors: scene.colors.is_some(),
+            colors: scene.volume().colors.is_some(),
             preintegrated: scene.preintegrated() && march,
             behind: (march || matches!(program, Program::Resolve | Program::Under)) && !scene.surfaces.objects.is_empty(),
         }
     }
 
     fn compile(&mut self, scene: &Prepared, counting: bool) {
-        let mut programs = match (scene.settings.mode, scene.blend) {
+        let mut programs = match (scene.settings.mode, scene.volume().blend) {
             (Mode::Surface, _) => vec![],
             (Mode::Raycast, _) => vec![self.strategy.rays()],
             (Mode::Slice, Blend::Composite) => vec![Program::Slice, Program::Opaque],
             (Mode::Slice, _) => vec![Program::Slice, Program::Resolve],
         };
-        if scene.settings.mode == Mode::Slice && scene.blend == Blend::Composite && !scene.surfaces.objects.is_empty() {
+        if scene.settings.mode == Mode::Slice && scene.volume().blend == Blend::Composite && !scene.surfaces.objects.is_empty() {
             programs.push(Program::Under);
         }
         for program in programs {

@@ -13,7 +13,7 @@ use crate::deform::{DisplacementMap, Extent, Formula, MAX_MAPS, Recipe, Stack, S
 use crate::gpu::shaders::Program;
 use crate::gpu::{checked, read_buffer};
 use crate::math::pyramid::Range;
-use crate::scene::{Accelerator, CellGrid, Contents, Flag};
+use crate::prepare::{Accelerator, CellGrid, Contents, Flag};
 use crate::transfer::TABLE_ENTRIES;
 use crate::volume::{Grid, GridVoxels};
 use crate::{Error, Result, Watch};

@@ -14,9 +14,9 @@ use crate::gpu::shaders::Program;
 use crate::mesh::Implicit;
 use crate::mesh::deformer::MOST_DEFORMERS;
 use crate::mesh::formula::MOST_SOLIDS;
-use crate::scene::Prepared;
-use crate::scene::objects::{Stage, SurfaceObject, Triangles};
-use crate::scene::surface_cells::{Solid, SurfaceCells};
+use crate::prepare::Prepared;
+use crate::prepare::objects::{Stage, SurfaceObject, Triangles};
+use crate::prepare::surface_cells::{Solid, SurfaceCells};
 use crate::{Result, Watch};
 use half::f16;
 use rayon::prelude::*;
@@ -373,9 +373,9 @@ impl Renderer {
     pub fn surface_distances(&mut self, scene: &Prepared) -> Result<Vec<f32>> {
         let device = self.device.device.clone();
         crate::gpu::checked(&device, || {
-            self.upload_volume(scene.grid, scene.colors)?;
+            self.upload_volume(scene.volume().grid, scene.volume().colors)?;
             let shared = self.shared(scene)?;
-            let layer = self.draw_surfaces(scene, &shared, None, &Watch::NOBODY)?;
+            let layer = self.draw_surfaces(scene, &shared, None, &Watch::NONE)?;
             let distances = {
                 let buffer = self.readback(crate::gpu::texture_bytes(&layer.distance));
                 crate::gpu::read_r32f(&self.device.device, &self.device.queue, &layer.distance, &buffer)?

@@ -6,9 +6,10 @@ use crate::deform::{FORMULA_NUMBERS, MAX_MAPS, PlacedMap};
 use crate::mesh::Implicit;
 use crate::mesh::deformer::{Deform, Deformer, NormalMethod};
 use crate::mesh::formula::{Join, PlacedSolid, Solid};
-use crate::scene::objects::{Stage, SurfaceObject};
+use crate::prepare::objects::{Stage, SurfaceObject};
+use crate::prepare::{CellGrid, Contents, Prepared};
+use crate::scene::Projection;
 use crate::scene::surface::{CutModel, Steps};
-use crate::scene::{CellGrid, Contents, Prepared, Projection};
 use bytemuck::{Pod, Zeroable};
 use glam::{Affine3A, Mat3, Mat4, Vec3};
 
@@ -119,25 +120,25 @@ impl FrameUniform {
     pub fn new(scene: &Prepared, [value_scale, value_offset, gradient_scale]: [f32; 3], texture_size: [f32; 3]) -> Self {
         let frame = &scene.frame;
         let light = &scene.light;
-        let cells = &scene.macrocells;
+        let cells = &scene.volume().macrocells;
         Self {
             clip_from_world: frame.view.clip_from_world().to_cols_array(),
-            voxel_from_world: affine(&frame.voxel_from_world),
+            voxel_from_world: affine(&scene.volume().voxel_from_world),
             eye: frame.view.eye.into(),
             perspective: if frame.view.projection == Projection::Perspective { 1.0 } else { 0.0 },
             forward: frame.view.forward.into(),
-            step_mm: frame.step_mm,
+            step_mm: frame.steps.step_mm,
             right: frame.view.right.into(),
-            reference_mm: frame.reference_mm,
+            reference_mm: frame.steps.reference_mm,
             up: frame.view.up.into(),
-            blend_near_mm: frame.blend_mm[0],
+            blend_near_mm: frame.steps.blend_mm[0],
             to_light: frame.to_light.into(),
-            blend_far_mm: frame.blend_mm[1],
+            blend_far_mm: frame.steps.blend_mm[1],
             proxy_min: frame.proxy.min.into(),
             ambient: light.ambient,
             proxy_max: frame.proxy.max.into(),
             diffuse: light.diffuse,
-            grid_size: frame.grid_size.into(),
+            grid_size: scene.volume().grid_size.into(),
             specular: light.specular,
             cells_origin: cells.origin.into(),
             shininess: light.shininess,
@@ -146,20 +147,20 @@ impl FrameUniform {
             cells: cells.size.to_array(),
             value_offset,
             picture: [frame.size[0] as f32, frame.size[1] as f32],
-            table_scale: scene.table.scale,
-            table_offset: scene.table.offset,
-            gradient_top: if scene.uses_gradient_opacity() { scene.table.gradient_top } else { 0.0 },
+            table_scale: scene.volume().table.scale,
+            table_offset: scene.volume().table.offset,
+            gradient_top: if scene.uses_gradient_opacity() { scene.volume().table.gradient_top } else { 0.0 },
             two_sided: u32::from(light.two_sided),
-            has_holes: u32::from(scene.grid.has_holes),
+            has_holes: u32::from(scene.volume().grid.has_holes),
             early_termination: u32::from(scene.settings.early_termination),
-            grey_low: scene.grey_window[0],
-            grey_high: scene.grey_window[1],
-            iso: scene.iso.unwrap_or(0.0),
+            grey_low: scene.volume().grey_window[0],
+            grey_high: scene.volume().grey_window[1],
+            iso: scene.volume().iso.unwrap_or(0.0),
             jitter: u32::from(scene.settings.jitter),
             texture_size,
             gradient_scale,
             face: scene.voxels_beside_deformed_faces().into(),
-            stored_offset: scene.grid.offset,
+            stored_offset: scene.volume().grid.offset,
             per_texture_size: texture_size.map(f32::recip),
             padding: 0.0,
         }

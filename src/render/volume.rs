@@ -6,7 +6,7 @@
 use super::work::Made;
 use super::{Renderer, extent};
 use crate::gpu::wait;
-use crate::scene::Prepared;
+use crate::prepare::Prepared;
 use crate::volume::{Colors, Grid, GridVoxels};
 use crate::{Error, Result};
 use half::f16;
@@ -40,7 +40,7 @@ pub(super) struct VolumeTexture {
 impl VolumeTexture {
     /// Gradient of the normalised value per voxel by a texel of the gradient volume; 0 if there is none.
     pub fn gradient_scale(&self, scene: &Prepared) -> f32 {
-        if self.gradients.is_some() { 0.5 * f32::from(i16::MAX) * scene.grid.scale } else { 0.0 }
+        if self.gradients.is_some() { 0.5 * f32::from(i16::MAX) * scene.volume().grid.scale } else { 0.0 }
     }
 }
 
@@ -138,7 +138,7 @@ impl Renderer {
 
     /// Puts the scene's gradient volume beside the volume, where there is one, the volume is shown whole, and the device can filter it.
     pub(super) fn upload_gradients(&mut self, scene: &Prepared) -> Result<()> {
-        let size = scene.grid.size;
+        let size = scene.volume().grid.size;
         let fits = |v: &VolumeTexture| v.gradients.is_none() && v.notice.is_none();
         let limits = self.device.device.limits();
         let bytes = size.iter().map(|&n| n as u64).product::<u64>() * 8;
@@ -149,7 +149,7 @@ impl Renderer {
         {
             return Ok(());
         }
-        let Some(gradients) = scene.gradients() else { return Ok(()) };
+        let Some(gradients) = scene.gradients_for_picture() else { return Ok(()) };
         let texture = self.texture_3d("gradient volume", size, TextureFormat::Rgba16Snorm)?;
         self.in_pieces(&texture, size, |range| bytemuck::cast_slice(&gradients.texels[range]).to_vec())?;
         self.tally.count(Made::Volume);

@@ -1,7 +1,7 @@
 //! A scene's text against the schema of the format: keys that are not known are named with the closest known one, values of a wrong type with
 //! what they must be. The parser alone names the table in which something is wrong, not the key.
 
-use super::deformations;
+use crate::deform::file_kinds::FILE_KINDS;
 use crate::deform::kinds;
 use crate::error::suggestion;
 use serde_json::Value as Schema;
@@ -21,7 +21,7 @@ struct Checker<'a> {
 
 /// Names of a kind's parameters and settings; none if there is no such kind.
 fn parameters(kind: &str) -> Option<Vec<&'static str>> {
-    if let Some(file) = deformations::FILE_KINDS.iter().find(|k| k.name == kind) {
+    if let Some(file) = FILE_KINDS.iter().find(|k| k.name == kind) {
         return Some(file.settings.iter().map(|s| s.name).collect());
     }
     let kind = kinds::kind(kind).ok()?;

@@ -1,37 +1,25 @@
-//! Everything that one picture needs, as plain data: what a scene file says, the command line overrides, a test states.
+//! What a scene file says, the command line overrides and a test states, as plain data.
 //!
-//! A [`Scene`] names a volume and never holds voxels. [`Prepared`] is the scene resolved against a loaded volume: tables, maps,
-//! camera and the empty-space grid, the same for every backend.
+//! A [`Scene`] names volumes, meshes and fields by path and never holds voxels, threads or devices. [`crate::prepare`] resolves it for rendering.
 
-mod accelerator;
-mod blank;
 mod camera;
 pub mod command;
-pub mod deformations;
 pub mod example;
 pub mod file;
-pub mod inside;
 mod keys;
 mod limits;
-mod macrocells;
 pub mod measure;
-pub mod objects;
 mod paths;
-mod prepared;
-mod sampled;
+mod settings;
 pub mod surface;
-pub mod surface_cells;
 
-pub use accelerator::{Accelerator, Unaided};
 pub use camera::{Camera, Projection, View, ViewFrame};
-pub use macrocells::{CellGrid, Contents, Flag, Macrocells};
-pub use prepared::{Assets, Deformed, Frame, MAX_PICTURE_EDGE, MAX_PIXELS, Picture, Prepared, RenderStats, Rendered, Stages};
 
 use crate::deform::{Arguments, Storage};
 use crate::files::path_text::path_of;
-use crate::transfer::TransferSettings;
-use crate::volume::GradientFilter;
+use crate::transfer::{TransferSettings, default_preset};
 use crate::volume::load::Choice;
+use crate::volume::{GradientFilter, Volume, phantom};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -370,6 +358,13 @@ impl Scene {
     /// The volume as the scene names it; empty if it has none.
     pub fn volume_name(&self) -> &str {
         self.volume.as_ref().map_or("", |v| &v.path)
+    }
+
+    /// The name of the preset that a volume is shown by where the scene names none: the phantom's own, grey below control points of the scene's own,
+    /// else what suits the volume's values.
+    pub fn default_preset(&self, volume: &Volume) -> &'static str {
+        let suits = || if self.transfer.preset.is_none() && self.transfer.points.is_empty() { default_preset(volume) } else { "grey" };
+        self.volume_name().strip_prefix("phantom:").and_then(phantom::preset).unwrap_or_else(suits)
     }
 
     /// The volume's path as this process finds it, if there is a volume.

@@ -335,3 +335,79 @@ impl Appearance {
         Ok(look)
     }
 }
+
+impl MeshSource {
+    /// A mesh file with all defaults.
+    pub fn of_file(path: impl Into<String>) -> Self {
+        Self { path: Some(path.into()), ..Self::default() }
+    }
+
+    /// A name for messages.
+    pub(crate) fn label(&self, n: usize) -> String {
+        self.name.clone().or_else(|| self.path.clone()).unwrap_or_else(|| format!("mesh {}", n + 1))
+    }
+
+    pub(crate) fn representation(&self) -> Representation {
+        self.representation.unwrap_or(if self.deformer.is_empty() { Representation::Field } else { Representation::Triangles })
+    }
+
+    /// What decides the mesh after its deformers.
+    pub(crate) fn mesh_key(&self) -> String {
+        format!("{:?} {:?} {:?} {:?}", self.path, self.place, self.deformer, self.tessellate)
+    }
+
+    pub(crate) fn check(&self) -> Result<()> {
+        let sources = usize::from(self.path.is_some())
+            + usize::from(self.iso.is_some())
+            + usize::from(!self.label.is_empty())
+            + usize::from(!self.shape.is_empty());
+        if sources != 1 {
+            return Err(Error::value("path, iso, label, shape", "exactly one of them says what a mesh is made of"));
+        }
+        if self.path.is_none() {
+            let only_files = [
+                ("center, size, rotate, matrix", self.place != MeshPlace::default()),
+                ("deformer", !self.deformer.is_empty()),
+                ("representation", !matches!(self.representation, None | Some(Representation::Field))),
+                ("tessellate", self.tessellate.is_some()),
+                ("resolution", self.resolution.is_some()),
+                ("exact", self.exact),
+                ("face", self.face.is_some()),
+                ("normals", self.normals != NormalMethod::default()),
+            ];
+            if let Some((name, _)) = only_files.iter().find(|f| f.1) {
+                return Err(Error::value(*name, "is of meshes from files only; leave it out"));
+            }
+        }
+        if self.path.is_some() && self.volume.is_some() {
+            return Err(Error::value("volume", "is of an iso-value or labels; a mesh from a file has none"));
+        }
+        if self.resolution.is_some_and(|n| !(16..=1024).contains(&n)) {
+            return Err(Error::value("resolution", "is outside 16 to 1024 points"));
+        }
+        if self.tessellate.is_some_and(|t| !(t.is_finite() && t > 0.0)) {
+            return Err(Error::value("tessellate", "must be a positive number of millimetres"));
+        }
+        Ok(())
+    }
+}
+
+impl SurfaceSettings {
+    /// Checks that the settings of all surfaces can be used.
+    ///
+    /// # Errors
+    /// The first one that cannot, by name.
+    pub(crate) fn check(&self) -> Result<()> {
+        self.appearance.resolve(&Appearance::default()).map_err(|e| e.within("surface"))?;
+        if !(self.threshold.is_finite() && self.threshold >= 0.0) {
+            return Err(Error::value("surface.threshold", "is a number of cells; it must not be negative"));
+        }
+        if !(self.seam.is_finite() && self.seam > 0.0) {
+            return Err(Error::value("surface.seam", "is a number of cells; it must be positive"));
+        }
+        if !(16..=1024).contains(&self.resolution) {
+            return Err(Error::value("surface.resolution", format!("{} is outside 16 to 1024 points", self.resolution)));
+        }
+        Ok(())
+    }
+}

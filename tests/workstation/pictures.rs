@@ -7,8 +7,9 @@ use super::*;
 use egui::epaint::{ClippedShape, ColorImage, ImageData, Shape, TextureId};
 use incise::gui::views::letters;
 use incise::gui::views::shown::OnScreen;
+use incise::prepare::{Assets, Deformed};
 use incise::scene::measure::Measure;
-use incise::scene::{Assets, Deformed, Projection, Size};
+use incise::scene::{Projection, Size};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
@@ -211,7 +212,7 @@ fn rendered(picture: &OnScreen, facts: &incise::gui::views::volume3d::Facts, siz
         scene.render.antialias = 1;
     }
     let prepared = Prepared::new(&scene, &picture.of.assets).unwrap();
-    let bytes = cpu::render(&prepared, &|_| ()).picture.over(prepared.settings.background);
+    let bytes = cpu::render(&prepared).picture.over(prepared.settings.background);
     ColorImage::from_rgba_unmultiplied(size, &bytes)
 }
 

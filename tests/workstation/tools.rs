@@ -35,7 +35,7 @@ pub fn slices_show_deformed_and_source() {
     bench.settle();
     let found = bench.app().slices.source_cursor().unwrap();
     let (scene, assets) = (bench.scene(), bench.app().doc.as_ref().unwrap().assets.clone());
-    let expected = incise::scene::Deformed::new(&scene, &assets).unwrap().stack.walk(cursor).0;
+    let expected = incise::prepare::Deformed::new(&scene, &assets).unwrap().stack.walk(cursor).0;
     assert!(found.distance(expected) < 1.5 * mm && found.distance(cursor) > 5.0, "{found} {expected}");
     for overlay in [Overlay::Grid, Overlay::Glyphs, Overlay::Mask, Overlay::Jacobian, Overlay::Labels] {
         bench.app().slices.overlay = overlay;
@@ -72,7 +72,7 @@ pub fn a_brush_paints_and_a_map_is_used_again() {
     assert!(strokes(&scene).len() == 1 && strokes(&scene)[0].starts_with("push "));
     // Matter went along: to the patient's left on an axial slice.
     let assets = bench.app().doc.as_ref().unwrap().assets.clone();
-    let deformed = incise::scene::Deformed::new(&scene, &assets).unwrap();
+    let deformed = incise::prepare::Deformed::new(&scene, &assets).unwrap();
     let numbers: Vec<f32> = strokes(&scene)[0].split_whitespace().skip(1).map(|w| w.parse().unwrap()).collect();
     let end = glam::Vec3::from_slice(&numbers[numbers.len() - 3..]);
     let moved = end - deformed.stack.walk(end).0;
@@ -102,7 +102,7 @@ pub fn a_brush_paints_and_a_map_is_used_again() {
     let scene = bench.scene();
     assert_eq!(scene.deformation[0].kind, "map");
     let assets = bench.app().doc.as_ref().unwrap().assets.clone();
-    let (other, bounds) = (incise::scene::Deformed::new(&scene, &assets).unwrap(), assets.scene_box());
+    let (other, bounds) = (incise::prepare::Deformed::new(&scene, &assets).unwrap(), assets.scene_box());
     let points = (0..32_768).map(|n| bounds.min + bounds.size() * glam::Vec3::new((n % 32) as f32, (n / 32 % 32) as f32, (n / 1024) as f32) / 31.0);
     let largest = points.map(|p| p.distance(other.stack.walk(p).0)).fold(0.0, f32::max);
     assert!(largest > 2.0, "the map moves the other volume by {largest} mm");
@@ -194,7 +194,7 @@ pub fn exports_are_written() {
     bench.chosen(&folder.join("frames"), Purpose::Clip(form));
     assert_eq!(std::fs::read_dir(folder.join("frames")).unwrap().count(), 4);
     bench.chosen(&folder.join("baked.nii.gz"), Purpose::Bake { field: false });
-    let baked: Volume = incise::volume::load::volume(&folder.join("baked.nii.gz"), &Default::default(), &incise::Watch::NOBODY).unwrap();
+    let baked: Volume = incise::volume::load::volume(&folder.join("baked.nii.gz"), &Default::default(), &incise::Watch::NONE).unwrap();
     assert_eq!(baked.size, bench.app().doc.as_ref().unwrap().assets.volume.size);
     bench.chosen(&folder.join("field.nrrd"), Purpose::Bake { field: true });
     assert!(folder.join("field.nrrd").exists());
@@ -326,7 +326,7 @@ pub fn views_turn_pan_and_zoom() {
     bench.until("nothing under the pointer", |app| app.prober_is_idle() && app.hover.is_some());
     let hover = bench.app().hover.clone().unwrap();
     let (scene, assets) = (bench.scene(), bench.app().doc.as_ref().unwrap().assets.clone());
-    let expected = incise::scene::Deformed::new(&scene, &assets).unwrap().stack.walk(hover.deformed.unwrap()).0;
+    let expected = incise::prepare::Deformed::new(&scene, &assets).unwrap().stack.walk(hover.deformed.unwrap()).0;
     assert!(hover.source.distance(expected) < 0.1 && hover.value.is_some());
     // Held, Space shows what was before.
     bench.harness.key_down(Key::Space);

@@ -477,7 +477,7 @@ mod tests {
         let library = Library::without_volume(PathBuf::new());
         let mut settings = Arguments::default();
         settings.insert("strokes", Argument::Texts(strokes.iter().map(|s| (*s).to_owned()).collect()));
-        let sampling = Sampling { resolution: None, storage: Storage::F16, least_ramp_mm: 3.0 };
+        let sampling = Sampling { resolution: None, storage: Storage::F16, min_ramp_mm: 3.0 };
         KIND.field(&[], progress, SIZE, &sampling, &Inputs { settings: &settings, world_from_local, library: &library })
     }
 

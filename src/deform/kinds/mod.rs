@@ -311,7 +311,7 @@ pub struct Sampling {
     /// Texel format.
     pub storage: Storage,
     /// The mask's ramp is at least this wide to either side, mm: a few voxels, so that shading has room to blend.
-    pub least_ramp_mm: f32,
+    pub min_ramp_mm: f32,
 }
 
 impl Kind {
@@ -369,7 +369,7 @@ impl Kind {
         let grid = self.grid(size_mm, sampling.resolution);
         let cube_mm = size_mm * self.inflate;
         let texel_mm = (0..3).filter(|&a| grid[a] > 1).map(|a| cube_mm[a] / (grid[a] - 1) as f32).fold(0.0, f32::max);
-        let ramp_mm = sampling.least_ramp_mm.max(2.0 * texel_mm);
+        let ramp_mm = sampling.min_ramp_mm.max(2.0 * texel_mm);
         (grid, Context { values, progress, size_mm, grid, texel_mm, ramp_mm })
     }
 

@@ -91,7 +91,7 @@ impl Transform {
         let name = path.file_name().map(|n| n.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
         let ends = |endings: &[&str]| endings.iter().any(|e| name.ends_with(e));
         if ends(&[".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd"]) {
-            let image = load::image(path, &Choice::default(), &Watch::NOBODY)?;
+            let image = load::image(path, &Choice::default(), &Watch::NONE)?;
             let warnings = image.warnings.clone();
             return Ok(Self { steps: vec![Step::Field(VectorField::of_image(path, &image, context)?)], warnings });
         }

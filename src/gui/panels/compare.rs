@@ -2,13 +2,16 @@
 
 use super::number;
 use crate::compare::{Difference, difference, difference_picture};
+use crate::engine::Quality;
 use crate::gui::action::Action;
 use crate::gui::app::{Gesture, Workstation};
 use crate::gui::theme;
 use crate::gui::views::shown::{self, Delay};
 use crate::gui::views::text;
 use crate::gui::worker::{Shown, Target, What};
-use crate::scene::{Assets, Mode, Picture, RenderStats, Scene};
+use crate::picture::{Picture, RenderStats};
+use crate::prepare::Assets;
+use crate::scene::{Mode, Scene};
 use eframe::egui::{
     self, Align2, Color32, ColorImage, Context, PointerButton, Rect, Sense, Slider, Stroke, TextureHandle, TextureOptions, Ui, pos2, vec2,
 };
@@ -167,7 +170,7 @@ impl Workstation {
         result.picture = shown.picture.map(Arc::new);
         result.side = panel.asked_sides[side];
         result.delay.note(true);
-        (result.stats, result.ms, result.backend, result.serial) = (shown.stats, ms, shown.backend, serial);
+        (result.stats, result.ms, result.backend, result.serial) = (shown.stats, ms, shown.device.name, serial);
         self.compare_numbers(ctx);
     }
 
@@ -236,7 +239,8 @@ impl Workstation {
         for n in pending {
             let shared = Arc::new(wanted[n].clone());
             self.compare.asked[n] = Some(shared.clone());
-            let serial = self.submit(Target::Compare(n), shared, assets.clone(), What::Picture { counting: true, keep: true });
+            let serial =
+                self.submit(Target::Compare(n), shared, assets.clone(), What::Picture { counting: true, keep: true, quality: Quality::Full });
             let panel = &mut self.compare;
             (panel.serials[n], panel.asked_sides[n], panel.results[n].delay.failure) = (serial, Some(panel.sides[n]), None);
         }

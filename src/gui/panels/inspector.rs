@@ -527,7 +527,7 @@ fn show_settings(ui: &mut Ui, d: &mut Deformation, place: usize, kind: &Kind, fo
 }
 
 fn show_file_settings(ui: &mut Ui, d: &mut Deformation, place: usize, folder: &Path) {
-    let kind = crate::scene::deformations::FILE_KINDS.iter().find(|k| k.name == d.kind);
+    let kind = crate::deform::file_kinds::FILE_KINDS.iter().find(|k| k.name == d.kind);
     for s in kind.iter().flat_map(|k| k.settings) {
         setting(ui, d, place, s, folder);
     }

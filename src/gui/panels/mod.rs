@@ -17,8 +17,9 @@ use super::session::EXAMPLES;
 use super::theme;
 use super::tool::{Placed, Tool, symbol, words};
 use super::views::slices::Space;
-use super::worker::{Backend, Overlay, Target, What};
+use super::worker::{Overlay, Target, What};
 use crate::deform::kinds;
+use crate::engine::{Backend, Quality};
 use crate::scene::measure::MeasureKind;
 use crate::scene::{Mode, Scene, example};
 use crate::transfer::{TransferSettings, list as presets};
@@ -187,7 +188,7 @@ impl Workstation {
         }
         for (target, scene) in jobs {
             self.thumbnails.open.push(target);
-            self.submit(target, Arc::new(scene), assets.clone(), What::Picture { counting: false, keep: false });
+            self.submit(target, Arc::new(scene), assets.clone(), What::Picture { counting: false, keep: false, quality: Quality::Full });
         }
     }
 
@@ -405,7 +406,7 @@ impl Workstation {
 
     fn show_backend(&mut self, ui: &mut Ui) {
         let facts = self.view.facts.clone();
-        let mut words = format!("{} · step {:.1} · {:.0} ms", if facts.backend.is_empty() { "…" } else { &facts.backend }, facts.step, facts.ms);
+        let mut words = format!("{} · step {:.1} · {:.0} ms", facts.device.as_ref().map_or("…", |d| &d.name), facts.step, facts.ms);
         if !self.view.is_current() {
             words += " · out of date";
         } else if !self.view.is_fine {

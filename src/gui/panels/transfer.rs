@@ -73,12 +73,7 @@ impl Workstation {
         }
         let assets = doc.assets.clone();
         let volume = &assets.volume;
-        let fallback = doc
-            .scene
-            .volume_name()
-            .strip_prefix("phantom:")
-            .and_then(crate::volume::phantom::preset)
-            .unwrap_or_else(|| transfer::default_preset(volume));
+        let fallback = doc.scene.default_preset(volume);
         let function = match doc.scene.transfer.resolve(volume, fallback) {
             Ok(function) => function,
             Err(error) => {

@@ -6,7 +6,8 @@
 use super::Projector;
 use crate::gui::theme::{CANVAS, ON_CANVAS};
 use crate::gui::worker::Measured;
-use crate::scene::{Assets, Scene, ViewFrame};
+use crate::prepare::Assets;
+use crate::scene::{Scene, ViewFrame};
 use eframe::egui::{Align, Color32, FontId, Painter, Pos2, Rect, TextureHandle, pos2, vec2};
 use std::sync::Arc;
 use std::time::Instant;

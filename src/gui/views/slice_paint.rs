@@ -2,7 +2,7 @@
 
 use crate::cpu::section::Section;
 use crate::gui::worker::{Overlay, SliceStyle};
-use crate::scene::Assets;
+use crate::prepare::Assets;
 use crate::volume::Colors;
 use eframe::egui::{Color32, ColorImage};
 use glam::{DVec3, Vec3};
@@ -19,7 +19,7 @@ pub fn paint(section: &Section, assets: &Assets, style: SliceStyle) -> ColorImag
     let inverted = assets.volume.inverted;
     let labels = Regions::new(assets);
     // A volume of labels has no grey values worth seeing.
-    let own_labels = assets.label_map.is_none() && labels.is_some();
+    let own_labels = assets.separate_labels.is_none() && labels.is_some();
     let grey = |n: usize| -> Color32 {
         let value = section.values[n];
         if value.is_nan() {

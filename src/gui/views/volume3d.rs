@@ -5,6 +5,7 @@
 
 use super::shown::{self, Delay, OnScreen, Wanted};
 use super::{Projector, cube, edge_letters, scale_bar, text};
+use crate::engine::{DeviceInfo, Quality};
 use crate::gui::app::{Gesture, Workstation};
 use crate::gui::document::Selection;
 use crate::gui::gizmos::{self, Gizmo, Handle, Mode as GizmoMode};
@@ -64,8 +65,8 @@ pub struct View3d {
 pub struct Facts {
     /// Time, ms.
     pub ms: f64,
-    /// Where it was made.
-    pub backend: String,
+    /// What computed it.
+    pub device: Option<DeviceInfo>,
     /// Its pixels.
     pub size: [usize; 2],
     /// Sampling distance, voxels.
@@ -170,7 +171,7 @@ impl View3d {
         // Of a scene that is gone.
         let Some(of) = of else { return };
         self.pictures += 1;
-        self.facts = Facts { ms, backend: shown.backend, size: shown.image.size, step: shown.step, notices: shown.notices, blank: shown.blank };
+        self.facts = Facts { ms, device: Some(shown.device), size: shown.image.size, step: shown.step, notices: shown.notices, blank: shown.blank };
         let options = egui::TextureOptions::LINEAR;
         let texture = match self.picture.take() {
             Some(mut before) => {
@@ -234,7 +235,8 @@ impl Workstation {
         let at_once = self.view.fine_ms <= COARSE_MS;
         let held = ctx.input(|i| i.pointer.any_down()) && !at_once;
         if waits && !held && (at_once || (rested && !self.view.coarse_open)) {
-            let serial = self.submit(Target::Fine, wanted.scene.clone(), assets, What::Picture { counting: false, keep: false });
+            let serial =
+                self.submit(Target::Fine, wanted.scene.clone(), assets, What::Picture { counting: false, keep: false, quality: Quality::Full });
             self.view.fine_serial = Some(serial);
             self.view.open.push((serial, wanted));
         } else if waits {
@@ -252,18 +254,16 @@ impl Workstation {
         self.worker.drop_jobs(|t| t == Target::Fine);
         // Fine pictures that come at once need no coarse ones before them.
         if self.view.fine_ms > COARSE_MS {
-            let mut coarse = (*wanted.scene).clone();
-            coarse.render.size = coarse.render.size.map(|n| ((n as f32 / self.view.scale) as u32).max(16));
-            coarse.render.step = (coarse.render.step * if self.view.scale > 1.5 { 2.0 } else { 1.0 }).min(100.0);
-            coarse.render.antialias = 1;
+            let quality = Quality::Draft { scale: self.view.scale };
             self.view.coarse_open = true;
-            let serial = self.submit(Target::Coarse, Arc::new(coarse), wanted.assets.clone(), What::Picture { counting: false, keep: false });
+            let serial =
+                self.submit(Target::Coarse, wanted.scene.clone(), wanted.assets.clone(), What::Picture { counting: false, keep: false, quality });
             self.view.open.push((serial, wanted.clone()));
         }
     }
 
     /// Hands a job to the worker; its number.
-    pub fn submit(&mut self, target: Target, scene: Arc<Scene>, assets: Arc<crate::scene::Assets>, what: What) -> u64 {
+    pub fn submit(&mut self, target: Target, scene: Arc<Scene>, assets: Arc<crate::prepare::Assets>, what: What) -> u64 {
         self.serial += 1;
         self.worker.submit(Job { target, serial: self.serial, scene, assets, what });
         self.serial

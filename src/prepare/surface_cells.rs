@@ -4,7 +4,6 @@
 //! frame's 286 on a software GPU (512 x 512, a map of 64^3); an edited peel of 128^3 spends 35 ms on them, 600 before slopes were bounded eight cells at once.
 
 use super::macrocells::{CellGrid, Macrocells, Seen};
-use super::surface::CutModel;
 use crate::deform::Stack;
 use crate::deform::cut::Cuts;
 use crate::deform::slope::Slopes;
@@ -12,6 +11,7 @@ use crate::math::{Bounds, DistanceGrid};
 use crate::mesh::Implicit;
 use crate::mesh::depth_map::DepthMaps;
 use crate::mesh::formula::Formula;
+use crate::scene::surface::CutModel;
 use rayon::prelude::*;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 

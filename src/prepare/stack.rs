@@ -1,67 +1,35 @@
 //! A scene's deformations as a stack of maps.
 
-use super::{Accelerator, Deformation, ViewFrame};
+use super::accelerator::Accelerator;
 use crate::deform::compose::{self, Exactness};
 use crate::deform::cut::{Cuts, MAX_CUTS, Primitive};
+use crate::deform::file_kinds::FILE_KINDS;
 use crate::deform::kinds::{self, DefaultSize, Inputs, Kind, Sampling};
 use crate::deform::{Arguments, DisplacementMap, Library, PlacedMap, Placement, Stack, Storage, saved};
 use crate::error::suggestion;
 use crate::math::Bounds;
+use crate::scene::{Deformation, ViewFrame};
 use crate::{Error, Result, Watch};
 use glam::{Affine3A, Mat3, Vec3};
 use std::sync::Arc;
 
-/// Deformations that come from a file rather than from a formula.
-pub struct FileKind {
-    /// What people type.
-    pub name: &'static str,
-    /// One line for lists.
-    pub about: &'static str,
-    /// Names and meanings of its settings.
-    pub settings: &'static [kinds::Setting],
-}
-
-/// The deformations from files.
-pub const FILE_KINDS: &[FileKind] = &[
-    FileKind {
-        name: "field",
-        about: "a registration's transform or displacement field; progress=0..1",
-        settings: &[
-            kinds::Setting { name: "path", form: kinds::Form::Files, about: "file, or files that a deformed point goes through in order" },
-            kinds::Setting { name: "moving", form: kinds::Form::File, about: "the image that is deformed, for FSL's files" },
-            kinds::Setting { name: "reference", form: kinds::Form::File, about: "the image onto which it was registered, for FSL's files" },
-            kinds::Setting {
-                name: "convention",
-                form: kinds::Form::OneOf(&["lps", "ras", "fsl", "fsl-absolute"]),
-                about: "of vectors: lps, ras, fsl or fsl-absolute, where the file does not say",
-            },
-            kinds::Setting { name: "invert", form: kinds::Form::Flag, about: "true uses the inverse" },
-        ],
-    },
-    FileKind {
-        name: "map",
-        about: "a displacement map made by incise map; placed anew where center, size or rotate are given",
-        settings: &[kinds::Setting { name: "path", form: kinds::Form::File, about: "file" }],
-    },
-];
-
-/// What a stack is made for.
+/// What a stack of maps is made from, besides the scene's deformations.
 #[derive(Clone, Copy)]
-pub struct Making<'a> {
+pub struct StackInputs<'a> {
     /// Files and volumes.
     pub library: &'a Library,
     /// The undeformed scene's box, mm.
     pub scene_box: Bounds,
     /// The mask's ramp is at least this wide to either side, mm.
-    pub least_ramp_mm: f32,
+    pub min_ramp_mm: f32,
     /// The camera, for what is locked to the view.
     pub view: &'a ViewFrame,
     /// Overrides every storage format.
     pub storage: Option<Storage>,
     /// Whether removals that nothing moves afterwards are kept as shapes.
     pub exact_cuts: bool,
-    /// What makes maps.
-    pub device: &'a dyn Accelerator,
+    /// What samples maps.
+    pub accelerator: &'a dyn Accelerator,
     /// Is told how far the work is, and tells when to stop.
     pub watch: &'a Watch<'a>,
 }
@@ -100,10 +68,10 @@ impl Composition {
 ///
 /// # Errors
 /// Any parameter that cannot be used, by name.
-pub fn stack(deformations: &[Deformation], making: &Making, first: Vec<PlacedMap>, more: Vec<PlacedMap>) -> Result<(Stack, Cuts)> {
+pub fn stack(deformations: &[Deformation], inputs: &StackInputs, first: Vec<PlacedMap>, more: Vec<PlacedMap>) -> Result<(Stack, Cuts)> {
     let enabled: Vec<&Deformation> = deformations.iter().filter(|d| d.enabled).collect();
     let mut first_cut = enabled.len();
-    if making.exact_cuts && more.is_empty() {
+    if inputs.exact_cuts && more.is_empty() {
         while first_cut > 0 && enabled.len() - first_cut < MAX_CUTS && is_exact(enabled[first_cut - 1]) {
             first_cut -= 1;
         }
@@ -112,12 +80,12 @@ pub fn stack(deformations: &[Deformation], making: &Making, first: Vec<PlacedMap
     let all = enabled[..first_cut].len().max(1) as f32;
     for (n, d) in enabled[..first_cut].iter().enumerate() {
         // Each is its share of the whole.
-        let progress = |share: f32| (making.watch.progress)((n as f32 + share) / all);
-        let watch = Watch { progress: &progress, cancel: making.watch.cancel };
+        let progress = |share: f32| (inputs.watch.progress)((n as f32 + share) / all);
+        let watch = Watch { progress: &progress, cancel: inputs.watch.cancel };
         watch.check()?;
-        let making = &Making { watch: &watch, ..*making };
+        let inputs = &StackInputs { watch: &watch, ..*inputs };
         if let Some(name) = CUT_ONLY.iter().find(|n| kinds::kind(&d.kind).is_ok_and(|k| k.shape.is_some()) && d.parameters.0.contains_key(**n)) {
-            let problem = if !making.exact_cuts {
+            let problem = if !inputs.exact_cuts {
                 "needs cuts to be shapes, which they are not here (render.exact_cuts is false, or a map is being made)".to_owned()
             } else if is_exact(d) {
                 format!("needs the cut to come after every deformation that moves matter, and at most {MAX_CUTS} cuts in all; move it to the end")
@@ -126,10 +94,10 @@ pub fn stack(deformations: &[Deformation], making: &Making, first: Vec<PlacedMap
             };
             return Err(Error::value(format!("{}: {name}", d.kind), problem));
         }
-        maps.extend(place(d, making)?);
+        maps.extend(place(d, inputs)?);
     }
     maps.extend(more);
-    Ok((Stack::new(maps), cuts(&enabled[first_cut..], making)?))
+    Ok((Stack::new(maps), cuts(&enabled[first_cut..], inputs)?))
 }
 
 /// Settings that only a shape can follow: a mask ends with its box.
@@ -144,17 +112,13 @@ fn is_exact(deformation: &Deformation) -> bool {
 }
 
 /// Removals as shapes, the members of each group together.
-fn cuts(deformations: &[&Deformation], making: &Making) -> Result<Cuts> {
+fn cuts(deformations: &[&Deformation], inputs: &StackInputs) -> Result<Cuts> {
     let mut named: Vec<(Option<String>, Primitive)> = Vec::new();
     // Members without strength: empty shapes, with which an intersection is empty.
     let mut vanished: Vec<(String, bool)> = Vec::new();
     for d in deformations {
         let kind = kinds::kind(&d.kind)?;
-        let in_kind = |e: Error| match e {
-            Error::Value { name, problem } if !name.starts_with(kind.name) => Error::value(format!("{}: {name}", kind.name), problem),
-            other => other,
-        };
-        let (group, and, primitive) = primitive(d, kind, making).map_err(in_kind)?;
+        let (group, and, primitive) = primitive(d, kind, inputs).map_err(|e| in_kind(e, kind.name))?;
         let Some(primitive) = primitive else {
             vanished.extend(group.map(|g| (g, and)));
             continue;
@@ -178,8 +142,8 @@ fn cuts(deformations: &[&Deformation], making: &Making) -> Result<Cuts> {
 }
 
 /// A removal's group, whether that is an intersection, and its shape; no shape if its strength is 0.
-fn primitive(d: &Deformation, kind: &Kind, making: &Making) -> Result<(Option<String>, bool, Option<Primitive>)> {
-    let placement = kind_placement(d, kind, making)?;
+fn primitive(d: &Deformation, kind: &Kind, inputs: &StackInputs) -> Result<(Option<String>, bool, Option<Primitive>)> {
+    let placement = kind_placement(d, kind, inputs)?;
     let size_mm = placement.size_mm();
     let progress = progress(d)?;
     let (values, settings) = kind.resolve(&d.parameters, size_mm)?;
@@ -194,23 +158,23 @@ fn primitive(d: &Deformation, kind: &Kind, making: &Making) -> Result<(Option<St
 }
 
 /// Where a kind's box lies.
-fn kind_placement(d: &Deformation, kind: &Kind, making: &Making) -> Result<Placement> {
+fn kind_placement(d: &Deformation, kind: &Kind, inputs: &StackInputs) -> Result<Placement> {
     if matches!(kind.size, DefaultSize::Across(_)) && d.size.is_some() {
         return Err(Error::value("size", "this kind affects the whole scene and has no size; give center and rotate"));
     }
-    stated_placement(d, making, || kind.default_size(&making.scene_box), kind.locked_to_view)
+    stated_placement(d, inputs, || kind.default_size(&inputs.scene_box), kind.locked_to_view)
 }
 
 /// A stack with one map that stands for it within a bound, if one is asked for.
 ///
 /// # Errors
 /// A placement that cannot be used; whatever the device reports.
-pub fn composed(stack: Stack, making: &Making, bound_mm: Option<f32>) -> Result<(Stack, Option<Composition>)> {
+pub fn composed(stack: Stack, inputs: &StackInputs, bound_mm: Option<f32>) -> Result<(Stack, Option<Composition>)> {
     let Some(bound_mm) = bound_mm.filter(|_| stack.maps().len() > 1) else { return Ok((stack, None)) };
-    let evaluate = |stack: &Stack, points: &[Vec3]| making.device.evaluate(stack, points);
-    let (shortcut, exactness) = making
+    let evaluate = |stack: &Stack, points: &[Vec3]| inputs.accelerator.evaluate(stack, points);
+    let (shortcut, exactness) = inputs
         .library
-        .shortcut(&stack, &making.scene_box, bound_mm, || compose::shortcut(&stack, &making.scene_box, bound_mm, &evaluate, making.watch))?;
+        .shortcut(&stack, &inputs.scene_box, bound_mm, || compose::shortcut(&stack, &inputs.scene_box, bound_mm, &evaluate, inputs.watch))?;
     let Exactness { worst_mm, p99_mm, by_maps } = exactness;
     let composition = Composition { bound_mm, maps: stack.maps().len(), composed: shortcut.is_some(), worst_mm, p99_mm, by_maps };
     Ok((
@@ -222,16 +186,21 @@ pub fn composed(stack: Stack, making: &Making, bound_mm: Option<f32>) -> Result<
     ))
 }
 
+/// An error about a deformation of a kind, which says so once.
+fn in_kind(error: Error, kind: &str) -> Error {
+    match &error {
+        Error::Value { name, .. } if !name.starts_with(kind) => error.within(kind),
+        _ => error,
+    }
+}
+
 /// Samples one deformation into a map and puts it into the world; a chain of transforms becomes several.
-fn place(deformation: &Deformation, making: &Making) -> Result<Vec<PlacedMap>> {
-    let named = |e: Error| match e {
-        Error::Value { name, problem } if !name.starts_with(&deformation.kind) => Error::value(format!("{}: {name}", deformation.kind), problem),
-        other => other,
-    };
+fn place(deformation: &Deformation, inputs: &StackInputs) -> Result<Vec<PlacedMap>> {
+    let named = |e: Error| in_kind(e, &deformation.kind);
     let mut placed = match deformation.kind.as_str() {
-        "field" => place_field(deformation, making),
-        "map" => place_map(deformation, making).map(|m| vec![m]),
-        _ => place_kind(deformation, making).map(|m| vec![m]),
+        "field" => place_field(deformation, inputs),
+        "map" => place_map(deformation, inputs).map(|m| vec![m]),
+        _ => place_kind(deformation, inputs).map(|m| vec![m]),
     }
     .map_err(named)?;
     if deformation.add {
@@ -249,32 +218,32 @@ fn progress(deformation: &Deformation) -> Result<f32> {
 }
 
 /// The placement that a deformation states, if it states any part of one.
-fn stated_placement(deformation: &Deformation, making: &Making, default_size: impl Fn() -> Vec3, locked: bool) -> Result<Placement> {
+fn stated_placement(deformation: &Deformation, inputs: &StackInputs, default_size: impl Fn() -> Vec3, locked: bool) -> Result<Placement> {
     if let Some(rows) = deformation.matrix {
         let column = |c: usize| Vec3::new(rows[0][c], rows[1][c], rows[2][c]);
         return Placement::from_affine(Affine3A::from_mat3_translation(Mat3::from_cols(column(0), column(1), column(2)), column(3)));
     }
-    let center = deformation.center.map_or_else(|| making.scene_box.center(), Vec3::from);
+    let center = deformation.center.map_or_else(|| inputs.scene_box.center(), Vec3::from);
     let size = deformation.size.map_or_else(default_size, |s| s.xyz());
     let placement = Placement::new(center, size, deformation.rotate.map_or(Vec3::ZERO, Vec3::from))?;
     if !locked {
         return Ok(placement);
     }
     // x right, y up, z towards the viewer; a rotation is applied within these axes.
-    let view = making.view;
+    let view = inputs.view;
     let (right, up, back) = (view.right.normalize_or_zero(), view.up.normalize_or_zero(), -view.forward);
     let turned = Mat3::from_cols(right, up, back) * Mat3::from(placement.world_from_map.matrix3);
     Placement::from_affine(Affine3A::from_mat3_translation(turned, center - turned * Vec3::splat(0.5)))
 }
 
-fn place_kind(deformation: &Deformation, making: &Making) -> Result<PlacedMap> {
+fn place_kind(deformation: &Deformation, inputs: &StackInputs) -> Result<PlacedMap> {
     let kind = kinds::kind(&deformation.kind)?;
-    let placement = kind_placement(deformation, kind, making)?;
+    let placement = kind_placement(deformation, kind, inputs)?;
     let size_mm = match (deformation.matrix, deformation.size) {
         (Some(_), _) => placement.size_mm(),
         // As stated: lengths of turned axes differ from it in their last digits.
         (None, Some(size)) => size.xyz(),
-        (None, None) => kind.default_size(&making.scene_box),
+        (None, None) => kind.default_size(&inputs.scene_box),
     };
     let progress = progress(deformation)?;
     // At most 2^24 texels: 128 MiB in half precision.
@@ -284,15 +253,15 @@ fn place_kind(deformation: &Deformation, making: &Making) -> Result<PlacedMap> {
         return Err(Error::value("resolution", format!("{n} is outside 8 to {finest} texels")));
     }
     let (values, settings) = kind.resolve(&deformation.parameters, size_mm)?;
-    let storage = making.storage.or(deformation.storage).unwrap_or_default();
-    let sampling = Sampling { resolution: deformation.resolution, storage, least_ramp_mm: making.least_ramp_mm };
+    let storage = inputs.storage.or(deformation.storage).unwrap_or_default();
+    let sampling = Sampling { resolution: deformation.resolution, storage, min_ramp_mm: inputs.min_ramp_mm };
     // The box's own millimetres: from its centre, along its axes.
     let world_from_local = placement.world_from_map * Affine3A::from_translation(Vec3::splat(0.5)) * Affine3A::from_scale(size_mm.recip());
-    let inputs = Inputs { settings: &settings, world_from_local, library: making.library };
+    let kind_inputs = Inputs { settings: &settings, world_from_local, library: inputs.library };
     // A formula has the same map wherever its box lies: one that is moved or turned is not sampled, and not uploaded, again.
     let lies = (!kind.is_the_same_anywhere(&deformation.parameters)).then_some(world_from_local);
     let key = format!("{} {:?} {progress} {size_mm:?} {sampling:?} {lies:?}", kind.name, deformation.parameters);
-    let map = making.library.map(key, || making.device.map(kind.recipe(&values, progress, size_mm, &sampling, &inputs)?, making.watch))?;
+    let map = inputs.library.map(key, || inputs.accelerator.map(kind.recipe(&values, progress, size_mm, &sampling, &kind_inputs)?, inputs.watch))?;
     Ok(PlacedMap::new(map, placement.scaled(Vec3::splat(kind.inflate))?))
 }
 
@@ -305,7 +274,7 @@ fn check_settings(arguments: &Arguments, kind: &str) -> Result<()> {
     }
 }
 
-fn place_field(deformation: &Deformation, making: &Making) -> Result<Vec<PlacedMap>> {
+fn place_field(deformation: &Deformation, inputs: &StackInputs) -> Result<Vec<PlacedMap>> {
     check_settings(&deformation.parameters, "field")?;
     if deformation.center.is_some() || deformation.size.is_some() || deformation.rotate.is_some() || deformation.matrix.is_some() {
         return Err(Error::value("center, size, rotate, matrix", "a field lies where its file says; leave them out"));
@@ -314,21 +283,21 @@ fn place_field(deformation: &Deformation, making: &Making) -> Result<Vec<PlacedM
         return Err(Error::value("resolution", format!("{n} is outside 8 to 512 texels")));
     }
     let settings = &deformation.parameters;
-    let transform = making.library.transform(settings)?;
+    let transform = inputs.library.transform(settings)?;
     for warning in &transform.warnings {
-        making.library.notice(format!("field: {warning}"));
+        inputs.library.notice(format!("field: {warning}"));
     }
-    let storage = making.storage.or(deformation.storage).unwrap_or(Storage::F32);
+    let storage = inputs.storage.or(deformation.storage).unwrap_or(Storage::F32);
     let progress = progress(deformation)?;
     if !settings.flag("invert")? {
-        return compose::transform_maps(&transform, &making.scene_box, progress, deformation.resolution, storage);
+        return compose::transform_maps(&transform, &inputs.scene_box, progress, deformation.resolution, storage);
     }
     match transform.affine_inverse() {
-        Some(inverse) => compose::transform_maps(&inverse, &making.scene_box, progress, deformation.resolution, storage),
+        Some(inverse) => compose::transform_maps(&inverse, &inputs.scene_box, progress, deformation.resolution, storage),
         None => {
-            let inverse = crate::deform::invert::transform(&transform, &making.scene_box, deformation.resolution)?;
+            let inverse = crate::deform::invert::transform(&transform, &inputs.scene_box, deformation.resolution)?;
             let r = inverse.report;
-            making.library.notice(format!(
+            inputs.library.notice(format!(
                 "field: inverted; residual 99 % {:.4} mm, largest {:.4} mm, {} of {} points have no source and are cut away",
                 r.p99_mm, r.max_mm, r.not_found, r.points
             ));
@@ -337,14 +306,14 @@ fn place_field(deformation: &Deformation, making: &Making) -> Result<Vec<PlacedM
     }
 }
 
-fn place_map(deformation: &Deformation, making: &Making) -> Result<PlacedMap> {
+fn place_map(deformation: &Deformation, inputs: &StackInputs) -> Result<PlacedMap> {
     check_settings(&deformation.parameters, "map")?;
     if deformation.resolution.is_some() {
         return Err(Error::value("resolution", "a saved map has its own; leave it out"));
     }
     let path = deformation.parameters.text("path")?.ok_or_else(|| Error::value("path", "is missing; name a file"))?;
-    let storage = making.storage.or(deformation.storage).unwrap_or_default();
-    let saved = saved::read(&making.library.path(path), storage, progress(deformation)?)?;
+    let storage = inputs.storage.or(deformation.storage).unwrap_or_default();
+    let saved = saved::read(&inputs.library.path(path), storage, progress(deformation)?)?;
     let moved = deformation.center.is_some() || deformation.size.is_some() || deformation.rotate.is_some() || deformation.matrix.is_some();
     if !moved {
         return Ok(saved);
@@ -357,7 +326,7 @@ fn place_map(deformation: &Deformation, making: &Making) -> Result<PlacedMap> {
         let shift = Affine3A::from_translation(Vec3::from(stated.center.unwrap_or_default()) - own_center);
         return Ok(PlacedMap::new(saved.map.clone(), Placement::from_affine(shift * saved.placement.world_from_map)?));
     }
-    let placement = stated_placement(&stated, making, || own_size, false)?;
+    let placement = stated_placement(&stated, inputs, || own_size, false)?;
     let map: Arc<DisplacementMap> = saved.map.clone();
     Ok(PlacedMap::new(map, placement))
 }

@@ -41,7 +41,7 @@ pub trait Accelerator {
     }
 }
 
-/// None: the CPU does all.
-pub struct Unaided;
+/// No device: the CPU does all.
+pub struct CpuOnly;
 
-impl Accelerator for Unaided {}
+impl Accelerator for CpuOnly {}

@@ -1,9 +1,8 @@
 //! Surfaces resolved for rendering: every `[[mesh]]`, and the volume's own surface where the mode asks for it, as an implicit solid, as
 //! triangles, or both.
 
-use super::surface::{Appearance, CutModel, DeformerSource, Look, MeshPlace, MeshSource, Representation, ShapeSource, Steps, SurfaceSettings};
+use super::Assets;
 use super::surface_cells::{Casting, KeptCells, SurfaceCells};
-use super::{Assets, Mode, Scene, Size};
 use crate::Watch;
 use crate::deform::cut::Cuts;
 use crate::deform::distance::{Region, of_region};
@@ -16,6 +15,8 @@ use crate::mesh::depth_map::{DepthMaps, FACES};
 use crate::mesh::field::{FieldSettings, MARGIN, MeshField, cell_of, of_iso_value};
 use crate::mesh::formula::{Formula, Join, MOST_SOLIDS, PlacedSolid, Solid};
 use crate::mesh::{Implicit, Mesh, Tree, load};
+use crate::scene::surface::{CutModel, DeformerSource, Look, MeshPlace, MeshSource, Representation, ShapeSource, Steps, SurfaceSettings};
+use crate::scene::{Mode, Scene, Size};
 use crate::{Error, Result};
 use glam::{Affine3A, Mat3, Vec3};
 use std::collections::HashMap;
@@ -56,7 +57,7 @@ impl KeptFields {
 
 /// Loaded meshes and computed fields, kept as long as a scene's assets are; fields as far as there is room.
 #[derive(Default)]
-pub struct Objects {
+pub struct ObjectCache {
     meshes: Mutex<HashMap<String, Arc<Mesh>>>,
     fields: Mutex<KeptFields>,
     triangles: Mutex<HashMap<String, Arc<Triangles>>>,
@@ -131,62 +132,6 @@ pub struct Surfaces {
     pub threshold: f32,
 }
 
-impl MeshSource {
-    /// A mesh file with all defaults.
-    pub fn of_file(path: impl Into<String>) -> Self {
-        Self { path: Some(path.into()), ..Self::default() }
-    }
-
-    /// A name for messages.
-    fn label(&self, n: usize) -> String {
-        self.name.clone().or_else(|| self.path.clone()).unwrap_or_else(|| format!("mesh {}", n + 1))
-    }
-
-    fn representation(&self) -> Representation {
-        self.representation.unwrap_or(if self.deformer.is_empty() { Representation::Field } else { Representation::Triangles })
-    }
-
-    /// What decides the mesh after its deformers.
-    fn mesh_key(&self) -> String {
-        format!("{:?} {:?} {:?} {:?}", self.path, self.place, self.deformer, self.tessellate)
-    }
-
-    fn check(&self) -> Result<()> {
-        let sources = usize::from(self.path.is_some())
-            + usize::from(self.iso.is_some())
-            + usize::from(!self.label.is_empty())
-            + usize::from(!self.shape.is_empty());
-        if sources != 1 {
-            return Err(Error::value("path, iso, label, shape", "exactly one of them says what a mesh is made of"));
-        }
-        if self.path.is_none() {
-            let only_files = [
-                ("center, size, rotate, matrix", self.place != MeshPlace::default()),
-                ("deformer", !self.deformer.is_empty()),
-                ("representation", !matches!(self.representation, None | Some(Representation::Field))),
-                ("tessellate", self.tessellate.is_some()),
-                ("resolution", self.resolution.is_some()),
-                ("exact", self.exact),
-                ("face", self.face.is_some()),
-                ("normals", self.normals != NormalMethod::default()),
-            ];
-            if let Some((name, _)) = only_files.iter().find(|f| f.1) {
-                return Err(Error::value(*name, "is of meshes from files only; leave it out"));
-            }
-        }
-        if self.path.is_some() && self.volume.is_some() {
-            return Err(Error::value("volume", "is of an iso-value or labels; a mesh from a file has none"));
-        }
-        if self.resolution.is_some_and(|n| !(16..=1024).contains(&n)) {
-            return Err(Error::value("resolution", "is outside 16 to 1024 points"));
-        }
-        if self.tessellate.is_some_and(|t| !(t.is_finite() && t > 0.0)) {
-            return Err(Error::value("tessellate", "must be a positive number of millimetres"));
-        }
-        Ok(())
-    }
-}
-
 /// From a mesh file's coordinates to the world.
 pub(super) fn placement(bounds: &Bounds, place: &MeshPlace) -> Result<Affine3A> {
     let MeshPlace { center, size, rotate, matrix } = *place;
@@ -222,7 +167,7 @@ fn rotation(degrees: Option<[f32; 3]>) -> Result<Mat3> {
     Ok(Mat3::from(placement.world_from_map.matrix3))
 }
 
-impl Objects {
+impl ObjectCache {
     /// A mesh file where it lies in the world, before its deformers.
     fn placed(&self, assets: &Assets, source: &MeshSource) -> Result<Arc<Mesh>> {
         let path = source.path.as_deref().unwrap_or_default();
@@ -419,7 +364,7 @@ fn deformer(d: &DeformerSource, bounds: &Bounds) -> Result<Deformer> {
     let own = bounds.size().max(Vec3::splat(0.01 * bounds.size().max_element()));
     let size = d.size.map_or(own, Size::xyz);
     let placement = Placement::new(d.center.map_or(bounds.center(), Vec3::from), size, d.rotate.map_or(Vec3::ZERO, Vec3::from));
-    let placement = named(placement, kind)?;
+    let placement = placement.map_err(|e| e.within(kind))?;
     let half = size * 0.5;
     let local_from_world = Affine3A::from_scale(size) * Affine3A::from_translation(Vec3::splat(-0.5)) * placement.map_from_world;
     let number = |name: &str, default: f32| d.numbers.get(name).copied().unwrap_or(default);
@@ -500,39 +445,19 @@ fn nothing_within(bounds: &Bounds) -> DistanceGrid {
     DistanceGrid::new([2; 3], vec![-size.length(); 8], world_from_grid)
 }
 
-fn named<T>(result: Result<T>, label: &str) -> Result<T> {
-    result.map_err(|e| match e {
-        Error::Value { name, problem } => Error::value(format!("{label}: {name}"), problem),
-        other => other,
-    })
-}
-
-impl Scene {
-    /// The surfaces that the scene shows: its meshes, and the volume's own where the mode asks for it.
-    pub(super) fn surfaces(&self, assets: &Assets) -> Vec<MeshSource> {
-        let numbered = self.mesh.iter().enumerate().map(|(n, m)| MeshSource { name: Some(m.label(n)), ..m.clone() });
-        let mut all: Vec<MeshSource> = numbered.filter(|m| !m.hidden).collect();
-        if self.render.mode == Mode::Surface && self.volume.is_some() && (self.mesh.is_empty() || self.surface.iso.is_some()) {
-            let iso = self.surface.iso.unwrap_or_else(|| assets.volume.body_threshold());
-            all.push(MeshSource { iso: Some(iso), name: Some("volume".into()), ..MeshSource::default() });
-        }
-        all
-    }
-}
-
 impl Assets {
     /// Loads the meshes that a scene names and computes their fields; the box around them.
     ///
     /// # Errors
     /// Files that cannot be read, settings that cannot be used.
     pub(super) fn load_objects(&self, scene: &Scene, progress: &(dyn Fn(f32) + Sync)) -> Result<Bounds> {
-        check(&scene.surface)?;
+        scene.surface.check()?;
         if scene.mesh.len() > MOST_OBJECTS {
             return Err(Error::value("mesh", format!("a scene has at most {MOST_OBJECTS}")));
         }
-        let watch = Watch::telling(progress);
+        let watch = Watch::reporting(progress);
         let mut all = Bounds::EMPTY;
-        for (n, source) in self.shown(scene).iter().enumerate() {
+        for (n, source) in self.shown_surfaces(scene).iter().enumerate() {
             let bounds = || -> Result<Bounds> {
                 source.check()?;
                 if source.path.is_some() {
@@ -545,13 +470,20 @@ impl Assets {
                 }
                 Ok(self.objects.implicit(self, source, &scene.surface, None, &watch)?.bounds())
             };
-            all = all.union(&named(bounds(), &source.label(n))?);
+            all = all.union(&bounds().map_err(|e| e.within(&source.label(n)))?);
         }
         Ok(all)
     }
 
-    fn shown(&self, scene: &Scene) -> Vec<MeshSource> {
-        scene.surfaces(self)
+    /// The surfaces that a scene shows: its meshes, and the volume's own where the mode asks for it.
+    fn shown_surfaces(&self, scene: &Scene) -> Vec<MeshSource> {
+        let numbered = scene.mesh.iter().enumerate().map(|(n, m)| MeshSource { name: Some(m.label(n)), ..m.clone() });
+        let mut all: Vec<MeshSource> = numbered.filter(|m| !m.hidden).collect();
+        if scene.render.mode == Mode::Surface && scene.volume.is_some() && (scene.mesh.is_empty() || scene.surface.iso.is_some()) {
+            let iso = scene.surface.iso.unwrap_or_else(|| self.volume.body_threshold());
+            all.push(MeshSource { iso: Some(iso), name: Some("volume".into()), ..MeshSource::default() });
+        }
+        all
     }
 
     /// Resolves a scene's surfaces.
@@ -560,15 +492,15 @@ impl Assets {
     /// As [`Self::load_objects`].
     pub(super) fn surfaces(&self, scene: &Scene, stack: &Stack, cuts: &Cuts) -> Result<Surfaces> {
         let general = &scene.surface;
-        check(general)?;
-        let shown = self.shown(scene);
+        general.check()?;
+        let shown = self.shown_surfaces(scene);
         let slopes = OnceLock::new();
         let objects = shown.iter().enumerate().map(|(n, source)| {
             let object = || -> Result<SurfaceObject> {
                 source.check()?;
                 self.object(scene, source, n, stack, cuts, &slopes)
             };
-            named(object(), &source.label(n))
+            object().map_err(|e| e.within(&source.label(n)))
         });
         Ok(Surfaces { objects: objects.collect::<Result<_>>()?, steps: general.steps, threshold: general.threshold })
     }
@@ -599,7 +531,7 @@ impl Assets {
         }
         let nothing_to_cast = both && (untouched || region.is_some_and(|r| r.is_empty()));
         let implicit =
-            if only_triangles || nothing_to_cast { None } else { Some(self.objects.implicit(self, source, general, region, &Watch::NOBODY)?) };
+            if only_triangles || nothing_to_cast { None } else { Some(self.objects.implicit(self, source, general, region, &Watch::NONE)?) };
         let bounds = match (&implicit, &triangles) {
             (Some(i), _) => i.bounds(),
             (None, Some(t)) => t.mesh.bounds(),
@@ -641,20 +573,6 @@ impl Assets {
             cells,
         })
     }
-}
-
-fn check(general: &SurfaceSettings) -> Result<()> {
-    named(general.appearance.resolve(&Appearance::default()), "surface")?;
-    if !(general.threshold.is_finite() && general.threshold >= 0.0) {
-        return Err(Error::value("surface.threshold", "is a number of cells; it must not be negative"));
-    }
-    if !(general.seam.is_finite() && general.seam > 0.0) {
-        return Err(Error::value("surface.seam", "is a number of cells; it must be positive"));
-    }
-    if !(16..=1024).contains(&general.resolution) {
-        return Err(Error::value("surface.resolution", format!("{} is outside 16 to 1024 points", general.resolution)));
-    }
-    Ok(())
 }
 
 #[cfg(test)]

@@ -10,14 +10,15 @@
 //! that the inside depends on the view (its figure 5). Here the deformers' inverse is found numerically on a grid and is the stack's
 //! second map: vertices and inside follow one function from every side.
 
+use super::Assets;
 use super::objects::{deformers, placement};
-use super::{Assets, InsideMesh, Scene};
 use crate::Watch;
 use crate::deform::{DisplacementMap, PlacedMap, Placement, Storage, TexelSample, invert};
 use crate::math::Bounds;
 use crate::mesh::deformer::{Deformer, apply_all};
 use crate::mesh::field::{FieldSettings, MeshField};
 use crate::mesh::{Mesh, load};
+use crate::scene::{InsideMesh, Scene};
 use crate::volume::GridGeometry;
 use crate::{Error, Result};
 use glam::{DAffine3, DVec3, Vec3};
@@ -42,7 +43,7 @@ pub struct Inside {
 /// What meshes that hold a volume made of it, kept by what it was made of, the last used last: distances and inverses take a second, and no camera changes
 /// them.
 #[derive(Default)]
-pub struct KeptInsides(Mutex<Vec<(Made, Arc<Inside>)>>);
+pub struct InsideCache(Mutex<Vec<(Made, Arc<Inside>)>>);
 
 /// What an [`Inside`] was made of: the settings, the scene's box, the least ramp.
 type Made = (InsideMesh, Bounds, f32);
@@ -54,9 +55,9 @@ const KEPT: usize = 2;
 ///
 /// # Errors
 /// As [`resolve`].
-pub fn of_scene(scene: &Scene, assets: &Assets, scene_box: &Bounds, least_ramp_mm: f32) -> Result<Option<Arc<Inside>>> {
+pub fn of_scene(scene: &Scene, assets: &Assets, scene_box: &Bounds, min_ramp_mm: f32) -> Result<Option<Arc<Inside>>> {
     let Some(mesh) = scene.volume.as_ref().and_then(|v| v.inside.as_ref()) else { return Ok(None) };
-    let made = (mesh.clone(), *scene_box, least_ramp_mm);
+    let made = (mesh.clone(), *scene_box, min_ramp_mm);
     let lock = || assets.insides.0.lock().unwrap_or_else(PoisonError::into_inner);
     let known = {
         let mut kept = lock();
@@ -70,7 +71,7 @@ pub fn of_scene(scene: &Scene, assets: &Assets, scene_box: &Bounds, least_ramp_m
     if known.is_some() {
         return Ok(known);
     }
-    let inside = Arc::new(resolve(assets, mesh, scene_box, least_ramp_mm)?);
+    let inside = Arc::new(resolve(assets, mesh, scene_box, min_ramp_mm)?);
     let mut kept = lock();
     if kept.len() >= KEPT {
         kept.remove(0);
@@ -83,11 +84,8 @@ pub fn of_scene(scene: &Scene, assets: &Assets, scene_box: &Bounds, least_ramp_m
 ///
 /// # Errors
 /// A mesh that cannot be read or is not closed, a placement or deformer that cannot be used.
-pub fn resolve(assets: &Assets, inside: &InsideMesh, scene_box: &Bounds, least_ramp_mm: f32) -> Result<Inside> {
-    let named = |e: Error| match e {
-        Error::Value { name, problem } => Error::value(format!("volume.inside: {name}"), problem),
-        other => other,
-    };
+pub fn resolve(assets: &Assets, inside: &InsideMesh, scene_box: &Bounds, min_ramp_mm: f32) -> Result<Inside> {
+    let named = |e: Error| e.within("volume.inside");
     let path = assets.library.path(&inside.path);
     let mesh = load::mesh(&path)?;
     let placed = placement(&mesh.bounds(), &inside.place).map_err(named)?;
@@ -103,7 +101,7 @@ pub fn resolve(assets: &Assets, inside: &InsideMesh, scene_box: &Bounds, least_r
     // Contours run around what their triangles face away from.
     let mesh = if topology.flipped_edges > 0 { mesh.oriented().0 } else { mesh };
     let deformers = deformers(&inside.deformer, &mesh.bounds()).map_err(named)?;
-    let mut maps = vec![mask(&path, &mesh, scene_box, least_ramp_mm, inside.invert)?];
+    let mut maps = vec![mask(&path, &mesh, scene_box, min_ramp_mm, inside.invert)?];
     let mut moved = mesh.clone();
     if !deformers.is_empty() {
         // A large triangle's edges stay straight, the volume inside does not.
@@ -122,14 +120,14 @@ pub fn resolve(assets: &Assets, inside: &InsideMesh, scene_box: &Bounds, least_r
 }
 
 /// The mesh's distance as a mask over the scene's box and the mesh's.
-fn mask(path: &std::path::Path, mesh: &Mesh, scene_box: &Bounds, least_ramp_mm: f32, invert: bool) -> Result<PlacedMap> {
+fn mask(path: &std::path::Path, mesh: &Mesh, scene_box: &Bounds, min_ramp_mm: f32, invert: bool) -> Result<PlacedMap> {
     let all = scene_box.union(&mesh.bounds());
     let texel = all.size().max_element() / MASK;
     let all = all.grown(texel);
     let settings = FieldSettings { cell_mm: Some(texel), parity: true, ..FieldSettings::default() };
-    let field = MeshField::new(mesh, &settings, &Watch::NOBODY).map_err(|problem| Error::file(path, problem))?.grid;
+    let field = MeshField::new(mesh, &settings, &Watch::NONE).map_err(|problem| Error::file(path, problem))?.grid;
     let size = (all.size() / texel).ceil().to_array().map(|n| n as usize + 1);
-    let ramp = least_ramp_mm.max(2.0 * texel);
+    let ramp = min_ramp_mm.max(2.0 * texel);
     let sense = if invert { -1.0 } else { 1.0 };
     let map = DisplacementMap::from_fn(size, Storage::F16, |x| TexelSample {
         displacement: Vec3::ZERO,

@@ -3,16 +3,15 @@
 //! What a scene holds is asked at points of a grid over it: whether matter is there, whether it would be seen, whether it lies in the picture. The
 //! first question that every point answers with no is the reason.
 
-use super::prepared::{Picture, Prepared, RenderStats, Rendered, Stages};
-use super::{Mode, Projection};
+use super::prepared::Prepared;
 use crate::math::Bounds;
+use crate::picture::{Picture, RenderStats, Rendered, Stages};
+use crate::scene::{Mode, Projection};
 use glam::Vec3;
 use rayon::prelude::*;
 
 /// Points along each axis of the grid.
 const POINTS: usize = 40;
-/// An alpha below this changes no byte of a picture.
-const UNSEEN: f32 = 0.5 / 255.0;
 
 /// What is true of any point of the grid.
 #[derive(Clone, Copy, Default)]
@@ -38,13 +37,6 @@ impl Found {
     }
 }
 
-impl Picture {
-    /// Whether it is as if nothing had been rendered.
-    pub fn is_blank(&self) -> bool {
-        !self.pixels.iter().any(|p| p[3] >= UNSEEN)
-    }
-}
-
 impl Prepared<'_> {
     /// A picture of the scene with what a user should be told: what the renderer has to say, what resolving the scene has found, and why it is blank.
     pub fn rendered(&self, picture: Picture, stats: Option<RenderStats>, stages: Stages, mut notices: Vec<String>) -> Rendered {
@@ -65,7 +57,7 @@ impl Prepared<'_> {
         if let Some(problem) = self.surfaces_without_inside() {
             return Some(problem);
         }
-        if shows_volume && self.no_values && self.surfaces.objects.is_empty() {
+        if shows_volume && self.volume().has_no_values && self.surfaces.objects.is_empty() {
             return Some("the picture is empty: no voxel of the volume is a finite number; check the file".into());
         }
         let found = self.search(shows_volume);
@@ -77,7 +69,7 @@ impl Prepared<'_> {
             "everything visible is cut away; make the cuts smaller, move them, or switch one off".to_owned()
         } else if !found.in_view {
             "nothing of the scene is in view; reset camera.target, or lower camera.zoom".to_owned()
-        } else if shows_volume && self.iso.is_none() {
+        } else if shows_volume && self.volume().iso.is_none() {
             let factors = if self.uses_gradient_opacity() { " and the factors of transfer.gradient_opacity" } else { "" };
             let step = if self.settings.step > 1.0 { ", reduce render.step" } else { "" };
             format!(
@@ -91,7 +83,7 @@ impl Prepared<'_> {
 
     /// Whether the volume is shown, rather than surfaces alone.
     pub fn shows_volume(&self) -> bool {
-        self.has_volume && self.settings.mode != Mode::Surface
+        self.volume().is_present && self.settings.mode != Mode::Surface
     }
 
     /// A surface that encloses nothing, where all do.
@@ -108,7 +100,7 @@ impl Prepared<'_> {
 
     /// Why nothing of the volume can be seen, even where nothing is deformed.
     fn why_invisible(&self) -> String {
-        let [low, high] = self.value_range;
+        let [low, high] = self.volume().value_range;
         let range = format!("the volume's values range from {low} to {high}");
         if let Some(iso) = self.settings.iso {
             return format!("the volume has no surface at {iso} (iso): {range}; choose a value between them");
@@ -125,20 +117,21 @@ impl Prepared<'_> {
     fn search(&self, shows_volume: bool) -> Found {
         let mut found = Found::default();
         if shows_volume {
-            let voxel_box = Bounds::new(Vec3::splat(-0.5), self.frame.grid_size - 0.5);
-            let undeformed = voxel_box.transformed(&self.frame.voxel_from_world.inverse());
+            let voxel_box = Bounds::new(Vec3::splat(-0.5), self.volume().grid_size - 0.5);
+            let undeformed = voxel_box.transformed(&self.volume().voxel_from_world.inverse());
             let value = |source: Vec3| -> Option<f32> {
-                let v = self.frame.voxel_from_world.transform_point3(source);
+                let v = self.volume().voxel_from_world.transform_point3(source);
                 let inside = v.cmpge(voxel_box.min).all() && v.cmple(voxel_box.max).all();
-                let [i, j, k] = v.round().clamp(Vec3::ZERO, self.frame.grid_size - 1.0).to_array().map(|c| c as usize);
-                inside.then(|| self.grid.value(i, j, k))
+                let [i, j, k] = v.round().clamp(Vec3::ZERO, self.volume().grid_size - 1.0).to_array().map(|c| c as usize);
+                inside.then(|| self.volume().grid.value(i, j, k))
             };
-            let shows = |v: f32| match self.iso {
+            let shows = |v: f32| match self.volume().iso {
                 Some(iso) => v >= iso,
-                None => self.table.lookup(v)[3] > 0.0,
+                None => self.volume().table.lookup(v)[3] > 0.0,
             };
             // Every voxel counts for what could be seen at all: a thin sheet may lie between the points.
-            let visible_before = self.iso.is_some_and(|iso| (0.0..=1.0).contains(&iso)) || self.iso.is_none() && self.shows_any_value();
+            let visible_before =
+                self.volume().iso.is_some_and(|iso| (0.0..=1.0).contains(&iso)) || self.volume().iso.is_none() && self.shows_any_value();
             found = self.of_points(&self.stack.deformed_bounds(&undeformed), |source| value(source).map(shows));
             found.visible_before = visible_before;
         }
@@ -183,7 +176,7 @@ impl Prepared<'_> {
 
     /// Whether the transfer function shows any value that the volume has.
     fn shows_any_value(&self) -> bool {
-        self.table.max_depth(0.0, 1.0) > 0.0
+        self.volume().table.max_depth(0.0, 1.0) > 0.0
     }
 
     /// Whether a point lies in the picture.

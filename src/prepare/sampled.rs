@@ -1,12 +1,12 @@
 //! A grid, and what is derived from its voxels and kept between pictures.
 
-use super::Accelerator;
+use super::accelerator::Accelerator;
 use super::macrocells::{CellGrid, Contents, Inputs, Macrocells};
 use crate::Result;
 use crate::math::pyramid::Range;
 use crate::math::{Bounds, MinMaxPyramid};
 use crate::volume::{GradientVolume, Grid, GridVoxels, Voxel};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 /// A grid ready for rendering.
@@ -16,7 +16,8 @@ pub struct Sampled {
     /// Bounds of their normalised values.
     pub bounds: MinMaxPyramid<1>,
     gradients: OnceLock<Option<GradientVolume>>,
-    asked_before: AtomicBool,
+    /// Pictures that could use the gradients.
+    pictures: AtomicUsize,
     /// The most recently used last.
     macrocells: Mutex<Vec<(Inputs, Arc<Macrocells>)>>,
 }
@@ -28,7 +29,7 @@ impl Sampled {
     /// Derives what every picture needs.
     pub fn new(grid: Grid) -> Self {
         let bounds = bounds_of(&grid);
-        Self { grid, bounds, gradients: OnceLock::new(), asked_before: AtomicBool::new(false), macrocells: Mutex::default() }
+        Self { grid, bounds, gradients: OnceLock::new(), pictures: AtomicUsize::new(0), macrocells: Mutex::default() }
     }
 
     /// [`Macrocells::new`], or those that are kept of the same inputs: a camera or a light changes nothing about empty space.
@@ -64,17 +65,18 @@ impl Sampled {
         Ok(cells)
     }
 
-    /// The gradients of all voxels, if there is a volume of them: it is made when a second picture asks, since one picture alone costs less
-    /// without. What is lit by it is the same to the bit.
-    pub fn gradients(&self) -> Option<&GradientVolume> {
-        if !self.asked_before.swap(true, Ordering::Relaxed) {
-            return None;
-        }
+    /// Counts one more picture that could use the gradients; how many there have been.
+    pub fn count_picture(&self) -> usize {
+        self.pictures.fetch_add(1, Ordering::Relaxed) + 1
+    }
+
+    /// Computes the gradients of all voxels, if that has not been done and there is room for them.
+    pub fn make_gradients(&self) -> Option<&GradientVolume> {
         self.gradients.get_or_init(|| GradientVolume::new(&self.grid)).as_ref()
     }
 
-    /// The gradients of all voxels, if they have been made.
-    pub fn kept_gradients(&self) -> Option<&GradientVolume> {
+    /// The gradients of all voxels, if they have been computed.
+    pub fn gradients(&self) -> Option<&GradientVolume> {
         self.gradients.get()?.as_ref()
     }
 }

@@ -1,0 +1,213 @@
+//! What a scene refers to, loaded once and shared by any number of pictures.
+
+use super::inside::InsideCache;
+use super::objects::ObjectCache;
+use super::sampled::Sampled;
+use crate::deform::Library;
+use crate::math::Bounds;
+use crate::picture::Stages;
+use crate::scene::surface::{Appearance, MeshSource};
+use crate::scene::{Mode, Scene, VolumeSource};
+use crate::volume::load::Choice;
+use crate::volume::{Grid, Volume, load};
+use crate::{Error, Result, Watch};
+use glam::Vec3;
+use std::path::PathBuf;
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, OnceLock};
+
+/// How assets are loaded; the default reports to nobody, never stops and reads everything.
+#[derive(Clone, Copy, Default)]
+pub struct LoadOptions<'a> {
+    /// Receives what is being done (reading, distances) and the share of it that is done.
+    pub progress: Option<&'a (dyn Fn(&'static str, f32) + Sync)>,
+    /// Loading stops with [`Error::Cancelled`] once this is set.
+    pub cancel: Option<&'a AtomicBool>,
+    /// Assets of another scene: their volume is taken over if it comes from the same file, with the same options.
+    pub previous: Option<&'a Assets>,
+}
+
+/// Everything of a scene that has to be loaded anew when it changes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AssetKey {
+    volume: Option<VolumeSource>,
+    meshes: Vec<MeshSource>,
+    iso: Option<Option<f64>>,
+    folder: PathBuf,
+}
+
+impl AssetKey {
+    /// Of a scene.
+    pub fn of(scene: &Scene) -> Self {
+        let mut meshes = scene.mesh.clone();
+        for mesh in &mut meshes {
+            // How it looks needs nothing loaded.
+            mesh.appearance = Appearance::default();
+            mesh.name = None;
+            mesh.hidden = false;
+        }
+        Self {
+            volume: scene.volume.clone(),
+            meshes,
+            iso: (scene.render.mode == Mode::Surface).then_some(scene.surface.iso),
+            folder: scene.folder.clone(),
+        }
+    }
+}
+
+/// What a scene refers to, loaded once and shared by any number of pictures.
+pub struct Assets {
+    /// The volume; an empty one if the scene has none.
+    pub volume: Arc<Volume>,
+    /// Its sampled form.
+    sampled: Arc<Sampled>,
+    /// What the volume was loaded from.
+    source: Option<(PathBuf, Choice)>,
+    /// The label map that the scene names beside the volume, if it does.
+    pub separate_labels: Option<Arc<Volume>>,
+    /// A label map as colours, made when it is first shown so.
+    label_colors: OnceLock<Option<Sampled>>,
+    /// What deformations read besides.
+    pub library: Arc<Library>,
+    /// Meshes and distance fields.
+    pub(super) objects: ObjectCache,
+    /// What a mesh that holds the volume makes of it.
+    pub(super) insides: InsideCache,
+    /// Whether there is a volume, or an empty one stands in its place.
+    pub has_volume: bool,
+    /// The box around all meshes, mm; empty without any.
+    pub mesh_box: Bounds,
+    /// Time that loading took.
+    pub stages: Stages,
+}
+
+impl Assets {
+    /// Loads what a scene names.
+    ///
+    /// # Errors
+    /// What the readers report.
+    pub fn load(scene: &Scene) -> Result<Self> {
+        Self::load_with(scene, &LoadOptions::default())
+    }
+
+    /// As [`Self::load`], reporting to a caller that may stop it, or keeping what is loaded already.
+    ///
+    /// # Errors
+    /// As [`Self::load`]; [`Error::Cancelled`].
+    pub fn load_with(scene: &Scene, options: &LoadOptions) -> Result<Self> {
+        scene.check_limits()?;
+        let never = AtomicBool::new(false);
+        let cancel = options.cancel.unwrap_or(&never);
+        let report = |stage, share| options.progress.map_or((), |progress| progress(stage, share));
+        let source = scene.volume_path().zip(scene.volume.as_ref().map(|v| v.choice.clone()));
+        // The same file may be named from another folder.
+        let place = |s: &Option<(PathBuf, Choice)>| s.as_ref().map(|(path, choice)| (std::path::absolute(path).ok(), choice.clone()));
+        let same_volume = options.previous.filter(|b| b.has_volume && source.is_some() && place(&b.source) == place(&source));
+        let mut assets = match (same_volume, &source) {
+            (Some(previous), _) => Self::with_volume_of(previous, scene.folder.clone()),
+            (None, Some((path, choice))) => {
+                let reading = |share: f32| report("reading", share);
+                let mut stages = Stages::default();
+                let volume = stages.time("load", || load::volume(path, choice, &Watch { progress: &reading, cancel }))?;
+                Self::in_folder(volume, scene.folder.clone(), stages)
+            }
+            (None, None) => Self::without_volume(scene.folder.clone()),
+        };
+        assets.source = source;
+        let mut stages = std::mem::take(&mut assets.stages);
+        if let Some(path) = scene.volume.as_ref().and_then(|v| v.labels.as_ref()) {
+            assets.separate_labels = Some(stages.time("labels", || assets.library.load_label_map(path))?);
+        }
+        if !scene.mesh.is_empty() || scene.render.mode == Mode::Surface {
+            assets.mesh_box = stages.time("meshes", || assets.load_objects(scene, &|share| report("distances", share)))?;
+        }
+        if !assets.has_volume {
+            let empty = Volume::empty_over(&assets.mesh_box);
+            assets.sampled = Arc::new(Sampled::new(Grid::new(&empty)));
+            assets.volume = Arc::new(empty);
+        }
+        assets.stages = stages;
+        Ok(assets)
+    }
+
+    /// The assets of a scene that names nothing but a volume, which is in memory already.
+    pub fn of_volume(volume: Volume) -> Self {
+        Self::in_folder(volume, PathBuf::new(), Stages::default())
+    }
+
+    fn in_folder(volume: Volume, folder: PathBuf, mut stages: Stages) -> Self {
+        let grid = stages.time("grid", || Grid::new(&volume));
+        let sampled = Arc::new(stages.time("bricks", || Sampled::new(grid)));
+        let volume = Arc::new(volume);
+        let library = Arc::new(Library::new(volume.clone(), folder));
+        Self { stages, ..Self::over(volume, sampled, library, true) }
+    }
+
+    /// An empty volume stands where there is none.
+    fn without_volume(folder: PathBuf) -> Self {
+        let volume = Volume::empty_over(&Bounds::UNIT);
+        let sampled = Arc::new(Sampled::new(Grid::new(&volume)));
+        Self::over(Arc::new(volume), sampled, Arc::new(Library::without_volume(folder)), false)
+    }
+
+    /// The volume of other assets, and what was read for its deformations if that is relative to the same folder.
+    fn with_volume_of(previous: &Self, folder: PathBuf) -> Self {
+        let same_folder = previous.library.folder() == folder;
+        let library = if same_folder { previous.library.clone() } else { Arc::new(Library::new(previous.volume.clone(), folder)) };
+        Self::over(previous.volume.clone(), previous.sampled.clone(), library, true)
+    }
+
+    fn over(volume: Arc<Volume>, sampled: Arc<Sampled>, library: Arc<Library>, has_volume: bool) -> Self {
+        Self {
+            volume,
+            sampled,
+            source: None,
+            separate_labels: None,
+            label_colors: OnceLock::new(),
+            library,
+            objects: ObjectCache::default(),
+            insides: InsideCache::default(),
+            has_volume,
+            mesh_box: Bounds::EMPTY,
+            stages: Stages::default(),
+        }
+    }
+
+    /// The box around the volume and all meshes, mm.
+    pub fn scene_box(&self) -> Bounds {
+        if self.has_volume {
+            return self.volume.bounds_in_world().union(&self.mesh_box);
+        }
+        // A flat sheet has a box all the same.
+        let size = self.mesh_box.size();
+        let more = (Vec3::splat(0.01 * size.max_element()) - size).max(Vec3::ZERO) * 0.5;
+        Bounds::new(self.mesh_box.min - more, self.mesh_box.max + more)
+    }
+
+    /// The label map: the one that the scene names, or the volume itself if it is one.
+    ///
+    /// # Errors
+    /// [`Error::Value`] if there is neither.
+    pub fn label_map(&self) -> Result<&Arc<Volume>> {
+        match &self.separate_labels {
+            Some(map) => Ok(map),
+            None if self.has_volume && self.label_colors().is_some() => Ok(&self.volume),
+            None => Err(Error::value("volume.labels", "there is no label map; open one over the volume")),
+        }
+    }
+
+    /// The volume's voxels as they are sampled.
+    pub fn grid(&self) -> &Grid {
+        &self.sampled.grid
+    }
+
+    /// The volume's voxels with what is derived from them.
+    pub(super) fn sampled(&self) -> &Sampled {
+        &self.sampled
+    }
+
+    /// The grid that a label map shows as colours; none if the volume is no label map.
+    pub(super) fn label_colors(&self) -> Option<&Sampled> {
+        self.label_colors.get_or_init(|| Grid::of_labels(&self.volume).map(Sampled::new)).as_ref()
+    }
+}

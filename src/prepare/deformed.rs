@@ -1,0 +1,89 @@
+//! A scene's deformation alone: what pictures are made by, and what is baked.
+
+use super::accelerator::{Accelerator, CpuOnly};
+use super::assets::Assets;
+use super::stack::{self, Composition, StackInputs};
+use super::{PrepareOptions, blend_mm, inside};
+use crate::deform::cut::Cuts;
+use crate::deform::{Stack, Storage, invert};
+use crate::math::Bounds;
+use crate::mesh::Mesh;
+use crate::scene::{Scene, ViewFrame};
+use crate::{Result, Watch};
+use glam::{DVec3, Vec3};
+use std::sync::Arc;
+
+/// A scene's deformation alone.
+pub struct Deformed {
+    /// Maps, in order of application.
+    pub stack: Stack,
+    /// Cuts that come after every map.
+    pub cuts: Cuts,
+    /// What composing maps into one has cost in exactness, if any were.
+    pub composition: Option<Composition>,
+    /// The mesh that slices are cut from instead of a box.
+    pub proxy_mesh: Option<Arc<Mesh>>,
+}
+
+impl Deformed {
+    /// The deformation of a scene, as its pictures have it.
+    ///
+    /// # Errors
+    /// Any setting that cannot be used, by name.
+    pub fn new(scene: &Scene, assets: &Assets) -> Result<Self> {
+        Self::watched(scene, assets, &Watch::NONE)
+    }
+
+    /// As [`Self::new`], for a caller that may stop it.
+    ///
+    /// # Errors
+    /// As [`Self::new`]; [`Error::Cancelled`](crate::Error::Cancelled).
+    pub fn watched(scene: &Scene, assets: &Assets, watch: &Watch) -> Result<Self> {
+        scene.check()?;
+        let view = scene.camera.frame(&assets.scene_box(), scene.render.size)?;
+        Self::in_view(scene, assets, &view, &PrepareOptions::default().watched(watch))
+    }
+
+    pub(super) fn in_view(scene: &Scene, assets: &Assets, view: &ViewFrame, options: &PrepareOptions) -> Result<Self> {
+        let settings = &scene.render;
+        let reference_mm = assets.volume.spacing_mm().min_element() as f32;
+        let min_ramp_mm = 1.2 * blend_mm(settings.step, reference_mm)[1];
+        let inputs = StackInputs { min_ramp_mm, exact_cuts: settings.exact_cuts, ..Self::inputs(assets, view, options.accelerator, &options.watch) };
+        let undeformed = options.more_maps.is_empty() && !scene.deformation.iter().any(|d| d.enabled);
+        let (inside, proxy_mesh) = match inside::of_scene(scene, assets, &inputs.scene_box, min_ramp_mm)? {
+            Some(inside) => (inside.maps.clone(), inside.proxy.clone().filter(|_| undeformed)),
+            None => (Vec::new(), None),
+        };
+        let (stack, cuts) = stack::stack(&scene.deformation, &inputs, inside, options.more_maps.to_vec())?;
+        let (stack, composition) = stack::composed(stack, &inputs, settings.precompose)?;
+        Ok(Self { stack, cuts, composition, proxy_mesh })
+    }
+
+    /// The exact deformation: every map in single precision, none composed; its last cuts as shapes if asked for. What is baked.
+    ///
+    /// # Errors
+    /// As [`Self::watched`].
+    pub fn exact(scene: &Scene, assets: &Assets, exact_cuts: bool, watch: &Watch) -> Result<Self> {
+        scene.check_limits()?;
+        let view = scene.camera.frame(&assets.scene_box(), scene.render.size)?;
+        let min_ramp_mm = 1.5 * assets.volume.spacing_mm().min_element() as f32;
+        let inputs = StackInputs { min_ramp_mm, storage: Some(Storage::F32), exact_cuts, ..Self::inputs(assets, &view, &CpuOnly, watch) };
+        let inside = inside::of_scene(scene, assets, &inputs.scene_box, min_ramp_mm)?.map_or_else(Vec::new, |i| i.maps.clone());
+        let (stack, cuts) = stack::stack(&scene.deformation, &inputs, inside, Vec::new())?;
+        Ok(Self { stack, cuts, composition: None, proxy_mesh: None })
+    }
+
+    fn inputs<'a>(assets: &'a Assets, view: &'a ViewFrame, accelerator: &'a dyn Accelerator, watch: &'a Watch<'a>) -> StackInputs<'a> {
+        let scene_box: Bounds = assets.scene_box();
+        StackInputs { library: &assets.library, scene_box, min_ramp_mm: 0.0, view, storage: None, exact_cuts: true, accelerator, watch }
+    }
+
+    /// Where a point of the source is seen in the deformed scene, mm; none if it is cut away or no such point is found.
+    pub fn forward(&self, source: Vec3) -> Option<Vec3> {
+        let y = source.as_dvec3();
+        let backward = |p: DVec3| self.stack.walk_through(p.as_vec3()).0.as_dvec3();
+        let solution = invert::point(&backward, y, y + (y - backward(y)), 0.05, 5e-3);
+        let deformed = solution.source.as_vec3();
+        (solution.found && self.stack.walk(deformed).1 >= 0.5 && self.cuts.kept(deformed) >= 0.0).then_some(deformed)
+    }
+}

@@ -1,0 +1,226 @@
+//! A scene resolved for rendering: what every backend takes.
+
+use super::PrepareOptions;
+use super::assets::Assets;
+use super::deformed::Deformed;
+use super::objects::Surfaces;
+use super::stack::Composition;
+use super::volume::{Classifier, VolumeObject};
+use crate::Result;
+use crate::deform::Stack;
+use crate::deform::cut::Cuts;
+use crate::math::{Bounds, normalize_or};
+use crate::mesh::Mesh;
+use crate::picture::Stages;
+use crate::scene::{CutFaces, Light, Mode, Normals, RenderSettings, Scene, ViewFrame};
+use crate::transfer::Blend;
+use crate::volume::{GradientFilter, GradientVolume};
+use glam::Vec3;
+use std::sync::Arc;
+
+/// A cut's normal takes over within one sample of the cut and has faded out after this many.
+const BLEND_SAMPLES: f32 = 2.5;
+
+/// Distance from a cut beyond which it changes nothing about a sample, mm; `slant` is how many times its step a sample's path may be.
+pub(super) fn cut_margin_mm(blend_mm: [f32; 2], step_mm: f32, slant: f32) -> f32 {
+    blend_mm[1] + 2.2 * step_mm * slant
+}
+
+/// Distances from a cut at which its normal stops to rule alone, and to matter at all, mm.
+pub(super) fn blend_mm(step: f32, reference_mm: f32) -> [f32; 2] {
+    let sample_mm = (step * reference_mm).max(reference_mm);
+    [sample_mm, BLEND_SAMPLES * sample_mm]
+}
+
+/// Lengths that a picture is sampled by, mm.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Steps {
+    /// Distance between slices, or between samples along a ray.
+    pub step_mm: f32,
+    /// Δ₀, the length that opacities are stated for: the smallest voxel spacing.
+    pub reference_mm: f32,
+    /// Distances from a cut at which its normal stops to rule alone, and to matter at all.
+    pub blend_mm: [f32; 2],
+}
+
+/// The constants of one picture.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    /// Camera.
+    pub view: ViewFrame,
+    /// Width and height, pixels.
+    pub size: [u32; 2],
+    /// Lengths that it is sampled by.
+    pub steps: Steps,
+    /// The part of the deformed scene that can show anything of its volumes, mm.
+    pub proxy: Bounds,
+    /// Unit vector towards the light, world.
+    pub to_light: Vec3,
+}
+
+/// A scene resolved against its assets: the objects that it shows, how they are deformed, from where they are seen.
+pub struct Prepared<'a> {
+    /// The volumes that are shown: one, which is empty if the scene has none.
+    pub volumes: Vec<VolumeObject<'a>>,
+    /// Surfaces that are shown with the volumes, or alone.
+    pub surfaces: Surfaces,
+    /// The deformation.
+    pub stack: Stack,
+    /// Cuts that come after every map.
+    pub cuts: Cuts,
+    /// The mesh that slices are cut from instead of a box.
+    pub proxy_mesh: Option<Arc<Mesh>>,
+    /// What composing maps into one has cost in exactness, if any were.
+    pub composition: Option<Composition>,
+    /// Constants.
+    pub frame: Frame,
+    /// Light.
+    pub light: Light,
+    /// Settings as the scene has them.
+    pub settings: RenderSettings,
+    /// The factor on the opacities, if the scene states one.
+    pub(super) density: Option<f64>,
+    /// What a user should know of how it was resolved, one sentence each.
+    pub notices: Vec<String>,
+    /// Time that preparing took.
+    pub stages: Stages,
+}
+
+impl<'a> Prepared<'a> {
+    /// Resolves a scene.
+    ///
+    /// # Errors
+    /// Any setting that cannot be used, by name.
+    pub fn new(scene: &Scene, assets: &'a Assets) -> Result<Self> {
+        Self::with(scene, assets, &PrepareOptions::default())
+    }
+
+    /// As [`Self::new`], by an accelerator, with more maps, or for a caller that may stop it.
+    ///
+    /// # Errors
+    /// As [`Self::new`]; whatever the accelerator reports; [`Error::Cancelled`](crate::Error::Cancelled).
+    pub fn with(scene: &Scene, assets: &'a Assets, options: &PrepareOptions) -> Result<Self> {
+        scene.check()?;
+        let mut stages = Stages::default();
+        let settings = scene.render.clone();
+        let classifier = stages.time("transfer", || Classifier::new(scene, assets))?;
+        let scene_box = assets.scene_box();
+        let mut view = scene.camera.frame(&scene_box, settings.size)?;
+        let reference_mm = assets.volume.spacing_mm().min_element() as f32;
+        let steps = Steps { step_mm: settings.step * reference_mm, reference_mm, blend_mm: blend_mm(settings.step, reference_mm) };
+        let deformed = stages.time("maps", || -> Result<_> {
+            let deformed = Deformed::in_view(scene, assets, &view, options)?;
+            if options.accelerator.wants_texels() {
+                deformed.stack.fetch_texels();
+            }
+            Ok(deformed)
+        })?;
+        view.step_back_from(&deformed.stack.deformed_bounds(&scene_box), steps.step_mm);
+        let surfaces = stages.time("surfaces", || assets.surfaces(scene, &deformed.stack, &deformed.cuts))?;
+        let volume = stages.time("macrocells", || VolumeObject::new(classifier, scene, assets, &deformed, &steps, options))?;
+        let light = scene.light.clone();
+        let to_light = to_light(&light, &view);
+        let Deformed { stack, cuts, composition, proxy_mesh } = deformed;
+        let frame = Frame { view, size: settings.size.map(|n| n * settings.antialias), steps, proxy: volume.macrocells.occupied, to_light };
+        Ok(Self {
+            volumes: vec![volume],
+            surfaces,
+            stack,
+            cuts,
+            proxy_mesh,
+            composition,
+            frame,
+            light,
+            settings,
+            density: scene.transfer.density,
+            notices: composition.and_then(|c| c.notice()).into_iter().collect(),
+            stages,
+        })
+    }
+
+    /// The first volume.
+    #[inline(always)]
+    pub fn volume(&self) -> &VolumeObject<'a> {
+        &self.volumes[0]
+    }
+
+    /// Whether samples are lit.
+    pub fn is_lit(&self) -> bool {
+        self.settings.normals != Normals::None && self.volume().blend == Blend::Composite
+    }
+
+    /// Whether cut faces are painted with the scan's grey value.
+    pub fn grey_faces(&self) -> bool {
+        self.settings.cut_faces == CutFaces::Grey && self.volume().blend == Blend::Composite && (!self.cuts.is_empty() || !self.stack.is_empty())
+    }
+
+    /// Whether colour and opacity are those of segments between samples.
+    pub fn preintegrated(&self) -> bool {
+        self.settings.preintegrated && self.volume().blend == Blend::Composite && self.volume().iso.is_none()
+    }
+
+    /// Whether the gradient is needed before the opacity.
+    pub fn uses_gradient_opacity(&self) -> bool {
+        !self.volume().table.gradient.is_empty() && self.volume().blend == Blend::Composite
+    }
+
+    /// Distance from a cut beyond which it changes nothing about a sample, mm.
+    pub fn cut_margin_mm(&self) -> f32 {
+        // Slices are met at a slant: their step along a ray is longer than their distance.
+        let slant = match self.settings.mode {
+            Mode::Slice => self.frame.view.longest_slant(),
+            _ => 1.0,
+        };
+        cut_margin_mm(self.frame.steps.blend_mm, self.frame.steps.step_mm, slant)
+    }
+
+    /// The same for the volume's faces, in voxels along each axis.
+    pub fn voxels_beside_faces(&self) -> Vec3 {
+        let world_from_covector = glam::Mat3::from(self.volume().voxel_from_world.matrix3).transpose();
+        Vec3::from([0, 1, 2].map(|a| self.cut_margin_mm() * (world_from_covector * Vec3::AXES[a]).length()))
+    }
+
+    /// The same wherever the deformation has brought the faces.
+    pub fn voxels_beside_deformed_faces(&self) -> Vec3 {
+        self.voxels_beside_faces() * self.stack.steepest()
+    }
+
+    /// The gradients of all voxels for one more picture, if it uses them: they are computed for the second picture of a volume, and kept, since
+    /// one picture alone costs less without. What is lit by them is the same to the bit.
+    pub fn gradients_for_picture(&self) -> Option<&'a GradientVolume> {
+        if !self.uses_gradients() {
+            return None;
+        }
+        let sampled = self.volume().sampled;
+        if sampled.count_picture() > 1 { sampled.make_gradients() } else { sampled.gradients() }
+    }
+
+    /// Computes the gradients of all voxels now, if pictures use them, rather than for the second one.
+    pub fn make_gradients(&self) {
+        if self.uses_gradients() {
+            self.volume().sampled.make_gradients();
+        }
+    }
+
+    /// The gradients of all voxels, if they have been computed.
+    pub fn gradients(&self) -> Option<&'a GradientVolume> {
+        self.volume().sampled.gradients()
+    }
+
+    fn uses_gradients(&self) -> bool {
+        (self.is_lit() || self.uses_gradient_opacity()) && self.gradient_filter() == GradientFilter::Central
+    }
+
+    /// The gradient filter.
+    pub fn gradient_filter(&self) -> GradientFilter {
+        self.settings.gradient
+    }
+}
+
+/// The unit vector towards a light, world.
+fn to_light(light: &Light, view: &ViewFrame) -> Vec3 {
+    let d = Vec3::from(light.direction);
+    let to_light =
+        if light.follows_camera { normalize_or(view.right, Vec3::X) * d.x + normalize_or(view.up, Vec3::Z) * d.y - view.forward * d.z } else { d };
+    normalize_or(to_light, -view.forward)
+}

@@ -1,0 +1,151 @@
+//! One volume of a prepared scene: what is sampled, how values become colours, and where nothing of it can be seen.
+
+use super::PrepareOptions;
+use super::assets::Assets;
+use super::deformed::Deformed;
+use super::macrocells::{Contents, Macrocells};
+use super::sampled::Sampled;
+use super::{Steps, cut_margin_mm};
+use crate::math::{Bounds, to_f32};
+use crate::scene::{CutFaces, Mode, Scene};
+use crate::transfer::{Blend, OWN_COLORS, Table, TransferFunction};
+use crate::volume::{Colors, Grid, Volume};
+use crate::{Error, Result};
+use glam::{Affine3A, Vec3};
+use std::sync::Arc;
+
+/// A volume that a scene shows, or the empty one of a scene without any.
+pub struct VolumeObject<'a> {
+    /// What is sampled.
+    pub grid: &'a Grid,
+    /// The same with what is derived from it.
+    pub(super) sampled: &'a Sampled,
+    /// The voxels' own colours, which take the place of the table's.
+    pub colors: Option<&'a Colors>,
+    /// World to voxel.
+    pub voxel_from_world: Affine3A,
+    /// Extent of the grid, voxels.
+    pub grid_size: Vec3,
+    /// Baked transfer function.
+    pub table: Table,
+    /// How samples blend.
+    pub blend: Blend,
+    /// Normalised value of the surface that is shown instead of the volume, if one is.
+    pub iso: Option<f32>,
+    /// Normalised values that are black and white on grey cut faces.
+    pub grey_window: [f32; 2],
+    /// Empty space.
+    pub macrocells: Arc<Macrocells>,
+    /// Whether there is a volume, or an empty one stands in its place.
+    pub(super) is_present: bool,
+    /// The lowest and highest value, data units.
+    pub(super) value_range: [f64; 2],
+    /// No voxel is a finite number.
+    pub(super) has_no_values: bool,
+}
+
+/// How the values of a volume become colours.
+pub(super) struct Classifier<'a> {
+    sampled: &'a Sampled,
+    colors: Option<&'a Colors>,
+    function: TransferFunction,
+    table: Table,
+}
+
+impl<'a> Classifier<'a> {
+    /// The scene's transfer function over its volume.
+    ///
+    /// # Errors
+    /// Any setting that cannot be used, by name.
+    pub fn new(scene: &Scene, assets: &'a Assets) -> Result<Self> {
+        let (volume, transfer) = (&assets.volume, &scene.transfer);
+        let fallback = scene.default_preset(volume);
+        let function = transfer.resolve(volume, fallback)?;
+        // Labels in their colours, unless a curve over the labels themselves is wanted.
+        let plain = transfer.points.is_empty() && transfer.window.is_none() && transfer.level.is_none() && function.blend == Blend::Composite;
+        let by_label = plain
+            && transfer.preset.as_deref().unwrap_or(fallback) == "labels"
+            && scene.render.iso.is_none()
+            && scene.render.cut_faces == CutFaces::Lit;
+        if let Some(sampled) = by_label.then(|| assets.label_colors()).flatten() {
+            let function = function.of_presence();
+            let table = Table::new(&function, [0.0, 1.0]);
+            return Ok(Self { sampled, colors: sampled.grid.colors.as_ref(), function, table });
+        }
+        let table = Table::new(&function, volume.range);
+        let own = transfer.own_colors.unwrap_or(transfer.preset.as_deref().is_none_or(|p| p == OWN_COLORS));
+        let sampled = assets.sampled();
+        Ok(Self { sampled, colors: sampled.grid.colors.as_ref().filter(|_| own), function, table })
+    }
+}
+
+impl<'a> VolumeObject<'a> {
+    /// The scene's volume as its classifier shows it, with empty space under a deformation.
+    ///
+    /// # Errors
+    /// A geometry that cannot be inverted; whatever the accelerator reports.
+    pub(super) fn new(
+        classifier: Classifier<'a>,
+        scene: &Scene,
+        assets: &Assets,
+        deformed: &Deformed,
+        steps: &Steps,
+        options: &PrepareOptions,
+    ) -> Result<Self> {
+        let volume: &Volume = &assets.volume;
+        let span = (volume.range[1] - volume.range[0]).max(f64::MIN_POSITIVE);
+        let normalised = |v: f64| ((v - volume.range[0]) / span) as f32;
+        let Classifier { sampled, colors, function, table } = classifier;
+        let voxel_from_world = to_f32(&volume.world_from_voxel.inverse());
+        if !voxel_from_world.is_finite() {
+            return Err(Error::value("volume", "its voxel axes are singular; the file's geometry cannot be used"));
+        }
+        let mut object = Self {
+            grid: &sampled.grid,
+            sampled,
+            colors,
+            voxel_from_world,
+            grid_size: Vec3::from(sampled.grid.size.map(|n| n as f32)),
+            table,
+            blend: function.blend,
+            iso: scene.render.iso.map(normalised),
+            grey_window: volume.window(scene.transfer.window, scene.transfer.level).map(normalised),
+            macrocells: Arc::new(Macrocells::solid(Bounds::EMPTY)),
+            is_present: assets.has_volume,
+            value_range: volume.range,
+            has_no_values: volume.non_finite == volume.voxels.len(),
+        };
+        if scene.render.mode != Mode::Surface && assets.has_volume {
+            let bounds = deformed.stack.deformed_bounds(&volume.bounds_in_world());
+            object.macrocells = object.empty_space(scene, deformed, bounds, steps, options)?;
+        }
+        Ok(object)
+    }
+
+    /// Where nothing can be seen of the volume in its deformed box.
+    fn empty_space(&self, scene: &Scene, deformed: &Deformed, bounds: Bounds, steps: &Steps, options: &PrepareOptions) -> Result<Arc<Macrocells>> {
+        let settings = &scene.render;
+        if !settings.empty_space_skipping {
+            return Ok(Macrocells::solid(bounds).into());
+        }
+        let slant = scene.camera.slant(settings.size);
+        let step_back_mm = 1.01 * steps.step_mm * slant;
+        let grey_faces = settings.cut_faces == CutFaces::Grey;
+        let contents = Contents {
+            stack: &deformed.stack,
+            cuts: &deformed.cuts,
+            iso: self.iso,
+            grey_faces,
+            looks_back_mm: if self.iso.is_some() || grey_faces || settings.preintegrated { step_back_mm } else { 0.0 },
+            beside_cuts_mm: step_back_mm,
+            cut_margin_mm: cut_margin_mm(steps.blend_mm, steps.step_mm, slant),
+            voxel_from_world: &self.voxel_from_world,
+            voxel_box: Bounds::new(Vec3::splat(-0.5), self.grid_size - 0.5),
+            pyramid: &self.sampled.bounds,
+            table: &self.table,
+            blend: self.blend,
+        };
+        // What looks back a step may lie beyond the box of the scene itself.
+        self.sampled.macrocells(bounds.grown(contents.reach_mm()), steps.reference_mm, &contents, options.accelerator)
+    }
+}

@@ -1,0 +1,90 @@
+//! What the settings of a picture and its light may be.
+
+use super::{Light, RenderSettings, Scene};
+use crate::files::memory;
+use crate::picture::{MAX_PICTURE_EDGE, MAX_PIXELS};
+use crate::{Error, Result};
+use glam::DVec3;
+
+impl Scene {
+    /// Checks every number of the scene for its size, and the settings of its picture for their meaning.
+    ///
+    /// # Errors
+    /// The first one that cannot be used, by name.
+    pub fn check(&self) -> Result<()> {
+        self.check_limits()?;
+        check_settings(&self.render, &self.light)
+    }
+}
+
+/// Checks the size of a picture, alone and with its antialiasing, and the memory that it takes.
+fn check_size(settings: &RenderSettings) -> Result<()> {
+    let [width, height] = settings.size;
+    if !settings.size.iter().all(|n| (1..=MAX_PICTURE_EDGE).contains(n)) {
+        let problem = format!("a picture of {width} x {height} pixels cannot be made; each edge is 1 to {MAX_PICTURE_EDGE}");
+        return Err(Error::value("size", problem));
+    }
+    let n = settings.antialias;
+    if !(1..=4).contains(&n) {
+        return Err(Error::value("antialias", format!("{n} is outside 1 to 4")));
+    }
+    let samples = u64::from(width) * u64::from(height) * u64::from(n * n);
+    if width.max(height) * n > MAX_PICTURE_EDGE || samples > MAX_PIXELS {
+        let problem = format!(
+            "{width} x {height} with antialias {n} needs {} x {} samples, which is too many ({MAX_PICTURE_EDGE} along an edge and {MAX_PIXELS} in all are possible); reduce size or antialias",
+            width * n,
+            height * n
+        );
+        return Err(Error::value("size", problem));
+    }
+    // Pixels as they are computed, and as bytes before and after they are packed.
+    let bytes = 16 * samples + 12 * u64::from(width) * u64::from(height);
+    match memory::available_bytes() {
+        Some(available) if bytes > available => {
+            let mib = |b: u64| b >> 20;
+            Err(Error::value(
+                "size",
+                format!(
+                    "{width} x {height} needs {} MiB of memory, but only {} MiB are available; make the picture smaller",
+                    mib(bytes),
+                    mib(available)
+                ),
+            ))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Bounds on the error of a map that stands for several, mm.
+const PRECOMPOSE_MM: std::ops::RangeInclusive<f32> = 0.001..=100.0;
+
+fn check_settings(settings: &RenderSettings, light: &Light) -> Result<()> {
+    check_size(settings)?;
+    if !(settings.step.is_finite() && (0.01..=100.0).contains(&settings.step)) {
+        return Err(Error::value("step", format!("{} is outside 0.01 to 100 voxels", settings.step)));
+    }
+    if settings.iso.is_some_and(|v| !v.is_finite()) {
+        return Err(Error::value("iso", "must be a finite value"));
+    }
+    if settings.precompose.is_some_and(|mm| !PRECOMPOSE_MM.contains(&mm)) {
+        let [least, most] = [PRECOMPOSE_MM.start(), PRECOMPOSE_MM.end()];
+        return Err(Error::value("precompose", format!("is an error bound in mm, from {least} to {most}")));
+    }
+    if !settings.background.iter().all(|c| (0.0..=1.0).contains(c)) {
+        return Err(Error::value("background", "its components must lie within 0..1"));
+    }
+    let unit = [("ambient", light.ambient), ("diffuse", light.diffuse), ("specular", light.specular)];
+    for (name, value) in unit {
+        if !(0.0..=1.0).contains(&value) {
+            return Err(Error::value(format!("light.{name}"), format!("{value} is outside 0 to 1")));
+        }
+    }
+    if !(1.0..=10_000.0).contains(&light.shininess) {
+        return Err(Error::value("light.shininess", format!("{} is outside 1 to 10000", light.shininess)));
+    }
+    let direction = DVec3::from(light.direction.map(f64::from));
+    if !(direction.is_finite() && direction.length() > 1e-6) {
+        return Err(Error::value("light.direction", "must be a direction: finite and not zero"));
+    }
+    Ok(())
+}
