@@ -8,7 +8,7 @@ use glam::{DAffine3, DMat3, DVec3, Vec3};
 use incise::Watch;
 use incise::deform::compose::{self, Resolution};
 use incise::deform::transform::{Context, Step, Transform, VectorField};
-use incise::deform::{Arguments, Stack, Storage, invert};
+use incise::deform::{Arguments, Stack, StackAndCuts, Storage, invert};
 use incise::export::bake::{self, Interpolation};
 use incise::prepare::stack::{self, StackInputs};
 use incise::prepare::{Assets, Prepared};
@@ -63,7 +63,7 @@ fn baked(scene: &Scene, fill: f64, interpolation: Interpolation) -> Volume {
     let path = folder.path().join("baked.nii.gz");
     let mut file = std::fs::File::create(&path).unwrap();
     let volume = &assets.volume;
-    let what = bake::Deformation { stack: &stack, cuts: &cuts };
+    let what = StackAndCuts { stack: &stack, cuts: &cuts };
     bake::volume(volume, &what, &volume.geometry(), interpolation, fill, Format::NiftiGz, &mut file, &|_| ()).unwrap();
     drop(file);
     load::volume(&path, &load::Choice::default(), &Watch::NONE).unwrap()

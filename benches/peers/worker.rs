@@ -7,8 +7,8 @@
 use anyhow::{Context as _, Result, bail};
 use incise::Watch;
 use incise::cpu;
-use incise::deform::invert;
 use incise::deform::transform::{Context, Step, Transform, VectorField};
+use incise::deform::{StackAndCuts, invert};
 use incise::export::bake;
 use incise::picture::{Rendered, Stages};
 use incise::prepare::{Assets, Deformed, PrepareOptions, Prepared};
@@ -172,7 +172,7 @@ impl Worker {
         let start = Instant::now();
         let mut bytes = Vec::with_capacity(volume.size.iter().product::<usize>() * 4);
         let Deformed { stack, cuts, .. } = Deformed::exact(&scene, assets, true, &Watch::NONE)?;
-        let deformation = bake::Deformation { stack: &stack, cuts: &cuts };
+        let deformation = StackAndCuts { stack: &stack, cuts: &cuts };
         let (grid, fill) = (volume.geometry(), volume.range[0]);
         bake::volume(volume, &deformation, &grid, bake::Interpolation::Linear, fill, Format::Nifti, &mut bytes, &|_| ())?;
         let ms = ms(start);

@@ -72,8 +72,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     output.check()?;
     let volume = &assets.volume;
     let preparing = |share| bar.set("preparing", share);
-    let Deformed { stack, cuts, .. } = Deformed::exact(&scene, &assets, true, &Watch::reporting(&preparing))?;
-    let deformation = bake::Deformation { stack: &stack, cuts: &cuts };
+    let deformed = Deformed::exact(&scene, &assets, true, &Watch::reporting(&preparing))?;
+    let deformation = deformed.stack_and_cuts();
     if !arguments.quiet {
         for note in volume.warnings_with_options().iter().map(|w| format!("{}: {w}", scene.volume_name())).chain(assets.library.notices()) {
             super::tell(note);
@@ -82,7 +82,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if volume.colors.is_some() && !arguments.field && !arguments.quiet {
         super::tell(format_args!("{}: colours are not baked; the file gets their brightness (--channel chooses one channel)", scene.volume_name()));
     }
-    let grid = if arguments.enlarge { bake::enlarged(volume, &stack) } else { volume.geometry() };
+    let grid = if arguments.enlarge { bake::enlarged(volume, deformation.stack) } else { volume.geometry() };
     let interpolation = match arguments.interpolation {
         Some(InterpolationName::Nearest) => bake::Interpolation::Nearest,
         Some(InterpolationName::Linear) => bake::Interpolation::Linear,

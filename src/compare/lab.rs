@@ -6,19 +6,17 @@
 //!   (surfaces, which show something else than a volume, against surfaces at that step). Errors below what the reference itself errs by mean
 //!   nothing, so a reference has to be at least twice as fine as the finest run. Where the error is proportional to the step that is 1/16 of
 //!   a run's at step 1; gaps thinner than a step, which only fine steps meet, make it more.
-//! - *Speed at equal error*: a renderer can always be made faster by a coarser step. Over a sweep of steps the time of each is interpolated
-//!   where all err alike, on logarithmic axes, where such curves are nearly straight. The common error is the smallest that all of them
-//!   reach: as near to a picture that one would use as the measurements go. A measured step that errs no more and is cheaper counts too. Nothing is
-//!   extrapolated.
+//! - *Speed at equal error*: a renderer can always be made faster by a coarser step, so each is told by its time where all err alike
+//!   ([`super::curves`]).
 //! - *Time* is the median of repetitions. On a GPU a first picture, which uploads the volume and compiles shaders, is rendered and not timed.
 //!   Curves show the time after the scene was prepared, because preparing is the same work for all. What is kept from picture to picture (maps, empty
 //!   space, tables) is kept here too; what it takes to make it the first time is told once.
 //!
 //! *How to call it*: a [`Plan`], [`Assets`] loaded for [`Plan::loading`], [`open_gpu`] if there is to be one, [`run`].
 
-use super::Times;
 use super::metrics::difference;
-use super::report::{Protocol, Report, Run, Shown, mode_name};
+use super::report::{Protocol, Report};
+use super::run::{Run, Times, mode_name, owned, run as timed_run};
 use crate::engine::{Backend, Engine, EngineOptions, RenderRequest};
 use crate::picture::{MAX_PICTURE_EDGE, MAX_PIXELS};
 use crate::prepare::{Assets, Prepared};
@@ -34,8 +32,6 @@ const STEPS: std::ops::RangeInclusive<f32> = 0.01..=100.0;
 const MOST_REPETITIONS: usize = 1000;
 /// Most pixels of all pictures together: each takes 16 bytes, and they are kept until the report is written.
 const MOST_PIXELS: u64 = 1 << 28;
-/// RMS errors below this, of 255, are rounding and not sampling: no curve shows them, and none is interpolated to them.
-pub const LEAST_ERROR: f64 = 1e-3;
 /// Work of a repetition on a GPU beside one on the CPU, for progress.
 const GPU_SHARE: f32 = 0.2;
 
@@ -246,7 +242,7 @@ pub fn run(plan: &Plan, assets: &Assets, mut gpu: Option<Engine>, title: &str, t
                     Prepared::new(&scene, assets)?;
                     let share = |share: f32| part.tell(share);
                     let request = RenderRequest { watch: Watch::reporting(&share), ..RenderRequest::default() };
-                    let reference = Run { is_reference: true, ..super::run(&mut Engine::cpu(), &scene, assets, &name, &request)? };
+                    let reference = Run { is_reference: true, ..timed_run(&mut Engine::cpu(), &scene, assets, &name, &request)? };
                     progress.done = part.end;
                     for n in judged {
                         runs[n].error = Some(difference(&runs[n].picture, &reference.picture)?);
@@ -276,7 +272,7 @@ fn first_preparation(plan: &Plan, assets: &Assets) -> Result<Vec<(String, f64)>>
     let mut stages: Vec<(String, f64)> = Vec::new();
     for &mode in &plan.modes {
         let prepared = Prepared::new(&plan.at(mode, plan.steps[0], plan.sizes[0], &plan.cameras[0]), assets)?;
-        for (name, milliseconds) in super::owned(&[&prepared.stages]) {
+        for (name, milliseconds) in owned(&[&prepared.stages]) {
             match stages.iter_mut().find(|s| s.0 == name) {
                 Some(stage) => stage.1 += milliseconds,
                 None => stages.push((name, milliseconds)),
@@ -343,7 +339,7 @@ fn on_cpu(plan: &Plan, scene: &Scene, assets: &Assets, part: &Part) -> Result<Ru
     let name = plan.name(&format!("{} cpu", mode_name(scene.render.mode)), scene, true);
     let once = |n: usize| {
         let share = |share: f32| part.tell((n as f32 + share) / plan.repeat as f32);
-        super::run(&mut Engine::cpu(), scene, assets, &name, &RenderRequest { watch: Watch::reporting(&share), ..RenderRequest::default() })
+        timed_run(&mut Engine::cpu(), scene, assets, &name, &RenderRequest { watch: Watch::reporting(&share), ..RenderRequest::default() })
     };
     merged((0..plan.repeat).map(once).collect::<Result<_>>()?)
 }
@@ -353,7 +349,7 @@ fn on_gpu(plan: &Plan, scene: &Scene, assets: &Assets, gpu: &mut Engine, part: &
     let pictures = plan.repeat + 2;
     let mut once = |n: usize, count_samples: bool| {
         let share = |share: f32| part.tell((n as f32 + share) / pictures as f32);
-        super::run(gpu, scene, assets, &name, &RenderRequest { count_samples, watch: Watch::reporting(&share), ..RenderRequest::default() })
+        timed_run(gpu, scene, assets, &name, &RenderRequest { count_samples, watch: Watch::reporting(&share), ..RenderRequest::default() })
     };
     let first = once(0, false)?;
     let timed = (0..plan.repeat).map(|n| once(n + 1, false)).collect::<Result<_>>()?;
@@ -368,17 +364,6 @@ fn gpu_name(gpu: &Engine) -> String {
     format!("{}{soft}", device.name)
 }
 
-/// Everything that runs show, in order, each once.
-pub fn views(runs: &[Run]) -> Vec<Shown> {
-    let mut views: Vec<Shown> = Vec::new();
-    for run in runs {
-        if !views.contains(&run.shown) {
-            views.push(run.shown.clone());
-        }
-    }
-    views
-}
-
 /// Pairs of runs whose difference says something, by index: of those that show the same, different renderers at one step, and each run with
 /// its reference. Two steps of one renderer are compared by way of the reference.
 pub fn pairs_of(runs: &[Run]) -> Vec<[usize; 2]> {
@@ -391,234 +376,11 @@ pub fn pairs_of(runs: &[Run]) -> Vec<[usize; 2]> {
     all.filter(telling).collect()
 }
 
-/// One point of a renderer's curve over the steps of a sweep.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Point {
-    /// Voxels.
-    pub step: f64,
-    /// RMS error against the reference, of 255; not a number if there is no reference.
-    pub error: f64,
-    /// Of rendering, the median.
-    pub milliseconds: f64,
-    /// Least and greatest milliseconds.
-    pub spread: [f64; 2],
-}
-
-/// One renderer over the steps of a sweep, at one size and camera.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Curve {
-    /// How it samples.
-    pub mode: Mode,
-    /// Where it renders.
-    pub backend: String,
-    /// By step, the coarsest first.
-    pub points: Vec<Point>,
-}
-
-/// The curves of all renderers of one thing, in the order of their runs.
-pub fn curves(runs: &[Run], shown: &Shown) -> Vec<Curve> {
-    let mut curves: Vec<Curve> = Vec::new();
-    for run in runs.iter().filter(|run| run.shown == *shown && !run.is_reference) {
-        let point = Point {
-            step: f64::from(run.step),
-            error: run.error.map_or(f64::NAN, |d| d.rms()),
-            milliseconds: run.rendering.median,
-            spread: [run.rendering.min, run.rendering.max],
-        };
-        match curves.iter_mut().find(|c| (c.mode, &c.backend) == (run.mode, &run.backend)) {
-            Some(curve) => curve.points.push(point),
-            None => curves.push(Curve { mode: run.mode, backend: run.backend.clone(), points: vec![point] }),
-        }
-    }
-    for curve in &mut curves {
-        curve.points.sort_by(|a, b| b.step.total_cmp(&a.step));
-    }
-    curves
-}
-
-/// What a renderer costs at the common error.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Entry {
-    /// How it samples.
-    pub mode: Mode,
-    /// Where it renders.
-    pub backend: String,
-    /// Where its curve meets the common error; none if even its coarsest step is better.
-    pub at: Option<Point>,
-    /// Its coarsest step.
-    pub coarsest: Option<Point>,
-}
-
-/// Renderers where they are equally wrong.
-#[derive(Clone, Debug, PartialEq)]
-pub struct EqualError {
-    /// What they show.
-    pub shown: Shown,
-    /// The common error, RMS of 255.
-    pub error: f64,
-    /// Every renderer whose error is known at two steps or more.
-    pub entries: Vec<Entry>,
-}
-
-/// For everything that runs show: what renderers cost at their common error, where there are two or more that have one.
-pub fn equal_errors(runs: &[Run]) -> Vec<EqualError> {
-    let at_one = |shown: Shown| -> Option<EqualError> {
-        let curves: Vec<Curve> = curves(runs, &shown).into_iter().filter(|c| usable(&c.points).count() > 1).collect();
-        let error = common_error(&curves)?;
-        let entry = |c: Curve| Entry { at: at_error(&c.points, error), coarsest: usable(&c.points).next(), mode: c.mode, backend: c.backend };
-        let entries: Vec<Entry> = curves.into_iter().map(entry).collect();
-        // Curves that do not overlap have nothing in common.
-        (entries.iter().filter(|e| e.at.is_some()).count() > 1).then_some(EqualError { shown, error, entries })
-    };
-    views(runs).into_iter().filter_map(at_one).collect()
-}
-
-/// Points that logarithms can be taken of, those whose errors are rounding at the least error that says something.
-fn usable(points: &[Point]) -> impl Iterator<Item = Point> {
-    let positive = |v: f64| v.is_finite() && v > 0.0;
-    let usable = points.iter().copied().filter(move |p| positive(p.step) && p.error.is_finite() && positive(p.milliseconds));
-    usable.map(|p| Point { error: p.error.max(LEAST_ERROR), ..p })
-}
-
-/// The smallest error that all curves reach; none for fewer than two curves, or if one has no point that can be used.
-pub fn common_error(curves: &[Curve]) -> Option<f64> {
-    if curves.len() < 2 {
-        return None;
-    }
-    let best = |c: &Curve| usable(&c.points).map(|p| p.error).reduce(f64::min);
-    curves.iter().map(best).try_fold(0.0f64, |worst, best| Some(worst.max(best?)))
-}
-
-/// Where a curve has an error: step and milliseconds interpolated between two measured points around it, all three by their logarithms, or a measured
-/// point that errs no more, whichever is cheapest. None if it lies beyond what was measured, as it does where the coarsest step is better.
-pub fn at_error(points: &[Point], error: f64) -> Option<Point> {
-    let points: Vec<Point> = usable(points).collect();
-    if points.len() < 2 || points[0].error < error {
-        return None;
-    }
-    let between = |[a, b]: [Point; 2]| {
-        if !(a.error.min(b.error)..=a.error.max(b.error)).contains(&error) {
-            return None;
-        }
-        let span = (b.error / a.error).ln();
-        let share = if span == 0.0 { 0.0 } else { ((error / a.error).ln() / span).clamp(0.0, 1.0) };
-        let mix = |a: f64, b: f64| (a.ln() + share * (b / a).ln()).exp();
-        let milliseconds = mix(a.milliseconds, b.milliseconds);
-        Some(Point { step: mix(a.step, b.step), error, milliseconds, spread: [milliseconds; 2] })
-    };
-    let found = points.windows(2).filter_map(|w| between([w[0], w[1]]));
-    found.chain(points.iter().copied().filter(|p| p.error <= error)).min_by(|a, b| a.milliseconds.total_cmp(&b.milliseconds))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::compare::Difference;
-    use crate::picture::Picture;
-
-    /// error = c · step^p, milliseconds = k / step: straight lines on logarithmic axes.
-    fn power(mode: Mode, c: f64, p: f64, k: f64, steps: &[f64]) -> Curve {
-        let point = |&step: &f64| Point { step, error: c * step.powf(p), milliseconds: k / step, spread: [k / step; 2] };
-        Curve { mode, backend: "cpu".to_owned(), points: steps.iter().map(point).collect() }
-    }
-
-    fn run(name: &str, mode: Mode, backend: &str, step: f32, error: f64, ms: f64) -> Run {
-        let d = |rms: f64| Difference { mean: 0.5 * rms, max: 9.0, psnr_db: 20.0 * (255.0 / rms).log10(), ssim: 0.9 };
-        Run {
-            name: name.to_owned(),
-            picture: Picture { width: 1, height: 1, pixels: vec![[0.5; 4]] },
-            shown: Shown { camera: "anterior".to_owned(), size: [1, 1], surface: mode == Mode::Surface },
-            mode,
-            backend: backend.to_owned(),
-            step,
-            milliseconds: Times::of(&[2.0 * ms]),
-            rendering: Times::of(&[ms]),
-            repetitions: 1,
-            warm_up: None,
-            stages: Vec::new(),
-            stats: None,
-            memory: crate::compare::Memory::default(),
-            error: (error > 0.0).then(|| d(error)),
-            is_reference: error == 0.0,
-            notices: Vec::new(),
-        }
-    }
-
-    #[test]
-    fn powers_are_interpolated_exactly() {
-        let steps = [4.0, 1.0, 0.5];
-        let curve = power(Mode::Slice, 3.0, 1.5, 20.0, &steps);
-        for error in [3.0 * 8.0, 10.0, 3.0, 1.7, 3.0 * 0.5f64.powf(1.5)] {
-            let at = at_error(&curve.points, error).unwrap();
-            let step = (error / 3.0).powf(1.0 / 1.5);
-            assert!((at.step - step).abs() < 1e-9 && (at.milliseconds - 20.0 / step).abs() < 1e-9 && at.error == error, "{error}: {at:?}");
-        }
-        for beyond in [24.01, 1.06, 0.0, f64::NAN, f64::INFINITY] {
-            assert_eq!(at_error(&curve.points, beyond), None, "{beyond} was not measured");
-        }
-        assert_eq!(at_error(&curve.points[..1], 24.0), None);
-        // Rounding is no error of sampling: whatever it is, it is better than errors are.
-        let rounding = power(Mode::Slice, 1e-4, 1.0, 20.0, &steps);
-        let common = common_error(&[curve, rounding.clone()]).unwrap();
-        assert!((common - 3.0 * 0.5f64.powf(1.5)).abs() < 1e-12 && at_error(&rounding.points, common).is_none());
-        assert_eq!(common_error(&[rounding.clone(), rounding]), Some(LEAST_ERROR));
-    }
-
-    #[test]
-    fn the_common_error_is_the_least_that_all_reach() {
-        let steps = [2.0, 1.0, 0.5];
-        let [good, bad] = [power(Mode::Raycast, 1.0, 2.0, 30.0, &steps), power(Mode::Slice, 2.0, 2.0, 10.0, &steps)];
-        let common = common_error(&[good.clone(), bad.clone()]).unwrap();
-        assert!((common - 0.5).abs() < 1e-12);
-        // The good one meets it at a step of √½, the bad one at its own finest.
-        let [good_at, bad_at] = [&good, &bad].map(|c| at_error(&c.points, common).unwrap());
-        assert!((good_at.milliseconds - 30.0 / 0.5f64.sqrt()).abs() < 1e-9 && (bad_at.milliseconds - 20.0).abs() < 1e-9);
-        let nothing = Curve { points: vec![Point { step: 1.0, error: f64::NAN, milliseconds: 1.0, spread: [1.0; 2] }], ..good.clone() };
-        assert_eq!((common_error(std::slice::from_ref(&good)), common_error(&[good.clone(), nothing])), (None, None));
-        // One that is exact at its finest step has an error that the other reaches, too.
-        let exact = Curve {
-            points: vec![Point { error: 5.0, ..good.points[0] }, Point { error: 5.0, ..good.points[1] }, Point { error: 0.0, ..good.points[2] }],
-            ..good
-        };
-        let common = common_error(&[exact.clone(), bad]).unwrap();
-        let at = at_error(&exact.points, common).unwrap();
-        assert!((common - 0.5).abs() < 1e-12 && (0.5..1.0).contains(&at.step) && at.error == common, "{at:?}");
-    }
-
-    #[test]
-    fn an_error_that_rises_again_is_met_where_it_is_cheapest() {
-        let point = |step: f64, error: f64| Point { step, error, milliseconds: 8.0 / step, spread: [0.0; 2] };
-        let points = [point(2.0, 8.0), point(1.0, 2.0), point(0.5, 2.0), point(0.25, 8.0), point(0.1, 0.0)];
-        let at = at_error(&points, 4.0).unwrap();
-        assert!((at.step - 2f64.sqrt()).abs() < 1e-9, "{at:?}");
-        assert!((at_error(&points, 2.0).unwrap().step - 1.0).abs() < 1e-9);
-        // A measured step that is better and cheaper than where the curve has the error.
-        let points = [Point { milliseconds: 3.0, ..point(2.0, 4.1) }, point(1.0, 8.0), Point { milliseconds: 2.0, ..point(0.5, 3.9) }];
-        assert_eq!(at_error(&points, 4.0).map(|p| (p.step, p.milliseconds)), Some((0.5, 2.0)));
-    }
-
-    #[test]
-    fn renderers_are_told_apart_where_they_overlap() {
-        let mut runs = Vec::new();
-        for (mode, backend, c) in [(Mode::Slice, "cpu", 2.0), (Mode::Raycast, "cpu", 1.0), (Mode::Raycast, "gpu", 0.01), (Mode::Surface, "cpu", 1.0)]
-        {
-            for step in [0.5f32, 1.0, 2.0] {
-                let name = format!("{mode:?} {backend} {step}");
-                runs.push(run(&name, mode, backend, step, c * f64::from(step), 10.0 / f64::from(step)));
-            }
-        }
-        runs.push(run("reference", Mode::Raycast, "cpu", 0.0625, 0.0, 100.0));
-        let curves = curves(&runs, &runs[0].shown);
-        assert_eq!(curves.len(), 3);
-        assert!(curves.iter().all(|c| c.points.iter().map(|p| p.step).eq([2.0, 1.0, 0.5])));
-        let equal = equal_errors(&runs);
-        assert!(equal.len() == 1 && (equal[0].error - 1.0).abs() < 1e-9, "{equal:?}");
-        let at = |n: usize| equal[0].entries[n].at.map(|p| p.milliseconds);
-        assert!((at(0).unwrap() - 20.0).abs() < 1e-6 && (at(1).unwrap() - 10.0).abs() < 1e-6);
-        assert!(at(2).is_none() && equal[0].entries[2].coarsest.is_some_and(|p| p.step == 2.0), "better at every step");
-        let one_step: Vec<Run> = runs.iter().filter(|r| r.step == 1.0).cloned().collect();
-        assert!(equal_errors(&one_step).is_empty());
-    }
+    use crate::compare::run::Shown;
+    use crate::compare::run::tests::run;
 
     #[test]
     fn only_telling_pairs_are_compared() {

@@ -2,9 +2,10 @@
 //!
 //! The page holds its pictures itself and asks for nothing else, so that it can be mailed, archived, and opened without a network.
 
-use super::lab::{self, EqualError};
+use super::curves::{self, Curve, EqualError, MIN_ERROR, Point};
 use super::plot::{self, Axis, Bar, Dot, Series, escaped, number};
-use super::report::{Encoded, Protocol, Report, Run, Shown, VERSION, mode_name, samples, stage_milliseconds};
+use super::report::{Encoded, Protocol, Report, VERSION};
+use super::run::{Run, Shown, mode_name, samples, stage_milliseconds};
 use crate::scene::Mode;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -13,7 +14,7 @@ impl Report {
     /// The page.
     pub(super) fn page(&self, pictures: &[Encoded], differences: &[Encoded], equal: &[EqualError]) -> String {
         let title = escaped(&self.title);
-        let views = lab::views(&self.runs);
+        let views = curves::views(&self.runs);
         let how_large = self.size().map_or_else(|| "One scene".to_owned(), |[width, height]| format!("One scene, {width} × {height} pixels"));
         let mut page = format!(
             "<!doctype html>\n<html lang=\"en\">\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" content=\"width=device-width\">\n\
@@ -75,7 +76,7 @@ impl Report {
 
     /// Plots of all runs that show one thing.
     fn plots(&self, shown: &Shown, views: &[Shown], equal: &[EqualError]) -> String {
-        let curves = lab::curves(&self.runs, shown);
+        let curves = curves::curves(&self.runs, shown);
         let runs: Vec<&Run> = self.runs.iter().filter(|run| run.shown == *shown && !run.is_reference).collect();
         if runs.len() < 2 {
             return String::new();
@@ -86,8 +87,8 @@ impl Report {
         let several = steps.len() > 1;
         let heading = if views.len() > 1 { format!("Plots: {shown}") } else { "Plots".to_owned() };
         let mut text = format!("<h2>{}</h2>\n<div class=\"plots\">\n", escaped(&heading));
-        let series = |dot: &dyn Fn(&lab::Point) -> Dot| -> Vec<Series> {
-            let one = |c: &lab::Curve| Series {
+        let series = |dot: &dyn Fn(&Point) -> Dot| -> Vec<Series> {
+            let one = |c: &Curve| Series {
                 name: format!("{} {}", mode_name(c.mode), c.backend),
                 color: color_of(c.mode, c.backend == "cpu"),
                 dashed: c.backend != "cpu",
@@ -103,7 +104,7 @@ impl Report {
             let by_step = series(&|p| Dot { x: p.step, y: p.milliseconds, spread: Some(p.spread) });
             text.push_str(&plot::curves("Time by step", &step, &time, &by_step, None));
             if has_errors {
-                let told = |error: f64| if error >= lab::LEAST_ERROR { error } else { f64::NAN };
+                let told = |error: f64| if error >= MIN_ERROR { error } else { f64::NAN };
                 let errors = series(&|p| Dot { x: p.step, y: told(p.error), spread: None });
                 text.push_str(&plot::curves("Error by step", &step, &error, &errors, None));
                 let common = equal.iter().find(|e| e.shown == *shown).map(|e| e.error);

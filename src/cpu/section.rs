@@ -3,8 +3,7 @@
 //! One sample per pixel, by the same walk through the maps as a ray's. Beside the value it can say what the map does there: the mask, the
 //! determinant of the Jacobian (below 0 the field folds, below 1 matter is compressed into view), and where the matter came from.
 
-use crate::deform::Stack;
-use crate::deform::cut::Cuts;
+use crate::deform::StackAndCuts;
 use crate::math::to_f32;
 use crate::volume::{Grid, GridVoxels, Sampler, Volume, Voxel};
 use crate::{Result, Watch};
@@ -41,15 +40,6 @@ impl Plane {
     }
 }
 
-/// What a deformed scene's points are.
-#[derive(Clone, Copy)]
-pub struct Deformed<'a> {
-    /// The maps.
-    pub stack: &'a Stack,
-    /// Cuts after them.
-    pub cuts: &'a Cuts,
-}
-
 /// What was found on a plane, row by row from the top.
 pub struct Section {
     /// The plane.
@@ -68,7 +58,7 @@ pub struct Section {
 ///
 /// # Errors
 /// [`Error::Cancelled`](crate::Error::Cancelled).
-pub fn sample(volume: &Volume, grid: &Grid, deformed: Option<Deformed>, plane: Plane, determinants: bool, watch: &Watch) -> Result<Section> {
+pub fn sample(volume: &Volume, grid: &Grid, deformed: Option<StackAndCuts>, plane: Plane, determinants: bool, watch: &Watch) -> Result<Section> {
     let section = match &grid.voxels {
         GridVoxels::U8(v) => rows(volume, grid, &Sampler::new(grid, v), deformed, plane, determinants, watch),
         GridVoxels::U16(v) => rows(volume, grid, &Sampler::new(grid, v), deformed, plane, determinants, watch),
@@ -86,7 +76,7 @@ fn rows<T: Voxel>(
     volume: &Volume,
     grid: &Grid,
     sampler: &Sampler<T>,
-    deformed: Option<Deformed>,
+    deformed: Option<StackAndCuts>,
     plane: Plane,
     determinants: bool,
     watch: &Watch,
@@ -116,7 +106,7 @@ fn rows<T: Voxel>(
     }
 }
 
-fn at<T: Voxel>(sampler: &Sampler<T>, voxel_from_world: &Affine3A, top: Vec3, deformed: Option<Deformed>, p: Vec3, determinants: bool) -> Found {
+fn at<T: Voxel>(sampler: &Sampler<T>, voxel_from_world: &Affine3A, top: Vec3, deformed: Option<StackAndCuts>, p: Vec3, determinants: bool) -> Found {
     let (source, mask, determinant) = match deformed {
         None => (p, 1.0, 1.0),
         Some(d) => {
@@ -179,7 +169,7 @@ mod tests {
         cut.size = Some(crate::scene::Size::Cube(1e4));
         scene.deformation.push(cut);
         let prepared = Prepared::new(&scene, &assets).unwrap();
-        let deformed = Deformed { stack: &prepared.stack, cuts: &prepared.cuts };
+        let deformed = StackAndCuts { stack: &prepared.stack, cuts: &prepared.cuts };
         let cut = sample(&assets.volume, assets.grid(), Some(deformed), plane(&assets), true, &Watch::NONE).unwrap();
         assert!(cut.values.iter().all(|v| v.is_nan()) && cut.mask.iter().all(|m| *m < 0.5));
         let source = sample(&assets.volume, assets.grid(), None, plane(&assets), false, &Watch::NONE).unwrap();

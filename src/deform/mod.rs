@@ -31,6 +31,7 @@ pub mod slope;
 mod stack;
 pub mod stroke;
 pub mod transform;
+mod whole;
 
 pub use argument::{Argument, Arguments};
 pub use formula::{FORMULA_NUMBERS, Formula, FormulaKind, Recipe};
@@ -38,3 +39,4 @@ pub use library::Library;
 pub use map::{DisplacementMap, Extent, Storage, TexelSample};
 pub use placement::Placement;
 pub use stack::{Cut, Jet, MAX_MAPS, PlacedMap, Shortcut, Stack};
+pub use whole::StackAndCuts;

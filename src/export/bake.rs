@@ -2,8 +2,7 @@
 //! nothing but the source and a few slabs is in memory.
 
 use super::rows::{Row, Rows};
-use crate::deform::Stack;
-use crate::deform::cut::Cuts;
+use crate::deform::{Stack, StackAndCuts};
 use crate::math::Bounds;
 use crate::math::lanes::*;
 use crate::volume::load::ScalarType;
@@ -28,15 +27,6 @@ pub enum Interpolation {
     Linear,
     /// Cubic convolution with a = -1/2 (Keys 1981): third order, passes through the voxels.
     Cubic,
-}
-
-/// What is baked.
-#[derive(Clone, Copy)]
-pub struct Deformation<'a> {
-    /// The maps.
-    pub stack: &'a Stack,
-    /// The cuts that come after them.
-    pub cuts: &'a Cuts,
 }
 
 /// The grid of a volume, grown by whole voxels until it holds the deformed scene.
@@ -166,7 +156,7 @@ impl Stored<'_> {
 
     /// Stored values, rounded if `whole`, of a row of the deformed scene, with NaN where nothing is; none if [`Self::sample`] is to be asked instead.
     /// `m` is world to voxels of the source; the row has its first voxel and the next ones by a step, mm.
-    fn row(&self, deformation: &Deformation, m: &DAffine3, [first, step]: [DVec3; 2], count: usize, whole: bool) -> Option<Vec<f32>> {
+    fn row(&self, deformation: &StackAndCuts, m: &DAffine3, [first, step]: [DVec3; 2], count: usize, whole: bool) -> Option<Vec<f32>> {
         let size = self.volume.size;
         if self.interpolation != Interpolation::Linear || size.iter().any(|&n| n < 2) {
             return None;
@@ -273,7 +263,7 @@ fn data_type(volume: &Volume, stored: ScalarType) -> (ScalarType, Rescale) {
 #[allow(clippy::too_many_arguments, reason = "each is one choice of the caller")]
 pub fn volume(
     volume: &Volume,
-    deformation: &Deformation,
+    deformation: &StackAndCuts,
     grid: &GridGeometry,
     interpolation: Interpolation,
     fill: f64,
@@ -325,7 +315,7 @@ pub fn volume(
 ///
 /// # Errors
 /// As [`volume`].
-pub fn field(deformation: &Deformation, grid: &GridGeometry, format: Format, out: &mut dyn Write, progress: &dyn Fn(f32)) -> Result<usize> {
+pub fn field(deformation: &StackAndCuts, grid: &GridGeometry, format: Format, out: &mut dyn Write, progress: &dyn Fn(f32)) -> Result<usize> {
     let fail = |e: String| Error::value("output", e);
     let mut writer = Writer::new(out, format, grid, Content::Field).map_err(fail)?;
     let cut = std::sync::atomic::AtomicUsize::new(0);
@@ -395,8 +385,8 @@ mod tests {
         }
         let size = [256, 256, 100];
         let v = Volume::new(vec![1i16; 256 * 256 * 100].into(), size, Rescale::NONE, DAffine3::IDENTITY);
-        let (stack, cuts) = (Stack::default(), Cuts::default());
-        let deformation = Deformation { stack: &stack, cuts: &cuts };
+        let (stack, cuts) = (Stack::default(), crate::deform::cut::Cuts::default());
+        let deformation = StackAndCuts { stack: &stack, cuts: &cuts };
         let bake = |room: usize| volume(&v, &deformation, &v.geometry(), Interpolation::Linear, 0.0, Format::Nifti, &mut Full(room), &|_| ());
         let bytes = 352 + 2 * 256 * 256 * 100;
         for room in [1000, bytes / 2, bytes - 1] {

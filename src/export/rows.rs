@@ -3,7 +3,7 @@
 //! A position in the source is a whole voxel and a share of one: the deformed point's own, in fixed point, and the walk's displacement, in single
 //! precision. What does not move keeps its value to the bit.
 
-use super::bake::Deformation;
+use crate::deform::StackAndCuts;
 use crate::math::cells::{Strides, flat, mix_rows};
 use crate::math::lanes::*;
 use crate::volume::Voxel;
@@ -14,7 +14,7 @@ use glam::{DAffine3, DVec3, Mat3};
 pub(super) struct Rows<'a> {
     /// Extent of the source; at least two voxels along every axis.
     pub size: [usize; 3],
-    pub deformation: Deformation<'a>,
+    pub deformation: StackAndCuts<'a>,
     /// World to voxels of the source.
     pub voxel_from_world: &'a DAffine3,
     /// World position of the first voxel, and from each to the next, mm.

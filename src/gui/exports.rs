@@ -129,7 +129,7 @@ impl Workstation {
             }
             let output = Output::create(&path)?;
             let exact = Deformed::exact(&scene, &assets, true, watch)?;
-            let deformation = bake::Deformation { stack: &exact.stack, cuts: &exact.cuts };
+            let deformation = exact.stack_and_cuts();
             let volume = &assets.volume;
             let grid = volume.geometry();
             let interpolation = if volume.labels().is_some() { bake::Interpolation::Nearest } else { bake::Interpolation::Linear };

@@ -458,7 +458,7 @@ fn shown(picture: ScenePicture, keep: bool) -> Shown {
 fn slice(job: &Job, plane: Plane, style: SliceStyle, watch: &Watch) -> Result<SlicePicture> {
     let assets = &job.assets;
     let deformed = if style.source { None } else { Some(Deformed::watched(&job.scene, assets, watch)?) };
-    let maps = deformed.as_ref().map(|d| section::Deformed { stack: &d.stack, cuts: &d.cuts });
+    let maps = deformed.as_ref().map(Deformed::stack_and_cuts);
     let determinants = style.overlay == Overlay::Jacobian;
     let section = section::sample(&assets.volume, assets.grid(), maps, plane, determinants, watch)?;
     let image = super::views::slice_paint::paint(&section, assets, style);

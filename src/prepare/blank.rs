@@ -4,6 +4,7 @@
 //! first question that every point answers with no is the reason.
 
 use super::prepared::Prepared;
+use crate::deform::StackAndCuts;
 use crate::math::Bounds;
 use crate::picture::{Picture, RenderStats, Rendered, Stages};
 use crate::scene::{Mode, Projection};
@@ -165,9 +166,9 @@ impl Prepared<'_> {
     /// What is true of the points of a box of the deformed scene; `shows` tells of a source point whether it shows something, none where nothing is.
     fn of_points(&self, deformed: &Bounds, shows: impl Fn(Vec3) -> Option<bool> + Sync) -> Found {
         let points: Vec<Vec3> = points_over(deformed).collect();
+        let deformation = StackAndCuts { stack: &self.stack, cuts: &self.cuts };
         let of_point = |p: &Vec3| {
-            let (source, alpha) = self.stack.walk(*p);
-            let shown = if alpha >= 0.5 && self.cuts.kept(*p) >= 0.0 { shows(source) } else { None };
+            let shown = deformation.source(*p).and_then(&shows);
             let visible = shown == Some(true);
             Found { visible_before: false, left: shown.is_some(), visible, in_view: visible && self.is_in_view(*p) }
         };

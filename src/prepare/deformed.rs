@@ -5,7 +5,7 @@ use super::assets::Assets;
 use super::stack::{self, Composition, StackInputs};
 use super::{PrepareOptions, blend_mm, inside};
 use crate::deform::cut::Cuts;
-use crate::deform::{Stack, Storage, invert};
+use crate::deform::{Stack, StackAndCuts, Storage, invert};
 use crate::math::Bounds;
 use crate::mesh::Mesh;
 use crate::scene::{Scene, ViewFrame};
@@ -78,12 +78,17 @@ impl Deformed {
         StackInputs { library: &assets.library, scene_box, min_ramp_mm: 0.0, view, storage: None, exact_cuts: true, accelerator, watch }
     }
 
+    /// Its maps and cuts.
+    pub fn stack_and_cuts(&self) -> StackAndCuts<'_> {
+        StackAndCuts { stack: &self.stack, cuts: &self.cuts }
+    }
+
     /// Where a point of the source is seen in the deformed scene, mm; none if it is cut away or no such point is found.
     pub fn forward(&self, source: Vec3) -> Option<Vec3> {
         let y = source.as_dvec3();
         let backward = |p: DVec3| self.stack.walk_through(p.as_vec3()).0.as_dvec3();
         let solution = invert::point(&backward, y, y + (y - backward(y)), 0.05, 5e-3);
         let deformed = solution.source.as_vec3();
-        (solution.found && self.stack.walk(deformed).1 >= 0.5 && self.cuts.kept(deformed) >= 0.0).then_some(deformed)
+        (solution.found && self.stack_and_cuts().source(deformed).is_some()).then_some(deformed)
     }
 }

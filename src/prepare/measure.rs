@@ -50,7 +50,7 @@ impl Measure {
         Ok(match self.kind {
             MeasureKind::Distance | MeasureKind::Angle => {
                 let mut all = vec![Quantity { what: self.kind.name(), value: of_points(self.kind, &source), unit }];
-                if !deformed.stack.is_empty() || !deformed.cuts.is_empty() {
+                if !deformed.stack_and_cuts().is_empty() {
                     let seen: Option<Vec<Vec3>> = source.iter().map(|p| deformed.forward(*p)).collect();
                     all.push(Quantity { what: "in the picture", value: seen.and_then(|p| of_points(self.kind, &p)), unit });
                 }
@@ -85,7 +85,8 @@ fn label_quantities(labels: &Volume, label: u32, deformed: &Deformed) -> Result<
         Quantity { what: "Volume", value: Some(ml(count as f64 * voxel_mm3)), unit: "ml" },
         Quantity { what: "Surface", value: surface_mm2(labels, label).map(|mm2| mm2 / 100.0), unit: "cm²" },
     ];
-    if !deformed.stack.is_empty() || !deformed.cuts.is_empty() {
+    let deformation = deformed.stack_and_cuts();
+    if !deformation.is_empty() {
         let bounds = deformed.stack.deformed_bounds(&labels.bounds_in_world());
         let step = labels.spacing_mm().min_element() as f32;
         let n = (bounds.size() / step).ceil().as_uvec3().max(glam::UVec3::ONE);
@@ -96,11 +97,8 @@ fn label_quantities(labels: &Volume, label: u32, deformed: &Deformed) -> Result<
                 for j in 0..n.y {
                     for i in 0..n.x {
                         let p = bounds.min + (glam::UVec3::new(i, j, k).as_vec3() + 0.5) * step;
-                        if deformed.cuts.kept(p) < 0.0 {
-                            continue;
-                        }
-                        let (source, alpha) = deformed.stack.walk(p);
-                        if alpha >= 0.5 && nearest_value(labels, source.as_dvec3()) == Some(f64::from(label)) {
+                        let source = deformation.source(p);
+                        if source.and_then(|s| nearest_value(labels, s.as_dvec3())) == Some(f64::from(label)) {
                             seen += 1;
                         }
                     }

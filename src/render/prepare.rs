@@ -7,7 +7,7 @@
 //! renderer), it is sampled there too.
 
 use super::Renderer;
-use super::uniforms::{ClassificationUniform, LevelUniform, NodeBounds, RecipeUniform};
+use super::uniforms::{ClassificationUniform, LevelUniform, MAP_LEVELS, NodeBounds, RecipeUniform, VALUE_LEVELS};
 use crate::deform::compose::Sources;
 use crate::deform::{DisplacementMap, Extent, Formula, MAX_MAPS, Recipe, Stack, Storage};
 use crate::gpu::shaders::Program;
@@ -26,9 +26,6 @@ use wgpu::{BufferUsages, TextureFormat};
 const GROUP: u32 = 4;
 /// Cells of a map's grid along the edge of a finest box, as in `shaders/bounds.wgsl`.
 const CELLS_PER_NODE: usize = 4;
-/// Levels of boxes that `shaders/classify.wgsl` takes: of a map, and of the volume.
-pub(super) const MAP_LEVELS: usize = 8;
-pub(super) const VALUE_LEVELS: usize = 12;
 /// Bytes of samples that are kept room for: those of a map of 128^3 points, and some more.
 const KEPT_SAMPLES: u64 = 64 << 20;
 /// Distance between uniforms that are chosen by an offset.

@@ -1,6 +1,5 @@
 //! What the shaders read besides textures: `shaders/types/frame.wgsl` in Rust. A test compares names, offsets and sizes.
 
-use super::prepare::{MAP_LEVELS, VALUE_LEVELS};
 use crate::deform::cut::Primitive;
 use crate::deform::{FORMULA_NUMBERS, MAX_MAPS, PlacedMap};
 use crate::mesh::Implicit;
@@ -12,6 +11,11 @@ use crate::scene::Projection;
 use crate::scene::surface::{CutModel, Steps};
 use bytemuck::{Pod, Zeroable};
 use glam::{Affine3A, Mat3, Mat4, Vec3};
+
+/// Levels of boxes of a map that `shaders/classify.wgsl` takes.
+pub(super) const MAP_LEVELS: usize = 8;
+/// Levels of boxes of the volume that it takes.
+pub(super) const VALUE_LEVELS: usize = 12;
 
 /// `Frame` of the shaders.
 #[repr(C)]

@@ -10,6 +10,7 @@ mod metaimage;
 mod nifti;
 mod npy;
 mod nrrd;
+mod planes;
 mod raw;
 mod slices;
 mod source;

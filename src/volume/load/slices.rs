@@ -4,6 +4,7 @@
 
 use super::super::Voxels;
 use super::image::{Image, Layout, Meaning};
+use super::planes::{Plane, PlaneStack};
 use super::source::{check_held, open_file};
 use super::{Choice, tiff};
 use crate::files::reference::{is_link_out, links_left_out};
@@ -20,48 +21,6 @@ pub const ENDINGS: [&str; 5] = ["tif", "tiff", "png", "jpg", "jpeg"];
 const MOST_RATIO: u64 = 3000;
 /// Pictures decoded at once.
 const AT_ONCE: usize = 16;
-
-/// One slice.
-pub(super) struct Plane {
-    pub size: [usize; 2],
-    pub components: usize,
-    pub values: Voxels,
-}
-
-/// Slices that become one array.
-#[derive(Default)]
-pub(super) struct Stack {
-    pub size: [usize; 2],
-    pub components: usize,
-    pub count: usize,
-    values: Option<Voxels>,
-}
-
-impl Stack {
-    /// Adds a slice; false if it is of another size or type than the first one.
-    pub fn push(&mut self, plane: Plane, of: usize) -> bool {
-        match &mut self.values {
-            None => {
-                (self.size, self.components) = (plane.size, plane.components);
-                let mut values = plane.values;
-                values.reserve(plane.size[0].saturating_mul(plane.size[1]).saturating_mul(plane.components).saturating_mul(of.saturating_sub(1)));
-                self.values = Some(values);
-            }
-            Some(values) => {
-                if (self.size, self.components) != (plane.size, plane.components) || !values.append(&plane.values) {
-                    return false;
-                }
-            }
-        }
-        self.count += 1;
-        true
-    }
-
-    /// All values; none if there is no slice.
-    pub fn finish(self) -> Option<Voxels> {
-        self.values
-    }
-}
 
 /// The pictures of a folder, in order. Links out of it are not followed: see [`links_out`].
 pub fn pictures(folder: &Path) -> Result<Vec<PathBuf>> {
@@ -125,7 +84,7 @@ pub fn read_folder(folder: &Path, files: &[PathBuf], choice: &Choice, watch: &Wa
     }
     choice.time_of(1)?;
     let meter = Meter::new(watch, files.len() as u64);
-    let mut stack = Stack::default();
+    let mut stack = PlaneStack::default();
     let mut odd = Vec::new();
     for batch in files.chunks(AT_ONCE) {
         let planes: Vec<Result<Plane>> =
@@ -150,12 +109,12 @@ pub fn read_folder(folder: &Path, files: &[PathBuf], choice: &Choice, watch: &Wa
 /// Reads one picture as a volume of one slice.
 pub fn read(path: &Path, choice: &Choice, _watch: &Watch) -> Result<Image> {
     choice.time_of(1)?;
-    let mut stack = Stack::default();
+    let mut stack = PlaneStack::default();
     stack.push(plane(path)?, 1);
     image_of(path, "picture", stack, choice, [None; 3])
 }
 
-fn image_of(path: &Path, format: &'static str, stack: Stack, choice: &Choice, spacing: [Option<f64>; 3]) -> Result<Image> {
+fn image_of(path: &Path, format: &'static str, stack: PlaneStack, choice: &Choice, spacing: [Option<f64>; 3]) -> Result<Image> {
     let (size, components) = ([stack.size[0], stack.size[1], stack.count], stack.components);
     let voxels = stack.finish().ok_or_else(|| Error::file(path, "holds no picture"))?;
     let mut image = Image::new(format, voxels, size, DAffine3::from_scale(DVec3::from(spacing.map(|s| s.unwrap_or(1.0)))));

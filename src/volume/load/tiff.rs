@@ -4,7 +4,7 @@
 //! files of more than 4 GiB hold a single directory and all slices one after the other.
 
 use super::image::{Channel, Image, Layout, Meaning, ScalarType};
-use super::slices::{Plane, Stack};
+use super::planes::{Plane, PlaneStack};
 use super::source::{Source, check_held, count, open_file, skip};
 use super::{Choice, Voxels};
 use crate::guard::guarded;
@@ -188,7 +188,7 @@ fn read_unguarded(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> 
         contiguous(path, &mut pages, file_bytes, [slices, channels, times], time, watch)?
     } else {
         let wanted: Vec<usize> = (0..channels).flat_map(|c| (0..slices).map(move |s| (s, c))).map(|(s, c)| index_of(s, c)).collect();
-        let mut stack = Stack::default();
+        let mut stack = PlaneStack::default();
         let meter = Meter::new(watch, wanted.len() as u64);
         let mut left_out = 0usize;
         for &index in &wanted {

@@ -8,6 +8,7 @@
 
 mod pixels;
 mod scan;
+mod syntax;
 
 pub use scan::is_dicom;
 
@@ -17,12 +18,13 @@ use super::{Choice, Voxels};
 use crate::volume::{Misplaced, Rescale};
 use crate::{Error, Meter, Result, Watch};
 use glam::{DAffine3, DMat3, DVec3};
-use pixels::{Pixel, check_syntax, decode, most_ratio, syntax_name};
+use pixels::{Pixel, check_syntax, decode};
 use rayon::prelude::*;
 use scan::{Frame, Object, PixelFormat, SegmentsAs, scan};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
+use syntax::{most_ratio, syntax_name};
 
 /// Steps that differ by more than this, mm or share of the step, are uneven.
 const UNEVEN: [f64; 2] = [0.01, 0.01];

@@ -6,6 +6,7 @@
 
 use super::super::source::{Stored, read_error};
 use super::scan::{Frame, Object, PixelFormat, one_line, open, whole};
+use super::syntax::{JPEG, JPEG_2000, most_ratio, syntax_name};
 use crate::guard::guarded;
 use crate::{Error, Result};
 use dicom_core::header::HasLength;
@@ -19,40 +20,6 @@ use dicom_transfer_syntax_registry::TransferSyntaxRegistry;
 use jpeg_decoder::{ColorTransform, PixelFormat as JpegFormat};
 use std::borrow::Cow;
 use std::io::ErrorKind;
-
-/// JPEG in its kinds: baseline, extended, lossless.
-const JPEG: [&str; 6] = [
-    "1.2.840.10008.1.2.4.50",
-    "1.2.840.10008.1.2.4.51",
-    "1.2.840.10008.1.2.4.53",
-    "1.2.840.10008.1.2.4.55",
-    "1.2.840.10008.1.2.4.57",
-    "1.2.840.10008.1.2.4.70",
-];
-/// JPEG 2000, lossless only and not, and its multi-component kinds.
-const JPEG_2000: [&str; 4] = ["1.2.840.10008.1.2.4.90", "1.2.840.10008.1.2.4.91", "1.2.840.10008.1.2.4.92", "1.2.840.10008.1.2.4.93"];
-/// Bytes of a frame up to which a picture of one colour is believed, whatever it was packed to.
-const SMALL_FRAME: usize = 64 << 20;
-
-/// The most that pixels can have been packed by in a transfer syntax, in frames of some bytes.
-pub fn most_ratio(syntax: &str, frame_bytes: usize) -> u64 {
-    match syntax {
-        "1.2.840.10008.1.2" | "1.2.840.10008.1.2.1" | "1.2.840.10008.1.2.2" => 1,
-        "1.2.840.10008.1.2.1.99" => super::super::source::DEFLATE_LIMIT,
-        // A run of 128 takes two bytes.
-        "1.2.840.10008.1.2.5" => 64,
-        _ if frame_bytes <= SMALL_FRAME => 20_000,
-        _ => 1000,
-    }
-}
-
-/// A transfer syntax by name, for messages and `info`.
-pub fn syntax_name(uid: &str) -> String {
-    match TransferSyntaxRegistry.get(uid) {
-        Some(syntax) => format!("{} ({uid})", syntax.name()),
-        None => uid.to_owned(),
-    }
-}
 
 /// Bytes of the pixels of an object.
 pub enum Pixels {

@@ -1,6 +1,7 @@
 //! Finding DICOM objects in a file, a folder or a zip, and what their headers say: one [`Frame`] for every plane of pixels.
 
 use super::super::source::{DEFLATE_LIMIT, open_file};
+use super::syntax::most_ratio;
 use crate::files::{input, reference};
 use crate::guard::guarded;
 use crate::volume::{Label, Rescale};
@@ -562,8 +563,8 @@ fn described(source: Source, syntax: String, set: &InMemDicomObject) -> Result<O
     let class = text(set, tags::SOP_CLASS_UID);
     let segmentation = SEGMENTATION.contains(&class.as_str()) || text(set, tags::MODALITY) == "SEG";
     // No more frames are believed than the object's bytes can make up.
-    let ratio = super::pixels::most_ratio(&syntax, format.frame_bytes());
-    let most = if ratio <= super::pixels::most_ratio(DEFLATED, 0) && allocated > 1 {
+    let ratio = most_ratio(&syntax, format.frame_bytes());
+    let most = if ratio <= most_ratio(DEFLATED, 0) && allocated > 1 {
         source.bytes().saturating_mul(ratio) / format.frame_bytes() as u64
     } else {
         // A packed frame has a head of eight bytes; single bits are not padded.

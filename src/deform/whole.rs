@@ -1,0 +1,30 @@
+//! A deformation as one thing: the maps, and the cuts that come after them.
+
+use super::Stack;
+use super::cut::Cuts;
+use glam::Vec3;
+
+/// The maps of a deformation and the cuts that come after them.
+#[derive(Clone, Copy)]
+pub struct StackAndCuts<'a> {
+    /// The maps.
+    pub stack: &'a Stack,
+    /// The cuts that come after them.
+    pub cuts: &'a Cuts,
+}
+
+impl StackAndCuts<'_> {
+    /// Whether it moves nothing and cuts nothing.
+    pub fn is_empty(&self) -> bool {
+        self.stack.is_empty() && self.cuts.is_empty()
+    }
+
+    /// Where what is at a point of the deformed scene came from, mm; none where it is cut away.
+    pub fn source(&self, deformed: Vec3) -> Option<Vec3> {
+        if self.cuts.kept(deformed) < 0.0 {
+            return None;
+        }
+        let (source, alpha) = self.stack.walk(deformed);
+        (alpha >= 0.5).then_some(source)
+    }
+}

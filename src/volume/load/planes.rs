@@ -1,0 +1,45 @@
+//! Slices that become one array.
+
+use super::super::Voxels;
+
+/// One slice.
+pub(super) struct Plane {
+    pub size: [usize; 2],
+    pub components: usize,
+    pub values: Voxels,
+}
+
+/// Slices that become one array.
+#[derive(Default)]
+pub(super) struct PlaneStack {
+    pub size: [usize; 2],
+    pub components: usize,
+    pub count: usize,
+    values: Option<Voxels>,
+}
+
+impl PlaneStack {
+    /// Adds a slice; false if it is of another size or type than the first one.
+    pub fn push(&mut self, plane: Plane, of: usize) -> bool {
+        match &mut self.values {
+            None => {
+                (self.size, self.components) = (plane.size, plane.components);
+                let mut values = plane.values;
+                values.reserve(plane.size[0].saturating_mul(plane.size[1]).saturating_mul(plane.components).saturating_mul(of.saturating_sub(1)));
+                self.values = Some(values);
+            }
+            Some(values) => {
+                if (self.size, self.components) != (plane.size, plane.components) || !values.append(&plane.values) {
+                    return false;
+                }
+            }
+        }
+        self.count += 1;
+        true
+    }
+
+    /// All values; none if there is no slice.
+    pub fn finish(self) -> Option<Voxels> {
+        self.values
+    }
+}
