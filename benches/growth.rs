@@ -5,12 +5,12 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a benchmark that cannot set up should stop")]
 
 use glam::Vec3;
-use incise::compare::plot::{Axis, Dot, STYLE, Series, curves};
+use incise::compare::plot::{Dot, PlotAxis, PlotSeries, STYLE, curves};
 use incise::cpu;
 use incise::math::lanes::*;
 use incise::prepare::{Assets, Prepared};
 use incise::scene::{Deformation, Mode, Scene};
-use incise::volume::{GridVoxels, Sampler};
+use incise::volume::{VolumeSampler, VoxelGridValues};
 use rayon::prelude::*;
 use std::fmt::Write as _;
 use std::time::Instant;
@@ -32,9 +32,9 @@ fn milliseconds(mut work: impl FnMut()) -> [f64; 3] {
 }
 
 /// Samples along lines through the volume, one voxel apart, as rays take them, and nothing else.
-struct Fetch<'a>(&'a Sampler<'a, i16>, usize);
+struct Fetch<'a>(&'a VolumeSampler<'a, i16>, usize);
 
-impl OverSimd for Fetch<'_> {
+impl SimdKernel for Fetch<'_> {
     type Output = f32;
 
     #[inline(always)]
@@ -55,8 +55,8 @@ impl OverSimd for Fetch<'_> {
 }
 
 fn ceiling(assets: &Assets) {
-    let GridVoxels::I16(voxels) = &assets.grid().voxels else { panic!("the phantom is of 16 bits") };
-    let sampler = Sampler::new(assets.grid(), voxels);
+    let VoxelGridValues::I16(voxels) = &assets.grid().voxels else { panic!("the phantom is of 16 bits") };
+    let sampler = VolumeSampler::new(assets.grid(), voxels);
     let tasks = 8 * rayon::current_num_threads();
     let [_, ms, _] = milliseconds(|| {
         let sum: f32 = (0..tasks).into_par_iter().map(|n| with_simd(Fetch(&sampler, n % 8))).sum();
@@ -88,8 +88,8 @@ fn main() {
         ("Time by volume, 512 x 512 pixels", "voxels along an edge", by_volume),
         ("Time by picture, 256^3 voxels", "pixels along an edge", by_picture),
     ] {
-        let mut series: Vec<Series> =
-            names.iter().enumerate().map(|(color, n)| Series { name: (*n).into(), color, dashed: false, dots: Vec::new() }).collect();
+        let mut series: Vec<PlotSeries> =
+            names.iter().enumerate().map(|(color, n)| PlotSeries { name: (*n).into(), color, dashed: false, dots: Vec::new() }).collect();
         for &(volume, picture) in &cases {
             let assets = Assets::load(&scene(volume, picture, "rays")).expect("a phantom");
             if volume == 256 && picture == 512 {
@@ -109,7 +109,13 @@ fn main() {
             }
         }
         let ticks = series[0].dots.iter().map(|d| d.x).collect();
-        page.push_str(&curves(title, &Axis { label: label.into(), ticks }, &Axis { label: "milliseconds".into(), ticks: Vec::new() }, &series, None));
+        page.push_str(&curves(
+            title,
+            &PlotAxis { label: label.into(), ticks },
+            &PlotAxis { label: "milliseconds".into(), ticks: Vec::new() },
+            &series,
+            None,
+        ));
     }
     std::fs::write(folder.join("growth.csv"), csv).expect("a file");
     std::fs::write(folder.join("growth.html"), page).expect("a file");

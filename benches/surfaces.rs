@@ -65,7 +65,7 @@ fn main() {
     let meshes = if meshes.is_empty() { vec![bunny] } else { meshes };
     #[cfg(feature = "gpu")]
     let mut renderer = std::env::var_os("INCISE_BENCH_GPU")
-        .map(|_| incise::render::Renderer::new(incise::gpu::Device::open(incise::gpu::Want::Any).expect("an adapter")));
+        .map(|_| incise::render::Renderer::new(incise::gpu::Device::open(incise::gpu::AdapterPreference::Any).expect("an adapter")));
     #[cfg(feature = "gpu")]
     let mut draw = |p: &Prepared| -> Rendered {
         match &mut renderer {

@@ -41,7 +41,7 @@ override ISO: u32 = 0u;
 // Number of maps in the stack.
 override MAPS: u32 = 64u;
 // 1: the map behind the last one stands for all of them wherever its texels are not marked.
-override SHORTCUT: u32 = 0u;
+override PRECOMPOSED: u32 = 0u;
 // 0 none, 1 source, 2 transformed, 3 blended.
 override NORMALS: u32 = 3u;
 // 0 composite, 1 MIP, 2 MinIP, 3 average.

@@ -7,9 +7,9 @@ struct Classification {
     voxel_from_world: mat4x4<f32>,
     origin: vec3<f32>,
     // How far every sample looks back, and a sample beside a cut does; how near a shape matters to a sample.
-    looks_back_mm: f32,
+    lookback_mm: f32,
     cell_mm: vec3<f32>,
-    beside_cuts_mm: f32,
+    cut_lookback_mm: f32,
     size: vec3<u32>,
     cut_margin_mm: f32,
     // The volume's box in voxels.
@@ -26,13 +26,13 @@ struct Classification {
     // 1: only what has opacity shows.
     composite: u32,
     // 1: some mask takes something away.
-    stack_cuts: u32,
+    stack_has_cuts: u32,
     // log2 of the voxels of a node along each axis, and how many levels there are.
     value_shift: u32,
     value_levels: u32,
     value_size: vec3<u32>,
     // What the map that stands for all of them may be off by; 0 without one.
-    beside_mm: f32,
+    precompose_error_mm: f32,
     // Nodes along each axis, and the place of the first.
     values: array<vec4<u32>, 12>,
     // Of each map: how many levels there are, and whether its mask takes anything away.
@@ -50,8 +50,8 @@ struct Classification {
 // 0 empty, 1 occupied, 2 occupied and no cut matters.
 @group(1) @binding(4) var<storage, read_write> flags: array<u32>;
 
-// As SAME of src/deform/bounds.rs: where displacements differ by less than this share of a box, a bound by slopes is no better.
-const SAME: f32 = 0.25;
+// As FLAT_DISPLACEMENT of src/deform/bounds.rs: where displacements differ by less than this share of a box, a bound by slopes is no better.
+const FLAT_DISPLACEMENT: f32 = 0.25;
 const LAST_ENTRY: f32 = 4095.0;
 
 struct Box {
@@ -59,19 +59,19 @@ struct Box {
     high: vec3<f32>,
 }
 
-// What a map, or several added to each other, does to the points of a box; as Moves of src/deform/bounds.rs.
-struct Moves {
+// What a map, or several added to each other, does to the points of a box; as AffineEnclosure of src/deform/bounds.rs.
+struct AffineEnclosure {
     all: Box,
     mask: vec2<f32>,
     at_center: vec3<f32>,
     slope: mat3x3<f32>,
     spread: mat3x3<f32>,
-    beside: vec3<f32>,
+    remainder: vec3<f32>,
 }
 
-struct Contained {
+struct BoxContents {
     something: bool,
-    beside_a_cut: bool,
+    is_near_cut: bool,
 }
 
 fn grown(b: Box, by: vec3<f32>) -> Box {
@@ -100,9 +100,9 @@ fn transformed(m: mat4x4<f32>, b: Box) -> Box {
     return Box(center - half, center + half);
 }
 
-fn no_moves() -> Moves {
+fn no_displacement() -> AffineEnclosure {
     let none = mat3x3<f32>(vec3<f32>(0.0), vec3<f32>(0.0), vec3<f32>(0.0));
-    return Moves(Box(vec3<f32>(0.0), vec3<f32>(0.0)), vec2<f32>(1.0), vec3<f32>(0.0), none, none, vec3<f32>(0.0));
+    return AffineEnclosure(Box(vec3<f32>(0.0), vec3<f32>(0.0)), vec2<f32>(1.0), vec3<f32>(0.0), none, none, vec3<f32>(0.0));
 }
 
 fn reach_of(k: u32) -> Box {
@@ -139,13 +139,13 @@ fn texels_within(k: u32, b: Box) -> NodeBounds {
     return all;
 }
 
-fn moves_of(k: u32, b: Box) -> Moves {
+fn affine_enclosure(k: u32, b: Box) -> AffineEnclosure {
     // A hundredth of a texel for rounding.
     let texel = 0.01 / max(maps[k].size, vec3<f32>(2.0));
     let in_map = grown(transformed(maps[k].map_from_world, b), texel);
     let inside = overlap(in_map, reach_of(k));
     if is_empty(inside) {
-        return no_moves();
+        return no_displacement();
     }
     let outside = any(in_map.low < inside.low) || any(in_map.high > inside.high);
     let texels = texels_within(k, inside);
@@ -159,12 +159,12 @@ fn moves_of(k: u32, b: Box) -> Moves {
         all = Box(min(all.low, vec3<f32>(0.0)), max(all.high, vec3<f32>(0.0)));
         mask.y = 1.0;
     }
-    var m = no_moves();
+    var m = no_displacement();
     m.all = all;
     m.mask = mask;
-    if outside || largest(all.high - all.low) < SAME * largest(b.high - b.low) {
+    if outside || largest(all.high - all.low) < FLAT_DISPLACEMENT * largest(b.high - b.low) {
         m.at_center = (all.low + all.high) * 0.5;
-        m.beside = (all.high - all.low) * 0.5;
+        m.remainder = (all.high - all.low) * 0.5;
         return m;
     }
     var slopes = mat3x3<f32>(vec3<f32>(0.0), vec3<f32>(0.0), vec3<f32>(0.0));
@@ -185,26 +185,26 @@ fn moves_of(k: u32, b: Box) -> Moves {
     m.at_center = linear * fetch(k, transform_point(maps[k].map_from_world, (b.low + b.high) * 0.5)).xyz;
     m.slope = linear * slopes * map_from_world;
     m.spread = absolute(linear) * spreads * absolute(map_from_world);
-    m.beside = (absolute(m.slope) + m.spread) * (absolute(linear) * texel / maps[k].scale);
+    m.remainder = (absolute(m.slope) + m.spread) * (absolute(linear) * texel / maps[k].scale);
     return m;
 }
 
-fn plus(a: Moves, b: Moves) -> Moves {
-    return Moves(
+fn sum(a: AffineEnclosure, b: AffineEnclosure) -> AffineEnclosure {
+    return AffineEnclosure(
         Box(a.all.low + b.all.low, a.all.high + b.all.high),
         min(a.mask, b.mask),
         a.at_center + b.at_center,
         a.slope + b.slope,
         a.spread + b.spread,
-        a.beside + b.beside,
+        a.remainder + b.remainder,
     );
 }
 
 // Where the points of a box came from: what both bounds allow.
-fn source_of(m: Moves, b: Box) -> Box {
+fn source_of(m: AffineEnclosure, b: Box) -> Box {
     let one = mat3x3<f32>(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0);
     let center = (b.low + b.high) * 0.5 + m.at_center;
-    let half = (absolute(one + m.slope) + m.spread) * ((b.high - b.low) * 0.5) + m.beside;
+    let half = (absolute(one + m.slope) + m.spread) * ((b.high - b.low) * 0.5) + m.remainder;
     return overlap(Box(b.low + m.all.low, b.high + m.all.high), Box(center - half, center + half));
 }
 
@@ -241,8 +241,8 @@ fn any_visible(range: vec2<f32>) -> bool {
 }
 
 // Whether anything of a box of the source can be seen; `whole` if nothing of it is cut away.
-fn shows_source(source: Box, whole: bool, most_alpha: f32) -> bool {
-    if most_alpha < 0.5 {
+fn source_is_visible(source: Box, whole: bool, max_alpha: f32) -> bool {
+    if max_alpha < 0.5 {
         return false;
     }
     let inside = overlap(grown(transformed(grid.voxel_from_world, source), vec3<f32>(0.01)), Box(grid.voxel_low, grid.voxel_high));
@@ -260,44 +260,44 @@ fn shows_source(source: Box, whole: bool, most_alpha: f32) -> bool {
 }
 
 // Lowest and highest distance from what shapes remove.
-fn kept_within(b: Box) -> vec2<f32> {
+fn signed_distance_range(b: Box) -> vec2<f32> {
     if CUTS == 0u {
         return vec2<f32>(1e30);
     }
-    let middle = cuts_kept((b.low + b.high) * 0.5);
+    let middle = cuts_signed_distance_mm((b.low + b.high) * 0.5);
     let radius = length(b.high - b.low) * 0.5;
     return vec2<f32>(middle - radius, middle + radius);
 }
 
-fn contained(b: Box) -> Contained {
-    let kept = kept_within(b);
-    if kept.y < 0.0 {
-        return Contained(false, false);
+fn box_visibility(b: Box) -> BoxContents {
+    let distance_range = signed_distance_range(b);
+    if distance_range.y < 0.0 {
+        return BoxContents(false, false);
     }
     var at = b;
-    var together = no_moves();
+    var together = no_displacement();
     var alpha = vec2<f32>(1.0);
     for (var i = MAPS; i > 0u; i -= 1u) {
-        let m = moves_of(i - 1u, at);
+        let m = affine_enclosure(i - 1u, at);
         alpha = min(alpha, m.mask);
-        together = plus(together, m);
+        together = sum(together, m);
         if maps[i - 1u].added < 0.5 {
             at = source_of(together, at);
-            together = no_moves();
+            together = no_displacement();
         }
     }
-    return Contained(shows_source(grown(at, vec3<f32>(grid.beside_mm)), kept.x >= 0.0 && alpha.x >= 0.5, alpha.y), alpha.x < 1.0);
+    return BoxContents(source_is_visible(grown(at, vec3<f32>(grid.precompose_error_mm)), distance_range.x >= 0.0 && alpha.x >= 0.5, alpha.y), alpha.x < 1.0);
 }
 
-fn shows(cell: Box) -> bool {
-    let own = contained(grown(cell, vec3<f32>(grid.looks_back_mm)));
-    if own.something || grid.beside_cuts_mm <= grid.looks_back_mm {
+fn cell_is_visible(cell: Box) -> bool {
+    let own = box_visibility(grown(cell, vec3<f32>(grid.lookback_mm)));
+    if own.something || grid.cut_lookback_mm <= grid.lookback_mm {
         return own.something;
     }
-    let reached = grown(cell, vec3<f32>(grid.beside_cuts_mm));
-    let kept = kept_within(reached);
-    if own.beside_a_cut || (kept.x < 0.0 && kept.y >= 0.0) {
-        return contained(reached).something;
+    let reached = grown(cell, vec3<f32>(grid.cut_lookback_mm));
+    let distance_range = signed_distance_range(reached);
+    if own.is_near_cut || (distance_range.x < 0.0 && distance_range.y >= 0.0) {
+        return box_visibility(reached).something;
     }
     return false;
 }
@@ -313,7 +313,7 @@ fn mask_of_map_varies(k: u32, b: Box) -> bool {
 }
 
 fn mask_varies(deformed: Box) -> bool {
-    if grid.stack_cuts == 0u {
+    if grid.stack_has_cuts == 0u {
         return false;
     }
     var b = deformed;
@@ -322,7 +322,7 @@ fn mask_varies(deformed: Box) -> bool {
         if mask_of_map_varies(i - 1u, at) {
             return true;
         }
-        let m = moves_of(i - 1u, at);
+        let m = affine_enclosure(i - 1u, at);
         b = Box(b.low + m.all.low, b.high + m.all.high);
         if maps[i - 1u].added < 0.5 {
             at = b;
@@ -339,9 +339,9 @@ fn classify(@builtin(global_invocation_id) id: vec3<u32>) {
     let low = grid.origin + vec3<f32>(id) * grid.cell_mm;
     let cell = grown(Box(low, low + grid.cell_mm), vec3<f32>(grid.margin_mm));
     var flag = 0u;
-    if shows(cell) {
-        let reached = grown(cell, vec3<f32>(grid.beside_cuts_mm));
-        flag = select(2u, 1u, mask_varies(reached) || kept_within(reached).x < grid.cut_margin_mm);
+    if cell_is_visible(cell) {
+        let reached = grown(cell, vec3<f32>(grid.cut_lookback_mm));
+        flag = select(2u, 1u, mask_varies(reached) || signed_distance_range(reached).x < grid.cut_margin_mm);
     }
     flags[(id.z * grid.size.y + id.y) * grid.size.x + id.x] = flag;
 }

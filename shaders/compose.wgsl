@@ -1,4 +1,4 @@
-// Source and smallest mask of given points under the stack, through every map whatever the masks say. Counterpart of walk_through in
+// Source and smallest mask of given points under the stack, through every map whatever the masks say. Counterpart of source_and_alpha_unclipped in
 // src/deform/stack.rs.
 
 @group(1) @binding(0) var<storage, read> points: array<vec4<f32>>;
@@ -9,5 +9,5 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     if id.x >= arrayLength(&points) {
         return;
     }
-    composed[id.x] = walk_through(points[id.x].xyz);
+    composed[id.x] = source_and_alpha_unclipped(points[id.x].xyz);
 }

@@ -1,9 +1,9 @@
 // Marks the pixels behind whose slices nothing can be seen: depth 0, which the test before shading finds nearer than any slab
 // (Krueger and Westermann 2003, early ray termination by the depth test).
 
-@group(1) @binding(1) var gathered: texture_2d<f32>;
+@group(1) @binding(1) var projection_values: texture_2d<f32>;
 
-const SEEN_THROUGH: f32 = 1.0 - 1.0 / 512.0;
+const OPAQUE_ALPHA: f32 = 1.0 - 1.0 / 512.0;
 
 @vertex
 fn vertex(@location(0) corner: vec4<f32>) -> @builtin(position) vec4<f32> {
@@ -13,7 +13,7 @@ fn vertex(@location(0) corner: vec4<f32>) -> @builtin(position) vec4<f32> {
 
 @fragment
 fn fragment(@builtin(position) position: vec4<f32>) {
-    if textureLoad(gathered, vec2<i32>(position.xy), 0).a <= SEEN_THROUGH {
+    if textureLoad(projection_values, vec2<i32>(position.xy), 0).a <= OPAQUE_ALPHA {
         discard;
     }
 }

@@ -1,6 +1,6 @@
 // What the blend unit has gathered for a projection by slices, through the transfer function.
 
-@group(1) @binding(1) var gathered: texture_2d<f32>;
+@group(1) @binding(1) var projection_values: texture_2d<f32>;
 
 @vertex
 fn vertex(@builtin(vertex_index) index: u32) -> @builtin(position) vec4<f32> {
@@ -9,7 +9,7 @@ fn vertex(@builtin(vertex_index) index: u32) -> @builtin(position) vec4<f32> {
 
 @fragment
 fn fragment(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
-    let g = textureLoad(gathered, vec2<i32>(position.xy), 0);
+    let g = textureLoad(projection_values, vec2<i32>(position.xy), 0);
     let color = projection_color(select(g.r, -g.r, BLEND == 2u), g.g);
     if BEHIND == 0u {
         return color;

@@ -14,7 +14,7 @@
 //! # }
 //! ```
 
-use crate::picture::{Rendered, Stages};
+use crate::picture::{Rendered, StageTimes};
 use crate::prepare::{AssetKey, Assets, LoadOptions, PrepareOptions, Prepared};
 #[cfg(feature = "gpu")]
 use crate::render::Renderer;
@@ -156,7 +156,7 @@ pub struct Engine {
     /// Why the CPU computes although a GPU was to.
     fallback: Option<Error>,
     /// Time that opening the GPU took, until a picture has reported it.
-    setup: Stages,
+    setup: StageTimes,
     warnings: Vec<String>,
 }
 
@@ -192,7 +192,7 @@ impl Engine {
             #[cfg(feature = "gpu")]
             gpu: None,
             fallback: None,
-            setup: Stages::default(),
+            setup: StageTimes::default(),
             warnings: Vec::new(),
         }
     }
@@ -311,11 +311,11 @@ fn gpu_info(renderer: &Renderer) -> DeviceInfo {
 #[cfg(feature = "gpu")]
 impl Engine {
     fn open_gpu(&mut self) -> Result<()> {
-        use crate::gpu::{Device, Want};
+        use crate::gpu::{AdapterPreference, Device};
         let want = match self.options.backend {
             Backend::Cpu => return Ok(()),
-            Backend::Auto => Want::Hardware,
-            Backend::Gpu => Want::Any,
+            Backend::Auto => AdapterPreference::Hardware,
+            Backend::Gpu => AdapterPreference::Any,
         };
         let device = self.setup.time("gpu setup", || Device::open(want))?;
         let mut renderer = Renderer::new(device);

@@ -94,12 +94,12 @@ impl Error {
     }
 }
 
-/// `; did you mean "peel"?` for the closest of `known`, or the list of them when nothing is close.
-pub(crate) fn suggestion<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> String {
-    let known: Vec<&str> = known.into_iter().collect();
-    let closest = known.iter().map(|k| (strsim::normalized_damerau_levenshtein(word, k), k)).max_by(|a, b| a.0.total_cmp(&b.0));
+/// `; did you mean "peel"?` for the closest of `valid_names`, or the list of them when nothing is close.
+pub(crate) fn suggestion<'a>(word: &str, valid_names: impl IntoIterator<Item = &'a str>) -> String {
+    let valid_names: Vec<&str> = valid_names.into_iter().collect();
+    let closest = valid_names.iter().map(|k| (strsim::normalized_damerau_levenshtein(word, k), k)).max_by(|a, b| a.0.total_cmp(&b.0));
     match closest {
         Some((score, k)) if score >= 0.4 => format!("did you mean \"{k}\"?"),
-        _ => format!("known: {}", known.join(", ")),
+        _ => format!("known: {}", valid_names.join(", ")),
     }
 }

@@ -34,11 +34,11 @@ pub mod export;
 pub mod files;
 #[cfg(feature = "gpu")]
 pub mod gpu;
-mod guard;
 #[cfg(feature = "gui")]
 pub mod gui;
 pub mod math;
 pub mod mesh;
+mod panic_guard;
 pub mod picture;
 pub mod prepare;
 #[cfg(feature = "gpu")]
@@ -52,4 +52,4 @@ pub use engine::Engine;
 pub use error::{Error, Result};
 pub use picture::Picture;
 pub use scene::Scene;
-pub use watch::{Meter, Watch};
+pub use watch::{ByteProgress, Watch};

@@ -1,12 +1,12 @@
 //! The `incise` program.
 
-use incise::cli::{self, Run};
+use incise::cli::{self, CommandOutcome};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
     match cli::main() {
-        Run::Done(code) => code,
-        Run::Workstation(file) => workstation(file),
+        CommandOutcome::Done(code) => code,
+        CommandOutcome::Workstation(file) => workstation(file),
     }
 }
 
@@ -18,6 +18,8 @@ fn workstation(file: Option<std::path::PathBuf>) -> ExitCode {
 #[cfg(not(feature = "gui"))]
 fn workstation(file: Option<std::path::PathBuf>) -> ExitCode {
     let what = file.map_or_else(|| "FILE".to_owned(), |f| f.display().to_string());
-    cli::tell(format_args!("this build has no workstation; render a picture with: incise render {what} -o picture.png (see incise --help)"));
+    cli::print_to_stderr(format_args!(
+        "this build has no workstation; render a picture with: incise render {what} -o picture.png (see incise --help)"
+    ));
     ExitCode::from(2)
 }

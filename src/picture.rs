@@ -13,9 +13,9 @@ const UNSEEN: f32 = 0.5 / 255.0;
 
 /// Time spent by stage, milliseconds, in order.
 #[derive(Clone, Debug, Default)]
-pub struct Stages(pub Vec<(&'static str, f64)>);
+pub struct StageTimes(pub Vec<(&'static str, f64)>);
 
-impl Stages {
+impl StageTimes {
     /// Runs a stage and notes how long it took.
     pub fn time<T>(&mut self, name: &'static str, stage: impl FnOnce() -> T) -> T {
         let start = Instant::now();
@@ -64,7 +64,7 @@ pub struct Rendered {
     /// Counts; a GPU keeps them only when asked.
     pub stats: Option<RenderStats>,
     /// Time by stage.
-    pub stages: Stages,
+    pub stages: StageTimes,
     /// What a user should be told, one sentence each.
     pub notices: Vec<String>,
     /// Why nothing is to be seen, if nothing is; one of the notices.
@@ -108,7 +108,7 @@ struct Over<'a> {
     bytes: &'a mut [[u8; 4]],
 }
 
-impl OverSimd for Over<'_> {
+impl SimdKernel for Over<'_> {
     type Output = ();
 
     #[inline(always)]

@@ -13,21 +13,21 @@ pub struct Watch<'a> {
 }
 
 /// Never set.
-static GO_ON: AtomicBool = AtomicBool::new(false);
+static NEVER_CANCELLED: AtomicBool = AtomicBool::new(false);
 
 impl Watch<'static> {
     /// Reports to nothing and never stops.
-    pub const NONE: Self = Self { progress: &|_| (), cancel: &GO_ON };
+    pub const NONE: Self = Self { progress: &|_| (), cancel: &NEVER_CANCELLED };
 }
 
 impl<'a> Watch<'a> {
     /// Reports to `progress` and never stops.
     pub fn reporting(progress: &'a (dyn Fn(f32) + Sync)) -> Self {
-        Self { progress, cancel: &GO_ON }
+        Self { progress, cancel: &NEVER_CANCELLED }
     }
 
     /// Whether the work is to stop.
-    pub fn stopped(&self) -> bool {
+    pub fn is_cancelled(&self) -> bool {
         self.cancel.load(Ordering::Relaxed)
     }
 
@@ -36,18 +36,18 @@ impl<'a> Watch<'a> {
     /// # Errors
     /// [`Error::Cancelled`].
     pub fn check(&self) -> Result<()> {
-        if self.stopped() { Err(Error::Cancelled) } else { Ok(()) }
+        if self.is_cancelled() { Err(Error::Cancelled) } else { Ok(()) }
     }
 }
 
 /// Counts bytes of a known number, from any thread.
-pub struct Meter<'a> {
+pub struct ByteProgress<'a> {
     watch: &'a Watch<'a>,
     done: AtomicU64,
     all: u64,
 }
 
-impl<'a> Meter<'a> {
+impl<'a> ByteProgress<'a> {
     /// None of `all` bytes yet.
     pub fn new(watch: &'a Watch<'a>, all: u64) -> Self {
         Self { watch, done: AtomicU64::new(0), all: all.max(1) }

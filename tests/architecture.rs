@@ -76,8 +76,7 @@ pub fn only_one_module_opens_files() {
         "load_gltf",
     ];
     // What is no user's file, and what has its reason beside it.
-    const EXCEPTIONS: [(&str, &str); 6] = [
-        ("compare/mod.rs", "/proc/"),
+    const EXCEPTIONS: [(&str, &str); 5] = [
         ("gui/session.rs", "lock"),
         ("gui/session.rs", "File::open(path)"),
         ("gui/panels/editor.rs", "aside"),

@@ -10,7 +10,7 @@ use incise::prepare::{Assets, PrepareOptions, Prepared};
 use incise::scene::{Deformation, Mode, Normals, Projection, Scene, Size};
 use incise::transfer::{Blend, ControlPoint};
 use incise::volume::phantom::{self, BALL_RADIUS_MM};
-use incise::volume::{Grid, GridVoxels, Rescale, Sampler, Volume};
+use incise::volume::{Rescale, Volume, VolumeSampler, VoxelGrid, VoxelGridValues};
 use std::sync::Arc;
 
 pub fn assets(volume: Volume) -> Assets {
@@ -120,20 +120,23 @@ pub fn translation_as_a_map_is_a_translation() {
 }
 
 /// Normal by the renderer at a point of the deformed scene, or none where nothing is.
-fn normal_at(prepared: &Prepared, grid: &Grid, deformed: Vec3, with_cut: bool) -> Option<Vec3> {
+fn normal_at(prepared: &Prepared, grid: &VoxelGrid, deformed: Vec3, with_cut: bool) -> Option<Vec3> {
     let jet = prepared.stack.jet(deformed);
     if jet.alpha < 0.5 {
         return None;
     }
     let in_voxel = prepared.volume().voxel_from_world.transform_point3(jet.source);
     let gradient = match &grid.voxels {
-        GridVoxels::F32(v) => Sampler::new(grid, v).gradient(in_voxel, prepared.gradient_filter()),
-        GridVoxels::U8(v) => Sampler::new(grid, v).gradient(in_voxel, prepared.gradient_filter()),
+        VoxelGridValues::F32(v) => VolumeSampler::new(grid, v).gradient(in_voxel, prepared.gradient_filter()),
+        VoxelGridValues::U8(v) => VolumeSampler::new(grid, v).gradient(in_voxel, prepared.gradient_filter()),
         _ => panic!("phantoms are u8 or f32"),
     };
-    let gradient = shading::voxel_covector(prepared, gradient);
-    let cut =
-        if with_cut { shading::or_shape(prepared, shading::nearest_cut(prepared, &jet, in_voxel), deformed) } else { incise::deform::Cut::NONE };
+    let gradient = shading::world_from_voxel_covector(prepared, gradient);
+    let cut = if with_cut {
+        shading::nearer_cut_shape(prepared, shading::nearest_cut(prepared, &jet, in_voxel), deformed)
+    } else {
+        incise::deform::NearestCut::NONE
+    };
     Some(shading::normal(prepared, &jet.d_source_d_deformed, gradient, &cut, Vec3::ZERO).normal)
 }
 
@@ -196,8 +199,8 @@ pub fn normals_under_a_twist() {
     s.deformation
         .push(Deformation { parameters: [("angle", 80.0.into())].into(), ..deformation("twist", [0.0; 3], [260.0, 260.0, 170.0], [10.0, 0.0, 0.0]) });
     let prepared = Prepared::new(&s, &assets).unwrap();
-    let GridVoxels::F32(voxels) = &assets.grid().voxels else { panic!() };
-    let sampler = Sampler::new(assets.grid(), voxels);
+    let VoxelGridValues::F32(voxels) = &assets.grid().voxels else { panic!() };
+    let sampler = VolumeSampler::new(assets.grid(), voxels);
     let field = |p: Vec3| {
         let source = prepared.stack.source_from_deformed(p).unwrap();
         sampler.sample(prepared.volume().voxel_from_world.transform_point3(source))

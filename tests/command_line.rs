@@ -230,9 +230,9 @@ pub fn bad_deformations_are_named() {
     // Too few points, and a field that folds everywhere: done, and said.
     let odd: &[(&str, &str)] =
         &[("points:pairs=0,0,20,5,5,25,-10,0,0,-10,2,0", "2 points are too few"), ("field:path=folded.nrrd,invert=true", "have no source")];
-    for (deformation, said) in odd {
+    for (deformation, expected) in odd {
         let output = render(f, &["volume.nii.gz", "--deform", deformation]);
-        assert!(output.status.success() && stderr(&output).contains(said), "{deformation}: {}", stderr(&output));
+        assert!(output.status.success() && stderr(&output).contains(expected), "{deformation}: {}", stderr(&output));
     }
     let check = incise(f, &["map", "check", "folded.nrrd", "--json", "--picture", "folds.png", "--csv", "folds.csv"]);
     let report: serde_json::Value = serde_json::from_slice(&check.stdout).unwrap();
@@ -442,9 +442,9 @@ pub fn no_display_is_told() {
         command.env_remove(name);
     }
     let o = command.env("INCISE_HOME", folder.path()).output().unwrap();
-    let told = String::from_utf8_lossy(&o.stderr).into_owned();
-    assert_eq!(o.status.code(), Some(1), "{told}");
-    assert!(told.lines().count() == 1 && told.contains("no window") && told.contains("incise render"), "{told}");
+    let stderr_text = String::from_utf8_lossy(&o.stderr).into_owned();
+    assert_eq!(o.status.code(), Some(1), "{stderr_text}");
+    assert!(stderr_text.lines().count() == 1 && stderr_text.contains("no window") && stderr_text.contains("incise render"), "{stderr_text}");
 }
 
 /// Meshes, their fields and surfaces from outside: what is written reads back, what is wrong is named.
@@ -470,13 +470,13 @@ pub fn meshes_and_fields_by_the_command_line() {
         let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
         assert_eq!((&report["open_edges"], &report["turned_triangles"]), (&0.into(), &0.into()));
         // The middle of the inscribed ball lies r inside, r = 60 / (3 + √3); the field is positive there and nowhere deeper.
-        let volume = incise::volume::load::volume(&f.join(name), &incise::volume::load::Choice::default(), &incise::Watch::NONE).unwrap();
+        let volume = incise::volume::load::volume(&f.join(name), &incise::volume::load::ReadOptions::default(), &incise::Watch::NONE).unwrap();
         let r = 60.0 / (3.0 + 3.0f64.sqrt());
         assert!(volume.range[1] <= r + 0.01 && volume.range[1] > r - 1.5, "{name}: {:?} for {r}", volume.range);
     }
     let part = incise(f, &["sdf", "tet.obj", "-o", "part.nrrd", "--box=-5,-5,-5,20,20,20", "--cell", "1", "--exact"]);
     assert!(part.status.success(), "{}", stderr(&part));
-    let volume = incise::volume::load::volume(&f.join("part.nrrd"), &incise::volume::load::Choice::default(), &incise::Watch::NONE).unwrap();
+    let volume = incise::volume::load::volume(&f.join("part.nrrd"), &incise::volume::load::ReadOptions::default(), &incise::Watch::NONE).unwrap();
     assert!(volume.size.iter().all(|n| (23..=27).contains(n)), "{:?}", volume.size);
     let open = incise(f, &["sdf", "open.obj", "-o", "open.nrrd", "--resolution", "32"]);
     assert!(open.status.success() && stderr(&open).contains("3 open edges"), "{}", stderr(&open));

@@ -245,12 +245,12 @@ pub fn a_missing_gpu_is_told() {
             .output()
             .unwrap()
     };
-    let told = |output: &Output| stderr(output).lines().filter(|l| l.starts_with("incise: GPU")).count();
+    let gpu_messages = |output: &Output| stderr(output).lines().filter(|l| l.starts_with("incise: GPU")).count();
     let output = run("gpu");
-    assert_eq!((output.status.code(), told(&output)), (Some(1), 1), "{}", stderr(&output));
+    assert_eq!((output.status.code(), gpu_messages(&output)), (Some(1), 1), "{}", stderr(&output));
     assert!(!folder.path().join("lab").exists());
     let output = run("auto");
-    assert!(output.status.success() && told(&output) == 1, "{}", stderr(&output));
+    assert!(output.status.success() && gpu_messages(&output) == 1, "{}", stderr(&output));
     let report = whole(&folder.path().join("lab"));
     assert!(report["protocol"]["gpu"].is_null() && report["runs"].as_array().unwrap().iter().all(|r| r["backend"] == "cpu"));
 }
@@ -258,7 +258,7 @@ pub fn a_missing_gpu_is_told() {
 /// What needs an adapter: reported as ignored where there is none.
 #[cfg(feature = "gpu")]
 pub fn on_a_gpu() -> Vec<libtest_mimic::Trial> {
-    let missing = incise::gpu::Device::open(incise::gpu::Want::Any).is_err();
+    let missing = incise::gpu::Device::open(incise::gpu::AdapterPreference::Any).is_err();
     let test = libtest_mimic::Trial::test("comparison::a_gpu_is_compared_with_the_cpu", || {
         a_gpu_is_compared_with_the_cpu();
         Ok(())
@@ -283,7 +283,7 @@ fn a_gpu_is_compared_with_the_cpu() {
     let bytes = |n: usize| runs[n]["memory"]["volume_bytes"].as_u64().unwrap();
     assert!(bytes(1) >= bytes(0) && bytes(1) <= 2 * bytes(0), "{} {}", bytes(0), bytes(1));
     // Where the device has a clock, most of a GPU's time passes on it.
-    let device = incise::gpu::Device::open(incise::gpu::Want::Any).unwrap();
+    let device = incise::gpu::Device::open(incise::gpu::AdapterPreference::Any).unwrap();
     let has_clock = device.device.features().contains(wgpu::Features::TIMESTAMP_QUERY);
     for run in runs.iter().filter(|r| r["backend"] == "gpu") {
         let stages = run["stages"].as_array().unwrap();

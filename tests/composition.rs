@@ -75,7 +75,7 @@ fn within_8(a: &Picture, b: &Picture) -> f64 {
 
 pub fn random_stacks_keep_their_bound() {
     let count: u64 = std::env::var("INCISE_STACKS").map_or(12, |v| v.parse().unwrap());
-    let (mut made, mut whole, mut as_they_are, mut by_maps) = (0, 0, 0, 0.0);
+    let (mut made, mut whole, mut as_they_are, mut fallback_share) = (0, 0, 0, 0.0);
     let mut complaints = Vec::new();
     for n in 0..count {
         let mut scene = scene(n);
@@ -90,7 +90,7 @@ pub fn random_stacks_keep_their_bound() {
         made += 1;
         if c.composed {
             whole += 1;
-            by_maps += c.by_maps;
+            fallback_share += c.fallback_share;
         } else {
             as_they_are += 1;
         }
@@ -104,7 +104,7 @@ pub fn random_stacks_keep_their_bound() {
             .filter_map(|x| {
                 // Other points than those that the program looks at.
                 let p = scene_box.center() + (Vec3::new(x.y, x.z, x.x) - 0.5) * scene_box.size() * 1.6;
-                let ((a, alpha), (b, beta)) = (exact.stack.walk(p), composed.stack.walk(p));
+                let ((a, alpha), (b, beta)) = (exact.stack.source_and_alpha(p), composed.stack.source_and_alpha(p));
                 (alpha >= 0.5 && beta >= 0.5 && (seen(a) || seen(b))).then(|| a.distance(b))
             })
             .fold(0.0, f32::max);
@@ -123,7 +123,7 @@ pub fn random_stacks_keep_their_bound() {
             }
         }
     }
-    let share = 100.0 * by_maps / whole.max(1) as f32;
+    let share = 100.0 * fallback_share / whole.max(1) as f32;
     println!("{made} stacks: one map stands for {whole}, but for {share:.1} % of the space; {as_they_are} stayed as they were");
     assert!(complaints.is_empty(), "{}", complaints.join("\n"));
     assert!(made * 2 >= count && whole > made / 3, "{made} {whole} {as_they_are}");
@@ -141,7 +141,7 @@ pub fn tears_are_walked() {
     let composed = Prepared::new(&scene, &assets).unwrap();
     let c = composed.composition.unwrap();
     println!("three turned explosions: {c:?}");
-    assert!(if c.composed { c.worst_mm <= 0.25 && c.by_maps > 0.02 } else { composed.notices[0].contains("not precomposed") }, "{c:?}");
+    assert!(if c.composed { c.worst_mm <= 0.25 && c.fallback_share > 0.02 } else { composed.notices[0].contains("not precomposed") }, "{c:?}");
     scene.render.precompose = None;
     let exact = Prepared::new(&scene, &assets).unwrap();
     let d = difference(&picture(&composed), &picture(&exact)).unwrap();

@@ -1,7 +1,7 @@
 //! The contract of every kind of deformation (see src/deform/kinds/mod.rs), on the CPU; tests/parity.rs has the shaders' side.
 
 use glam::{Affine3A, Mat3, Quat, Vec3};
-use incise::deform::kinds::{self, Field, Inputs, Kind, Sampling};
+use incise::deform::kinds::{self, Field, FieldInputs, Kind, Sampling};
 use incise::deform::{Arguments, DisplacementMap, Library, PlacedMap, Placement, Storage};
 use incise::math::Bounds;
 use incise::volume::phantom;
@@ -45,12 +45,14 @@ fn settings(kind: &Kind, size: Vec3) -> Arguments {
 
 fn field(kind: &Kind, values: &[f32], progress: f32) -> Box<dyn Field> {
     let settings = settings(kind, SIZE);
-    kind.field(values, progress, SIZE, &SAMPLING, &Inputs { settings: &settings, world_from_local: Affine3A::IDENTITY, library: &LIBRARY }).unwrap()
+    kind.field(values, progress, SIZE, &SAMPLING, &FieldInputs { settings: &settings, world_from_local: Affine3A::IDENTITY, library: &LIBRARY })
+        .unwrap()
 }
 
 fn map(kind: &Kind, values: &[f32], progress: f32, size: Vec3) -> DisplacementMap {
     let settings = settings(kind, size);
-    kind.map(values, progress, size, &SAMPLING, &Inputs { settings: &settings, world_from_local: Affine3A::IDENTITY, library: &LIBRARY }).unwrap()
+    kind.map(values, progress, size, &SAMPLING, &FieldInputs { settings: &settings, world_from_local: Affine3A::IDENTITY, library: &LIBRARY })
+        .unwrap()
 }
 
 fn defaults(kind: &Kind) -> Vec<f32> {
@@ -80,7 +82,7 @@ fn no_strength_is_the_identity(kind: &'static Kind) {
 fn jacobian_is_the_derivative(kind: &'static Kind) {
     let map = Arc::new(map(kind, &defaults(kind), 0.8, SIZE));
     let rotation = Mat3::from_quat(Quat::from_euler(glam::EulerRot::XYZ, 0.4, -0.7, 1.1));
-    let linear = rotation * Mat3::from_diagonal(SIZE * kind.inflate);
+    let linear = rotation * Mat3::from_diagonal(SIZE * kind.cube_scale);
     let placement = Placement::from_affine(Affine3A::from_mat3_translation(linear, Vec3::new(5.0, -3.0, 11.0))).unwrap();
     let placed = PlacedMap::new(map.clone(), placement);
     let texel_mm = (0..3).filter(|&a| map.size[a] > 1).map(|a| SIZE[a] / (map.size[a] - 1) as f32).fold(0.0, f32::max);
@@ -109,11 +111,11 @@ fn backward_undoes_forward(kind: &'static Kind) {
         let field = field(kind, &defaults(kind), progress);
         let mut seen = 0;
         for x in points(4000) {
-            let source = (x - 0.5) * SIZE * kind.inflate;
+            let source = (x - 0.5) * SIZE * kind.cube_scale;
             let Some(deformed) = field.forward(source) else { continue };
-            let inside = (deformed / (SIZE * kind.inflate)).abs().max_element() <= 0.5;
+            let inside = (deformed / (SIZE * kind.cube_scale)).abs().max_element() <= 0.5;
             let back = field.backward(deformed);
-            if !inside || back.cut_mm < 0.02 {
+            if !inside || back.cut_distance_mm < 0.02 {
                 // On the very edge of a cut, or carried out of the box through a face that the kind names.
                 continue;
             }
@@ -134,7 +136,7 @@ fn vanishes_on_the_faces_it_says(kind: &'static Kind) {
 
 fn vanishes_in_a_box(kind: &'static Kind, size: Vec3) {
     let map = map(kind, &kind.values([], size).unwrap(), 1.0, size);
-    for (face, leaks) in kind.leaks.into_iter().enumerate() {
+    for (face, nonzero_faces) in kind.nonzero_faces.into_iter().enumerate() {
         let mut most = 0.0f32;
         for x in points(1500) {
             let mut x = x;
@@ -142,9 +144,9 @@ fn vanishes_in_a_box(kind: &'static Kind, size: Vec3) {
             most = most.max(map.sample(x).displacement.abs().max_element());
         }
         // The Gaussian pull is 0.2 % of its height at the sides.
-        assert!(leaks || most <= 2.5e-3, "{}: {most} of the box on face {face}", kind.name);
+        assert!(nonzero_faces || most <= 2.5e-3, "{}: {most} of the box on face {face}", kind.name);
     }
-    if kind.varies == [true; 3] && kind.leaks == [false; 6] {
+    if kind.varies == [true; 3] && kind.nonzero_faces == [false; 6] {
         // What does not leak must not cut the box's faces either.
         for x in points(500) {
             for face in 0..6 {
@@ -177,13 +179,13 @@ fn odd_input_gives_finite_values(kind: &'static Kind) {
         let field = field(kind, &values, progress);
         for x in points(300) {
             let b = field.backward((x - 0.5) * SIZE);
-            assert!(b.source.is_finite() && !b.cut_mm.is_nan(), "{} {name}={value} at {x}: {b:?}", kind.name);
+            assert!(b.source.is_finite() && !b.cut_distance_mm.is_nan(), "{} {name}={value} at {x}: {b:?}", kind.name);
         }
     }
     let field = field(kind, &defaults(kind), 1.0);
     for q in [Vec3::ZERO, SIZE / 2.0, -SIZE / 2.0, Vec3::new(0.0, 0.0, -SIZE.z / 2.0), Vec3::splat(1e-20)] {
         let b = field.backward(q);
-        assert!(b.source.is_finite() && !b.cut_mm.is_nan(), "{} at {q}: {b:?}", kind.name);
+        assert!(b.source.is_finite() && !b.cut_distance_mm.is_nan(), "{} at {q}: {b:?}", kind.name);
     }
 }
 
@@ -194,13 +196,13 @@ fn displacement_is_continuous(kind: &'static Kind) {
     for x in points(6000) {
         let q = (x - 0.5) * SIZE * 0.98;
         let here = field.backward(q);
-        if here.cut_mm < -0.5 {
+        if here.cut_distance_mm < -0.5 {
             continue;
         }
         for e in [Vec3::X, Vec3::Y, Vec3::Z] {
             let there = field.backward(q + e * h);
             let jump = (there.source - here.source - e * h).length();
-            assert!(jump < 60.0 * h, "{}: D jumps by {jump} mm at {q} (cut {})", kind.name, here.cut_mm);
+            assert!(jump < 60.0 * h, "{}: D jumps by {jump} mm at {q} (cut {})", kind.name, here.cut_distance_mm);
         }
     }
 }

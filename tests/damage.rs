@@ -1,7 +1,7 @@
 //! Readers against damage: files that are no images, cut off, changed, and made to ask for more than there is.
 
 use crate::readers::{fixtures, read};
-use incise::volume::load::Choice;
+use incise::volume::load::ReadOptions;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -294,7 +294,7 @@ pub fn mutated_files_do_no_harm() {
             mutate(&mut bytes, if name.ends_with(".dcm") { 8192 } else { 1200 }, &mut random);
             std::fs::write(&target, &bytes).unwrap();
             let (before, from) = (resident(), Instant::now());
-            let result = std::panic::catch_unwind(|| read(&opened_path, &Choice::default()).map(|v| v.voxels.len()));
+            let result = std::panic::catch_unwind(|| read(&opened_path, &ReadOptions::default()).map(|v| v.voxels.len()));
             let (took, grown) = (from.elapsed(), resident().saturating_sub(before));
             worst = worst.max(took);
             opened += usize::from(matches!(result, Ok(Ok(_))));

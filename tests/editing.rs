@@ -5,7 +5,7 @@ use crate::parity::with_renderer;
 use crate::scenes;
 use glam::Vec3;
 use incise::Watch;
-use incise::gpu::{Device, Want};
+use incise::gpu::{AdapterPreference, Device};
 use incise::picture::Picture;
 use incise::prepare::{Assets, PrepareOptions, Prepared};
 use incise::render::{Renderer, Strategy, Work};
@@ -38,7 +38,7 @@ type Edit = (&'static str, fn(&mut Scene), Work);
 /// the place of one.
 pub fn edits_upload_what_changed() {
     // Its own: other tests draw other scenes at the same time.
-    let mut renderer = Renderer::new(Device::open(Want::Any).unwrap());
+    let mut renderer = Renderer::new(Device::open(AdapterPreference::Any).unwrap());
     let nothing = Work::default();
     let edits: [Edit; 7] = [
         ("nothing", |_| (), nothing),
@@ -91,7 +91,7 @@ pub fn edits_upload_what_changed() {
 
 /// By kind of edit: what a device that prepares scenes does for the next picture. It asks for nothing that is there.
 pub fn edits_prepare_what_changed() {
-    let mut renderer = Renderer::new(Device::open(Want::Any).unwrap());
+    let mut renderer = Renderer::new(Device::open(AdapterPreference::Any).unwrap());
     renderer.set_strategy(Strategy { exact_filter: true, compute_rays: true, prepare: true });
     let mut scene = scene(Mode::Raycast);
     let assets = scenes::assets(&scene);
@@ -128,7 +128,7 @@ pub fn edits_prepare_what_changed() {
         let prepared = Prepared::with(&scene, &assets, &PrepareOptions::on(&renderer)).unwrap();
         renderer.render(&prepared, false, &Watch::NONE).unwrap();
     }
-    assert!(renderer.maps_kept() <= 32, "{} maps", renderer.maps_kept());
+    assert!(renderer.cached_map_count() <= 32, "{} maps", renderer.cached_map_count());
     // None of it was asked of the CPU.
     let prepared = Prepared::with(&scene, &assets, &PrepareOptions::on(&renderer)).unwrap();
     assert!(prepared.stack.maps().iter().all(|m| m.map.recipe().is_some()));
@@ -136,7 +136,7 @@ pub fn edits_prepare_what_changed() {
 
 /// By kind of edit: what a picture of surfaces may do, a field, a formula and triangles. What it keeps shows the same as what is made anew.
 pub fn edits_of_surfaces_upload_what_changed() {
-    let mut renderer = Renderer::new(Device::open(Want::Any).unwrap());
+    let mut renderer = Renderer::new(Device::open(AdapterPreference::Any).unwrap());
     let mut scene = scene(Mode::Surface);
     let bunny = concat!(env!("CARGO_MANIFEST_DIR"), "/volumes/bunny.obj");
     scene.mesh = vec![
@@ -189,8 +189,11 @@ pub fn edits_of_surfaces_upload_what_changed() {
         assert_eq!(work, Work { cell_uploads: work.cell_uploads.min(allowed.cell_uploads), ..allowed }, "{name}");
         let prepared = Prepared::new(&scene, &assets).unwrap();
         let kept = renderer.render(&prepared, false, &Watch::NONE).unwrap().picture;
-        let anew =
-            Renderer::new(Device::open(Want::Any).unwrap()).render(&Prepared::new(&scene, &scenes::assets(&scene)).unwrap(), false, &Watch::NONE);
+        let anew = Renderer::new(Device::open(AdapterPreference::Any).unwrap()).render(
+            &Prepared::new(&scene, &scenes::assets(&scene)).unwrap(),
+            false,
+            &Watch::NONE,
+        );
         assert!(kept == anew.unwrap().picture, "{name}: what is kept shows something else");
         assert!(kept.pixels.iter().any(|p| p[3] > 0.0), "{name}: an empty picture");
     }

@@ -7,7 +7,7 @@ use crate::metrics::difference;
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 use incise::Watch;
 use incise::deform::compose::{self, Resolution};
-use incise::deform::transform::{Context, Step, Transform, VectorField};
+use incise::deform::transform::{Transform, TransformContext, TransformStep, VectorField};
 use incise::deform::{Arguments, Stack, StackAndCuts, Storage, invert};
 use incise::export::bake::{self, Interpolation};
 use incise::prepare::stack::{self, StackInputs};
@@ -35,7 +35,7 @@ fn field(path: &Path) -> Deformation {
     Deformation { parameters: Arguments::from([("path", path.to_str().unwrap().into())]), ..Deformation::new("field") }
 }
 
-fn stack_of(scene: &Scene, assets: &Assets, storage: Option<Storage>) -> (Stack, incise::deform::cut::Cuts) {
+fn stack_of(scene: &Scene, assets: &Assets, storage: Option<Storage>) -> (Stack, incise::deform::cut::CutShapes) {
     let scene_box = assets.volume.bounds_in_world();
     let view = scene.camera.frame(&scene_box, scene.render.size).unwrap();
     let inputs = StackInputs {
@@ -66,7 +66,7 @@ fn baked(scene: &Scene, fill: f64, interpolation: Interpolation) -> Volume {
     let what = StackAndCuts { stack: &stack, cuts: &cuts };
     bake::volume(volume, &what, &volume.geometry(), interpolation, fill, Format::NiftiGz, &mut file, &|_| ()).unwrap();
     drop(file);
-    load::volume(&path, &load::Choice::default(), &Watch::NONE).unwrap()
+    load::volume(&path, &load::ReadOptions::default(), &Watch::NONE).unwrap()
 }
 
 /// Baking under each of ITK's transforms gives what SimpleITK's Resample gives, within one grey level everywhere.
@@ -86,7 +86,7 @@ pub fn baking_is_itk_resampling() {
     for (transform, expected) in cases {
         scene.deformation = vec![field(&fixture(transform))];
         let (got, want) =
-            (baked(&scene, -1000.0, Interpolation::Linear), load::volume(&fixture(expected), &load::Choice::default(), &Watch::NONE).unwrap());
+            (baked(&scene, -1000.0, Interpolation::Linear), load::volume(&fixture(expected), &load::ReadOptions::default(), &Watch::NONE).unwrap());
         let worst = (0..got.voxels.len()).map(|n| (got.voxels.get(n) - want.voxels.get(n)).abs()).fold(0.0, f64::max);
         println!("{transform}: largest difference {worst} grey levels");
         assert!(worst <= 1.0, "{transform}: {worst}");
@@ -99,7 +99,7 @@ pub fn baking_is_itk_resampling() {
     scene.deformation = vec![chain];
     let (got, want) = (
         baked(&scene, -1000.0, Interpolation::Linear),
-        load::volume(&fixture("resampled-affine-then-field.nii.gz"), &load::Choice::default(), &Watch::NONE).unwrap(),
+        load::volume(&fixture("resampled-affine-then-field.nii.gz"), &load::ReadOptions::default(), &Watch::NONE).unwrap(),
     );
     assert!((0..got.voxels.len()).all(|n| (got.voxels.get(n) - want.voxels.get(n)).abs() <= 1.0));
 }
@@ -107,7 +107,7 @@ pub fn baking_is_itk_resampling() {
 /// One affine as ITK, AFNI, FSL and FreeSurfer write it, in four orientations of its image, is one transform.
 pub fn affine_conventions_agree() {
     let Some(folder) = shared("transforms") else { return };
-    let itk = Transform::load(&folder.join("affine-LPS.itk.tfm"), &Context::default()).unwrap().as_affine().unwrap();
+    let itk = Transform::load(&folder.join("affine-LPS.itk.tfm"), &TransformContext::default()).unwrap().as_affine().unwrap();
     let close = |a: &DAffine3, what: &str, tolerance: f64| {
         for p in points(50) {
             let p = (p.as_dvec3() - 0.5) * 160.0;
@@ -116,14 +116,14 @@ pub fn affine_conventions_agree() {
         }
     };
     for orientation in ["LPS", "RAS", "LAS", "oblique"] {
-        let load = |ending: &str, context: &Context| {
+        let load = |ending: &str, context: &TransformContext| {
             Transform::load(&folder.join(format!("affine-{orientation}.{ending}")), context).unwrap().as_affine().unwrap()
         };
-        close(&load("itk.tfm", &Context::default()), "itk", 1e-9);
-        close(&load("afni", &Context::default()), "afni", 2e-3);
+        close(&load("itk.tfm", &TransformContext::default()), "itk", 1e-9);
+        close(&load("afni", &TransformContext::default()), "afni", 2e-3);
         // The fixture's matrix is stated from src to dst as FreeSurfer means it, and is the inverse of the others: its writer of that time left out
         // the inversion that the format asks for.
-        close(&load("fs.lta", &Context::default()).inverse(), "lta", 2e-3);
+        close(&load("fs.lta", &TransformContext::default()).inverse(), "lta", 2e-3);
         // The grid that FSL's millimetres are counted on is described in the .lta file beside it.
         let text = std::fs::read_to_string(folder.join(format!("affine-{orientation}.fs.lta"))).unwrap();
         let numbers = |name: &str| -> DVec3 {
@@ -138,16 +138,16 @@ pub fn affine_conventions_agree() {
             size: [size.x as usize, size.y as usize, size.z as usize],
             world_from_voxel: DAffine3::from_scale(DVec3::new(-1.0, -1.0, 1.0)) * ras,
         };
-        close(&load("fsl", &Context { moving: Some(grid), reference: Some(grid), convention: None }), "fsl", 2e-3);
+        close(&load("fsl", &TransformContext { moving: Some(grid), reference: Some(grid), convention: None }), "fsl", 2e-3);
     }
-    let v2v = Transform::load(&folder.join("affine-RAS.fs.v2v.lta"), &Context::default()).unwrap().as_affine().unwrap();
+    let v2v = Transform::load(&folder.join("affine-RAS.fs.v2v.lta"), &TransformContext::default()).unwrap().as_affine().unwrap();
     close(&v2v.inverse(), "lta, voxel to voxel", 2e-3);
 }
 
 /// A vector field whose file states another frame is the same field in the world.
 pub fn vectors_turn_with_their_axes() {
-    let image = load::image(&fixture("field.nrrd"), &load::Choice::default(), &Watch::NONE).unwrap();
-    let lps = VectorField::of_image(Path::new("x"), &image, &Context::default()).unwrap();
+    let image = load::image(&fixture("field.nrrd"), &load::ReadOptions::default(), &Watch::NONE).unwrap();
+    let lps = VectorField::of_image(Path::new("x"), &image, &TransformContext::default()).unwrap();
     // By hand: the same vectors as RAS numbers in a file that says RAS.
     let folder = tempfile::tempdir().unwrap();
     let write = |name: &str, intent: i16, flip: Vec3| {
@@ -184,7 +184,7 @@ pub fn vectors_turn_with_their_axes() {
         path
     };
     for path in [ras, fsl_axes, nrrd_ras] {
-        let t = Transform::load(&path, &Context::default()).unwrap();
+        let t = Transform::load(&path, &TransformContext::default()).unwrap();
         for p in points(200) {
             let p = lps.grid.world_from_voxel.transform_point3(p.as_dvec3() * 11.0);
             let d = t.source_from_deformed(p).distance(lps.source_from_deformed(p));
@@ -192,16 +192,16 @@ pub fn vectors_turn_with_their_axes() {
         }
     }
     let unknown = write("unknown.nii", 0, Vec3::ONE);
-    let message = Transform::load(&unknown, &Context::default()).err().unwrap().to_string();
+    let message = Transform::load(&unknown, &TransformContext::default()).err().unwrap().to_string();
     assert!(message.contains("convention"), "{message}");
 }
 
 /// Volume and field turned into each of the 48 orders and directions of their axes: the same values in the world, the same picture.
 pub fn all_orientations_agree() {
-    let base = load::volume(&fixture("volume.nii.gz"), &load::Choice::default(), &Watch::NONE).unwrap();
+    let base = load::volume(&fixture("volume.nii.gz"), &load::ReadOptions::default(), &Watch::NONE).unwrap();
     let warp = {
-        let image = load::image(&fixture("field.nrrd"), &load::Choice::default(), &Watch::NONE).unwrap();
-        VectorField::of_image(Path::new("x"), &image, &Context::default()).unwrap()
+        let image = load::image(&fixture("field.nrrd"), &load::ReadOptions::default(), &Watch::NONE).unwrap();
+        VectorField::of_image(Path::new("x"), &image, &TransformContext::default()).unwrap()
     };
     let folder = tempfile::tempdir().unwrap();
     let orders = [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]];
@@ -300,7 +300,7 @@ pub fn long_stacks_are_composed() {
     let c = composed.composition.unwrap();
     let d = difference(&picture(&composed), &picture(&all)).unwrap();
     println!("11 maps: {c:?}; mean {:.3}/255, PSNR {:.1} dB", d.mean * 255.0, d.psnr);
-    assert!(c.composed && c.worst_mm <= 0.3 && composed.stack.shortcut().is_some(), "{c:?}");
+    assert!(c.composed && c.worst_mm <= 0.3 && composed.stack.precomposed().is_some(), "{c:?}");
     assert!(d.mean < 0.5 / 255.0, "{d:?}");
 }
 
@@ -324,10 +324,10 @@ pub fn composition_keeps_its_bound() {
         let errors = points(4000)
             .map(|x| (x - 0.5) * 150.0)
             .filter(|p| {
-                let (source, alpha) = stack.walk_through(*p);
+                let (source, alpha) = stack.source_and_alpha_unclipped(*p);
                 alpha == 1.0 && source.abs().max_element() < 80.0
             })
-            .map(|p| composed.placed.backward(p).0.distance(stack.walk_through(p).0));
+            .map(|p| composed.placed.backward(p).0.distance(stack.source_and_alpha_unclipped(p).0));
         let worst = errors.fold(0.0, f32::max);
         assert!(worst <= bound, "{worst} for {bound}");
     }
@@ -337,8 +337,8 @@ pub fn composition_keeps_its_bound() {
 /// Inverting the FSL warp: residual below a fiftieth of a voxel wherever it is not nearly folded, measured at points between the grid's.
 pub fn fsl_warp_is_inverted() {
     let Some(path) = shared("transforms/oasis_to_t1_fsl_warp_4mm_downsampled.nii.gz") else { return };
-    let t = Transform::load(&path, &Context::default()).unwrap();
-    let [Step::Field(warp)] = &t.steps[..] else { panic!() };
+    let t = Transform::load(&path, &TransformContext::default()).unwrap();
+    let [TransformStep::Field(warp)] = &t.steps[..] else { panic!() };
     let inverse = invert::field(warp);
     println!("FSL warp: {:?}", inverse.report);
     assert!(inverse.report.p99_mm <= 0.02 * 4.0 && inverse.report.not_found == 0);
@@ -372,14 +372,14 @@ pub fn radial_field_is_inverted() {
 /// Maps, fields and volumes written in each format come back with their numbers and their geometry.
 pub fn written_files_come_back() {
     let folder = tempfile::tempdir().unwrap();
-    let base = load::volume(&fixture("volume.nii.gz"), &load::Choice::default(), &Watch::NONE).unwrap();
+    let base = load::volume(&fixture("volume.nii.gz"), &load::ReadOptions::default(), &Watch::NONE).unwrap();
     let grid = base.geometry();
     let values: Vec<f32> = (0..base.voxels.len()).map(|n| base.voxels.get(n) as f32).collect();
     for name in ["a.nii", "a.nii.gz", "a.nrrd", "a.mha"] {
         let path = folder.path().join(name);
         let format = Format::of(&path).unwrap();
         std::fs::write(&path, save::encode(format, &grid, Content::Scalar(load::ScalarType::F32, Rescale::NONE), &values).unwrap()).unwrap();
-        let v = load::volume(&path, &load::Choice::default(), &Watch::NONE).unwrap();
+        let v = load::volume(&path, &load::ReadOptions::default(), &Watch::NONE).unwrap();
         assert_eq!(v.size, base.size);
         assert!((0..values.len()).all(|n| v.voxels.get(n) == f64::from(values[n])), "{name}");
         let (a, b) = (v.world_from_voxel, base.world_from_voxel);
@@ -416,7 +416,7 @@ pub fn composed_stacks_are_one_map() {
     let prepared = Prepared::new(&scene, &assets).unwrap();
     let c = prepared.composition.unwrap();
     println!("eight maps: {c:?}");
-    assert!(prepared.stack.shortcut().is_some() && c.maps == 8 && c.composed && c.worst_mm <= 0.5, "{c:?}");
+    assert!(prepared.stack.precomposed().is_some() && c.maps == 8 && c.composed && c.worst_mm <= 0.5, "{c:?}");
 }
 
 /// An intersection with a cut that is not there yet removes nothing; a union with it removes the rest.
@@ -432,7 +432,7 @@ pub fn groups_with_a_vanished_member() {
         scene.deformation = vec![cut("box", combine, 1.0), cut("sphere", "or", progress)];
         let assets = assets(&scene);
         let (_, cuts) = stack_of(&scene, &assets, None);
-        assert_eq!(cuts.kept(Vec3::new(3.0, 2.0, 1.0)) < 0.0, removed, "{combine} {progress}");
+        assert_eq!(cuts.signed_distance_mm(Vec3::new(3.0, 2.0, 1.0)) < 0.0, removed, "{combine} {progress}");
     }
 }
 

@@ -480,7 +480,7 @@ impl Maker<'_> {
             (_, "join") => owned(self.random.one_of(&["union", "intersect", "subtract"])),
             (_, "face") => owned(self.random.one_of(&["-x", "+x", "-y", "+y", "-z", "+z"])),
             (_, "look") => {
-                let all: Vec<&str> = surface::looks().collect();
+                let all: Vec<&str> = surface::look_names().collect();
                 all[self.random.below(all.len())].into()
             }
             (_, "preset") => {

@@ -69,7 +69,7 @@ impl File {
 }
 
 pub fn read(path: &Path) -> incise::Result<Volume> {
-    load::volume(path, &load::Choice::default(), &incise::Watch::NONE)
+    load::volume(path, &load::ReadOptions::default(), &incise::Watch::NONE)
 }
 
 /// A small u8 file with values 0..24.

@@ -8,18 +8,18 @@ use crate::scenes;
 use glam::Vec3;
 use incise::Watch;
 use incise::cpu;
-use incise::gpu::{Device, Want};
+use incise::gpu::{AdapterPreference, Device};
 use incise::math::Bounds;
 use incise::prepare::{PrepareOptions, Prepared};
 use incise::render::{Renderer, Strategy};
 use incise::scene::{CutFaces, Deformation, IsoLight, Mode, Scene};
 use incise::transfer::{Blend, GradientPoint};
-use incise::volume::{GradientFilter, Grid, GridVoxels, Sampler};
+use incise::volume::{GradientFilter, VolumeSampler, VoxelGrid, VoxelGridValues};
 use libtest_mimic::Trial;
 use std::sync::{LazyLock, Mutex};
 
 static RENDERER: LazyLock<Mutex<Result<Renderer, String>>> =
-    LazyLock::new(|| Mutex::new(Device::open(Want::Any).map(Renderer::new).map_err(|e| e.to_string())));
+    LazyLock::new(|| Mutex::new(Device::open(AdapterPreference::Any).map(Renderer::new).map_err(|e| e.to_string())));
 
 pub fn with_renderer<T>(work: impl FnOnce(&mut Renderer) -> T) -> T {
     // A test that failed before leaves the renderer usable.
@@ -130,7 +130,7 @@ fn numbers_agree(kind: &str) {
     let again = scenes::assets(&scene);
     let prepared = with_strategy(PREPARE, |r| Prepared::with(&scene, &again, &PrepareOptions::on(r)).unwrap());
     let map = &prepared.stack.maps()[0].map;
-    let formula = matches!(incise::deform::kinds::kind(kind).unwrap().build, incise::deform::kinds::Build::Formula(_));
+    let formula = matches!(incise::deform::kinds::kind(kind).unwrap().build, incise::deform::kinds::FieldBuilder::Formula(_));
     assert_eq!(map.recipe().is_some(), formula, "{kind}");
     let by_device = map.extent();
     let near = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| (a - b).abs() <= 2e-3 * (1.0 + a.abs()));
@@ -145,8 +145,8 @@ fn numbers_of(kind: &str, prepared: &Prepared, assets: &incise::prepare::Assets)
     let at: Vec<[f32; 3]> = points(10_000).map(|x| ((x - 0.5) * 150.0).to_array()).collect();
     let probes = with_strategy(PREPARE, |r| r.probe(prepared, &at).unwrap());
     assert_eq!(probes.len(), at.len());
-    let GridVoxels::I16(voxels) = &assets.grid().voxels else { panic!() };
-    let sampler = Sampler::new(assets.grid(), voxels);
+    let VoxelGridValues::I16(voxels) = &assets.grid().voxels else { panic!() };
+    let sampler = VolumeSampler::new(assets.grid(), voxels);
     let (mut worst, mut moved) = ([0.0f32; 5], 0);
     for (p, probe) in at.iter().zip(&probes) {
         let p = Vec3::from(*p);
@@ -290,12 +290,12 @@ fn composition_agrees() {
     let by_cpu = Prepared::new(&scene, &assets).unwrap();
     let by_gpu = with_renderer(|r| Prepared::with(&scene, &assets, &PrepareOptions::on(r)).unwrap());
     let (a, b) = (&by_cpu.stack, &by_gpu.stack);
-    let [of_a, of_b] = [a, b].map(|s| s.shortcut().unwrap().map.map.size);
+    let [of_a, of_b] = [a, b].map(|s| s.precomposed().unwrap().map.map.size);
     assert!(of_a == of_b && a.maps().len() == 11, "{of_a:?} {of_b:?}");
     let (mut far, mut moved) = (0, 0);
     for p in points(5000) {
         let p = (p - 0.5) * 170.0;
-        let ((at_cpu, alpha), (at_gpu, beta)) = (a.walk(p), b.walk(p));
+        let ((at_cpu, alpha), (at_gpu, beta)) = (a.source_and_alpha(p), b.source_and_alpha(p));
         moved += usize::from(at_cpu.distance(p) > 0.5);
         far += usize::from(at_cpu.distance(at_gpu) > 0.05 || (alpha - beta).abs() > 0.02);
     }
@@ -367,17 +367,17 @@ fn empty_is_empty(name: &str, prepared: &Prepared) {
     // Cells are said to be clear of the maps' own masks.
     let maps = incise::deform::Stack::new(prepared.stack.maps().to_vec());
     let depth_at = |p: Vec3| -> f32 {
-        let (source, alpha) = prepared.stack.walk(p);
+        let (source, alpha) = prepared.stack.source_and_alpha(p);
         let at = prepared.volume().voxel_from_world.transform_point3(source);
         let top = Vec3::from(grid.size.map(|n| n as f32)) - 0.5;
-        if alpha < 0.5 || prepared.cuts.kept(p) < 0.0 || at.cmplt(Vec3::splat(-0.5)).any() || at.cmpgt(top).any() {
+        if alpha < 0.5 || prepared.cuts.signed_distance_mm(p) < 0.0 || at.cmplt(Vec3::splat(-0.5)).any() || at.cmpgt(top).any() {
             return 0.0;
         }
         let value = match &grid.voxels {
-            GridVoxels::U8(v) => Sampler::new(grid, v).sample(at),
-            GridVoxels::U16(v) => Sampler::new(grid, v).sample(at),
-            GridVoxels::I16(v) => Sampler::new(grid, v).sample(at),
-            GridVoxels::F32(v) => Sampler::new(grid, v).sample(at),
+            VoxelGridValues::U8(v) => VolumeSampler::new(grid, v).sample(at),
+            VoxelGridValues::U16(v) => VolumeSampler::new(grid, v).sample(at),
+            VoxelGridValues::I16(v) => VolumeSampler::new(grid, v).sample(at),
+            VoxelGridValues::F32(v) => VolumeSampler::new(grid, v).sample(at),
         };
         match prepared.volume().iso {
             _ if prepared.volume().blend != Blend::Composite => 1.0,
@@ -498,7 +498,7 @@ fn voxel_types_agree() {
         scene.transfer.window = Some(200.0 * factor);
         scene.transfer.level = Some(140.0 * factor + volume.range[0] - 50.0 * factor);
         let assets = incise::prepare::Assets::of_volume(volume);
-        assert!(Grid::new(&assets.volume).size == [48; 3]);
+        assert!(VoxelGrid::new(&assets.volume).size == [48; 3]);
         agree(name, &Prepared::new(&scene, &assets).unwrap());
     }
 }

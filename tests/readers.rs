@@ -1,7 +1,7 @@
 //! Readers against other programs, against each other, and against damage. What peers read is in `fixtures/readers`, made by `make.py` there.
 
 use glam::{DAffine3, DMat3, DVec3};
-use incise::volume::load::{self, Choice};
+use incise::volume::load::{self, ReadOptions};
 use incise::volume::save::{Content, Format, Writer};
 use incise::volume::{GridGeometry, Rescale, Volume};
 use incise::{Error, Watch};
@@ -28,7 +28,7 @@ fn json(name: &str) -> Value {
     serde_json::from_slice(&std::fs::read(fixtures().join(name)).unwrap()).unwrap()
 }
 
-pub fn read(path: &Path, choice: &Choice) -> incise::Result<Volume> {
+pub fn read(path: &Path, choice: &ReadOptions) -> incise::Result<Volume> {
     load::volume(path, choice, &Watch::NONE)
 }
 
@@ -48,16 +48,16 @@ fn apart(a: &DAffine3, b: &DAffine3, size: [usize; 3]) -> f64 {
 
 /// One phantom as SimpleITK, nibabel, pynrrd, VTK, tifffile, Pillow, NumPy, Zarr and pydicom write it.
 pub fn one_phantom_in_every_format() {
-    let said = json("phantom.json");
-    let size: [usize; 3] = std::array::from_fn(|n| said["size"][n].as_u64().unwrap() as usize);
-    let values: Vec<f64> = said["values"].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect();
-    let spacing = vector(&said["spacing_mm"]);
-    let rows: [DVec3; 3] = std::array::from_fn(|r| vector(&said["direction"][r]));
+    let phantom_json = json("phantom.json");
+    let size: [usize; 3] = std::array::from_fn(|n| phantom_json["size"][n].as_u64().unwrap() as usize);
+    let values: Vec<f64> = phantom_json["values"].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect();
+    let spacing = vector(&phantom_json["spacing_mm"]);
+    let rows: [DVec3; 3] = std::array::from_fn(|r| vector(&phantom_json["direction"][r]));
     let direction = DMat3::from_cols(rows[0], rows[1], rows[2]).transpose();
-    let whole = DAffine3 { matrix3: direction * DMat3::from_diagonal(spacing), translation: vector(&said["origin_mm"]) };
-    let files = said["files"].as_object().unwrap();
+    let whole = DAffine3 { matrix3: direction * DMat3::from_diagonal(spacing), translation: vector(&phantom_json["origin_mm"]) };
+    let files = phantom_json["files"].as_object().unwrap();
     for (name, file) in files {
-        let choice = Choice { time: file["time"].as_u64().map(|t| t as usize), ..Choice::default() };
+        let choice = ReadOptions { time: file["time"].as_u64().map(|t| t as usize), ..ReadOptions::default() };
         let v = read(&fixtures().join("phantom").join(name), &choice).unwrap_or_else(|e| panic!("{e}"));
         assert_eq!(v.size, size, "{name}");
         let (added, modulo) = (file["added"].as_f64().unwrap_or(0.0), file["modulo"].as_f64().unwrap_or(0.0));
@@ -110,7 +110,7 @@ pub fn scans_are_what_peers_read() {
     let expected = json("expected.json");
     let (mut exact, mut lossy) = (0, 0);
     for (name, want) in expected.as_object().unwrap() {
-        let image = match load::image(&folder.join(name), &Choice::default(), &Watch::NONE) {
+        let image = match load::image(&folder.join(name), &ReadOptions::default(), &Watch::NONE) {
             Ok(image) => image,
             Err(e) => {
                 // What cannot be decoded is named: JPEG-LS without its feature, and lossy JPEG of 12 bits.
@@ -146,14 +146,14 @@ pub fn scans_are_what_peers_read() {
     println!("{exact} files equal bit for bit, {lossy} lossy ones within 2 of the stored values");
     assert!(exact >= 30 && lossy >= 2, "{exact} {lossy}");
     // One thorax twice: the same voxels; the VTI cannot say that two of its axes are turned.
-    let [mha, vti] = ["ct/LIDC2_thorax.mha", "ct/LIDC2_thorax.vti"].map(|n| read(&folder.join(n), &Choice::default()).unwrap());
+    let [mha, vti] = ["ct/LIDC2_thorax.mha", "ct/LIDC2_thorax.vti"].map(|n| read(&folder.join(n), &ReadOptions::default()).unwrap());
     assert_eq!(crc(&mha.voxels), crc(&vti.voxels));
     assert!((mha.spacing_mm() - vti.spacing_mm()).abs().max_element() < 1e-9);
     assert!(vti.warnings.iter().any(|w| w.contains("does not say how its axes lie")) && mha.warnings.is_empty());
     // Every file of these folders opens or was named above.
     for sub in ["ct", "mri", "labels", "rgb", "dicom/ct_all_syntaxes", "dicom/misc"] {
         for entry in std::fs::read_dir(folder.join(sub)).unwrap().flatten() {
-            if let Err(e) = read(&entry.path(), &Choice::default()) {
+            if let Err(e) = read(&entry.path(), &ReadOptions::default()) {
                 let text = e.to_string();
                 assert!(text.contains("JPEG-LS") || text.contains("12-bit lossy JPEG"), "{text}");
                 println!("refused: {}", text.replace(&*folder.to_string_lossy(), ""));
@@ -177,7 +177,7 @@ fn series(name: &str) -> Option<tempfile::TempDir> {
 /// A head with a tilted gantry and uneven steps, a phantom with even ones.
 pub fn real_series_have_their_geometry() {
     let Some(head) = series("GE_head_tilt") else { return };
-    let v = read(head.path(), &Choice::default()).unwrap();
+    let v = read(head.path(), &ReadOptions::default()).unwrap();
     assert_eq!((v.size, v.voxels.type_name()), ([512, 512, 28], "i16"));
     assert!((v.tilt_degrees() - 18.5).abs() < 0.01, "{}", v.tilt_degrees());
     assert!(v.world_from_voxel.matrix3.determinant() > 0.0 && v.orientation() == "LPS");
@@ -189,7 +189,7 @@ pub fn real_series_have_their_geometry() {
     let at: Vec<f64> = report["slice_positions_mm"].as_array().unwrap().iter().map(|p| p.as_f64().unwrap()).collect();
     assert_eq!(at.len(), 28);
     assert!((report["tilt_degrees"].as_f64().unwrap() - 18.5).abs() < 0.01);
-    let even = read(head.path(), &Choice { resample: true, ..Choice::default() }).unwrap();
+    let even = read(head.path(), &ReadOptions { resample: true, ..ReadOptions::default() }).unwrap();
     let normal = v.world_from_voxel.matrix3.x_axis.cross(v.world_from_voxel.matrix3.y_axis).normalize();
     let step = even.world_from_voxel.matrix3.z_axis.dot(normal);
     // The report rounds to a tenth of a micrometre.
@@ -207,7 +207,7 @@ pub fn real_series_have_their_geometry() {
         assert!((even.value(i, j, between) - want).abs() <= 0.5 + 1e-6, "{i} {j}");
     }
     let Some(phantom) = series("Philips_phantom") else { return };
-    let v = read(phantom.path(), &Choice::default()).unwrap();
+    let v = read(phantom.path(), &ReadOptions::default()).unwrap();
     assert!((v.spacing_mm() - DVec3::new(0.451171875, 0.451171875, 5.0)).abs().max_element() < 1e-4 && v.tilt_degrees() < 0.01);
     assert!(v.warnings.is_empty(), "{:?}", v.warnings);
     println!("tilt 18.5 degrees kept as a shear; 28 uneven slices are {} even ones when asked", even.size[2]);
@@ -277,7 +277,7 @@ pub fn orientations_are_one_world() {
             let mut writer = Writer::new(std::fs::File::create(&path).unwrap(), Format::of(&path).unwrap(), &grid, content).unwrap();
             writer.push(&bytes).unwrap();
             writer.finish().unwrap().flush().unwrap();
-            let v = read(&path, &Choice::default()).unwrap();
+            let v = read(&path, &ReadOptions::default()).unwrap();
             assert!(apart(&v.world_from_voxel, &grid.world_from_voxel, grid.size) < 1e-6 * 50.0, "{ending} {n}");
             is_the_world(&v, &format!("{ending}, orientation {n}"));
             let letters = v.orientation();
@@ -291,7 +291,7 @@ pub fn orientations_are_one_world() {
         if direction.determinant() > 0.0 {
             let series = folder.path().join(format!("dicom{n}"));
             dicom::write(&series, &grid, &values);
-            let v = read(&series, &Choice::default()).unwrap();
+            let v = read(&series, &ReadOptions::default()).unwrap();
             let off = apart(&v.world_from_voxel, &grid.world_from_voxel, grid.size);
             assert!(off < 1e-6, "DICOM {n}: {off} mm off: {:?} {:?}", v.world_from_voxel, grid.world_from_voxel);
             is_the_world(&v, &format!("DICOM, orientation {n}"));
@@ -368,11 +368,11 @@ pub fn series_are_listed_and_chosen() {
     assert!(report["warnings"][0].as_str().unwrap().contains("holds 2 series; the largest is used"));
     assert!(String::from_utf8_lossy(&incise(&["info", "--json", "--patient", path]).stdout).contains("Never^Shown"));
     for (wanted, slices) in [("2", 3), ("series 3", 3), ("SERIES 2", 5), ("1.2.826.0.1.3680043.10.543.7.3", 3)] {
-        let v = read(&folder, &Choice { series: Some(wanted.into()), ..Choice::default() }).unwrap();
+        let v = read(&folder, &ReadOptions { series: Some(wanted.into()), ..ReadOptions::default() }).unwrap();
         assert_eq!(v.size[2], slices, "{wanted}");
     }
     for wanted in ["3", "0", "nothing"] {
-        let e = read(&folder, &Choice { series: Some(wanted.into()), ..Choice::default() }).unwrap_err().to_string();
+        let e = read(&folder, &ReadOptions { series: Some(wanted.into()), ..ReadOptions::default() }).unwrap_err().to_string();
         assert!(e.starts_with("series: ") && e.contains("series 2") && e.contains("series 3"), "{e}");
     }
     let out = tempfile::tempdir().unwrap();
@@ -384,18 +384,18 @@ pub fn series_are_listed_and_chosen() {
         let name = format!("{n}-1.dcm");
         std::fs::copy(fixtures().join("phantom/dicom-explicit").join(&name), out.path().join(&name)).unwrap();
     }
-    let whole = read(out.path(), &Choice::default()).unwrap();
+    let whole = read(out.path(), &ReadOptions::default()).unwrap();
     // The third file of five in the order of their names is slice 4; slice 2 is another.
     std::fs::remove_file(out.path().join("1-1.dcm")).unwrap();
-    let less = read(out.path(), &Choice::default()).unwrap();
+    let less = read(out.path(), &ReadOptions::default()).unwrap();
     assert_eq!(less.size[2], 4);
     assert!(less.warnings.iter().any(|w| w.contains("1 slice is missing at")), "{:?}", less.warnings);
-    let filled = read(out.path(), &Choice { resample: true, ..Choice::default() }).unwrap();
+    let filled = read(out.path(), &ReadOptions { resample: true, ..ReadOptions::default() }).unwrap();
     assert_eq!(filled.size, whole.size);
     assert!(apart(&filled.world_from_voxel, &whole.world_from_voxel, whole.size) < 1e-6);
     // The zip, and the file that lists a folder.
     std::fs::write(out.path().join("DICOMDIR"), b"").unwrap();
-    assert_eq!(read(&out.path().join("DICOMDIR"), &Choice::default()).unwrap().size[2], 4);
+    assert_eq!(read(&out.path().join("DICOMDIR"), &ReadOptions::default()).unwrap().size[2], 4);
 }
 
 /// Loads stop when told to, tell how far they are, and never go back.
@@ -404,11 +404,11 @@ pub fn loads_are_watched() {
         let path = fixtures().join("phantom").join(name);
         let seen = Mutex::new(Vec::new());
         let progress = |share: f32| seen.lock().unwrap().push(share);
-        load::volume(&path, &Choice::default(), &Watch::reporting(&progress)).unwrap();
+        load::volume(&path, &ReadOptions::default(), &Watch::reporting(&progress)).unwrap();
         let seen = seen.into_inner().unwrap();
         assert!(!seen.is_empty() && seen.iter().all(|s| (0.0..=1.0).contains(s)) && seen.last().is_some_and(|s| *s > 0.99), "{name}: {seen:?}");
         let cancel = AtomicBool::new(true);
-        let result = load::volume(&path, &Choice::default(), &Watch { progress: &|_| (), cancel: &cancel });
+        let result = load::volume(&path, &ReadOptions::default(), &Watch { progress: &|_| (), cancel: &cancel });
         assert!(matches!(result, Err(Error::Cancelled)), "{name}");
     }
 }
@@ -421,16 +421,16 @@ pub fn several_values_per_voxel() {
         std::fs::write(&path, bytes).unwrap();
         path
     };
-    let layout = |text: &str| Choice { raw: Some(load::RawLayout::parse(text).unwrap()), ..Choice::default() };
+    let layout = |text: &str| ReadOptions { raw: Some(load::RawLayout::parse(text).unwrap()), ..ReadOptions::default() };
     let rgb = raw("rgb.raw", &[255, 0, 0, 0, 255, 0, 0, 0, 0, 255, 255, 255]);
     let v = read(&rgb, &layout("4x1x1:u8:components=3")).unwrap();
     assert_eq!((v.components, [0, 1, 2, 3].map(|n| v.voxels.get(n))), (3, [53.0, 182.0, 0.0, 255.0]));
     assert!(v.colors.is_some());
-    let red = Choice { channel: Some(1), ..layout("4x1x1:u8:components=3") };
+    let red = ReadOptions { channel: Some(1), ..layout("4x1x1:u8:components=3") };
     let v = read(&rgb, &red).unwrap();
     assert_eq!([0, 1, 2, 3].map(|n| v.voxels.get(n)), [255.0, 0.0, 0.0, 255.0]);
     assert!(v.colors.is_none());
-    assert!(read(&rgb, &Choice { channel: Some(4), ..red }).unwrap_err().to_string().contains("channel: 4 is none of the 3"));
+    assert!(read(&rgb, &ReadOptions { channel: Some(4), ..red }).unwrap_err().to_string().contains("channel: 4 is none of the 3"));
     // Two channels: green and magenta, each over its own range.
     let two = raw("two.raw", &[0, 0, 100, 0, 0, 50, 100, 50]);
     let v = read(&two, &layout("4x1x1:u8:components=2")).unwrap();
@@ -441,10 +441,10 @@ pub fn several_values_per_voxel() {
     // Labels that a segmentation names and colours.
     let header = "NRRD0004\ntype: uchar\ndimension: 3\nspace: LPS\nsizes: 2 1 1\nspace directions: (1,0,0) (0,1,0) (0,0,1)\nencoding: raw\nendian: little\nSegment0_LabelValue:=7\nSegment0_Name:=liver\nSegment0_Color:=1 0.5 0\n\n";
     let path = raw("a.seg.nrrd", &[header.as_bytes(), &[7, 0]].concat());
-    let v = read(&path, &Choice::default()).unwrap();
+    let v = read(&path, &ReadOptions::default()).unwrap();
     assert_eq!((v.labels(), v.label_table[0].name.as_str(), v.label_table[0].color), (Some(1), "liver", Some([255, 128, 0])));
     let liver = fixtures().join("liver.dcm");
-    let v = read(&liver, &Choice::default()).unwrap();
+    let v = read(&liver, &ReadOptions::default()).unwrap();
     assert_eq!((v.labels(), v.size), (Some(1), [512, 512, 3]));
     assert_eq!(v.label_table[0].name, "Liver");
 }

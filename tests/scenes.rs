@@ -229,9 +229,9 @@ pub fn empty_pictures_say_why() {
         let assets = assets(&scene);
         let prepared = Prepared::new(&scene, &assets).unwrap_or_else(|e| panic!("{e}\n{text}"));
         let rendered = incise::cpu::render(&prepared);
-        let said: Vec<String> = rendered.notices.into_iter().chain(assets.library.notices()).collect();
+        let warnings: Vec<String> = rendered.notices.into_iter().chain(assets.library.notices()).collect();
         assert!(rendered.picture.is_blank(), "{text}");
-        assert!(said.iter().any(|line| line.contains(words)), "{text}\n{said:?}");
+        assert!(warnings.iter().any(|line| line.contains(words)), "{text}\n{warnings:?}");
     }
     // And one with something in it says nothing of the kind.
     let scene = Scene::of_volume("phantom:head-ct:size=16");

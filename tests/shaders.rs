@@ -2,8 +2,8 @@
 
 use incise::gpu::shaders::Program;
 use incise::render::uniforms::{
-    ClassificationUniform, CutShapeUniform, DeformerUniform, FrameUniform, LevelUniform, NodeBounds, PlacedMapUniform, PlacedSolidUniform,
-    RecipeUniform, SurfaceObjectUniform,
+    ClassificationUniform, CutShapeUniform, DeformerUniform, FrameUniform, LevelUniform, MapDefinitionUniform, NodeBounds, PlacedMapUniform,
+    PlacedSolidUniform, SurfaceObjectUniform,
 };
 
 fn module(program: Program, counting: bool) -> naga::Module {
@@ -51,20 +51,20 @@ pub fn uniforms_match_their_structs() {
         blend_near_mm, to_light, blend_far_mm, proxy_min, ambient, proxy_max, diffuse, grid_size, specular, cells_origin, shininess, cell_mm,
         value_scale, cells, value_offset, picture, table_scale, table_offset, gradient_top, two_sided, has_holes, early_termination, grey_low, grey_high, iso, jitter, texture_size, gradient_scale, face,
         stored_offset, per_texture_size, padding);
-    same_layout!(&m, "CutShape", CutShapeUniform: local_from_world, half, shape, half_angle, sense, joined, and_group);
+    same_layout!(&m, "CutShape", CutShapeUniform: local_from_world, half, shape, half_angle, sense, joins_previous, intersects_group);
     let s = module(Program::Surface, false);
     same_layout!(&s, "SurfaceObject", SurfaceObjectUniform: grid_from_world, world_from_grid, size, kind, cells_origin, resolution_mm, cell_mm, step_mm,
         cells, thickness_mm, occupied_min, solid, occupied_max, steps, color, highlight, inside, shininess, cut, threshold_mm, low, solids, high, face,
-        seam_mm, rigid, both, deformers, normal_method, beside_mm, padding);
+        seam_mm, rigid, both, deformers, normal_method, vertex_offset_mm, padding);
     same_layout!(&s, "PlacedSolid", PlacedSolidUniform: local_from_world, numbers, solid, join, period, wall);
     same_layout!(&s, "Deformer", DeformerUniform: local_from_world, numbers, half, kind, offsets);
     same_layout!(&m, "PlacedMap", PlacedMapUniform: map_from_world, world_from_stored, size, added, reach, scale, origin, single, per_atlas, padding);
     let c = module(Program::Classify, false);
-    same_layout!(&c, "Classification", ClassificationUniform: voxel_from_world, origin, looks_back_mm, cell_mm, beside_cuts_mm, size, cut_margin_mm, voxel_low,
-        margin_mm, voxel_high, iso, table_scale, table_offset, has_iso, grey_faces, composite, stack_cuts, value_shift, value_levels, value_size, beside_mm,
+    same_layout!(&c, "Classification", ClassificationUniform: voxel_from_world, origin, lookback_mm, cell_mm, cut_lookback_mm, size, cut_margin_mm, voxel_low,
+        margin_mm, voxel_high, iso, table_scale, table_offset, has_iso, grey_faces, composite, stack_has_cuts, value_shift, value_levels, value_size, precompose_error_mm,
         values, maps, levels);
     same_layout!(&c, "NodeBounds", NodeBounds: low, high, slope_low, slope_high);
-    same_layout!(&module(Program::Sample, false), "Recipe", RecipeUniform: cube_mm, ramp_mm, size, kind, numbers);
+    same_layout!(&module(Program::Sample, false), "Recipe", MapDefinitionUniform: cube_mm, ramp_mm, size, kind, numbers);
     same_layout!(&module(Program::Bounds, false), "Level", LevelUniform: size, first, below_size, below_first);
 }
 
@@ -77,39 +77,39 @@ pub fn counterparts_exist() {
             "shaders/lib/shading.wgsl",
             "src/cpu/shading.rs",
             &[
-                ("EVEN_LIGHT: f32 = 0.6", "EVEN_LIGHT: f32 = 0.6"),
-                ("BACK_TO_CUT: f32 = 0.9", "BACK_TO_CUT: f32 = 0.9"),
-                ("FARTHEST_BACK: f32 = 4.0", "FARTHEST_BACK: f32 = 4.0"),
-                ("BACK_STEPS: i32 = 4", "BACK_STEPS: u32 = 4"),
+                ("ISOTROPIC_DIFFUSE: f32 = 0.6", "ISOTROPIC_DIFFUSE: f32 = 0.6"),
+                ("CUT_LOOKBACK_SHARE: f32 = 0.9", "CUT_LOOKBACK_SHARE: f32 = 0.9"),
+                ("MAX_CUT_LOOKBACK: f32 = 4.0", "MAX_CUT_LOOKBACK: f32 = 4.0"),
+                ("CUT_LOOKBACK_STEPS: i32 = 4", "CUT_LOOKBACK_STEPS: u32 = 4"),
                 ("ENTRY_STEPS: i32 = 4", "ENTRY_STEPS: u32 = 4"),
                 ("FACE_STEPS: i32 = 10", "FACE_STEPS: u32 = 10"),
-                ("SURFACE_LOW: f32 = 0.004", "SURFACE: [f32; 2] = [0.004, 0.04]"),
-                ("SURFACE_HIGH: f32 = 0.04", "SURFACE: [f32; 2] = [0.004, 0.04]"),
+                ("SURFACE_GRADIENT_LOW: f32 = 0.004", "SURFACE_GRADIENT: [f32; 2] = [0.004, 0.04]"),
+                ("SURFACE_GRADIENT_HIGH: f32 = 0.04", "SURFACE_GRADIENT: [f32; 2] = [0.004, 0.04]"),
             ][..],
         ),
         (
             "shaders/lib/surface.wgsl",
             "src/cpu/surface.rs",
             &[
-                ("REFINEMENTS: i32 = 14", "REFINEMENTS: u32 = 14"),
-                ("SHORTEST: f32 = 0.25", "SHORTEST: f32 = 0.25"),
-                ("FINE: f32 = 0.25", "FINE: f32 = 0.25"),
-                ("ONWARD: f32 = 1e-6", "ONWARD: f32 = 1e-6"),
-                ("MOST_SAMPLES: u32 = 100000u", "MOST_SAMPLES: u32 = 100_000"),
+                ("BISECTION_STEPS: i32 = 14", "BISECTION_STEPS: u32 = 14"),
+                ("MIN_SPHERE_STEP: f32 = 0.25", "MIN_SPHERE_STEP: f32 = 0.25"),
+                ("THRESHOLD_STEP: f32 = 0.25", "THRESHOLD_STEP: f32 = 0.25"),
+                ("MIN_ADVANCE: f32 = 1e-6", "MIN_ADVANCE: f32 = 1e-6"),
+                ("MAX_SAMPLES: u32 = 100000u", "MAX_SAMPLES: u32 = 100_000"),
             ][..],
         ),
         (
             "shaders/lib/stack.wgsl",
             "src/deform/stack.rs",
-            &[("MARKED: f32 = 2.0", "MARKED: f32 = 2.0"), ("MARKED_SLOPE: f32 = 4096.0", "MARKED_SLOPE: f32 = 4096.0")][..],
+            &[("MIN_MARKED_ALPHA: f32 = 2.0", "MIN_MARKED_ALPHA: f32 = 2.0"), ("MIN_MARKED_SLOPE: f32 = 4096.0", "MIN_MARKED_SLOPE: f32 = 4096.0")][..],
         ),
         ("shaders/lib/formula.wgsl", "src/mesh/formula.rs", &[("GYROID_SLOPE: f32 = 1.75", "GYROID_SLOPE: f32 = 1.75")][..]),
-        ("shaders/classify.wgsl", "src/deform/bounds.rs", &[("SAME: f32 = 0.25", "SAME: f32 = 0.25")][..]),
+        ("shaders/classify.wgsl", "src/deform/bounds.rs", &[("FLAT_DISPLACEMENT: f32 = 0.25", "FLAT_DISPLACEMENT: f32 = 0.25")][..]),
         ("shaders/classify.wgsl", "src/transfer/table.rs", &[("LAST_ENTRY: f32 = 4095.0", "TABLE_ENTRIES: usize = 4096")][..]),
         ("shaders/bounds.wgsl", "src/render/prepare.rs", &[("CELLS: u32 = 4u", "CELLS_PER_NODE: usize = 4")][..]),
         ("shaders/lib/cut.wgsl", "src/deform/cut.rs", &[("ROOT_STEPS: i32 = 4", "ROOT_STEPS: u32 = 4")][..]),
-        ("shaders/lib/composite.wgsl", "src/cpu/mod.rs", &[("OPAQUE: f32 = 1.0 / 512.0", "OPAQUE: f32 = 1.0 / 512.0")][..]),
-        ("shaders/lib/march.wgsl", "src/scene/macrocells.rs", &[("IN_CLEAR: u32 = 128u", "IN_CLEAR: u8 = 128")][..]),
+        ("shaders/lib/composite.wgsl", "src/cpu/mod.rs", &[("MIN_TRANSMITTANCE: f32 = 1.0 / 512.0", "MIN_TRANSMITTANCE: f32 = 1.0 / 512.0")][..]),
+        ("shaders/lib/march.wgsl", "src/prepare/macrocells.rs", &[("CUT_FREE_FLAG: u32 = 128u", "CUT_FREE_FLAG: u8 = 128")][..]),
         (
             "shaders/lib/transfer.wgsl",
             "src/transfer/table.rs",

@@ -4,7 +4,7 @@ use crate::metrics::{STEP, difference};
 use crate::scenes;
 use glam::{Affine3A, Mat3, Vec3};
 use incise::Watch;
-use incise::cpu::surface::{Side, normal, trace};
+use incise::cpu::surface::{HitSide, normal, trace};
 use incise::deform::{DisplacementMap, PlacedMap, Placement, Storage, TexelSample};
 use incise::math::Bounds;
 use incise::mesh::field::{FieldSettings, MeshField};
@@ -38,8 +38,8 @@ pub fn distances_of_closed_forms() {
         let d = p.abs() - half;
         -(d.max(Vec3::ZERO).length() + d.max_element().min(0.0))
     };
-    type Form<'a> = (&'a str, Mesh, &'a dyn Fn(Vec3) -> f32);
-    let forms: [Form; 3] = [
+    type SettingFormat<'a> = (&'a str, Mesh, &'a dyn Fn(Vec3) -> f32);
+    let forms: [SettingFormat; 3] = [
         ("sphere", shapes::sphere(10.0, 250), &|p: Vec3| 10.0 - p.length()),
         ("torus", shapes::torus(10.0, 3.0, 250), &torus),
         ("box", shapes::cuboid(half), &cuboid),
@@ -219,7 +219,7 @@ pub fn deformed_sphere_is_the_ellipsoid() {
                     match (got, want) {
                         (Some((t, side)), Some(want)) => {
                             hits += 1;
-                            assert_eq!(side, Side::Outside);
+                            assert_eq!(side, HitSide::Outside);
                             // A grazing ray meets the surface in a long stretch: measured across the surface.
                             let p = o + d * t;
                             let n = (l.transpose() * (l * p)).normalize();
@@ -396,9 +396,11 @@ pub fn cut_models_are_what_they_say() {
     scene.camera.view = "superior".parse().unwrap();
     scene.deformation.push(cut);
     // Looking down on a ball without its upper half.
-    for (model, middle) in
-        [(CutModel::Solid, Some((0.0, Side::Cut))), (CutModel::Hollow, Some((-50.0, Side::Inside))), (CutModel::Thick, Some((-40.0, Side::Inside)))]
-    {
+    for (model, middle) in [
+        (CutModel::Solid, Some((0.0, HitSide::Cut))),
+        (CutModel::Hollow, Some((-50.0, HitSide::Inside))),
+        (CutModel::Thick, Some((-40.0, HitSide::Inside))),
+    ] {
         scene.mesh[0].appearance.model = Some(model);
         scene.mesh[0].appearance.thickness = Some(10.0);
         for exact in [true, false] {
@@ -416,7 +418,7 @@ pub fn cut_models_are_what_they_say() {
             assert!(n.z > 0.99, "{model:?}: {n}");
             // On the rim of a thick shell lies the cut's face.
             let (z, side, _) = look(45.0).unwrap();
-            let rim = if model == CutModel::Hollow { (-(50.0f32.powi(2) - 45.0f32.powi(2)).sqrt(), Side::Inside) } else { (0.0, Side::Cut) };
+            let rim = if model == CutModel::Hollow { (-(50.0f32.powi(2) - 45.0f32.powi(2)).sqrt(), HitSide::Inside) } else { (0.0, HitSide::Cut) };
             assert!((z - rim.0).abs() < 0.5 && side == rim.1, "{model:?} exact {exact} rim: {z} {side:?}");
             assert!(look(52.0).is_none());
         }
@@ -485,7 +487,7 @@ pub fn volumes_inside_meshes() {
         for x in crate::contract::points(4000) {
             let p = (x - 0.5) * 90.0;
             let d = inside(p);
-            wrong += usize::from(d.abs() > 0.6 && (prepared.stack.walk(p).1 >= 0.5) != (d > 0.0));
+            wrong += usize::from(d.abs() > 0.6 && (prepared.stack.source_and_alpha(p).1 >= 0.5) != (d > 0.0));
         }
         assert_eq!(wrong, 0, "{name}");
     }
@@ -508,7 +510,7 @@ pub fn volumes_inside_meshes() {
     let p = Vec3::new(20.0, 0.0, 20.0);
     let angle = std::f32::consts::FRAC_PI_2 * 20.0 / 80.0;
     let want = Vec3::new(20.0 * angle.cos(), -20.0 * angle.sin(), 20.0);
-    let (source, alpha) = prepared.stack.walk(p);
+    let (source, alpha) = prepared.stack.source_and_alpha(p);
     assert!(source.distance(want) < 0.1 && alpha >= 0.5, "{source} for {want}");
     let mut open = shapes::sphere(40.0, 12);
     open.triangles.pop();

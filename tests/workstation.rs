@@ -6,11 +6,11 @@ use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
 use incise::cpu;
 use incise::engine::Backend;
-use incise::gui::action::{Action, Entry};
+use incise::gui::action::{Action, ActionEntry};
 use incise::gui::document::Selection;
-use incise::gui::files::{After, ClipForm, Dialog, PictureForm, Purpose, Travel};
+use incise::gui::files::{ClipForm, ClipMotion, Dialog, FilePurpose, NextStep, PictureForm};
 use incise::gui::gizmos::{Gizmo, Handle, Mode as GizmoMode, kind_of};
-use incise::gui::log::Level;
+use incise::gui::log::LogLevel;
 use incise::gui::session::Session;
 use incise::gui::tool::Tool;
 use incise::gui::views::slices::Space;
@@ -137,7 +137,7 @@ impl Bench {
         self.step();
     }
 
-    fn chosen(&mut self, path: &Path, purpose: Purpose) {
+    fn chosen(&mut self, path: &Path, purpose: FilePurpose) {
         let ctx = self.ctx();
         self.app().chosen(&ctx, path, purpose);
         self.settle();
@@ -176,12 +176,12 @@ impl Bench {
     }
 
     fn has_error(&mut self, text: &str) -> bool {
-        self.app().log.entries().iter().any(|e| e.level == Level::Error && e.text.contains(text))
+        self.app().log.entries().iter().any(|e| e.level == LogLevel::Error && e.text.contains(text))
     }
 
     fn no_errors(&mut self) {
         let text = self.app().log.text();
-        assert!(!self.app().log.entries().iter().any(|e| e.level == Level::Error), "{text}");
+        assert!(!self.app().log.entries().iter().any(|e| e.level == LogLevel::Error), "{text}");
     }
 
     /// Where a handle of the selected deformation is on the screen.
@@ -326,7 +326,7 @@ pub fn a_peel_is_placed_undone_saved_and_opened_again() {
     assert_eq!(bench.picture(), shown);
     // Saved through the file dialog's own answer, and opened in another window.
     let file = bench.folder.path().join("work.toml");
-    bench.chosen(&file, Purpose::Save(None));
+    bench.chosen(&file, FilePurpose::Save(None));
     assert!(!bench.app().doc.as_ref().unwrap().is_changed());
     bench.no_errors();
     let mut again = Bench::open_in(tempfile::tempdir().unwrap(), &file);
@@ -397,7 +397,7 @@ pub fn renderers_are_compared_and_reported() {
         bench.click(label);
     }
     let folder = bench.folder.path().join("report");
-    bench.chosen(&folder, Purpose::Report);
+    bench.chosen(&folder, FilePurpose::Report);
     let report: serde_json::Value = serde_json::from_slice(&std::fs::read(folder.join("report.json")).unwrap()).unwrap();
     assert_eq!(report["runs"].as_array().unwrap().len(), 2, "{report:#}");
     let page = std::fs::read_to_string(folder.join("index.html")).unwrap();
@@ -630,7 +630,7 @@ pub fn a_monkey_does_no_harm() {
         let what = below(&mut random, 100);
         if what < 62 {
             let entries = &bench.app().entries;
-            let entry: &Entry = &entries[below(&mut random, entries.len())];
+            let entry: &ActionEntry = &entries[below(&mut random, entries.len())];
             let (action, label) = (entry.action, entry.label.clone());
             recent.push(label);
             // What ends the window or leaves it for a dialog of files is tried rarely, and left again.
@@ -742,7 +742,7 @@ fn a_lost_device_is_recovered() {
 
 /// Tests that need an adapter, ignored without one.
 pub fn on_a_gpu() -> Vec<libtest_mimic::Trial> {
-    let missing = incise::gpu::Device::open(incise::gpu::Want::Any).is_err();
+    let missing = incise::gpu::Device::open(incise::gpu::AdapterPreference::Any).is_err();
     let test = || {
         a_lost_device_is_recovered();
         Ok(())

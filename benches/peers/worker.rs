@@ -7,10 +7,10 @@
 use anyhow::{Context as _, Result, bail};
 use incise::Watch;
 use incise::cpu;
-use incise::deform::transform::{Context, Step, Transform, VectorField};
+use incise::deform::transform::{Transform, TransformContext, TransformStep, VectorField};
 use incise::deform::{StackAndCuts, invert};
 use incise::export::bake;
-use incise::picture::{Rendered, Stages};
+use incise::picture::{Rendered, StageTimes};
 use incise::prepare::{Assets, Deformed, PrepareOptions, Prepared};
 use incise::scene::Scene;
 use incise::volume::GradientVolume;
@@ -61,9 +61,9 @@ struct Gpu(Option<incise::render::Renderer>);
 #[cfg(feature = "gpu")]
 impl Gpu {
     fn renderer(&mut self) -> Result<&mut incise::render::Renderer> {
-        use incise::gpu::{Device, Want};
+        use incise::gpu::{AdapterPreference, Device};
         if self.0.is_none() {
-            self.0 = Some(incise::render::Renderer::new(Device::open(Want::Any)?));
+            self.0 = Some(incise::render::Renderer::new(Device::open(AdapterPreference::Any)?));
         }
         self.0.as_mut().context("there is no renderer")
     }
@@ -158,7 +158,7 @@ impl Worker {
                 (prepared, rendered)
             }
         };
-        let mut last = Stages::default();
+        let mut last = StageTimes::default();
         let bytes = last.time("8 bits", || rendered.picture.over(scene.render.background));
         let ms = ms(start);
         write(picture, &bytes)?;
@@ -204,9 +204,9 @@ fn find<'a, T>(all: &'a HashMap<String, T>, name: &str) -> Result<&'a T> {
 }
 
 fn load_field(path: &Path) -> Result<VectorField> {
-    let transform = Transform::load(path, &Context { moving: None, reference: None, convention: None })?;
-    match <[Step; 1]>::try_from(transform.steps) {
-        Ok([Step::Field(field)]) => Ok(field),
+    let transform = Transform::load(path, &TransformContext { moving: None, reference: None, convention: None })?;
+    match <[TransformStep; 1]>::try_from(transform.steps) {
+        Ok([TransformStep::Field(field)]) => Ok(field),
         _ => bail!("{} is not one displacement field", path.display()),
     }
 }
@@ -215,7 +215,7 @@ fn write(path: Option<&Path>, bytes: &[u8]) -> Result<()> {
     path.map_or(Ok(()), |p| fs::write(p, bytes).with_context(|| format!("{} cannot be written", p.display())))
 }
 
-fn stages(all: &[&Stages]) -> Map<String, Value> {
+fn stages(all: &[&StageTimes]) -> Map<String, Value> {
     all.iter().flat_map(|s| &s.0).map(|(name, ms)| ((*name).to_owned(), json!(ms))).collect()
 }
 

@@ -1,9 +1,9 @@
 // A stretch of a ray, front to back. Counterpart of march in src/cpu/packet.rs; a ray is one stretch, a slab of slices a short one.
 
-const OPAQUE: f32 = 1.0 / 512.0;
+const MIN_TRANSMITTANCE: f32 = 1.0 / 512.0;
 const NEVER: f32 = -1e30;
 
-struct Stretch {
+struct RaySegment {
     // Premultiplied.
     color: vec4<f32>,
     // Greatest, smallest or summed value of a projection, and samples with matter.
@@ -33,11 +33,11 @@ fn pixel_shift(pixel: vec2<u32>) -> f32 {
 }
 
 // Samples first .. end of a ray, at (i + 1/2) step.
-fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Stretch {
+fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> RaySegment {
     let inverse_direction = 1.0 / ray.direction;
     let length = step / frame.reference_mm;
-    let half = half_way(ray.direction);
-    let gradients_wanted = BLEND == 0u && ISO == 0u && (is_lit() || uses_gradient_opacity());
+    let half = half_vector(ray.direction);
+    let needs_gradients = BLEND == 0u && ISO == 0u && (is_lit() || uses_gradient_opacity());
     var i = first;
     var color = vec4<f32>(0.0);
     var projected = select(0.0, select(-1e30, 1e30, BLEND == 2u), BLEND != 3u);
@@ -48,23 +48,23 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Str
     // The last sample that had matter, and its number.
     var before = 0.0;
     var before_at = -2;
-    // What a Front says of the last sample that was looked at, and the number of the one behind it.
+    // What a PreviousSample says of the last sample that was looked at, and the number of the one behind it.
     var last_depth = 0.0;
     var last_at = -2;
     // Whether the ray is in a block of clear cells, and until where: there cells are not asked.
-    var clear = false;
-    var clear_until = NEVER;
+    var cut_free = false;
+    var cut_free_until = NEVER;
     while i < end {
         // Two loops instead of a branch: neighbouring rays run in lockstep, and shading costs far more than looking. This way the rays of a
         // group look until each has something to shade, then shade together.
         var stop = false;
-        var found: Sample;
-        var at: Look;
+        var found: VisibleSample;
+        var at: SceneSample;
         var share = 1.0;
-        var front: Front;
+        var front: PreviousSample;
         while i < end && !stop {
             let middle = (f32(i) + 0.5) * step;
-            if !(middle < clear_until) {
+            if !(middle < cut_free_until) {
                 let block = block_around(ray.origin + ray.direction * middle, ray.origin, inverse_direction);
                 if block.empty {
                     let next = min(max(first_sample_after(block.until, step), i + 1), end);
@@ -72,10 +72,10 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Str
                     i = next;
                     continue;
                 }
-                clear = block.clear;
-                clear_until = select(NEVER, block.until, clear);
+                cut_free = block.cut_free;
+                cut_free_until = select(NEVER, block.until, cut_free);
             }
-            let part = kept_part(ray.origin, ray.direction, middle, step);
+            let part = retained_part(ray.origin, ray.direction, middle, step);
             i += 1;
             taken += 1u;
             if part.share <= 0.0 {
@@ -84,9 +84,9 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Str
             share = part.share;
             let sampled = ray.origin + ray.direction * part.t;
             // Matter comes in runs: what lies behind something visible is likely to be shaded too.
-            at = look_at(sampled, gradients_wanted && i - 1 == last_at && last_depth > 0.0);
+            at = sample_scene_and_gradient(sampled, needs_gradients && i - 1 == last_at && last_depth > 0.0);
             // The same point, to the bit, whether or not it was looked at.
-            front = Front(sampled - ray.direction * step, -3.0);
+            front = PreviousSample(sampled - ray.direction * step, -3.0);
             if share == 1.0 {
                 front.point = ray.origin + ray.direction * ((f32(i) - 1.5) * step);
                 front.depth = select(-3.0, last_depth, last_at == i - 1);
@@ -103,7 +103,7 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Str
                 continue;
             }
             if PREINTEGRATED == 0u {
-                found = visible(at, sampled);
+                found = visible_sample(at, sampled);
                 if share == 1.0 {
                     last_depth = select(-2.0, found.depth, at.present);
                     last_at = i;
@@ -114,18 +114,18 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Str
                     if CUTS == 0u && before_at == i - 2 {
                         front = before;
                     } else {
-                        let earlier = look(sampled - ray.direction * step);
+                        let earlier = sample_scene(sampled - ray.direction * step);
                         front = select(at.value, earlier.value, earlier.present);
                     }
                     before = at.value;
                     before_at = i - 1;
                 }
-                found = visible_segment(at, front, sampled);
+                found = visible_segment_sample(at, front, sampled);
             }
             if ISO != 0u {
-                stop = (at.present && at.value >= frame.iso) || (GREY_FACES != 0u && at.present && near_a_face(at, sampled, step));
+                stop = (at.present && at.value >= frame.iso) || (GREY_FACES != 0u && at.present && is_near_cut_face(at, sampled, step));
             } else {
-                stop = found.depth > 0.0 || near_a_cut(at) || (GREY_FACES != 0u && at.present && near_a_face(at, sampled, step));
+                stop = found.depth > 0.0 || is_near_mask_edge(at) || (GREY_FACES != 0u && at.present && is_near_cut_face(at, sampled, step));
             }
         }
         if stop {
@@ -138,13 +138,13 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Str
             if ISO != 0u {
                 continue;
             }
-            color += shaded_sample(at, found, front, clear, ray.direction, half, step, length * share) * (1.0 - color.a);
-            if 1.0 - color.a < OPAQUE && frame.early_termination != 0u {
+            color += shaded_sample(at, found, front, cut_free, ray.direction, half, step, length * share) * (1.0 - color.a);
+            if 1.0 - color.a < MIN_TRANSMITTANCE && frame.early_termination != 0u {
                 terminated += u32(max(end - i, 0));
                 break;
             }
         }
     }
     count(pixel, vec3<u32>(taken, skipped, terminated));
-    return Stretch(color, projected, matter);
+    return RaySegment(color, projected, matter);
 }

@@ -2,21 +2,21 @@
 
 const ROOT_STEPS: i32 = 4;
 
-fn shape_kept(k: u32, world: vec3<f32>) -> f32 {
+fn shape_signed_distance_mm(k: u32, world: vec3<f32>) -> f32 {
     let q = transform_point(cuts[k].local_from_world, world);
     return outside_shape(cuts[k].shape, q, cuts[k].half, cuts[k].half_angle) * cuts[k].sense;
 }
 
 // Distance from what is removed, mm, positive where matter stays.
-fn cuts_kept(world: vec3<f32>) -> f32 {
+fn cuts_signed_distance_mm(world: vec3<f32>) -> f32 {
     var all = 1e30;
     var group = 1e30;
     for (var k = 0u; k < CUTS; k += 1u) {
-        let d = shape_kept(k, world);
-        if cuts[k].joined == 0u {
+        let d = shape_signed_distance_mm(k, world);
+        if cuts[k].joins_previous == 0u {
             all = min(all, group);
             group = d;
-        } else if cuts[k].and_group != 0u {
+        } else if cuts[k].intersects_group != 0u {
             group = max(group, d);
         } else {
             group = min(group, d);
@@ -30,47 +30,47 @@ fn cuts_gradient(world: vec3<f32>, h: f32) -> vec3<f32> {
     let y = vec3<f32>(0.0, h, 0.0);
     let z = vec3<f32>(0.0, 0.0, h);
     return vec3<f32>(
-        cuts_kept(world + x) - cuts_kept(world - x),
-        cuts_kept(world + y) - cuts_kept(world - y),
-        cuts_kept(world + z) - cuts_kept(world - z),
+        cuts_signed_distance_mm(world + x) - cuts_signed_distance_mm(world - x),
+        cuts_signed_distance_mm(world + y) - cuts_signed_distance_mm(world - y),
+        cuts_signed_distance_mm(world + z) - cuts_signed_distance_mm(world - z),
     ) / (2.0 * h);
 }
 
 // The part of a step that is kept: where its sample lies, and its share of the step.
-struct Kept {
+struct RetainedPart {
     t: f32,
     share: f32,
 }
 
-fn cut_root(origin: vec3<f32>, direction: vec3<f32>, kept_start: vec2<f32>, cut_start: vec2<f32>) -> f32 {
-    var kept = kept_start;
+fn cut_root(origin: vec3<f32>, direction: vec3<f32>, outside_start: vec2<f32>, cut_start: vec2<f32>) -> f32 {
+    var outside = outside_start;
     var cut = cut_start;
     for (var n = 0; n < ROOT_STEPS; n += 1) {
-        let t = kept.x + (cut.x - kept.x) * clamp(kept.y / (kept.y - cut.y), 0.0, 1.0);
-        let v = cuts_kept(origin + direction * t);
+        let t = outside.x + (cut.x - outside.x) * clamp(outside.y / (outside.y - cut.y), 0.0, 1.0);
+        let v = cuts_signed_distance_mm(origin + direction * t);
         if abs(v) < 1e-4 {
             return t;
         }
         if v >= 0.0 {
-            kept = vec2<f32>(t, v);
+            outside = vec2<f32>(t, v);
         } else {
             cut = vec2<f32>(t, v);
         }
     }
-    return kept.x + (cut.x - kept.x) * clamp(kept.y / (kept.y - cut.y), 0.0, 1.0);
+    return outside.x + (cut.x - outside.x) * clamp(outside.y / (outside.y - cut.y), 0.0, 1.0);
 }
 
-fn kept_part(origin: vec3<f32>, direction: vec3<f32>, t: f32, step: f32) -> Kept {
+fn retained_part(origin: vec3<f32>, direction: vec3<f32>, t: f32, step: f32) -> RetainedPart {
     if CUTS == 0u {
-        return Kept(t, 1.0);
+        return RetainedPart(t, 1.0);
     }
     let half = 0.5 * step;
-    let middle = vec2<f32>(t, cuts_kept(origin + direction * t));
+    let middle = vec2<f32>(t, cuts_signed_distance_mm(origin + direction * t));
     if abs(middle.y) > half {
-        return Kept(t, select(0.0, 1.0, middle.y > 0.0));
+        return RetainedPart(t, select(0.0, 1.0, middle.y > 0.0));
     }
-    let low = vec2<f32>(t - half, cuts_kept(origin + direction * (t - half)));
-    let high = vec2<f32>(t + half, cuts_kept(origin + direction * (t + half)));
+    let low = vec2<f32>(t - half, cuts_signed_distance_mm(origin + direction * (t - half)));
+    let high = vec2<f32>(t + half, cuts_signed_distance_mm(origin + direction * (t + half)));
     if middle.y >= 0.0 {
         var a = low.x;
         var b = high.x;
@@ -80,7 +80,7 @@ fn kept_part(origin: vec3<f32>, direction: vec3<f32>, t: f32, step: f32) -> Kept
         if high.y < 0.0 {
             b = cut_root(origin, direction, middle, high);
         }
-        return Kept(0.5 * (a + b), (b - a) / step);
+        return RetainedPart(0.5 * (a + b), (b - a) / step);
     }
     var a = low.x;
     var b = high.x;
@@ -92,13 +92,13 @@ fn kept_part(origin: vec3<f32>, direction: vec3<f32>, t: f32, step: f32) -> Kept
     }
     if low.y >= 0.0 && high.y >= 0.0 {
         // Of two kept ends the nearer one is sampled; both count.
-        return Kept(0.5 * (low.x + a), (a - low.x + high.x - b) / step);
+        return RetainedPart(0.5 * (low.x + a), (a - low.x + high.x - b) / step);
     }
     if low.y >= 0.0 {
-        return Kept(0.5 * (low.x + a), (a - low.x) / step);
+        return RetainedPart(0.5 * (low.x + a), (a - low.x) / step);
     }
     if high.y >= 0.0 {
-        return Kept(0.5 * (b + high.x), (high.x - b) / step);
+        return RetainedPart(0.5 * (b + high.x), (high.x - b) / step);
     }
-    return Kept(t, 0.0);
+    return RetainedPart(t, 0.0);
 }

@@ -1,6 +1,6 @@
 // Counterpart of src/mesh/deformer.rs: [GG42] in a vertex shader.
 
-struct Deformed {
+struct DeformedVertex {
     p: vec3<f32>,
     j: mat3x3<f32>,
 }
@@ -15,7 +15,7 @@ fn bernstein_slope(t: f32) -> vec4<f32> {
     return vec4<f32>(-3.0 * s * s, 3.0 * s * s - 6.0 * s * t, 6.0 * s * t - 3.0 * t * t, 3.0 * t * t);
 }
 
-fn deform_local(k: u32, p: vec3<f32>) -> Deformed {
+fn deform_local(k: u32, p: vec3<f32>) -> DeformedVertex {
     let top = deformers[k].half.z;
     let n = deformers[k].numbers;
     let h = clamp(p.z, -top, top);
@@ -28,11 +28,11 @@ fn deform_local(k: u32, p: vec3<f32>) -> Deformed {
             let s = sin(n.x * h);
             let c = cos(n.x * h);
             let q = vec3<f32>(c * p.x - s * p.y, s * p.x + c * p.y, p.z);
-            return Deformed(q, mat3x3<f32>(vec3<f32>(c, s, 0.0), vec3<f32>(-s, c, 0.0), vec3<f32>(-q.y * n.x * dh, q.x * n.x * dh, 1.0)));
+            return DeformedVertex(q, mat3x3<f32>(vec3<f32>(c, s, 0.0), vec3<f32>(-s, c, 0.0), vec3<f32>(-q.y * n.x * dh, q.x * n.x * dh, 1.0)));
         }
         case 1u: {
             if abs(n.x) < 1e-9 {
-                return Deformed(p, mat3x3<f32>(x_axis, y_axis, z_axis));
+                return DeformedVertex(p, mat3x3<f32>(x_axis, y_axis, z_axis));
             }
             let s = sin(n.x * h);
             let c = cos(n.x * h);
@@ -40,29 +40,29 @@ fn deform_local(k: u32, p: vec3<f32>) -> Deformed {
             let r = 1.0 / n.x - p.x;
             let q = vec3<f32>(1.0 / n.x - r * c + beyond * s, p.y, r * s + beyond * c);
             let along = vec3<f32>(r * n.x * s * dh + s * (1.0 - dh), 0.0, r * n.x * c * dh + c * (1.0 - dh));
-            return Deformed(q, mat3x3<f32>(vec3<f32>(c, 0.0, -s), y_axis, along));
+            return DeformedVertex(q, mat3x3<f32>(vec3<f32>(c, 0.0, -s), y_axis, along));
         }
         case 2u: {
             let slope = (n.x - 1.0) / (2.0 * top);
             let scale = 1.0 + slope * (h + top);
             let last = vec3<f32>(slope * dh * p.xy, 1.0);
-            return Deformed(vec3<f32>(scale * p.xy, p.z), mat3x3<f32>(x_axis * scale, y_axis * scale, last));
+            return DeformedVertex(vec3<f32>(scale * p.xy, p.z), mat3x3<f32>(x_axis * scale, y_axis * scale, last));
         }
         case 3u: {
-            return Deformed(vec3<f32>(p.x + n.x * h, p.yz), mat3x3<f32>(x_axis, y_axis, vec3<f32>(n.x * dh, 0.0, 1.0)));
+            return DeformedVertex(vec3<f32>(p.x + n.x * h, p.yz), mat3x3<f32>(x_axis, y_axis, vec3<f32>(n.x * dh, 0.0, 1.0)));
         }
         case 4u: {
             let g = n.x * exp(-(p.z / n.y) * (p.z / n.y));
             let scale = 1.0 + g;
             let last = vec3<f32>(-2.0 * p.z / (n.y * n.y) * g * p.xy, 1.0);
-            return Deformed(vec3<f32>(scale * p.xy, p.z), mat3x3<f32>(x_axis * scale, y_axis * scale, last));
+            return DeformedVertex(vec3<f32>(scale * p.xy, p.z), mat3x3<f32>(x_axis * scale, y_axis * scale, last));
         }
         case 5u: {
             let r = length(p.xy);
             let angle = n.y * r + n.z;
             let slope = select(0.0, n.x * n.y * cos(angle) / max(r, 1e-12), r > 1e-12);
             let q = vec3<f32>(p.xy, p.z + n.x * sin(angle));
-            return Deformed(q, mat3x3<f32>(vec3<f32>(1.0, 0.0, slope * p.x), vec3<f32>(0.0, 1.0, slope * p.y), z_axis));
+            return DeformedVertex(q, mat3x3<f32>(vec3<f32>(1.0, 0.0, slope * p.x), vec3<f32>(0.0, 1.0, slope * p.y), z_axis));
         }
         default: {
             let half = deformers[k].half;
@@ -88,20 +88,20 @@ fn deform_local(k: u32, p: vec3<f32>) -> Deformed {
                 jy += o * (bx[a] * dy[b] * bz[c]);
                 jz += o * (bx[a] * by[b] * dz[c]);
             }
-            return Deformed(p + moved, mat3x3<f32>(x_axis + jx * scale.x, y_axis + jy * scale.y, z_axis + jz * scale.z));
+            return DeformedVertex(p + moved, mat3x3<f32>(x_axis + jx * scale.x, y_axis + jy * scale.y, z_axis + jz * scale.z));
         }
     }
 }
 
-fn deform(world: vec3<f32>) -> Deformed {
-    var all = Deformed(world, mat3x3<f32>(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0));
+fn deform(world: vec3<f32>) -> DeformedVertex {
+    var all = DeformedVertex(world, mat3x3<f32>(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0));
     for (var k = 0u; k < object.deformers; k += 1u) {
         let m = deformers[k].local_from_world;
         let own = deform_local(k, transform_point(m, all.p));
         let linear = linear_part(m);
         // Rigid: the inverse of its linear part is the transpose.
         let back = transpose(linear);
-        all = Deformed(back * (own.p - m[3].xyz), back * own.j * linear * all.j);
+        all = DeformedVertex(back * (own.p - m[3].xyz), back * own.j * linear * all.j);
     }
     return all;
 }
@@ -118,7 +118,7 @@ fn deform_vertex(world: vec3<f32>, normal: vec3<f32>) -> array<vec3<f32>, 2> {
         case 0u: { turned = mat3x3<f32>(cross(d.j[1], d.j[2]), cross(d.j[2], d.j[0]), cross(d.j[0], d.j[1])) * normal; }
         case 1u: { turned = cross(d.j * tangent, d.j * binormal); }
         default: {
-            let h = object.beside_mm;
+            let h = object.vertex_offset_mm;
             turned = cross(deform(world + tangent * h).p - d.p, deform(world + binormal * h).p - d.p);
         }
     }

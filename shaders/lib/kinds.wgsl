@@ -1,7 +1,7 @@
 // Counterpart of the formulas in src/deform/kinds: where the matter at a deformed point came from, in local millimetres (xyz), and the signed
 // distance to the nearest cut (w, mm, positive where matter is). Numbers in the order of each field's `formula`.
 
-const UNCUT: f32 = 1e6;
+const NO_CUT_DISTANCE_MM: f32 = 1e6;
 const TURN: f32 = 6.2831855;
 
 fn n(i: u32) -> f32 {
@@ -40,7 +40,7 @@ fn gap_distance(to_wall: f32, half_width: f32, ramp_mm: f32, texel_mm: f32) -> f
 
 fn pull(q: vec3<f32>) -> vec4<f32> {
     let factor = 1.0 - n(1u) * exp(-dot(q.xy, q.xy) / (n(2u) * n(2u)));
-    return vec4<f32>(q.xy, (q.z + n(0u)) * factor - n(0u), UNCUT);
+    return vec4<f32>(q.xy, (q.z + n(0u)) * factor - n(0u), NO_CUT_DISTANCE_MM);
 }
 
 fn spline(x: f32) -> f32 {
@@ -56,7 +56,7 @@ fn spline_pull(q: vec3<f32>) -> vec4<f32> {
     let across = n(0u) * spline(q.x / n(1u)) * spline(q.y / n(2u));
     let third = 2.0 * n(3u) / 3.0;
     let from_peak = q.z + n(3u) - third;
-    return vec4<f32>(q.xy, q.z - across * spline(from_peak / select(2.0 * third, third, from_peak < 0.0)), UNCUT);
+    return vec4<f32>(q.xy, q.z - across * spline(from_peak / select(2.0 * third, third, from_peak < 0.0)), NO_CUT_DISTANCE_MM);
 }
 
 fn wave(q: vec3<f32>) -> vec4<f32> {
@@ -68,18 +68,18 @@ fn wave(q: vec3<f32>) -> vec4<f32> {
         fade = window(along, min(half.x, half.y), 0.3);
     }
     let rise = n(0u) * sin(n(1u) * along + n(2u)) * fade;
-    return vec4<f32>(q.xy, q.z - rise * window(q.z, half.z, 0.5), UNCUT);
+    return vec4<f32>(q.xy, q.z - rise * window(q.z, half.z, 0.5), NO_CUT_DISTANCE_MM);
 }
 
 fn twist(q: vec3<f32>) -> vec4<f32> {
     let height = clamp(q.z / n(2u) + 0.5, 0.0, 1.0);
-    return vec4<f32>(turned(-n(0u) * height * window(length(q.xy), n(3u), n(1u)), q.xy), q.z, UNCUT);
+    return vec4<f32>(turned(-n(0u) * height * window(length(q.xy), n(3u), n(1u)), q.xy), q.z, NO_CUT_DISTANCE_MM);
 }
 
 fn bend(q: vec3<f32>) -> vec4<f32> {
     let curvature = n(0u);
     if curvature < 1e-7 {
-        return vec4<f32>(q, UNCUT);
+        return vec4<f32>(q, NO_CUT_DISTANCE_MM);
     }
     let radius = 1.0 / curvature;
     let v = vec2<f32>(radius - n(1u) * q.x, q.z + n(2u));
@@ -91,21 +91,21 @@ fn bend(q: vec3<f32>) -> vec4<f32> {
 
 fn taper(q: vec3<f32>) -> vec4<f32> {
     let scale = 1.0 + n(0u) * clamp(q.z / n(1u) + 0.5, 0.0, 1.0);
-    return vec4<f32>(q.xy / scale, q.z, UNCUT);
+    return vec4<f32>(q.xy / scale, q.z, NO_CUT_DISTANCE_MM);
 }
 
 fn shear(q: vec3<f32>) -> vec4<f32> {
-    return vec4<f32>(q.xy - vec2<f32>(n(0u), n(1u)) * (q.z + n(2u)), q.z, UNCUT);
+    return vec4<f32>(q.xy - vec2<f32>(n(0u), n(1u)) * (q.z + n(2u)), q.z, NO_CUT_DISTANCE_MM);
 }
 
 fn bulge(q: vec3<f32>) -> vec4<f32> {
     let rho = length(q / vec3<f32>(n(1u), n(2u), n(3u)));
     let within = max(1.0 - rho * rho, 0.0);
-    return vec4<f32>(q * (1.0 - n(0u) * within * within), UNCUT);
+    return vec4<f32>(q * (1.0 - n(0u) * within * within), NO_CUT_DISTANCE_MM);
 }
 
 // Of a side of the roll, at an angle from it.
-fn beside(rho: f32, angle: f32) -> f32 {
+fn edge_distance(rho: f32, angle: f32) -> f32 {
     return select(with_sign(rho, angle), rho * sin(angle), abs(angle) < HALF_PI);
 }
 
@@ -119,7 +119,7 @@ fn peel(q: vec3<f32>) -> vec4<f32> {
     let slot_half_y = n(6u);
     let texel = n(7u);
     if flap < texel {
-        return vec4<f32>(q, UNCUT);
+        return vec4<f32>(q, NO_CUT_DISTANCE_MM);
     }
     let v = vec2<f32>(q.x - hinge, floor_z + radius - q.z);
     let rho = length(v);
@@ -132,13 +132,13 @@ fn peel(q: vec3<f32>) -> vec4<f32> {
         theta -= TURN;
     }
     let height = radius - rho;
-    let from_roll = min(min(height, depth - height), min(beside(rho, theta), beside(rho, last - theta)));
+    let from_roll = min(min(height, depth - height), min(edge_distance(rho, theta), edge_distance(rho, last - theta)));
     let along = clamp(theta * radius, 0.0, flap);
     let rolled_height = clamp(height, 0.0, depth);
 
     let above_floor = q.z - floor_z;
     let in_roll = min(from_roll, slot_half_y - 2.5 * texel - abs(q.y));
-    let in_layer = select(-UNCUT, min(above_floor, depth - above_floor), q.x <= hinge);
+    let in_layer = select(-NO_CUT_DISTANCE_MM, min(above_floor, depth - above_floor), q.x <= hinge);
     let in_strip = max(in_roll, in_layer);
     let over_slot = min(min(q.x - hinge, end - q.x), min(slot_half_y - abs(q.y), above_floor));
     let in_slot = min(over_slot, depth - above_floor);
@@ -177,13 +177,13 @@ fn pieces(x: f32, count: f32, gap: f32, piece: f32) -> vec2<f32> {
     let within = from_low - i * pitch;
     let last = i == count - 1.0;
     let source = i * piece + select(min(within, piece), within, last) - 0.5 * piece * count;
-    let below = select(within, UNCUT, i == 0.0);
-    let above = select(piece - within, UNCUT, last);
+    let below = select(within, NO_CUT_DISTANCE_MM, i == 0.0);
+    let above = select(piece - within, NO_CUT_DISTANCE_MM, last);
     return vec2<f32>(source, select(min(below, above), -min(-above, gap + above), above < 0.0));
 }
 
 fn explode(q: vec3<f32>) -> vec4<f32> {
-    var all = vec4<f32>(q, UNCUT);
+    var all = vec4<f32>(q, NO_CUT_DISTANCE_MM);
     for (var a = 0u; a < 3u; a += 1u) {
         let count = n(2u + 3u * a);
         let gap = n(3u + 3u * a);
@@ -214,7 +214,7 @@ fn book(q: vec3<f32>) -> vec4<f32> {
     let rigid_end = HALF_PI + angle;
     let beyond_rigid = HALF_PI + (beta - rigid_end) * HALF_PI / (2.0 * HALF_PI - rigid_end);
     let source = with_sign(select(beyond_rigid, max(beta - angle, 0.0), beta <= rigid_end), v.x);
-    let cut = beside(r, beta - angle);
+    let cut = edge_distance(r, beta - angle);
     return vec4<f32>(r * sin(source), q.y, r * cos(source) + n(1u), gap_distance(cut, r * sin(angle), n(2u), n(3u)));
 }
 
@@ -235,7 +235,7 @@ fn retractor(q: vec3<f32>) -> vec4<f32> {
     let last = n(1u);
     let open = n(2u) * ease(0.0, 1.0, (q.z - n(4u)) / n(3u) + 1.0);
     if open <= 1e-5 {
-        return vec4<f32>(q, UNCUT);
+        return vec4<f32>(q, NO_CUT_DISTANCE_MM);
     }
     let x = q.x / focus;
     let y = q.y / focus;
@@ -255,7 +255,7 @@ fn retractor(q: vec3<f32>) -> vec4<f32> {
 
 fn removal(q: vec3<f32>) -> vec4<f32> {
     if n(0u) < 0.0 {
-        return vec4<f32>(q, UNCUT);
+        return vec4<f32>(q, NO_CUT_DISTANCE_MM);
     }
     return vec4<f32>(q, outside_shape(u32(n(0u)), q, vec3<f32>(n(1u), n(2u), n(3u)), n(4u)));
 }

@@ -21,49 +21,49 @@ fn first_sample_after(t: f32, step: f32) -> i32 {
 }
 
 // The block of cells of one kind around a point.
-struct Block {
+struct MacrocellBlock {
     // Nothing is seen in it.
     empty: bool,
     // Something may be seen, but no mask varies and no shape is near.
-    clear: bool,
+    cut_free: bool,
     // Parameter at which a ray leaves it, if it is one or the other.
     until: f32,
 }
 
-const IN_CLEAR: u32 = 128u;
+const CUT_FREE_FLAG: u32 = 128u;
 
-fn block_around(p: vec3<f32>, origin: vec3<f32>, inverse_direction: vec3<f32>) -> Block {
+fn block_around(p: vec3<f32>, origin: vec3<f32>, inverse_direction: vec3<f32>) -> MacrocellBlock {
     let cell = clamp(floor((p - frame.cells_origin) / frame.cell_mm), vec3<f32>(0.0), vec3<f32>(frame.cells) - 1.0);
     let d = cell_block(vec3<i32>(cell));
-    let reach = f32(d & (IN_CLEAR - 1u));
+    let reach = f32(d & (CUT_FREE_FLAG - 1u));
     let low = frame.cells_origin + (cell - (reach - 1.0)) * frame.cell_mm;
     let high = frame.cells_origin + (cell + reach) * frame.cell_mm;
     let far = max((low - origin) * inverse_direction, (high - origin) * inverse_direction);
-    let clear = d >= IN_CLEAR;
-    return Block(d > 0u && !clear, clear, min(far.x, min(far.y, far.z)));
+    let cut_free = d >= CUT_FREE_FLAG;
+    return MacrocellBlock(d > 0u && !cut_free, cut_free, min(far.x, min(far.y, far.z)));
 }
 
 // Colour of a sample after light, premultiplied by its opacity over `length` reference lengths. `depth` is its own optical depth, if it
-// shows anything, and in a clear cell if `clear`; if not, it is near a cut, and what lies between the cut and it is looked for.
-fn shaded_sample(at: Look, s: Sample, front: Front, clear: bool, direction: vec3<f32>, half: vec3<f32>, step: f32, length: f32) -> vec4<f32> {
+// shows anything, and in a clear cell if `cut_free`; if not, it is near a cut, and what lies between the cut and it is looked for.
+fn shaded_sample(at: SceneSample, s: VisibleSample, front: PreviousSample, cut_free: bool, direction: vec3<f32>, half: vec3<f32>, step: f32, length: f32) -> vec4<f32> {
     var depth = s.depth;
-    var seen: Seen;
+    var point: ShadingPoint;
     if depth > 0.0 {
-        seen = seen_sample(s, front, clear, direction, step);
+        point = shading_point(s, front, cut_free, direction, step);
     } else {
-        seen = sliver(s.deformed, at.present, direction, step);
-        depth = seen.s.depth;
+        point = thin_layer_at_cut(s.deformed, at.present, direction, step);
+        depth = point.s.depth;
         if depth <= 0.0 {
             return vec4<f32>(0.0);
         }
     }
-    let shaded = shade_seen(seen, direction, half);
+    let shaded = shade_point(point, direction, half);
     let alpha = 1.0 - exp2(-depth * shaded.depth_factor * length);
     return vec4<f32>(shaded.color * alpha, alpha);
 }
 
 // What hides everything behind it at a sample: the grey face of a cut, or the surface of the volume. Alpha 0: nothing does.
-fn opaque_face(at: Look, deformed: vec3<f32>, direction: vec3<f32>, step: f32) -> vec4<f32> {
+fn opaque_face(at: SceneSample, deformed: vec3<f32>, direction: vec3<f32>, step: f32) -> vec4<f32> {
     if GREY_FACES != 0u && at.present {
         let grey = grey_face(at, deformed, direction, step);
         if grey >= 0.0 {
@@ -76,10 +76,10 @@ fn opaque_face(at: Look, deformed: vec3<f32>, direction: vec3<f32>, step: f32) -
     return vec4<f32>(0.0);
 }
 
-fn near_a_face(at: Look, deformed: vec3<f32>, step: f32) -> bool {
-    return at.alpha < 1.0 || (CUTS > 0u && cuts_kept(deformed) < 1.5 * step);
+fn is_near_cut_face(at: SceneSample, deformed: vec3<f32>, step: f32) -> bool {
+    return at.alpha < 1.0 || (CUTS > 0u && cuts_signed_distance_mm(deformed) < 1.5 * step);
 }
 
-fn near_a_cut(at: Look) -> bool {
+fn is_near_mask_edge(at: SceneSample) -> bool {
     return at.alpha > 0.0 && at.alpha < 1.0;
 }

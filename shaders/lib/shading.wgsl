@@ -1,8 +1,8 @@
 // Counterpart of src/cpu/shading.rs.
 
-const SURFACE_LOW: f32 = 0.004;
-const SURFACE_HIGH: f32 = 0.04;
-const EVEN_LIGHT: f32 = 0.6;
+const SURFACE_GRADIENT_LOW: f32 = 0.004;
+const SURFACE_GRADIENT_HIGH: f32 = 0.04;
+const ISOTROPIC_DIFFUSE: f32 = 0.6;
 const ENTRY_STEPS: i32 = 4;
 
 struct Shaded {
@@ -10,13 +10,13 @@ struct Shaded {
     depth_factor: f32,
 }
 
-struct Sample {
+struct VisibleSample {
     deformed: vec3<f32>,
     in_voxel: vec3<f32>,
     color: vec3<f32>,
     depth: f32,
     value: f32,
-    // As those of a Look.
+    // As those of a SceneSample.
     gradient: vec3<f32>,
     has_gradient: bool,
 }
@@ -34,74 +34,74 @@ fn uses_gradient_opacity() -> bool {
     return frame.gradient_top > 0.0;
 }
 
-fn voxel_covector(per_voxel: vec3<f32>) -> vec3<f32> {
+fn world_from_voxel_covector(per_voxel: vec3<f32>) -> vec3<f32> {
     return transpose(linear_part(frame.voxel_from_world)) * per_voxel;
 }
 
 // The nearer of a cut and the volume's two faces across an axis.
-fn or_face(cut: Cut, j: Jet, in_voxel: vec3<f32>, axis: vec3<f32>) -> Cut {
+fn nearer_volume_face(cut: NearestCut, j: Jet, in_voxel: vec3<f32>, axis: vec3<f32>) -> NearestCut {
     let at = dot(in_voxel, axis) + 0.5;
     let beyond = dot(frame.grid_size, axis) - at;
-    return or_nearer(cut, min(at, beyond), transpose(j.d_source_d_deformed) * voxel_covector(axis * select(-1.0, 1.0, at < beyond)));
+    return nearer_of(cut, min(at, beyond), transpose(j.d_source_d_deformed) * world_from_voxel_covector(axis * select(-1.0, 1.0, at < beyond)));
 }
 
-fn nearest_cut(j: Jet, in_voxel: vec3<f32>) -> Cut {
-    let x = or_face(j.cut, j, in_voxel, vec3<f32>(1.0, 0.0, 0.0));
-    let y = or_face(x, j, in_voxel, vec3<f32>(0.0, 1.0, 0.0));
-    return or_face(y, j, in_voxel, vec3<f32>(0.0, 0.0, 1.0));
+fn nearest_cut(j: Jet, in_voxel: vec3<f32>) -> NearestCut {
+    let x = nearer_volume_face(j.cut, j, in_voxel, vec3<f32>(1.0, 0.0, 0.0));
+    let y = nearer_volume_face(x, j, in_voxel, vec3<f32>(0.0, 1.0, 0.0));
+    return nearer_volume_face(y, j, in_voxel, vec3<f32>(0.0, 0.0, 1.0));
 }
 
-fn path_share(cut: Cut, deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> f32 {
+fn path_fraction(cut: NearestCut, deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> f32 {
     let facing = dot(cut.normal, direction);
     let across = step_mm * abs(facing);
     if cut.distance_mm >= 1.1 * across {
         return 1.0;
     }
     let beyond = deformed + direction * select(step_mm, -step_mm, facing < 0.0);
-    if look(beyond).present {
+    if sample_scene(beyond).present {
         return 1.0;
     }
     return 0.5 + clamp(cut.distance_mm / across, 0.0, 1.0);
 }
 
 // depth: that of the sample there if it is dense enough, -1 if it is thinner, -2 if nothing is there at all.
-fn dense(deformed: vec3<f32>, depth: f32) -> Sample {
-    let v = look(deformed);
+fn dense_sample(deformed: vec3<f32>, depth: f32) -> VisibleSample {
+    let v = sample_scene(deformed);
     if !v.present {
-        return Sample(deformed, v.in_voxel, vec3<f32>(0.0), -2.0, 0.0, NOT_FETCHED, false);
+        return VisibleSample(deformed, v.in_voxel, vec3<f32>(0.0), -2.0, 0.0, NOT_FETCHED, false);
     }
     let t = lookup(v.value);
-    return Sample(deformed, v.in_voxel, t.rgb, select(-1.0, t.a, t.a >= 0.5 * depth), v.value, v.gradient, v.has_gradient);
+    return VisibleSample(deformed, v.in_voxel, t.rgb, select(-1.0, t.a, t.a >= 0.5 * depth), v.value, v.gradient, v.has_gradient);
 }
 
-struct Entry {
-    first: Sample,
+struct SurfaceEntry {
+    first: VisibleSample,
     entered: bool,
     through_cut: bool,
 }
 
 // What is known of the point one step in front of a sample.
-struct Front {
+struct PreviousSample {
     point: vec3<f32>,
     // Its optical depth; -2 if nothing is there, -3 if it has not been looked at.
     depth: f32,
 }
 
 // Where the ray entered the matter that a sample lies in, if it did so within the last step.
-fn entry(s: Sample, front: Front, direction: vec3<f32>, step_mm: f32) -> Entry {
+fn entry(s: VisibleSample, front: PreviousSample, direction: vec3<f32>, step_mm: f32) -> SurfaceEntry {
     var before = front.depth;
     if before < -2.5 {
-        before = dense(front.point, s.depth).depth;
+        before = dense_sample(front.point, s.depth).depth;
     }
     if before >= 0.5 * s.depth {
-        return Entry(s, false, false);
+        return SurfaceEntry(s, false, false);
     }
     var through_cut = before < -1.5;
     var first = s;
     var width = step_mm;
     for (var n = 0; n < ENTRY_STEPS; n += 1) {
         width *= 0.5;
-        let nearer = dense(first.deformed - direction * width, s.depth);
+        let nearer = dense_sample(first.deformed - direction * width, s.depth);
         if nearer.depth >= 0.0 {
             first = nearer;
         } else {
@@ -112,15 +112,15 @@ fn entry(s: Sample, front: Front, direction: vec3<f32>, step_mm: f32) -> Entry {
         // The colour is that of the whole segment.
         first.color = s.color;
     }
-    return Entry(first, true, through_cut);
+    return SurfaceEntry(first, true, through_cut);
 }
 
 // How far a gradient in the source is that of a surface, 0 .. 1.
 fn surface_confidence(gradient_in_source: vec3<f32>) -> f32 {
-    return smoothstep(SURFACE_LOW, SURFACE_HIGH, length(gradient_in_source) * abs(frame.table_scale) * frame.reference_mm);
+    return smoothstep(SURFACE_GRADIENT_LOW, SURFACE_GRADIENT_HIGH, length(gradient_in_source) * abs(frame.table_scale) * frame.reference_mm);
 }
 
-fn shaded_normal(d_source_d_deformed: mat3x3<f32>, gradient_in_source: vec3<f32>, cut: Cut, direction: vec3<f32>) -> Normal {
+fn shaded_normal(d_source_d_deformed: mat3x3<f32>, gradient_in_source: vec3<f32>, cut: NearestCut, direction: vec3<f32>) -> Normal {
     var g = gradient_in_source;
     if NORMALS >= 2u {
         g = transpose(d_source_d_deformed) * g;
@@ -139,12 +139,12 @@ fn shaded_normal(d_source_d_deformed: mat3x3<f32>, gradient_in_source: vec3<f32>
 }
 
 // Where highlights are: half-way between the light and the eye.
-fn half_way(direction: vec3<f32>) -> vec3<f32> {
+fn half_vector(direction: vec3<f32>) -> vec3<f32> {
     return normalize_or(frame.to_light - direction, frame.to_light);
 }
 
 fn light(n: Normal, half: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
-    let even = frame.ambient + EVEN_LIGHT * frame.diffuse;
+    let even = frame.ambient + ISOTROPIC_DIFFUSE * frame.diffuse;
     let facing = dot(n.normal, frame.to_light);
     let diffuse = frame.ambient + frame.diffuse * max(facing, 0.0);
     var highlight = 0.0;
@@ -156,21 +156,21 @@ fn light(n: Normal, half: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
 }
 
 // The sample at a point that was looked at; depth 0 if it shows nothing.
-fn visible(at: Look, deformed: vec3<f32>) -> Sample {
+fn visible_sample(at: SceneSample, deformed: vec3<f32>) -> VisibleSample {
     if !at.present {
-        return Sample(deformed, at.in_voxel, vec3<f32>(0.0), 0.0, 0.0, NOT_FETCHED, false);
+        return VisibleSample(deformed, at.in_voxel, vec3<f32>(0.0), 0.0, 0.0, NOT_FETCHED, false);
     }
     let t = lookup(at.value);
-    return Sample(deformed, at.in_voxel, t.rgb, t.a, at.value, at.gradient, at.has_gradient);
+    return VisibleSample(deformed, at.in_voxel, t.rgb, t.a, at.value, at.gradient, at.has_gradient);
 }
 
 // As visible, with colour and depth of the segment from a front value.
-fn visible_segment(at: Look, front: f32, deformed: vec3<f32>) -> Sample {
+fn visible_segment_sample(at: SceneSample, front: f32, deformed: vec3<f32>) -> VisibleSample {
     if !at.present {
-        return Sample(deformed, at.in_voxel, vec3<f32>(0.0), 0.0, 0.0, NOT_FETCHED, false);
+        return VisibleSample(deformed, at.in_voxel, vec3<f32>(0.0), 0.0, 0.0, NOT_FETCHED, false);
     }
     let t = lookup_segment(front, at.value);
-    return Sample(deformed, at.in_voxel, t.rgb, t.a, at.value, at.gradient, at.has_gradient);
+    return VisibleSample(deformed, at.in_voxel, t.rgb, t.a, at.value, at.gradient, at.has_gradient);
 }
 
 // The colour that a voxel has of its own, if it has one, in place of another.
@@ -183,26 +183,26 @@ fn own_color(in_voxel: vec3<f32>, otherwise: vec3<f32>) -> vec3<f32> {
 }
 
 // The nearer of a cut and the surface of the cuts that are shapes.
-fn or_shape(cut: Cut, deformed: vec3<f32>) -> Cut {
+fn nearer_cut_shape(cut: NearestCut, deformed: vec3<f32>) -> NearestCut {
     if CUTS == 0u {
         return cut;
     }
-    let kept = cuts_kept(deformed);
-    if kept > frame.blend_far_mm {
+    let distance_mm = cuts_signed_distance_mm(deformed);
+    if distance_mm > frame.blend_far_mm {
         return cut;
     }
-    return or_nearer(cut, kept, cuts_gradient(deformed, 0.05 * frame.reference_mm));
+    return nearer_of(cut, distance_mm, cuts_gradient(deformed, 0.05 * frame.reference_mm));
 }
 
 const FACE_STEPS: i32 = 10;
 
 fn is_cut(deformed: vec3<f32>) -> bool {
-    return (CUTS > 0u && cuts_kept(deformed) < 0.0) || walk(deformed).w < 0.5;
+    return (CUTS > 0u && cuts_signed_distance_mm(deformed) < 0.0) || source_and_alpha(deformed).w < 0.5;
 }
 
 // The scan's grey value on the face of a cut that the ray came out of within the last step; negative if it did not.
-fn grey_face(at: Look, deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> f32 {
-    let near = at.alpha < 1.0 || (CUTS > 0u && cuts_kept(deformed) < 1.5 * step_mm);
+fn grey_face(at: SceneSample, deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> f32 {
+    let near = at.alpha < 1.0 || (CUTS > 0u && cuts_signed_distance_mm(deformed) < 1.5 * step_mm);
     var outside = deformed - direction * step_mm;
     if !near || !is_cut(outside) {
         return -1.0;
@@ -216,19 +216,19 @@ fn grey_face(at: Look, deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) 
             inside = middle;
         }
     }
-    let face = look(inside);
+    let face = sample_scene(inside);
     if !face.present || face.value <= frame.grey_low {
         return -1.0;
     }
     return clamp((face.value - frame.grey_low) / max(frame.grey_high - frame.grey_low, 1e-6), 0.0, 1.0);
 }
 
-fn value_or_nothing(p: vec3<f32>) -> f32 {
-    let at = look(p);
+fn value_or_zero(p: vec3<f32>) -> f32 {
+    let at = sample_scene(p);
     return select(0.0, at.value, at.present);
 }
 
-fn derivative_facing(at: vec3<f32>) -> f32 {
+fn light_cosine_by_derivative(at: vec3<f32>) -> f32 {
     let h = frame.reference_mm;
     let n = frame.to_light;
     // As glam's any_orthonormal_pair (Duff et al. 2017).
@@ -238,9 +238,9 @@ fn derivative_facing(at: vec3<f32>) -> f32 {
     let u = vec3<f32>(1.0 + s * n.x * n.x * a, s * b, -s * n.x);
     let v = vec3<f32>(b, s + n.y * n.y * a, -n.y);
     let d = vec3<f32>(
-        value_or_nothing(at - n * h) - value_or_nothing(at + n * h),
-        value_or_nothing(at - u * h) - value_or_nothing(at + u * h),
-        value_or_nothing(at - v * h) - value_or_nothing(at + v * h),
+        value_or_zero(at - n * h) - value_or_zero(at + n * h),
+        value_or_zero(at - u * h) - value_or_zero(at + u * h),
+        value_or_zero(at - v * h) - value_or_zero(at + v * h),
     );
     let facing = d.x / max(length(d), 1e-6);
     return select(max(facing, 0.0), abs(facing), frame.two_sided != 0u);
@@ -251,12 +251,12 @@ fn iso_surface(deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> vec3<
     var inside = deformed;
     var outside = deformed - direction * step_mm;
     var through_cut = false;
-    let before = look(outside);
+    let before = sample_scene(outside);
     if !(before.present && before.value >= frame.iso) {
         through_cut = !before.present;
         for (var n = 0; n < FACE_STEPS; n += 1) {
             let middle = (inside + outside) * 0.5;
-            let at = look(middle);
+            let at = sample_scene(middle);
             if at.present && at.value >= frame.iso {
                 inside = middle;
             } else {
@@ -265,42 +265,42 @@ fn iso_surface(deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> vec3<
             }
         }
     }
-    let hit = look(inside);
+    let hit = sample_scene(inside);
     let color = own_color(hit.in_voxel, lookup(select(frame.iso, hit.value, through_cut)).rgb);
     if !is_lit() {
         return color;
     }
     if ISO == 2u && !through_cut {
-        return clamp(color * (frame.ambient + frame.diffuse * derivative_facing(inside)), vec3<f32>(0.0), vec3<f32>(1.0));
+        return clamp(color * (frame.ambient + frame.diffuse * light_cosine_by_derivative(inside)), vec3<f32>(0.0), vec3<f32>(1.0));
     }
     let j = jet(inside);
     var cut = NO_CUT;
     if through_cut {
-        cut = or_shape(nearest_cut(j, hit.in_voxel), inside);
+        cut = nearer_cut_shape(nearest_cut(j, hit.in_voxel), inside);
     }
-    let n = shaded_normal(j.d_source_d_deformed, voxel_covector(gradient(hit.in_voxel)), cut, direction);
-    return light(n, half_way(direction), color);
+    let n = shaded_normal(j.d_source_d_deformed, world_from_voxel_covector(gradient(hit.in_voxel)), cut, direction);
+    return light(n, half_vector(direction), color);
 }
 
-// What one call of shade_seen needs of samples, entries and slivers.
-struct Seen {
-    s: Sample,
+// What one call of shade_point needs of samples, entries and slivers.
+struct ShadingPoint {
+    s: VisibleSample,
     entered: bool,
     // There, if it is known.
     j: Jet,
-    known: bool,
+    has_jet: bool,
     through_cut: bool,
     share: f32,
     // No cut but the volume's faces can be near.
-    clear: bool,
+    cut_free: bool,
 }
 
-const BACK_TO_CUT: f32 = 0.9;
-const FARTHEST_BACK: f32 = 4.0;
-const BACK_STEPS: i32 = 4;
+const CUT_LOOKBACK_SHARE: f32 = 0.9;
+const MAX_CUT_LOOKBACK: f32 = 4.0;
+const CUT_LOOKBACK_STEPS: i32 = 4;
 
 // A cut near a sample in the midst of matter, if the ray came out of it; none if it came through another surface since, or goes towards it.
-fn seen_cut(cut: Cut, s: Sample, direction: vec3<f32>) -> Cut {
+fn cut_in_front(cut: NearestCut, s: VisibleSample, direction: vec3<f32>) -> NearestCut {
     if NORMALS != 3u || cut.distance_mm >= frame.blend_far_mm {
         return cut;
     }
@@ -308,9 +308,9 @@ fn seen_cut(cut: Cut, s: Sample, direction: vec3<f32>) -> Cut {
     if facing <= 0.0 {
         return NO_CUT;
     }
-    var way = min(BACK_TO_CUT * max(cut.distance_mm, 0.0) / facing, FARTHEST_BACK * frame.blend_far_mm);
-    for (var n = 0; n < BACK_STEPS; n += 1) {
-        let back = dense(s.deformed - direction * way, s.depth).depth;
+    var way = min(CUT_LOOKBACK_SHARE * max(cut.distance_mm, 0.0) / facing, MAX_CUT_LOOKBACK * frame.blend_far_mm);
+    for (var n = 0; n < CUT_LOOKBACK_STEPS; n += 1) {
+        let back = dense_sample(s.deformed - direction * way, s.depth).depth;
         if back >= 0.0 {
             return cut;
         }
@@ -322,8 +322,8 @@ fn seen_cut(cut: Cut, s: Sample, direction: vec3<f32>) -> Cut {
     return cut;
 }
 
-// Shades what is seen. half: that of half_way, the same all along a ray.
-fn shade_seen(e: Seen, direction: vec3<f32>, half: vec3<f32>) -> Shaded {
+// Shades what is seen. half: that of half_vector, the same all along a ray.
+fn shade_point(e: ShadingPoint, direction: vec3<f32>, half: vec3<f32>) -> Shaded {
     let color = own_color(e.s.in_voxel, e.s.color);
     if !is_lit() && !uses_gradient_opacity() {
         return Shaded(color, e.share);
@@ -332,7 +332,7 @@ fn shade_seen(e: Seen, direction: vec3<f32>, half: vec3<f32>) -> Shaded {
     if !e.s.has_gradient {
         per_voxel = gradient(e.s.in_voxel);
     }
-    let gradient_in_source = voxel_covector(per_voxel);
+    let gradient_in_source = world_from_voxel_covector(per_voxel);
     var depth_factor = e.share;
     if uses_gradient_opacity() {
         depth_factor *= gradient_factor(length(gradient_in_source));
@@ -340,38 +340,38 @@ fn shade_seen(e: Seen, direction: vec3<f32>, half: vec3<f32>) -> Shaded {
     if !is_lit() {
         return Shaded(color, depth_factor);
     }
-    let far = e.clear && far_from_faces(e.s.in_voxel);
+    let far = e.cut_free && far_from_faces(e.s.in_voxel);
     var j = e.j;
     // Far from every cut, the deformation matters to what has a normal only.
-    if !e.known && !(far && surface_confidence(gradient_in_source) <= 0.0) {
+    if !e.has_jet && !(far && surface_confidence(gradient_in_source) <= 0.0) {
         j = jet(e.s.deformed);
     }
     var cut = NO_CUT;
     if (!e.entered || e.through_cut) && !far {
-        cut = or_shape(nearest_cut(j, e.s.in_voxel), e.s.deformed);
+        cut = nearer_cut_shape(nearest_cut(j, e.s.in_voxel), e.s.deformed);
         if !e.entered {
-            cut = seen_cut(cut, e.s, direction);
+            cut = cut_in_front(cut, e.s, direction);
         }
     }
     var falling = 1.0;
     if frame.two_sided == 0u {
-        falling = falling_side(e.s.value);
+        falling = opacity_slope_sign(e.s.value);
     }
     let n = shaded_normal(j.d_source_d_deformed, gradient_in_source * falling, cut, direction);
     return Shaded(light(n, half, color), depth_factor);
 }
 
 // A visible sample.
-fn seen_sample(s: Sample, front: Front, clear: bool, direction: vec3<f32>, step_mm: f32) -> Seen {
-    var j = undisplaced(s.deformed);
+fn shading_point(s: VisibleSample, front: PreviousSample, cut_free: bool, direction: vec3<f32>, step_mm: f32) -> ShadingPoint {
+    var j = identity_jet(s.deformed);
     var share = 1.0;
-    let near = !(clear && far_from_faces(s.in_voxel));
+    let near = !(cut_free && far_from_faces(s.in_voxel));
     if near {
         j = jet(s.deformed);
-        share = path_share(nearest_cut(j, s.in_voxel), s.deformed, direction, step_mm);
+        share = path_fraction(nearest_cut(j, s.in_voxel), s.deformed, direction, step_mm);
     }
     let e = entry(s, front, direction, step_mm);
-    return Seen(e.first, e.entered, j, near && !e.entered, e.through_cut, share, clear);
+    return ShadingPoint(e.first, e.entered, j, near && !e.entered, e.through_cut, share, cut_free);
 }
 
 // Whether no face of the volume can be near.
@@ -380,11 +380,11 @@ fn far_from_faces(in_voxel: vec3<f32>) -> bool {
 }
 
 // Matter between a cut and a sample that shows nothing, thinner than a step; depth 0 if there is none.
-fn sliver(deformed: vec3<f32>, present: bool, direction: vec3<f32>, step_mm: f32) -> Seen {
-    var found = Seen(Sample(deformed, vec3<f32>(0.0), vec3<f32>(0.0), 0.0, 0.0, NOT_FETCHED, false), true, undisplaced(deformed), false, present, 0.0, false);
+fn thin_layer_at_cut(deformed: vec3<f32>, present: bool, direction: vec3<f32>, step_mm: f32) -> ShadingPoint {
+    var found = ShadingPoint(VisibleSample(deformed, vec3<f32>(0.0), vec3<f32>(0.0), 0.0, 0.0, NOT_FETCHED, false), true, identity_jet(deformed), false, present, 0.0, false);
     let before = deformed - direction * step_mm;
-    let at_before = look(before);
-    if at_before.present == present || visible(at_before, before).depth > 0.0 {
+    let at_before = sample_scene(before);
+    if at_before.present == present || visible_sample(at_before, before).depth > 0.0 {
         return found;
     }
     let end = select(before, deformed, present);
@@ -392,13 +392,13 @@ fn sliver(deformed: vec3<f32>, present: bool, direction: vec3<f32>, step_mm: f32
     var outside = select(deformed, before, present);
     for (var n = 0; n < ENTRY_STEPS; n += 1) {
         let middle = (inside + outside) * 0.5;
-        if look(middle).present {
+        if sample_scene(middle).present {
             inside = middle;
         } else {
             outside = middle;
         }
     }
-    let at_cut = visible(look(inside), inside);
+    let at_cut = visible_sample(sample_scene(inside), inside);
     if at_cut.depth <= 0.0 {
         return found;
     }
@@ -406,7 +406,7 @@ fn sliver(deformed: vec3<f32>, present: bool, direction: vec3<f32>, step_mm: f32
     var thin = end;
     for (var n = 0; n < ENTRY_STEPS; n += 1) {
         let middle = (dense_end.deformed + thin) * 0.5;
-        let s = visible(look(middle), middle);
+        let s = visible_sample(sample_scene(middle), middle);
         if s.depth > 0.0 {
             dense_end = s;
         } else {

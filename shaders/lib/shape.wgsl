@@ -1,4 +1,4 @@
-// Counterpart of Primitive::kept in src/deform/cut.rs.
+// Counterpart of CutShape::kept in src/deform/cut.rs.
 
 const HALF_PI: f32 = 1.5707964;
 

@@ -1,27 +1,27 @@
 // Counterpart of src/deform/stack.rs and of the derivatives in src/deform/map.rs.
 
-struct Cut {
+struct NearestCut {
     // mm, positive where matter is.
     distance_mm: f32,
     // Unit, out of the matter.
     normal: vec3<f32>,
 }
 
-const NO_CUT = Cut(1e30, vec3<f32>(0.0));
+const NO_CUT = NearestCut(1e30, vec3<f32>(0.0));
 
 struct Jet {
     source: vec3<f32>,
     alpha: f32,
     d_source_d_deformed: mat3x3<f32>,
-    cut: Cut,
+    cut: NearestCut,
 }
 
-fn or_nearer(cut: Cut, value: f32, gradient: vec3<f32>) -> Cut {
+fn nearer_of(cut: NearestCut, value: f32, gradient: vec3<f32>) -> NearestCut {
     let slope = length(gradient);
     if slope < 1e-12 || value >= cut.distance_mm * slope {
         return cut;
     }
-    return Cut(value / slope, gradient / -slope);
+    return NearestCut(value / slope, gradient / -slope);
 }
 
 fn outside(k: u32, x: vec3<f32>) -> bool {
@@ -39,14 +39,14 @@ fn displacement(k: u32, p: vec3<f32>) -> vec4<f32> {
 }
 
 // A mask from which a sample has a part of marked texels, and how much it changes by over a map where they are.
-const MARKED: f32 = 2.0;
-const MARKED_SLOPE: f32 = 4096.0;
+const MIN_MARKED_ALPHA: f32 = 2.0;
+const MIN_MARKED_SLOPE: f32 = 4096.0;
 
 // xyz: the source point; w: the smallest mask value on the way. The walk ends where a mask cuts (below 1/2).
-fn walk(deformed: vec3<f32>) -> vec4<f32> {
-    if SHORTCUT != 0u {
+fn source_and_alpha(deformed: vec3<f32>) -> vec4<f32> {
+    if PRECOMPOSED != 0u {
         let d = displacement(MAPS, deformed);
-        if d.w < MARKED {
+        if d.w < MIN_MARKED_ALPHA {
             return vec4<f32>(deformed + d.xyz, d.w);
         }
     }
@@ -68,7 +68,7 @@ fn walk(deformed: vec3<f32>) -> vec4<f32> {
 }
 
 // As walk, but through every map whatever the masks say.
-fn walk_through(deformed: vec3<f32>) -> vec4<f32> {
+fn source_and_alpha_unclipped(deformed: vec3<f32>) -> vec4<f32> {
     var p = vec4<f32>(deformed, 1.0);
     var here = deformed;
     for (var n = MAPS; n > 0u; n -= 1u) {
@@ -82,7 +82,7 @@ fn walk_through(deformed: vec3<f32>) -> vec4<f32> {
 }
 
 // The jet outside all maps.
-fn undisplaced(deformed: vec3<f32>) -> Jet {
+fn identity_jet(deformed: vec3<f32>) -> Jet {
     return Jet(deformed, 1.0, mat3x3<f32>(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), NO_CUT);
 }
 
@@ -100,9 +100,9 @@ fn difference(k: u32, x: vec3<f32>, axis: vec3<f32>) -> vec4<f32> {
     return (fetch(k, across + axis * high) - fetch(k, across + axis * low)) * (1.0 / (high - low));
 }
 
-// The jet of the map that stands for all; its alpha is MARKED where it does not.
-fn jet_of_shortcut(deformed: vec3<f32>) -> Jet {
-    var j = undisplaced(deformed);
+// The jet of the map that stands for all; its alpha is MIN_MARKED_ALPHA where it does not.
+fn jet_of_precomposed(deformed: vec3<f32>) -> Jet {
+    var j = identity_jet(deformed);
     let x = transform_point(maps[MAPS].map_from_world, deformed);
     if outside(MAPS, x) {
         return j;
@@ -112,22 +112,22 @@ fn jet_of_shortcut(deformed: vec3<f32>) -> Jet {
     let dy = difference(MAPS, x, vec3<f32>(0.0, 1.0, 0.0));
     let dz = difference(MAPS, x, vec3<f32>(0.0, 0.0, 1.0));
     let slope = vec3<f32>(dx.w, dy.w, dz.w);
-    j.alpha = select(moved.w, MARKED, any(abs(slope) >= vec3<f32>(MARKED_SLOPE)));
+    j.alpha = select(moved.w, MIN_MARKED_ALPHA, any(abs(slope) >= vec3<f32>(MIN_MARKED_SLOPE)));
     let inverse = linear_part(maps[MAPS].map_from_world);
-    j.cut = or_nearer(j.cut, moved.w - 0.5, transpose(inverse) * slope);
+    j.cut = nearer_of(j.cut, moved.w - 0.5, transpose(inverse) * slope);
     j.d_source_d_deformed = j.d_source_d_deformed + linear_part(maps[MAPS].world_from_stored) * mat3x3<f32>(dx.xyz, dy.xyz, dz.xyz) * inverse;
     j.source += moved.xyz;
     return j;
 }
 
 fn jet(deformed: vec3<f32>) -> Jet {
-    if SHORTCUT != 0u {
-        let j = jet_of_shortcut(deformed);
-        if j.alpha < MARKED {
+    if PRECOMPOSED != 0u {
+        let j = jet_of_precomposed(deformed);
+        if j.alpha < MIN_MARKED_ALPHA {
             return j;
         }
     }
-    var j = undisplaced(deformed);
+    var j = identity_jet(deformed);
     var here = deformed;
     var d_here = j.d_source_d_deformed;
     for (var n = MAPS; n > 0u; n -= 1u) {
@@ -140,7 +140,7 @@ fn jet(deformed: vec3<f32>) -> Jet {
             let dz = difference(k, x, vec3<f32>(0.0, 0.0, 1.0));
             let slope = vec3<f32>(dx.w, dy.w, dz.w);
             let inverse = linear_part(maps[k].map_from_world);
-            j.cut = or_nearer(j.cut, moved.w - 0.5, transpose(d_here) * (transpose(inverse) * slope));
+            j.cut = nearer_of(j.cut, moved.w - 0.5, transpose(d_here) * (transpose(inverse) * slope));
             // J_G = I + A J_D / A.
             let j_d = linear_part(maps[k].world_from_stored) * mat3x3<f32>(dx.xyz, dy.xyz, dz.xyz) * inverse;
             j.d_source_d_deformed = j.d_source_d_deformed + j_d * d_here;

@@ -1,11 +1,11 @@
 // Counterpart of src/cpu/surface.rs.
 
-const REFINEMENTS: i32 = 14;
-const SHORTEST: f32 = 0.25;
-const FINE: f32 = 0.25;
-const ONWARD: f32 = 1e-6;
-const FINEST: f32 = 1.0 / 32768.0;
-const MOST_SAMPLES: u32 = 100000u;
+const BISECTION_STEPS: i32 = 14;
+const MIN_SPHERE_STEP: f32 = 0.25;
+const THRESHOLD_STEP: f32 = 0.25;
+const MIN_ADVANCE: f32 = 1e-6;
+const MIN_STEP: f32 = 1.0 / 32768.0;
+const MAX_SAMPLES: u32 = 100000u;
 
 const OUTSIDE: u32 = 0u;
 const INSIDE: u32 = 1u;
@@ -51,7 +51,7 @@ fn depth_in_boxes(p: vec3<f32>) -> f32 {
         depth = max(depth, min(inside.x, min(inside.y, inside.z)));
     }
     if CUTS > 0u {
-        depth = max(depth, 2.0 * object.seam_mm - cuts_kept(p));
+        depth = max(depth, 2.0 * object.seam_mm - cuts_signed_distance_mm(p));
     }
     return depth;
 }
@@ -64,21 +64,21 @@ fn is_undeformed(p: vec3<f32>) -> bool {
     if depth >= object.seam_mm {
         return false;
     }
-    let s = walk_through(p);
-    return s.w >= 0.5 && cuts_kept(p) >= 0.0 && distance(s.xyz, p) < 0.25 * object.resolution_mm;
+    let s = source_and_alpha_unclipped(p);
+    return s.w >= 0.5 && cuts_signed_distance_mm(p) >= 0.0 && distance(s.xyz, p) < 0.25 * object.resolution_mm;
 }
 
-fn modelled(f: f32) -> f32 {
+fn apply_cut_model(f: f32) -> f32 {
     return select(f, object.thickness_mm - f, object.thickness_mm > 0.0 && f > 0.5 * object.thickness_mm);
 }
 
 fn surface_sample(ray: Ray, t: f32) -> SurfaceSample {
     let p = ray.origin + ray.direction * t;
     if object.rigid != 0u {
-        return SurfaceSample(t, modelled(implicit_value(p)), -1.0);
+        return SurfaceSample(t, apply_cut_model(implicit_value(p)), -1.0);
     }
-    let s = walk_through(p);
-    return SurfaceSample(t, modelled(implicit_value(s.xyz)), max(0.5 - s.w, -cuts_kept(p)));
+    let s = source_and_alpha_unclipped(p);
+    return SurfaceSample(t, apply_cut_model(implicit_value(s.xyz)), max(0.5 - s.w, -cuts_signed_distance_mm(p)));
 }
 
 // The last sample on the near side of a change and the first on the far side; of the surface, or of the cut.
@@ -86,7 +86,7 @@ fn bisect_near(ray: Ray, a_start: SurfaceSample, b_start: SurfaceSample, of_cut:
     var a = a_start;
     var b = b_start;
     let first = select(a.f > 0.0, a.cut > 0.0, of_cut);
-    for (var n = 0; n < REFINEMENTS; n += 1) {
+    for (var n = 0; n < BISECTION_STEPS; n += 1) {
         let middle = surface_sample(ray, 0.5 * (a.t + b.t));
         if select(middle.f > 0.0, middle.cut > 0.0, of_cut) == first {
             a = middle;
@@ -108,7 +108,7 @@ fn first_event(ray: Ray, a: SurfaceSample, b: SurfaceSample) -> SurfaceEvent {
                 let p = ray.origin + ray.direction * s[1].t;
                 var source = p;
                 if object.rigid == 0u {
-                    source = walk_through(p).xyz;
+                    source = source_and_alpha_unclipped(p).xyz;
                 }
                 inner = implicit_value(source) > 0.5 * object.thickness_mm;
             }
@@ -138,16 +138,16 @@ fn leaves(cell: vec3<f32>, reach: f32, ray: Ray, inverse: vec3<f32>) -> f32 {
 
 fn step_length(here: SurfaceSample, slope: f32, exit: f32) -> f32 {
     let even = object.step_mm;
-    let room = max(exit - here.t, 0.0) + 0.01 * even + ONWARD * here.t;
+    let room = max(exit - here.t, 0.0) + 0.01 * even + MIN_ADVANCE * here.t;
     switch object.steps {
         case 0u: { return even; }
-        case 1u: { return select(even, even * FINE, abs(here.f) < object.threshold_mm); }
+        case 1u: { return select(even, even * THRESHOLD_STEP, abs(here.f) < object.threshold_mm); }
         case 2u: { return min(even / slope, room); }
         default: {
             if object.kind == 2u {
                 return even;
             }
-            let shortest = SHORTEST * even / max(slope, 1.0);
+            let shortest = MIN_SPHERE_STEP * even / max(slope, 1.0);
             if here.cut > 0.0 && here.f > 0.0 && object.solid != 0u {
                 return max(min(even, even / slope), shortest);
             }
@@ -170,19 +170,19 @@ fn trace(ray: Ray, taken: ptr<function, u32>) -> SurfaceEvent {
         return none;
     }
     var t = max(near, 0.0);
-    let finest = FINEST * (far - t);
+    let finest = MIN_STEP * (far - t);
     var before = SurfaceSample(-1.0, 0.0, 0.0);
     var count = 0u;
-    while t < far && count < MOST_SAMPLES {
+    while t < far && count < MAX_SAMPLES {
         // Two loops instead of a branch: the rays of a group look for a change of sign each, then refine together.
         var here = SurfaceSample(-1.0, 0.0, 0.0);
         var last = before;
         var changed = false;
-        while t < far && count < MOST_SAMPLES && !changed {
+        while t < far && count < MAX_SAMPLES && !changed {
             let cell = object_cell(ray.origin + ray.direction * t);
             let c = textureLoad(object_cells, vec3<i32>(cell), 0);
             if c.r > 0.5 {
-                t = max(leaves(cell, c.r, ray, inverse), t) + 1e-4 * object.step_mm + ONWARD * t;
+                t = max(leaves(cell, c.r, ray, inverse), t) + 1e-4 * object.step_mm + MIN_ADVANCE * t;
                 before.t = -1.0;
                 continue;
             }
@@ -191,7 +191,7 @@ fn trace(ray: Ray, taken: ptr<function, u32>) -> SurfaceEvent {
             last = before;
             before = here;
             changed = last.t >= 0.0 && ((last.f > 0.0) != (here.f > 0.0) || (object.solid != 0u && last.cut > 0.0 && here.cut <= 0.0));
-            t += max(step_length(here, max(c.g, 1e-3), leaves(cell, 1.0, ray, inverse)), max(ONWARD * t, finest));
+            t += max(step_length(here, max(c.g, 1e-3), leaves(cell, 1.0, ray, inverse)), max(MIN_ADVANCE * t, finest));
         }
         if changed {
             let event = first_event(ray, last, here);
@@ -215,9 +215,9 @@ fn surface_normal(p: vec3<f32>, side: u32) -> vec3<f32> {
     }
     if side == CUT_FACE {
         var cut = j.cut;
-        let kept = cuts_kept(p);
-        if kept < object.step_mm {
-            cut = or_nearer(cut, abs(kept), cuts_gradient(p, 0.05 * object.resolution_mm));
+        let distance_mm = cuts_signed_distance_mm(p);
+        if distance_mm < object.step_mm {
+            cut = nearer_of(cut, abs(distance_mm), cuts_gradient(p, 0.05 * object.resolution_mm));
         }
         return cut.normal;
     }
@@ -229,7 +229,7 @@ fn surface_light(normal_in: vec3<f32>, direction: vec3<f32>, color: vec3<f32>) -
     let away = max(dot(normal_in, direction), 0.0);
     let normal = normalize_or(normal_in - direction * away, -direction);
     let facing = dot(normal, frame.to_light);
-    let half = half_way(direction);
+    let half = half_vector(direction);
     let highlight = select(0.0, object.highlight * pow(max(dot(normal, half), 0.0), object.shininess), facing > 0.0);
     return clamp(color * (frame.ambient + frame.diffuse * max(facing, 0.0)) + highlight, vec3<f32>(0.0), vec3<f32>(1.0));
 }

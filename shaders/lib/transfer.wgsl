@@ -41,7 +41,7 @@ fn segment_depth(ends: vec2<f32>) -> f32 {
     return max(((high.y - low.y) + (high.z - low.z)) / (b - a), 0.0);
 }
 
-fn falling_side(value: f32) -> f32 {
+fn opacity_slope_sign(value: f32) -> f32 {
     let step = SLOPE_STEP / frame.table_scale;
     return select(1.0, -1.0, lookup(value + step).a < LEVEL * lookup(value - step).a);
 }

@@ -1,6 +1,6 @@
 // Counterpart of src/volume/gradient.rs and of look in src/cpu/mod.rs.
 
-struct Look {
+struct SceneSample {
     in_voxel: vec3<f32>,
     // Normalised; only meaningful where matter is present.
     value: f32,
@@ -15,26 +15,26 @@ struct Look {
 
 const NOT_FETCHED: vec3<f32> = vec3<f32>(0.0);
 
-fn look(deformed: vec3<f32>) -> Look {
-    return look_at(deformed, false);
+fn sample_scene(deformed: vec3<f32>) -> SceneSample {
+    return sample_scene_and_gradient(deformed, false);
 }
 
 // With the gradient, if it is kept beside the values and wanted.
-fn look_at(deformed: vec3<f32>, with_gradient: bool) -> Look {
-    if CUTS > 0u && cuts_kept(deformed) < 0.0 {
-        return Look(vec3<f32>(0.0), 0.0, false, 0.0, NOT_FETCHED, false);
+fn sample_scene_and_gradient(deformed: vec3<f32>, with_gradient: bool) -> SceneSample {
+    if CUTS > 0u && cuts_signed_distance_mm(deformed) < 0.0 {
+        return SceneSample(vec3<f32>(0.0), 0.0, false, 0.0, NOT_FETCHED, false);
     }
-    let source = walk(deformed);
+    let source = source_and_alpha(deformed);
     let in_voxel = transform_point(frame.voxel_from_world, source.xyz);
     if source.w < 0.5 || any(in_voxel < vec3<f32>(-0.5)) || any(in_voxel > frame.grid_size - 0.5) {
-        return Look(in_voxel, 0.0, false, source.w, NOT_FETCHED, false);
+        return SceneSample(in_voxel, 0.0, false, source.w, NOT_FETCHED, false);
     }
     if with_gradient && GRADIENT == 0u && frame.gradient_scale != 0.0 {
         let both = sample_gradients(in_voxel);
-        return Look(in_voxel, both.w, frame.has_holes == 0u || both.w >= -1e-4, source.w, both.xyz * frame.gradient_scale, is_in_grid(in_voxel));
+        return SceneSample(in_voxel, both.w, frame.has_holes == 0u || both.w >= -1e-4, source.w, both.xyz * frame.gradient_scale, is_in_grid(in_voxel));
     }
     let value = sample_volume(in_voxel);
-    return Look(in_voxel, value, frame.has_holes == 0u || value >= -1e-4, source.w, NOT_FETCHED, false);
+    return SceneSample(in_voxel, value, frame.has_holes == 0u || value >= -1e-4, source.w, NOT_FETCHED, false);
 }
 
 fn central(p: vec3<f32>) -> vec3<f32> {

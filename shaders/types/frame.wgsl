@@ -67,8 +67,8 @@ struct CutShape {
     half_angle: f32,
     // 1 or -1.
     sense: f32,
-    joined: u32,
-    and_group: u32,
+    joins_previous: u32,
+    intersects_group: u32,
 }
 
 struct PlacedMap {

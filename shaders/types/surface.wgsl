@@ -40,7 +40,7 @@ struct SurfaceObject {
     deformers: u32,
     // 0 inverse transpose, 1 tangent and binormal, 2 points beside.
     normal_method: u32,
-    beside_mm: f32,
+    vertex_offset_mm: f32,
     padding: vec2<f32>,
 }
 

@@ -3,7 +3,7 @@
 use crate::deform::file_kinds::FILE_KINDS;
 use crate::deform::{Argument, Storage};
 use crate::scene::{Deformation, Scene, Size};
-use crate::volume::load::{Choice, RawLayout};
+use crate::volume::load::{RawLayout, ReadOptions};
 use crate::{Error, Result};
 use clap::Args;
 
@@ -35,8 +35,8 @@ pub struct VolumeArguments {
 
 impl VolumeArguments {
     /// What was chosen, over what had been.
-    pub fn over(&self, before: &Choice) -> Choice {
-        Choice {
+    pub fn over(&self, before: &ReadOptions) -> ReadOptions {
+        ReadOptions {
             series: self.series.clone().or_else(|| before.series.clone()),
             time: self.time.or(before.time),
             channel: self.channel.or(before.channel),
@@ -52,7 +52,7 @@ impl VolumeArguments {
     /// # Errors
     /// A choice for a scene without a volume.
     pub fn apply(&self, scene: &mut Scene) -> Result<()> {
-        let chosen = self.over(&Choice::default());
+        let chosen = self.over(&ReadOptions::default());
         match &mut scene.volume {
             Some(volume) => volume.choice = self.over(&volume.choice),
             None if chosen.is_default() => {}

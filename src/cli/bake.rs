@@ -1,7 +1,7 @@
 //! `incise bake`: the deformed volume, resampled into a file, or the composed displacement.
 
 use super::arguments;
-use super::progress::Progress;
+use super::progress::TerminalProgress;
 use crate::export::{bake, protect};
 use crate::files::Output;
 use crate::files::path_text::text_of;
@@ -22,7 +22,7 @@ enum InterpolationName {
 
 /// Options as typed.
 #[derive(Args)]
-pub struct Arguments {
+pub struct BakeArguments {
     /// A scene (.toml), a volume or phantom:NAME[:size=N].
     input: PathBuf,
     #[command(flatten)]
@@ -51,7 +51,7 @@ pub struct Arguments {
 }
 
 /// Bakes and writes.
-pub fn run(arguments: &Arguments) -> Result<()> {
+pub fn run(arguments: &BakeArguments) -> Result<()> {
     let format = Format::of(&arguments.output)?;
     let mut scene = Scene::of_input(&arguments.input)?;
     arguments.volume.apply(&mut scene)?;
@@ -64,7 +64,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         return Err(Error::value("--fill", "must be a finite number"));
     }
     let output = Output::create(&arguments.output)?;
-    let bar = Progress::new(arguments.quiet);
+    let bar = TerminalProgress::new(arguments.quiet);
     if scene.volume.is_none() {
         return Err(Error::file(&arguments.input, "has no volume to bake; its meshes are rendered, not baked"));
     }
@@ -76,11 +76,14 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let deformation = deformed.stack_and_cuts();
     if !arguments.quiet {
         for note in volume.warnings_with_options().iter().map(|w| format!("{}: {w}", scene.volume_name())).chain(assets.library.notices()) {
-            super::tell(note);
+            super::print_to_stderr(note);
         }
     }
     if volume.colors.is_some() && !arguments.field && !arguments.quiet {
-        super::tell(format_args!("{}: colours are not baked; the file gets their brightness (--channel chooses one channel)", scene.volume_name()));
+        super::print_to_stderr(format_args!(
+            "{}: colours are not baked; the file gets their brightness (--channel chooses one channel)",
+            scene.volume_name()
+        ));
     }
     let grid = if arguments.enlarge { bake::enlarged(volume, deformation.stack) } else { volume.geometry() };
     let interpolation = match arguments.interpolation {
@@ -102,7 +105,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     })?;
     bar.finish();
     if cut > 0 && !arguments.quiet {
-        super::tell(format_args!(
+        super::print_to_stderr(format_args!(
             "{cut} points of the field lie in cuts, which a displacement field cannot hold; the displacements around them were continued there"
         ));
     }

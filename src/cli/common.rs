@@ -1,7 +1,7 @@
 //! The options that `render` and `compare` share, and the scene that they make of an input.
 
 use super::arguments;
-use super::progress::Progress;
+use super::progress::TerminalProgress;
 use crate::files::Output;
 use crate::files::path_text::{path_of, text_of};
 use crate::prepare::{Assets, LoadOptions};
@@ -150,7 +150,7 @@ impl Common {
         render.background = self.background.unwrap_or(render.background);
         let camera = &mut scene.camera;
         if let Some(view) = self.camera {
-            *camera = self.seen_from(view, camera);
+            *camera = self.camera_from_view(view, camera);
         }
         camera.zoom = self.zoom.unwrap_or(camera.zoom);
         match self.projection {
@@ -191,7 +191,7 @@ impl Common {
     }
 
     /// A camera of the scene from another direction, without the scene's framing of its own.
-    pub fn seen_from(&self, view: View, camera: &Camera) -> Camera {
+    pub fn camera_from_view(&self, view: View, camera: &Camera) -> Camera {
         let seen = Camera { view, projection: camera.projection, field_of_view: camera.field_of_view, ..Camera::default() };
         Camera { zoom: self.zoom.unwrap_or(seen.zoom), ..seen }
     }
@@ -213,16 +213,16 @@ impl Common {
     ///
     /// # Errors
     /// What the readers report.
-    pub fn load(&self, scene: &Scene, bar: &Progress) -> Result<Assets> {
+    pub fn load(&self, scene: &Scene, bar: &TerminalProgress) -> Result<Assets> {
         let assets = Assets::load_with(scene, &LoadOptions { progress: Some(&|what, share| bar.set(what, share)), ..LoadOptions::default() })?;
-        self.tell(warnings(scene, &assets));
+        self.report(warnings(scene, &assets));
         Ok(assets)
     }
 
     /// Tells on stderr, unless it is to be quiet.
-    pub fn tell<T: std::fmt::Display>(&self, notices: impl IntoIterator<Item = T>) {
+    pub fn report<T: std::fmt::Display>(&self, notices: impl IntoIterator<Item = T>) {
         if !self.quiet {
-            notices.into_iter().for_each(super::tell);
+            notices.into_iter().for_each(super::print_to_stderr);
         }
     }
 

@@ -2,7 +2,7 @@
 
 use super::arguments;
 use super::common::{Common, ModeName};
-use super::progress::Progress;
+use super::progress::TerminalProgress;
 use crate::compare::lab::{self, Plan, REFERENCE_STEP};
 use crate::compare::plot::number;
 use crate::compare::{Report, write_files};
@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 
 /// Where pictures are computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Backends {
+enum CompareBackends {
     /// The CPU, and any graphics adapter there is, software ones included.
     Auto,
     /// A graphics adapter, software ones included; an error if there is none. References are rendered on the CPU all the same.
@@ -38,7 +38,7 @@ names are replaced, the page last.
     incise compare scan.nii.gz -o lab
     incise compare scene.toml -o lab --steps 0.5,1,2 --sizes 256x256,512x512 --cameras 'anterior;40,20'
     incise compare model.stl -o lab --deform wedge:angle=70 --backend cpu --repeat 9")]
-pub struct Arguments {
+pub struct CompareArguments {
     #[command(flatten)]
     common: Common,
     /// The folder to write; made if it does not exist.
@@ -46,7 +46,7 @@ pub struct Arguments {
     output: PathBuf,
     /// Where to compute.
     #[arg(long, value_enum, default_value = "auto")]
-    backend: Backends,
+    backend: CompareBackends,
     /// Only these modes; by default slice and raycast where there is a volume, surface where the scene has a surface.
     #[arg(long, value_enum, value_name = "MODE,...", value_delimiter = ',', conflicts_with = "mode")]
     modes: Vec<ModeName>,
@@ -58,7 +58,7 @@ pub struct Arguments {
     sizes: Vec<[u32; 2]>,
     /// Cameras, e.g. 'anterior;left;40,20': names and pairs AZ,EL with ; or , between them, or the option repeated.
     #[arg(long, value_name = "CAMERA;...", allow_hyphen_values = true, value_parser = cameras, conflicts_with = "camera")]
-    cameras: Vec<Cameras>,
+    cameras: Vec<CameraList>,
     /// Times are the median of this many renderings.
     #[arg(long, value_name = "N", default_value_t = 3)]
     repeat: usize,
@@ -72,10 +72,10 @@ pub struct Arguments {
 
 /// Several directions of view, typed as one.
 #[derive(Clone, Debug, PartialEq)]
-struct Cameras(Vec<View>);
+struct CameraList(Vec<View>);
 
 /// Names, and pairs of numbers; a comma within a pair and one between two cameras are told apart by what stands around them.
-fn cameras(text: &str) -> Result<Cameras, String> {
+fn cameras(text: &str) -> Result<CameraList, String> {
     let mut views = Vec::new();
     for part in text.split(';') {
         let mut words = part.split(',');
@@ -88,21 +88,21 @@ fn cameras(text: &str) -> Result<Cameras, String> {
             views.push(view.parse()?);
         }
     }
-    Ok(Cameras(views))
+    Ok(CameraList(views))
 }
 
 /// The list without what was in it before.
 fn once<T: PartialEq + Clone>(list: &[T]) -> Vec<T> {
-    let mut kept: Vec<T> = Vec::new();
+    let mut unique: Vec<T> = Vec::new();
     for item in list {
-        if !kept.contains(item) {
-            kept.push(item.clone());
+        if !unique.contains(item) {
+            unique.push(item.clone());
         }
     }
-    kept
+    unique
 }
 
-impl Arguments {
+impl CompareArguments {
     /// The scene with what is to be varied of it.
     fn plan(&self) -> Result<Plan> {
         let scene = self.common.scene()?;
@@ -121,12 +121,12 @@ impl Arguments {
         }
         if !self.cameras.is_empty() {
             let views: Vec<View> = self.cameras.iter().flat_map(|c| c.0.iter().copied()).collect();
-            plan.cameras = once(&views).into_iter().map(|view| self.common.seen_from(view, &plan.scene.camera)).collect();
+            plan.cameras = once(&views).into_iter().map(|view| self.common.camera_from_view(view, &plan.scene.camera)).collect();
         }
         plan.repeat = self.repeat;
         plan.reference = (!self.no_reference).then_some(self.reference);
-        plan.on_cpu = self.backend != Backends::Gpu;
-        plan.gpu_is_required = self.backend == Backends::Gpu;
+        plan.on_cpu = self.backend != CompareBackends::Gpu;
+        plan.gpu_is_required = self.backend == CompareBackends::Gpu;
         Ok(plan)
     }
 
@@ -165,7 +165,7 @@ impl Arguments {
 }
 
 /// Renders, compares, writes.
-pub fn run(arguments: &Arguments) -> Result<()> {
+pub fn run(arguments: &CompareArguments) -> Result<()> {
     let common = &arguments.common;
     let plan = arguments.plan()?;
     // A GPU may be missing; what is wrong with the options is told before it is looked for.
@@ -174,17 +174,17 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let stats_file = common.stats_file()?;
     common.use_threads()?;
     let gpu = match arguments.backend {
-        Backends::Cpu => None,
-        Backends::Gpu => Some(lab::open_gpu()?),
-        Backends::Auto => match lab::open_gpu() {
+        CompareBackends::Cpu => None,
+        CompareBackends::Gpu => Some(lab::open_gpu()?),
+        CompareBackends::Auto => match lab::open_gpu() {
             Ok(gpu) => Some(gpu),
             Err(error) => {
-                common.tell([format!("{error}; comparing on the CPU alone")]);
+                common.report([format!("{error}; comparing on the CPU alone")]);
                 None
             }
         },
     };
-    let bar = Progress::new(common.quiet);
+    let bar = TerminalProgress::new(common.quiet);
     let assets = common.load(&plan.loading(), &bar)?;
     if let Some(file) = &stats_file {
         file.check()?;
@@ -192,8 +192,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let title = common.input.file_name().unwrap_or(common.input.as_os_str()).to_string_lossy();
     let report = lab::run(&plan, &assets, gpu, &title, &|what, share| bar.set(what, share))?;
     bar.finish();
-    common.tell(assets.library.notices());
-    common.tell(report.protocol.iter().flat_map(|p| &p.notices));
+    common.report(assets.library.notices());
+    common.report(report.protocol.iter().flat_map(|p| &p.notices));
     let files = report.files()?;
     arguments.protect(&plan.scene, files.iter().map(|f| f.0.as_str()))?;
     write_files(&arguments.output, &files)?;
@@ -210,7 +210,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 fn summary(report: &Report) {
     for run in report.runs.iter().filter(|run| !run.is_reference) {
         let error = run.error.map_or(String::new(), |d| format!(", RMS error {} of 255", number(d.rms())));
-        super::tell(format_args!("{}: {:.1} ms{error}", run.name, run.milliseconds.median));
+        super::print_to_stderr(format_args!("{}: {:.1} ms{error}", run.name, run.milliseconds.median));
     }
 }
 

@@ -1,6 +1,6 @@
 //! `incise gallery`: every kind of deformation on a volume and on the checker phantom, as pictures and one page.
 
-use super::progress::Progress;
+use super::progress::TerminalProgress;
 use crate::deform::kinds::{self, Kind, Unit};
 use crate::export::png;
 use crate::export::protect;
@@ -14,7 +14,7 @@ use std::path::PathBuf;
 
 /// Options as typed.
 #[derive(Args)]
-pub struct Arguments {
+pub struct GalleryArguments {
     /// The folder to write; made if it does not exist.
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
@@ -33,7 +33,7 @@ pub struct Arguments {
 }
 
 /// Renders all.
-pub fn run(arguments: &Arguments) -> Result<()> {
+pub fn run(arguments: &GalleryArguments) -> Result<()> {
     let wanted: Vec<&Kind> = if arguments.kind.is_empty() {
         kinds::list().collect()
     } else {
@@ -46,7 +46,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     protect("--output", &arguments.output.join("picture.png"), [arguments.volume.as_path()])?;
     std::fs::create_dir_all(&arguments.output).map_err(|e| Error::io(&arguments.output, "making", e))?;
     let own = text_of(&arguments.volume);
-    let bar = Progress::new(arguments.quiet);
+    let bar = TerminalProgress::new(arguments.quiet);
     let volumes = [("volume", own.as_str()), ("checker", "phantom:checker")];
     let loaded = volumes.map(|(_, path)| Assets::load(&Scene::of_volume(path)));
     let [a, b] = loaded;
@@ -96,7 +96,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     bar.finish();
     if !arguments.quiet {
         for note in notes {
-            super::tell(note);
+            super::print_to_stderr(note);
         }
     }
     Ok(())

@@ -1,14 +1,14 @@
 //! `incise info`: what a file holds. `incise list`: what there is to choose from.
 
 use super::arguments::VolumeArguments;
-use super::progress::Progress;
+use super::progress::TerminalProgress;
 use crate::deform::file_kinds::FILE_KINDS;
 use crate::deform::kinds::{self, DefaultSize, Kind, Unit};
 use crate::files::path_text::path_of;
 use crate::scene::Scene;
 use crate::scene::surface::{DEFORMERS, LOOKS};
 use crate::transfer;
-use crate::volume::load::{self, Choice, SeriesInfo};
+use crate::volume::load::{self, ReadOptions, SeriesInfo};
 use crate::volume::{Volume, phantom};
 use crate::{Result, Watch, mesh};
 use clap::Args;
@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 
 /// Options as typed.
 #[derive(Args)]
-pub struct Arguments {
+pub struct InfoArguments {
     /// A volume (file, folder or zip), a mesh, a scene or phantom:NAME.
     file: PathBuf,
     #[command(flatten)]
@@ -34,31 +34,31 @@ pub struct Arguments {
 const TILTED: f64 = 0.05;
 
 /// Prints what the file holds.
-pub fn run(arguments: &Arguments) -> Result<()> {
+pub fn run(arguments: &InfoArguments) -> Result<()> {
     let path = &arguments.file;
     let report = match path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
         Some("toml") => scene_report(path)?,
         _ if mesh::load::is_mesh(path) => mesh_report(&mesh::load::mesh(path)?),
         _ => {
-            let bar = Progress::new(arguments.json);
+            let bar = TerminalProgress::new(arguments.json);
             let reading = |share: f32| bar.set("reading", share);
             let watch = Watch::reporting(&reading);
             let series = load::series(path, arguments.patient, &Watch::NONE)?;
-            let volume = load::volume(path, &arguments.volume.over(&Choice::default()), &watch);
+            let volume = load::volume(path, &arguments.volume.over(&ReadOptions::default()), &watch);
             bar.finish();
             match (volume, series) {
                 (Ok(volume), series) => file_report(&volume, series.as_deref()),
                 // The one that cannot be read is one of several.
                 (Err(error), Some(series)) if series.len() > 1 => {
                     let report = json!({ "kind": "volume", "format": "DICOM", "all_series": series });
-                    super::print(&if arguments.json { format!("{report:#}") } else { plain(&report) })?;
+                    super::print(&if arguments.json { format!("{report:#}") } else { as_text(&report) })?;
                     return Err(error);
                 }
                 (Err(error), _) => return Err(error),
             }
         }
     };
-    super::print(&if arguments.json { format!("{report:#}") } else { plain(&report) })
+    super::print(&if arguments.json { format!("{report:#}") } else { as_text(&report) })
 }
 
 /// What a file holds, and every series of it.
@@ -174,7 +174,7 @@ fn scene_report(path: &Path) -> Result<Value> {
 }
 
 /// `name: value` lines.
-fn plain(report: &Value) -> String {
+fn as_text(report: &Value) -> String {
     fn lines(value: &Value, indent: usize, out: &mut String) {
         let Some(entries) = value.as_object() else { return };
         for (name, value) in entries {

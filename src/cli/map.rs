@@ -1,10 +1,10 @@
 //! `incise map`: makes, converts, inverts and checks displacement maps and fields.
 
 use super::arguments;
-use super::progress::Progress;
+use super::progress::TerminalProgress;
 use crate::deform::file_kinds::FILE_KINDS;
-use crate::deform::health::Examined;
-use crate::deform::transform::{Context, Step, Transform, VectorField};
+use crate::deform::quality::CheckedField;
+use crate::deform::transform::{Transform, TransformContext, TransformStep, VectorField};
 use crate::deform::{PlacedMap, Storage, compose, invert, saved};
 use crate::export::{png_rgb, protect};
 use crate::files::path_text::text_of;
@@ -12,7 +12,7 @@ use crate::files::{Output, check_distinct};
 use crate::math::Bounds;
 use crate::prepare::{Assets, Deformed};
 use crate::scene::Scene;
-use crate::volume::load::{self, Choice};
+use crate::volume::load::{self, ReadOptions};
 use crate::volume::save::{self, Content, Format};
 use crate::{Error, Result, Watch};
 use clap::{Args, Subcommand};
@@ -24,9 +24,9 @@ use std::path::{Path, PathBuf};
 /// Options as typed.
 #[derive(Args)]
 #[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
-pub struct Arguments {
+pub struct MapArguments {
     #[command(subcommand)]
-    action: Option<Action>,
+    action: Option<MapAction>,
     /// A kind with its parameters (as --deform takes it), or a file: a map, a field, a transform.
     #[arg(required = true, value_name = "KIND|FILE")]
     what: Option<OsString>,
@@ -51,7 +51,7 @@ pub struct Arguments {
 }
 
 #[derive(Subcommand)]
-enum Action {
+enum MapAction {
     /// Report the health of a field: folds, size, border, how well it can be inverted.
     Check(CheckArguments),
 }
@@ -84,8 +84,8 @@ struct CheckArguments {
 const NOMINAL_BOX: Bounds = Bounds { min: Vec3::splat(-100.0), max: Vec3::splat(100.0) };
 
 /// Does what was asked.
-pub fn run(arguments: &Arguments) -> Result<()> {
-    if let Some(Action::Check(check)) = &arguments.action {
+pub fn run(arguments: &MapArguments) -> Result<()> {
+    if let Some(MapAction::Check(check)) = &arguments.action {
         return run_check(check);
     }
     let (Some(input), Some(path)) = (arguments.what.as_deref().map(Path::new), &arguments.output) else {
@@ -98,10 +98,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         return Err(Error::value("--resolution", format!("{n} is outside 8 to 512 points")));
     }
     let output = Output::create(path)?;
-    let bar = Progress::new(arguments.quiet);
+    let bar = TerminalProgress::new(arguments.quiet);
     let note = |text: String| {
         if !arguments.quiet {
-            super::tell(text);
+            super::print_to_stderr(text);
         }
     };
     let name = what.split(':').next().unwrap_or_default();
@@ -158,7 +158,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 }
 
 fn encode_field(placed: &PlacedMap, format: Format) -> Result<Vec<u8>> {
-    let field = Examined::of_map(placed).field;
+    let field = CheckedField::of_map(placed).field;
     let values: Vec<f32> = field.vectors.iter().flat_map(|v| v.to_array()).collect();
     save::encode(format, &field.grid, Content::Field, &values)
 }
@@ -170,7 +170,7 @@ fn inverse_of_map(placed: &PlacedMap, note: &impl Fn(String)) -> Result<PlacedMa
     inverse.placed(Storage::F32, 1.0)
 }
 
-fn report(r: &invert::Report, note: &impl Fn(String)) {
+fn report(r: &invert::InversionReport, note: &impl Fn(String)) {
     note(format!(
         "inverted {} points; residual mean {:.4}, 95 % {:.4}, 99 % {:.4}, largest {:.4} mm; {} points have no source",
         r.points, r.mean_mm, r.p95_mm, r.p99_mm, r.max_mm, r.not_found
@@ -179,9 +179,9 @@ fn report(r: &invert::Report, note: &impl Fn(String)) {
 
 /// The transform of a file, and the box of the volume that it is for.
 fn load_transform(path: &Path, volume: Option<&Path>, convention: Option<&str>) -> Result<(Transform, Bounds)> {
-    let volume = volume.map(|v| load::volume(v, &Choice::default(), &Watch::NONE)).transpose()?;
+    let volume = volume.map(|v| load::volume(v, &ReadOptions::default(), &Watch::NONE)).transpose()?;
     let grid = volume.as_ref().map(|v| v.geometry());
-    let transform = Transform::load(path, &Context { moving: grid, reference: grid, convention })?;
+    let transform = Transform::load(path, &TransformContext { moving: grid, reference: grid, convention })?;
     let bounds = volume.map_or_else(
         || {
             transform
@@ -193,7 +193,7 @@ fn load_transform(path: &Path, volume: Option<&Path>, convention: Option<&str>) 
     Ok((transform, bounds))
 }
 
-fn from_file(input: &Path, arguments: &Arguments, bar: &Progress, note: &impl Fn(String)) -> Result<PlacedMap> {
+fn from_file(input: &Path, arguments: &MapArguments, bar: &TerminalProgress, note: &impl Fn(String)) -> Result<PlacedMap> {
     if let Some(map) = saved_map(input)? {
         return if arguments.invert { inverse_of_map(&map, note) } else { Ok(map) };
     }
@@ -227,7 +227,7 @@ fn saved_map(path: &Path) -> Result<Option<PlacedMap>> {
     if !name.ends_with(".nrrd") && !name.ends_with(".nhdr") {
         return Ok(None);
     }
-    if load::image(path, &Choice::default(), &Watch::NONE)?.displacement { saved::read(path, Storage::F32, 1.0).map(Some) } else { Ok(None) }
+    if load::image(path, &ReadOptions::default(), &Watch::NONE)?.displacement { saved::read(path, Storage::F32, 1.0).map(Some) } else { Ok(None) }
 }
 
 fn run_check(arguments: &CheckArguments) -> Result<()> {
@@ -248,12 +248,12 @@ fn run_check(arguments: &CheckArguments) -> Result<()> {
         return Err(Error::value("--csv, --picture, --json", "only one of them can go to standard output; write the others to files"));
     }
     let (examined, warnings) = match saved_map(path)? {
-        Some(map) => (Examined::of_map(&map), Vec::new()),
+        Some(map) => (CheckedField::of_map(&map), Vec::new()),
         None => {
             let (transform, bounds) = load_transform(path, arguments.volume.as_deref(), arguments.convention.as_deref())?;
             let warnings = transform.warnings.clone();
-            match <[Step; 1]>::try_from(transform.steps) {
-                Ok([Step::Field(field)]) => (whole(field), warnings),
+            match <[TransformStep; 1]>::try_from(transform.steps) {
+                Ok([TransformStep::Field(field)]) => (whole(field), warnings),
                 Ok(steps) => (sampled(Transform { steps: steps.into(), warnings: Vec::new() }, &bounds)?, warnings),
                 Err(steps) => (sampled(Transform { steps, warnings: Vec::new() }, &bounds)?, warnings),
             }
@@ -288,16 +288,16 @@ fn run_check(arguments: &CheckArguments) -> Result<()> {
     if to_standard_output == 0 {
         return super::print(out.trim_end());
     }
-    super::tell(out.trim_end());
+    super::print_to_stderr(out.trim_end());
     Ok(())
 }
 
 /// A field, all of it seen.
-fn whole(field: VectorField) -> Examined {
+fn whole(field: VectorField) -> CheckedField {
     let seen = vec![true; field.vectors.len()];
-    Examined::new(field, seen)
+    CheckedField::new(field, seen)
 }
 
-fn sampled(transform: Transform, bounds: &Bounds) -> Result<Examined> {
-    Ok(Examined::of_map(&one_map(&transform, bounds, None)?))
+fn sampled(transform: Transform, bounds: &Bounds) -> Result<CheckedField> {
+    Ok(CheckedField::of_map(&one_map(&transform, bounds, None)?))
 }

@@ -34,19 +34,19 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     /// Render one picture of a scene, a volume or a phantom.
-    Render(Box<render::Arguments>),
+    Render(Box<render::RenderArguments>),
     /// Compare slices, rays and surfaces, on the CPU and a GPU: pictures, times, errors, a page.
-    Compare(Box<compare::Arguments>),
+    Compare(Box<compare::CompareArguments>),
     /// Write the deformed volume, resampled, or the composed displacement, into a file.
-    Bake(Box<bake::Arguments>),
+    Bake(Box<bake::BakeArguments>),
     /// Make, convert, invert or check a displacement map or field.
-    Map(Box<map::Arguments>),
+    Map(Box<map::MapArguments>),
     /// Show every kind of deformation: pictures and a page.
-    Gallery(gallery::Arguments),
+    Gallery(gallery::GalleryArguments),
     /// Write the signed distance field of a mesh.
-    Sdf(sdf::Arguments),
+    Sdf(sdf::SdfArguments),
     /// Say what a file holds.
-    Info(Box<info::Arguments>),
+    Info(Box<info::InfoArguments>),
     /// Print the JSON schema of scene files.
     Schema,
     /// List presets, kinds of deformation with their parameters, and phantoms.
@@ -57,7 +57,7 @@ enum Command {
 static WINDOW: AtomicBool = AtomicBool::new(false);
 
 /// What the program is asked to do by its command line.
-pub enum Run {
+pub enum CommandOutcome {
     /// It is done, with this exit code.
     Done(ExitCode),
     /// The workstation is to be opened, with a file or without one.
@@ -65,10 +65,10 @@ pub enum Run {
 }
 
 /// Runs the program. Exit code 0: done; 1: failed, with one message; 2: wrong usage.
-pub fn main() -> Run {
+pub fn main() -> CommandOutcome {
     files::unfinished::remove_on_signals();
-    crate::guard::on_fault(|line| {
-        tell(line);
+    crate::panic_guard::on_panic(|line| {
+        print_to_stderr(line);
         // The window goes on without what failed; a command has nothing to go on with.
         if !WINDOW.load(Ordering::Relaxed) {
             files::unfinished::remove_all();
@@ -79,7 +79,7 @@ pub fn main() -> Run {
         Ok(cli) => cli,
         Err(error) if error.use_stderr() => error.exit(),
         // What was asked for: help, or the version.
-        Err(wanted) => return Run::Done(finish(print(wanted.render().to_string().trim_end()))),
+        Err(wanted) => return CommandOutcome::Done(finish(print(wanted.render().to_string().trim_end()))),
     };
     if cli.allow_outside {
         files::reference::allow_outside();
@@ -99,14 +99,14 @@ pub fn main() -> Run {
                 cli.file.as_ref().and_then(|f| f.to_str()).filter(|w| !w.contains(['.', '/', '\\', ':']) && !std::path::Path::new(w).exists())
             {
                 let commands = ["render", "compare", "bake", "map", "gallery", "sdf", "info", "schema", "list"];
-                tell(format_args!("there is no command and no file \"{word}\"; {}", crate::error::suggestion(word, commands)));
-                return Run::Done(ExitCode::from(2));
+                print_to_stderr(format_args!("there is no command and no file \"{word}\"; {}", crate::error::suggestion(word, commands)));
+                return CommandOutcome::Done(ExitCode::from(2));
             }
             WINDOW.store(true, Ordering::Relaxed);
-            return Run::Workstation(cli.file);
+            return CommandOutcome::Workstation(cli.file);
         }
     };
-    Run::Done(finish(result))
+    CommandOutcome::Done(finish(result))
 }
 
 /// The exit code of what was done; what went wrong is told.
@@ -115,7 +115,7 @@ pub fn finish(result: Result<()>) -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             let remedy = if matches!(error, Error::GpuLimit(_)) { "; use --backend cpu" } else { "" };
-            tell(format_args!("{}{remedy}", error.printable()));
+            print_to_stderr(format_args!("{}{remedy}", error.printable()));
             ExitCode::FAILURE
         }
     }
@@ -130,6 +130,6 @@ fn print(text: &str) -> Result<()> {
 }
 
 /// Writes a line to standard error, which may be closed or full: there is nowhere to say so.
-pub fn tell(text: impl std::fmt::Display) {
+pub fn print_to_stderr(text: impl std::fmt::Display) {
     let _nowhere = writeln!(std::io::stderr(), "incise: {text}");
 }

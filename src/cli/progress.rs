@@ -5,12 +5,12 @@ use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
 /// A progress bar on a terminal for what takes longer than a second.
-pub struct Progress {
+pub struct TerminalProgress {
     bar: Option<ProgressBar>,
     start: Instant,
 }
 
-impl Progress {
+impl TerminalProgress {
     /// A bar; none if quiet.
     pub fn new(quiet: bool) -> Self {
         let bar = (!quiet && std::io::stderr().is_terminal()).then(|| {

@@ -1,13 +1,12 @@
 //! `incise render`: one picture.
 
 use super::common::{Common, warnings};
-use super::progress::Progress;
-use crate::compare::peak_memory_bytes;
-use crate::deform::health::Examined;
+use super::progress::TerminalProgress;
+use crate::deform::quality::CheckedField;
 use crate::engine::{Backend, DeviceInfo, Engine, EngineOptions, RenderRequest};
 use crate::export::{png, protect};
-use crate::files::{Output, check_distinct};
-use crate::picture::{Picture, RenderStats, Rendered, Stages};
+use crate::files::{Output, check_distinct, memory};
+use crate::picture::{Picture, RenderStats, Rendered, StageTimes};
 use crate::prepare::Prepared;
 use crate::scene::Scene;
 use crate::{Error, Result, Watch};
@@ -18,7 +17,7 @@ use std::time::Instant;
 
 /// Options as typed.
 #[derive(Args)]
-pub struct Arguments {
+pub struct RenderArguments {
     #[command(flatten)]
     common: Common,
     /// The picture to write (.png); - for standard output.
@@ -30,13 +29,13 @@ pub struct Arguments {
 }
 
 /// Renders and writes the picture.
-pub fn run(arguments: &Arguments) -> Result<()> {
+pub fn run(arguments: &RenderArguments) -> Result<()> {
     let start = Instant::now();
     let common = &arguments.common;
     let scene = common.scene()?;
     let (output, stats_file) = outputs(arguments, &scene)?;
     common.use_threads()?;
-    let bar = Progress::new(common.quiet);
+    let bar = TerminalProgress::new(common.quiet);
     let assets = common.load(&scene, &bar)?;
     output.check()?;
     if let Some(file) = &stats_file {
@@ -46,33 +45,33 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut engine = Engine::open(EngineOptions { backend: arguments.backend, strict, ..EngineOptions::default() })?;
     let preparing = |share| bar.set("preparing", share);
     let prepared = engine.prepare(&scene, &assets, &Watch::reporting(&preparing))?;
-    common.tell(assets.library.notices());
-    let wants_stats = common.stats.is_some() || common.json;
+    common.report(assets.library.notices());
+    let needs_stats = common.stats.is_some() || common.json;
     let rendering = |share| bar.set("rendering", share);
-    let request = RenderRequest { count_samples: wants_stats, watch: Watch::reporting(&rendering), ..RenderRequest::default() };
+    let request = RenderRequest { count_samples: needs_stats, watch: Watch::reporting(&rendering), ..RenderRequest::default() };
     let (rendered, device) = engine.render(&prepared, &request)?;
     bar.finish();
-    common.tell(engine.fallback().map(|error| format!("{error}; rendering on the CPU")));
-    common.tell(&rendered.notices);
+    common.report(engine.fallback().map(|error| format!("{error}; rendering on the CPU")));
+    common.report(&rendered.notices);
     let mut stages = assets.stages.clone();
     stages.0.extend(prepared.stages.0.iter().copied());
     stages.0.extend(rendered.stages.0.iter().copied());
     let bytes = stages.time("encode", || png(&rendered.picture, scene.render.background))?;
     stages.time("write", || output.finish(&bytes))?;
     let total = start.elapsed().as_secs_f64() * 1e3;
-    if wants_stats {
+    if needs_stats {
         let notices = [warnings(&scene, &assets), assets.library.notices(), rendered.notices.clone()].concat();
         let report = report(&rendered, &device, &prepared, &stages, &notices, total, arguments.backend);
         common.write_stats(&format!("{report:#}"), stats_file)?;
     }
     if common.verbose {
-        super::tell(format_args!("{} on {} in {total:.0} ms", arguments.output.display(), device.name));
+        super::print_to_stderr(format_args!("{} on {} in {total:.0} ms", arguments.output.display(), device.name));
     }
     Ok(())
 }
 
 /// Where the picture and the report go: never to a file that is read, nor both to one file.
-fn outputs(arguments: &Arguments, scene: &Scene) -> Result<(Output, Option<Output>)> {
+fn outputs(arguments: &RenderArguments, scene: &Scene) -> Result<(Output, Option<Output>)> {
     let (picture, common) = (&arguments.output, &arguments.common);
     let read = scene.files();
     let written = [Some(("--output", picture)), common.stats.as_ref().map(|s| ("--stats", s))];
@@ -94,7 +93,15 @@ fn outputs(arguments: &Arguments, scene: &Scene) -> Result<(Output, Option<Outpu
     Ok((output, stats))
 }
 
-fn report(rendered: &Rendered, device: &DeviceInfo, prepared: &Prepared, stages: &Stages, notices: &[String], total: f64, asked: Backend) -> Value {
+fn report(
+    rendered: &Rendered,
+    device: &DeviceInfo,
+    prepared: &Prepared,
+    stages: &StageTimes,
+    notices: &[String],
+    total: f64,
+    requested: Backend,
+) -> Value {
     let Picture { width, height, .. } = rendered.picture;
     let stage_entries: serde_json::Map<String, Value> = stages.0.iter().map(|(name, ms)| ((*name).to_owned(), json!(ms))).collect();
     let samples = rendered.stats.map(|RenderStats { samples_taken, samples_skipped, samples_terminated }| {
@@ -104,14 +111,14 @@ fn report(rendered: &Rendered, device: &DeviceInfo, prepared: &Prepared, stages:
         .stack
         .maps()
         .iter()
-        .map(|m| json!({ "size": m.map.size, "storage": m.map.storage, "bytes": m.map.stored_bytes(), "health": Examined::of_map(m).health(false) }))
+        .map(|m| json!({ "size": m.map.size, "storage": m.map.storage, "bytes": m.map.stored_bytes(), "health": CheckedField::of_map(m).health(false) }))
         .collect();
     let composition = prepared.composition.map(|c| {
-        json!({ "bound_mm": c.bound_mm, "maps": c.maps, "composed": c.composed, "worst_mm": c.worst_mm, "p99_mm": c.p99_mm, "share_by_maps": c.by_maps })
+        json!({ "bound_mm": c.bound_mm, "maps": c.maps, "composed": c.composed, "worst_mm": c.worst_mm, "p99_mm": c.p99_mm, "share_by_maps": c.fallback_share })
     });
     json!({
         "backend": device.backend(),
-        "requested_backend": format!("{asked:?}").to_lowercase(),
+        "requested_backend": format!("{requested:?}").to_lowercase(),
         "adapter": device.name,
         "gpu": device.details,
         "mode": prepared.settings.mode,
@@ -125,6 +132,6 @@ fn report(rendered: &Rendered, device: &DeviceInfo, prepared: &Prepared, stages:
         "macrocells": prepared.volume().macrocells.size.to_array(),
         "milliseconds": stage_entries,
         "total_milliseconds": total,
-        "peak_memory_bytes": peak_memory_bytes(),
+        "peak_memory_bytes": memory::peak_bytes(),
     })
 }

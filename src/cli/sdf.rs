@@ -1,6 +1,6 @@
 //! `incise sdf`: the signed distance field of a mesh, into a file.
 
-use super::progress::Progress;
+use super::progress::TerminalProgress;
 use crate::Watch;
 use crate::export::protect;
 use crate::files::Output;
@@ -19,7 +19,7 @@ use std::time::Instant;
 
 /// Options as typed.
 #[derive(Args)]
-pub struct Arguments {
+pub struct SdfArguments {
     /// A mesh: .stl, .obj, .ply, .off, .gltf, .glb, .gii
     mesh: PathBuf,
     /// The field to write: .nii.gz, .nii, .nrrd or .mha; mm, positive inside
@@ -46,7 +46,7 @@ pub struct Arguments {
 }
 
 /// Computes and writes the field.
-pub fn run(arguments: &Arguments) -> Result<()> {
+pub fn run(arguments: &SdfArguments) -> Result<()> {
     let format = Format::of(&arguments.output)?;
     protect("--output", &arguments.output, [arguments.mesh.as_path()])?;
     if !(8..=4096).contains(&arguments.resolution) {
@@ -63,10 +63,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let read_ms = start.elapsed().as_secs_f64() * 1e3;
     if !arguments.quiet {
         for warning in &mesh.warnings {
-            super::tell(format_args!("{}: {warning}", arguments.mesh.display()));
+            super::print_to_stderr(format_args!("{}: {warning}", arguments.mesh.display()));
         }
     }
-    let bar = Progress::new(arguments.quiet);
+    let bar = TerminalProgress::new(arguments.quiet);
     let settings = FieldSettings { resolution: arguments.resolution, cell_mm: arguments.cell, region, exact: arguments.exact, parity: false };
     let progress = |share| bar.set("distances", share);
     let watch = Watch::reporting(&progress);
@@ -87,7 +87,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let t = &field.topology;
     if !arguments.quiet {
         if !t.watertight {
-            super::tell(format_args!(
+            super::print_to_stderr(format_args!(
                 "{}: not watertight ({} open edges, {} with more than two triangles); the inside is where the winding number is above 1/2, doubtful at {:.1} % of the points near the surface",
                 arguments.mesh.display(),
                 t.open_edges,
@@ -96,7 +96,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             ));
         }
         if field.turned > 0 {
-            super::tell(format_args!("{}: {} triangles were flipped to make the orientation consistent", arguments.mesh.display(), field.turned));
+            super::print_to_stderr(format_args!(
+                "{}: {} triangles were flipped to make the orientation consistent",
+                arguments.mesh.display(),
+                field.turned
+            ));
         }
     }
     if arguments.json {

@@ -4,15 +4,15 @@
 //! The common error is the smallest that all of them reach: as near to a picture that one would use as the measurements go. A measured step that
 //! errs no more and is cheaper counts too. Nothing is extrapolated.
 
-use super::run::{Run, Shown};
+use super::run::{Run, ViewKey};
 use crate::scene::Mode;
 
 /// RMS errors below this, of 255, are rounding and not sampling: no curve shows them, and none is interpolated to them.
 pub const MIN_ERROR: f64 = 1e-3;
 
 /// Everything that runs show, in order, each once.
-pub fn views(runs: &[Run]) -> Vec<Shown> {
-    let mut views: Vec<Shown> = Vec::new();
+pub fn views(runs: &[Run]) -> Vec<ViewKey> {
+    let mut views: Vec<ViewKey> = Vec::new();
     for run in runs {
         if !views.contains(&run.shown) {
             views.push(run.shown.clone());
@@ -23,7 +23,7 @@ pub fn views(runs: &[Run]) -> Vec<Shown> {
 
 /// One point of a renderer's curve over the steps of a sweep.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Point {
+pub struct CurvePoint {
     /// Voxels.
     pub step: f64,
     /// RMS error against the reference, of 255; not a number if there is no reference.
@@ -42,14 +42,14 @@ pub struct Curve {
     /// Where it renders.
     pub backend: String,
     /// By step, the coarsest first.
-    pub points: Vec<Point>,
+    pub points: Vec<CurvePoint>,
 }
 
 /// The curves of all renderers of one thing, in the order of their runs.
-pub fn curves(runs: &[Run], shown: &Shown) -> Vec<Curve> {
+pub fn curves(runs: &[Run], shown: &ViewKey) -> Vec<Curve> {
     let mut curves: Vec<Curve> = Vec::new();
     for run in runs.iter().filter(|run| run.shown == *shown && !run.is_reference) {
-        let point = Point {
+        let point = CurvePoint {
             step: f64::from(run.step),
             error: run.error.map_or(f64::NAN, |d| d.rms()),
             milliseconds: run.rendering.median,
@@ -74,16 +74,16 @@ pub struct RendererCost {
     /// Where it renders.
     pub backend: String,
     /// Where its curve meets the common error; none if even its coarsest step is better.
-    pub at: Option<Point>,
+    pub at: Option<CurvePoint>,
     /// Its coarsest step.
-    pub coarsest: Option<Point>,
+    pub coarsest: Option<CurvePoint>,
 }
 
 /// Renderers where they are equally wrong.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EqualError {
     /// What they show.
-    pub shown: Shown,
+    pub shown: ViewKey,
     /// The common error, RMS of 255.
     pub error: f64,
     /// Every renderer whose error is known at two steps or more.
@@ -92,7 +92,7 @@ pub struct EqualError {
 
 /// For everything that runs show: what renderers cost at their common error, where there are two or more that have one.
 pub fn equal_errors(runs: &[Run]) -> Vec<EqualError> {
-    let at_one = |shown: Shown| -> Option<EqualError> {
+    let at_one = |shown: ViewKey| -> Option<EqualError> {
         let curves: Vec<Curve> = curves(runs, &shown).into_iter().filter(|c| usable(&c.points).count() > 1).collect();
         let error = common_error(&curves)?;
         let entry = |c: Curve| RendererCost { at: at_error(&c.points, error), coarsest: usable(&c.points).next(), mode: c.mode, backend: c.backend };
@@ -104,10 +104,10 @@ pub fn equal_errors(runs: &[Run]) -> Vec<EqualError> {
 }
 
 /// Points that logarithms can be taken of, those whose errors are rounding at the least error that says something.
-fn usable(points: &[Point]) -> impl Iterator<Item = Point> {
+fn usable(points: &[CurvePoint]) -> impl Iterator<Item = CurvePoint> {
     let positive = |v: f64| v.is_finite() && v > 0.0;
     let usable = points.iter().copied().filter(move |p| positive(p.step) && p.error.is_finite() && positive(p.milliseconds));
-    usable.map(|p| Point { error: p.error.max(MIN_ERROR), ..p })
+    usable.map(|p| CurvePoint { error: p.error.max(MIN_ERROR), ..p })
 }
 
 /// The smallest error that all curves reach; none for fewer than two curves, or if one has no point that can be used.
@@ -121,12 +121,12 @@ pub fn common_error(curves: &[Curve]) -> Option<f64> {
 
 /// Where a curve has an error: step and milliseconds interpolated between two measured points around it, all three by their logarithms, or a measured
 /// point that errs no more, whichever is cheapest. None if it lies beyond what was measured, as it does where the coarsest step is better.
-pub fn at_error(points: &[Point], error: f64) -> Option<Point> {
-    let points: Vec<Point> = usable(points).collect();
+pub fn at_error(points: &[CurvePoint], error: f64) -> Option<CurvePoint> {
+    let points: Vec<CurvePoint> = usable(points).collect();
     if points.len() < 2 || points[0].error < error {
         return None;
     }
-    let between = |[a, b]: [Point; 2]| {
+    let between = |[a, b]: [CurvePoint; 2]| {
         if !(a.error.min(b.error)..=a.error.max(b.error)).contains(&error) {
             return None;
         }
@@ -134,7 +134,7 @@ pub fn at_error(points: &[Point], error: f64) -> Option<Point> {
         let share = if span == 0.0 { 0.0 } else { ((error / a.error).ln() / span).clamp(0.0, 1.0) };
         let mix = |a: f64, b: f64| (a.ln() + share * (b / a).ln()).exp();
         let milliseconds = mix(a.milliseconds, b.milliseconds);
-        Some(Point { step: mix(a.step, b.step), error, milliseconds, spread: [milliseconds; 2] })
+        Some(CurvePoint { step: mix(a.step, b.step), error, milliseconds, spread: [milliseconds; 2] })
     };
     let found = points.windows(2).filter_map(|w| between([w[0], w[1]]));
     found.chain(points.iter().copied().filter(|p| p.error <= error)).min_by(|a, b| a.milliseconds.total_cmp(&b.milliseconds))
@@ -147,7 +147,7 @@ mod tests {
 
     /// error = c · step^p, milliseconds = k / step: straight lines on logarithmic axes.
     fn power(mode: Mode, c: f64, p: f64, k: f64, steps: &[f64]) -> Curve {
-        let point = |&step: &f64| Point { step, error: c * step.powf(p), milliseconds: k / step, spread: [k / step; 2] };
+        let point = |&step: &f64| CurvePoint { step, error: c * step.powf(p), milliseconds: k / step, spread: [k / step; 2] };
         Curve { mode, backend: "cpu".to_owned(), points: steps.iter().map(point).collect() }
     }
 
@@ -180,11 +180,15 @@ mod tests {
         // The good one meets it at a step of √½, the bad one at its own finest.
         let [good_at, bad_at] = [&good, &bad].map(|c| at_error(&c.points, common).unwrap());
         assert!((good_at.milliseconds - 30.0 / 0.5f64.sqrt()).abs() < 1e-9 && (bad_at.milliseconds - 20.0).abs() < 1e-9);
-        let nothing = Curve { points: vec![Point { step: 1.0, error: f64::NAN, milliseconds: 1.0, spread: [1.0; 2] }], ..good.clone() };
+        let nothing = Curve { points: vec![CurvePoint { step: 1.0, error: f64::NAN, milliseconds: 1.0, spread: [1.0; 2] }], ..good.clone() };
         assert_eq!((common_error(std::slice::from_ref(&good)), common_error(&[good.clone(), nothing])), (None, None));
         // One that is exact at its finest step has an error that the other reaches, too.
         let exact = Curve {
-            points: vec![Point { error: 5.0, ..good.points[0] }, Point { error: 5.0, ..good.points[1] }, Point { error: 0.0, ..good.points[2] }],
+            points: vec![
+                CurvePoint { error: 5.0, ..good.points[0] },
+                CurvePoint { error: 5.0, ..good.points[1] },
+                CurvePoint { error: 0.0, ..good.points[2] },
+            ],
             ..good
         };
         let common = common_error(&[exact.clone(), bad]).unwrap();
@@ -194,13 +198,13 @@ mod tests {
 
     #[test]
     fn an_error_that_rises_again_is_met_where_it_is_cheapest() {
-        let point = |step: f64, error: f64| Point { step, error, milliseconds: 8.0 / step, spread: [0.0; 2] };
+        let point = |step: f64, error: f64| CurvePoint { step, error, milliseconds: 8.0 / step, spread: [0.0; 2] };
         let points = [point(2.0, 8.0), point(1.0, 2.0), point(0.5, 2.0), point(0.25, 8.0), point(0.1, 0.0)];
         let at = at_error(&points, 4.0).unwrap();
         assert!((at.step - 2f64.sqrt()).abs() < 1e-9, "{at:?}");
         assert!((at_error(&points, 2.0).unwrap().step - 1.0).abs() < 1e-9);
         // A measured step that is better and cheaper than where the curve has the error.
-        let points = [Point { milliseconds: 3.0, ..point(2.0, 4.1) }, point(1.0, 8.0), Point { milliseconds: 2.0, ..point(0.5, 3.9) }];
+        let points = [CurvePoint { milliseconds: 3.0, ..point(2.0, 4.1) }, point(1.0, 8.0), CurvePoint { milliseconds: 2.0, ..point(0.5, 3.9) }];
         assert_eq!(at_error(&points, 4.0).map(|p| (p.step, p.milliseconds)), Some((0.5, 2.0)));
     }
 

@@ -2,7 +2,7 @@
 
 use super::curves::{EqualError, RendererCost, equal_errors};
 use super::metrics::difference_picture;
-use super::report::{Encoded, Pair, Report, VERSION};
+use super::report::{Encoded, Report, RunPair, VERSION};
 use super::run::{Run, mode_name, samples, stage_milliseconds};
 use crate::export::png;
 use crate::files::Output;
@@ -85,7 +85,7 @@ impl Report {
             })
         };
         let rows = |references: bool| -> Vec<Value> { self.runs.iter().zip(pictures).filter(|r| r.0.is_reference == references).map(row).collect() };
-        let pair = |(pair, picture): (&Pair, &Encoded)| {
+        let pair = |(pair, picture): (&RunPair, &Encoded)| {
             let d = pair.difference;
             json!({
                 "a": self.runs[pair.a].name, "b": self.runs[pair.b].name,
@@ -201,8 +201,8 @@ fn optional<T: ToString>(value: Option<T>) -> String {
 
 /// A name that any file system takes, without its ending: letters, digits, hyphens and underscores.
 fn plain(name: &str) -> String {
-    let kept = name.chars().map(|c| if c.is_ascii_alphanumeric() || c == '_' { c } else { '-' });
-    let plain: String = kept.take(MAX_NAME).collect();
+    let safe = name.chars().map(|c| if c.is_ascii_alphanumeric() || c == '_' { c } else { '-' });
+    let plain: String = safe.take(MAX_NAME).collect();
     let plain = plain.trim_matches('-');
     if plain.is_empty() { "run".to_owned() } else { plain.to_owned() }
 }

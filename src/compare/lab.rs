@@ -29,9 +29,9 @@ pub const REFERENCE_STEP: f32 = 1.0 / 16.0;
 /// Steps that a scene can have, voxels.
 const STEPS: std::ops::RangeInclusive<f32> = 0.01..=100.0;
 /// Most times that a run is repeated.
-const MOST_REPETITIONS: usize = 1000;
+const MAX_REPETITIONS: usize = 1000;
 /// Most pixels of all pictures together: each takes 16 bytes, and they are kept until the report is written.
-const MOST_PIXELS: u64 = 1 << 28;
+const MAX_TOTAL_PIXELS: u64 = 1 << 28;
 /// Work of a repetition on a GPU beside one on the CPU, for progress.
 const GPU_SHARE: f32 = 0.2;
 
@@ -122,8 +122,8 @@ impl Plan {
                 format!("{w}x{h} cannot be made; an edge is at most {MAX_PICTURE_EDGE} pixels, a picture {MAX_PIXELS}{sampled}"),
             ));
         }
-        if !(1..=MOST_REPETITIONS).contains(&self.repeat) {
-            return Err(Error::value("--repeat", format!("{} is outside 1 to {MOST_REPETITIONS}", self.repeat)));
+        if !(1..=MAX_REPETITIONS).contains(&self.repeat) {
+            return Err(Error::value("--repeat", format!("{} is outside 1 to {MAX_REPETITIONS}", self.repeat)));
         }
         if let Some(reference) = self.reference {
             let finest = self.steps.iter().copied().fold(f32::INFINITY, f32::min);
@@ -143,11 +143,11 @@ impl Plan {
         let kinds = BTreeSet::from_iter(self.modes.iter().map(|m| *m == Mode::Surface)).len();
         let pictures = (self.modes.len() * self.steps.len() * backends + if self.reference.is_some() { kinds } else { 0 }) * self.cameras.len();
         let pixels = self.sizes.iter().map(|[w, h]| u64::from(*w) * u64::from(*h)).sum::<u64>().saturating_mul(pictures as u64);
-        if pixels > MOST_PIXELS {
+        if pixels > MAX_TOTAL_PIXELS {
             return Err(Error::value(
                 "--sizes",
                 format!(
-                    "{} pictures have {pixels} pixels together, of {MOST_PIXELS} that are kept at once; compare less in one go",
+                    "{} pictures have {pixels} pixels together, of {MAX_TOTAL_PIXELS} that are kept at once; compare less in one go",
                     pictures * self.sizes.len()
                 ),
             ));
@@ -163,9 +163,9 @@ impl Plan {
     }
 
     /// A name that tells a run from all others: mode and backend, and what the plan varies.
-    fn name(&self, head: &str, scene: &Scene, tells_step: bool) -> String {
+    fn name(&self, head: &str, scene: &Scene, names_step: bool) -> String {
         let mut name = head.to_owned();
-        if tells_step && self.steps.len() > 1 {
+        if names_step && self.steps.len() > 1 {
             name += &format!(" step {}", scene.render.step);
         }
         if self.sizes.len() > 1 {
@@ -186,13 +186,13 @@ pub fn open_gpu() -> Result<Engine> {
     Engine::open(EngineOptions { backend: Backend::Gpu, strict: true, time_passes: true })
 }
 
-/// Renders everything of a plan and compares what can be compared. `tell` is told what is being rendered, and the share of all that is done.
+/// Renders everything of a plan and compares what can be compared. `progress` is told what is being rendered, and the share of all that is done.
 ///
 /// # Errors
 /// As [`Plan::check`]; any setting that cannot be used, by name; what the GPU reports, if it is required.
-pub fn run(plan: &Plan, assets: &Assets, mut gpu: Option<Engine>, title: &str, tell: &(dyn Fn(&'static str, f32) + Sync)) -> Result<Report> {
+pub fn run(plan: &Plan, assets: &Assets, mut gpu: Option<Engine>, title: &str, progress: &(dyn Fn(&'static str, f32) + Sync)) -> Result<Report> {
     plan.check(usize::from(plan.on_cpu) + usize::from(gpu.is_some()))?;
-    let mut progress = Progress { tell, done: 0.0, all: work(plan, gpu.is_some()) };
+    let mut progress = SweepProgress { progress, done: 0.0, all: work(plan, gpu.is_some()) };
     let mut notices = Vec::new();
     let mut runs: Vec<Run> = Vec::new();
     let first_preparation = first_preparation(plan, assets)?;
@@ -240,7 +240,7 @@ pub fn run(plan: &Plan, assets: &Assets, mut gpu: Option<Engine>, title: &str, t
                     let part = progress.part("reference", area(size) / step);
                     let name = plan.name(&format!("{} reference", mode_name(mode)), &scene, false);
                     Prepared::new(&scene, assets)?;
-                    let share = |share: f32| part.tell(share);
+                    let share = |share: f32| part.report(share);
                     let request = RenderRequest { watch: Watch::reporting(&share), ..RenderRequest::default() };
                     let reference = Run { is_reference: true, ..timed_run(&mut Engine::cpu(), &scene, assets, &name, &request)? };
                     progress.done = part.end;
@@ -283,30 +283,30 @@ fn first_preparation(plan: &Plan, assets: &Assets) -> Result<Vec<(String, f64)>>
 }
 
 /// How much of the whole work is done.
-struct Progress<'a> {
-    tell: &'a (dyn Fn(&'static str, f32) + Sync),
+struct SweepProgress<'a> {
+    progress: &'a (dyn Fn(&'static str, f32) + Sync),
     done: f32,
     all: f32,
 }
 
-impl<'a> Progress<'a> {
-    fn part(&self, what: &'static str, work: f32) -> Part<'a> {
-        Part { tell: self.tell, what, start: self.done, end: self.done + work, all: self.all }
+impl<'a> SweepProgress<'a> {
+    fn part(&self, what: &'static str, work: f32) -> ProgressPart<'a> {
+        ProgressPart { progress: self.progress, what, start: self.done, end: self.done + work, all: self.all }
     }
 }
 
 /// One part of it.
-struct Part<'a> {
-    tell: &'a (dyn Fn(&'static str, f32) + Sync),
+struct ProgressPart<'a> {
+    progress: &'a (dyn Fn(&'static str, f32) + Sync),
     what: &'static str,
     start: f32,
     end: f32,
     all: f32,
 }
 
-impl Part<'_> {
-    fn tell(&self, share: f32) {
-        (self.tell)(self.what, ((self.start + share * (self.end - self.start)) / self.all).clamp(0.0, 1.0));
+impl ProgressPart<'_> {
+    fn report(&self, share: f32) {
+        (self.progress)(self.what, ((self.start + share * (self.end - self.start)) / self.all).clamp(0.0, 1.0));
     }
 }
 
@@ -335,20 +335,20 @@ fn merged(mut all: Vec<Run>) -> Result<Run> {
     Ok(Run { milliseconds: times, rendering, repetitions, ..middle })
 }
 
-fn on_cpu(plan: &Plan, scene: &Scene, assets: &Assets, part: &Part) -> Result<Run> {
+fn on_cpu(plan: &Plan, scene: &Scene, assets: &Assets, part: &ProgressPart) -> Result<Run> {
     let name = plan.name(&format!("{} cpu", mode_name(scene.render.mode)), scene, true);
     let once = |n: usize| {
-        let share = |share: f32| part.tell((n as f32 + share) / plan.repeat as f32);
+        let share = |share: f32| part.report((n as f32 + share) / plan.repeat as f32);
         timed_run(&mut Engine::cpu(), scene, assets, &name, &RenderRequest { watch: Watch::reporting(&share), ..RenderRequest::default() })
     };
     merged((0..plan.repeat).map(once).collect::<Result<_>>()?)
 }
 
-fn on_gpu(plan: &Plan, scene: &Scene, assets: &Assets, gpu: &mut Engine, part: &Part) -> Result<Run> {
+fn on_gpu(plan: &Plan, scene: &Scene, assets: &Assets, gpu: &mut Engine, part: &ProgressPart) -> Result<Run> {
     let name = plan.name(&format!("{} gpu", mode_name(scene.render.mode)), scene, true);
     let pictures = plan.repeat + 2;
     let mut once = |n: usize, count_samples: bool| {
-        let share = |share: f32| part.tell((n as f32 + share) / pictures as f32);
+        let share = |share: f32| part.report((n as f32 + share) / pictures as f32);
         timed_run(gpu, scene, assets, &name, &RenderRequest { count_samples, watch: Watch::reporting(&share), ..RenderRequest::default() })
     };
     let first = once(0, false)?;
@@ -368,18 +368,18 @@ fn gpu_name(gpu: &Engine) -> String {
 /// its reference. Two steps of one renderer are compared by way of the reference.
 pub fn pairs_of(runs: &[Run]) -> Vec<[usize; 2]> {
     let all = (0..runs.len()).flat_map(|a| (a + 1..runs.len()).map(move |b| [a, b]));
-    let telling = |[a, b]: &[usize; 2]| {
+    let is_informative = |[a, b]: &[usize; 2]| {
         let (a, b) = (&runs[*a], &runs[*b]);
         let renderers = a.step == b.step && (a.mode, &a.backend) != (b.mode, &b.backend);
         a.shown == b.shown && if a.is_reference || b.is_reference { a.is_reference != b.is_reference } else { renderers }
     };
-    all.filter(telling).collect()
+    all.filter(is_informative).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::compare::run::Shown;
+    use crate::compare::run::ViewKey;
     use crate::compare::run::tests::run;
 
     #[test]
@@ -391,7 +391,7 @@ mod tests {
             run("d", Mode::Slice, "gpu", 1.0, 1.0, 1.0),
             run("e", Mode::Surface, "cpu", 1.0, 1.0, 1.0),
             run("r", Mode::Raycast, "cpu", 0.0625, 0.0, 1.0),
-            Run { shown: Shown { camera: "left".into(), size: [1, 1], surface: false }, ..run("f", Mode::Raycast, "cpu", 1.0, 1.0, 1.0) },
+            Run { shown: ViewKey { camera: "left".into(), size: [1, 1], surface: false }, ..run("f", Mode::Raycast, "cpu", 1.0, 1.0, 1.0) },
         ];
         assert_eq!(pairs_of(&runs), [[0, 2], [0, 3], [0, 5], [1, 5], [2, 3], [2, 5], [3, 5]]);
     }

@@ -21,5 +21,5 @@ mod run;
 pub use curves::{Curve, EqualError, MIN_ERROR, RendererCost, at_error, common_error, curves, equal_errors};
 pub use folder::write_files;
 pub use metrics::{Difference, difference, difference_picture};
-pub use report::{Pair, Protocol, Report};
-pub use run::{Memory, Run, Shown, Times, peak_memory_bytes, run};
+pub use report::{Protocol, Report, RunPair};
+pub use run::{Memory, Run, Times, ViewKey, run};

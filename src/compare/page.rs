@@ -2,10 +2,10 @@
 //!
 //! The page holds its pictures itself and asks for nothing else, so that it can be mailed, archived, and opened without a network.
 
-use super::curves::{self, Curve, EqualError, MIN_ERROR, Point};
-use super::plot::{self, Axis, Bar, Dot, Series, escaped, number};
+use super::curves::{self, Curve, CurvePoint, EqualError, MIN_ERROR};
+use super::plot::{self, Bar, Dot, PlotAxis, PlotSeries, escaped, number};
 use super::report::{Encoded, Protocol, Report, VERSION};
-use super::run::{Run, Shown, mode_name, samples, stage_milliseconds};
+use super::run::{Run, ViewKey, mode_name, samples, stage_milliseconds};
 use crate::scene::Mode;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -75,7 +75,7 @@ impl Report {
     }
 
     /// Plots of all runs that show one thing.
-    fn plots(&self, shown: &Shown, views: &[Shown], equal: &[EqualError]) -> String {
+    fn plots(&self, shown: &ViewKey, views: &[ViewKey], equal: &[EqualError]) -> String {
         let curves = curves::curves(&self.runs, shown);
         let runs: Vec<&Run> = self.runs.iter().filter(|run| run.shown == *shown && !run.is_reference).collect();
         if runs.len() < 2 {
@@ -87,8 +87,8 @@ impl Report {
         let several = steps.len() > 1;
         let heading = if views.len() > 1 { format!("Plots: {shown}") } else { "Plots".to_owned() };
         let mut text = format!("<h2>{}</h2>\n<div class=\"plots\">\n", escaped(&heading));
-        let series = |dot: &dyn Fn(&Point) -> Dot| -> Vec<Series> {
-            let one = |c: &Curve| Series {
+        let series = |dot: &dyn Fn(&CurvePoint) -> Dot| -> Vec<PlotSeries> {
+            let one = |c: &Curve| PlotSeries {
                 name: format!("{} {}", mode_name(c.mode), c.backend),
                 color: color_of(c.mode, c.backend == "cpu"),
                 dashed: c.backend != "cpu",
@@ -96,19 +96,19 @@ impl Report {
             };
             curves.iter().map(one).collect()
         };
-        let time = Axis { label: "rendering, ms".to_owned(), ticks: Vec::new() };
-        let error = Axis { label: "RMS error, of 255".to_owned(), ticks: Vec::new() };
+        let time = PlotAxis { label: "rendering, ms".to_owned(), ticks: Vec::new() };
+        let error = PlotAxis { label: "RMS error, of 255".to_owned(), ticks: Vec::new() };
         let has_errors = runs.iter().any(|run| run.error.is_some());
         if several {
-            let step = Axis { label: "step, voxels".to_owned(), ticks: if steps.len() <= 8 { steps } else { Vec::new() } };
+            let step = PlotAxis { label: "step, voxels".to_owned(), ticks: if steps.len() <= 8 { steps } else { Vec::new() } };
             let by_step = series(&|p| Dot { x: p.step, y: p.milliseconds, spread: Some(p.spread) });
             text.push_str(&plot::curves("Time by step", &step, &time, &by_step, None));
             if has_errors {
-                let told = |error: f64| if error >= MIN_ERROR { error } else { f64::NAN };
-                let errors = series(&|p| Dot { x: p.step, y: told(p.error), spread: None });
+                let or_nan = |error: f64| if error >= MIN_ERROR { error } else { f64::NAN };
+                let errors = series(&|p| Dot { x: p.step, y: or_nan(p.error), spread: None });
                 text.push_str(&plot::curves("Error by step", &step, &error, &errors, None));
                 let common = equal.iter().find(|e| e.shown == *shown).map(|e| e.error);
-                let both = series(&|p| Dot { x: told(p.error), y: p.milliseconds, spread: None });
+                let both = series(&|p| Dot { x: or_nan(p.error), y: p.milliseconds, spread: None });
                 text.push_str(&plot::curves("Time against error (lower left is better; dotted: the common error)", &error, &time, &both, common));
             }
         }
@@ -125,7 +125,7 @@ impl Report {
     }
 
     /// What renderers cost where they are equally wrong, or why that cannot be said.
-    fn equal_table(&self, equal: &[EqualError], views: &[Shown]) -> String {
+    fn equal_table(&self, equal: &[EqualError], views: &[ViewKey]) -> String {
         let mut text = String::from("<h2>Speed at equal error</h2>\n");
         let steps: std::collections::BTreeSet<u32> = self.runs.iter().filter(|run| !run.is_reference).map(|run| run.step.to_bits()).collect();
         if self.runs.iter().all(|run| run.error.is_none()) {

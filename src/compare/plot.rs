@@ -29,7 +29,7 @@ const COLORS: usize = 10;
 /// Room between what is drawn and the frame of a logarithmic axis, as a share of the data's extent.
 const MARGIN: f64 = 0.08;
 /// Parts that nowhere reach this share of the longest bar are drawn as one.
-const LEAST_PART: f64 = 0.005;
+const MIN_PART: f64 = 0.005;
 
 /// Colours on light and on dark, each apart from its neighbours for every kind of colour vision (after Okabe and Ito, "Color Universal
 /// Design", 2008).
@@ -48,7 +48,7 @@ pub const STYLE: &str = "
 
 /// One axis of a plot of curves, logarithmic.
 #[derive(Clone, Debug, Default)]
-pub struct Axis {
+pub struct PlotAxis {
     /// What it measures, with its unit.
     pub label: String,
     /// Where its ticks are; at round numbers if there are none.
@@ -68,7 +68,7 @@ pub struct Dot {
 
 /// A curve with its name.
 #[derive(Clone, Debug)]
-pub struct Series {
+pub struct PlotSeries {
     /// What the legend says.
     pub name: String,
     /// Which colour, from 0; they come round again.
@@ -89,7 +89,7 @@ pub struct Bar {
 }
 
 /// A plot of curves over two logarithmic axes; `mark` is a dotted line at a value of x.
-pub fn curves(title: &str, x: &Axis, y: &Axis, series: &[Series], mark: Option<f64>) -> String {
+pub fn curves(title: &str, x: &PlotAxis, y: &PlotAxis, series: &[PlotSeries], mark: Option<f64>) -> String {
     let shown = |v: f64| v.is_finite() && v > 0.0;
     let dots = || series.iter().flat_map(|s| &s.dots).filter(|d| shown(d.x) && shown(d.y));
     let ends = dots().flat_map(|d| d.spread.unwrap_or([d.y; 2])).filter(|v| shown(*v));
@@ -129,8 +129,8 @@ pub fn curves(title: &str, x: &Axis, y: &Axis, series: &[Series], mark: Option<f
                 let [low, high] = [least, most].map(|y| at(&Dot { y, ..*d })[1]);
                 let _ = write!(svg, "<path class=\"spread\" d=\"M{px:.1} {low:.1}V{high:.1}\"/>");
             }
-            let told = format!("{}: {} {}, {} {}", s.name, number(d.x), x.label, number(d.y), y.label);
-            svg.push_str(&dot(px, py, s.dashed, &told));
+            let tooltip = format!("{}: {} {}, {} {}", s.name, number(d.x), x.label, number(d.y), y.label);
+            svg.push_str(&dot(px, py, s.dashed, &tooltip));
         }
         let (lx, ly) = (right + 14.0, TOP + 8.0 + 18.0 * n as f64);
         let _ = write!(svg, "<path class=\"curve\"{} d=\"M{lx} {ly}h26\"/>{}", dash(s.dashed), dot(lx + 13.0, ly, s.dashed, ""));
@@ -146,11 +146,11 @@ pub fn bars(title: &str, label: &str, parts: &[&str], bars: &[Bar]) -> String {
     let longest = bars.iter().map(length).fold(0.0, f64::max);
     let longest = if longest > 0.0 { longest } else { 1.0 };
     let of_part = |b: &Bar, n: usize| b.parts.iter().filter(|p| p.0 == n && p.1.is_finite() && p.1 > 0.0).map(|p| p.1).sum::<f64>();
-    let kept: Vec<usize> = (0..parts.len()).filter(|n| bars.iter().any(|b| of_part(b, *n) >= LEAST_PART * longest)).collect();
+    let shown_parts: Vec<usize> = (0..parts.len()).filter(|n| bars.iter().any(|b| of_part(b, *n) >= MIN_PART * longest)).collect();
     let names = (bars.iter().map(|b| b.name.chars().count()).max().unwrap_or(0) as f64 * CHARACTER + 12.0).clamp(60.0, NAMES);
-    let longest_part = kept.iter().map(|n| parts[*n].chars().count()).max().unwrap_or(0);
+    let longest_part = shown_parts.iter().map(|n| parts[*n].chars().count()).max().unwrap_or(0);
     let right = WIDTH - (longest_part as f64 * CHARACTER + 40.0).clamp(RIGHT, 0.4 * WIDTH);
-    let rows = (bars.len() as f64 * ROW).max(18.0 * (kept.len() + 1) as f64);
+    let rows = (bars.len() as f64 * ROW).max(18.0 * (shown_parts.len() + 1) as f64);
     let height = TOP + rows + BOTTOM;
     let mut svg = opening(title, height);
     let scale = (right - names) / (longest * 1.12);
@@ -169,26 +169,26 @@ pub fn bars(title: &str, label: &str, parts: &[&str], bars: &[Bar]) -> String {
         let mut x = names;
         let mut part = |color: String, name: &str, value: f64| {
             if value > 0.0 {
-                let told = escaped(&format!("{}, {name}: {} {label}", bar.name, number(value)));
+                let tooltip = escaped(&format!("{}, {name}: {} {label}", bar.name, number(value)));
                 let wide = value * scale;
                 let _ = write!(
                     svg,
-                    "<g class=\"{color}\"><rect class=\"part\" x=\"{x:.2}\" y=\"{:.1}\" width=\"{wide:.2}\" height=\"{:.1}\"><title>{told}</title></rect></g>",
+                    "<g class=\"{color}\"><rect class=\"part\" x=\"{x:.2}\" y=\"{:.1}\" width=\"{wide:.2}\" height=\"{:.1}\"><title>{tooltip}</title></rect></g>",
                     top + 3.0,
                     ROW - 6.0
                 );
                 x += wide;
             }
         };
-        for &n in &kept {
+        for &n in &shown_parts {
             part(format!("c{}", n % (COLORS - 1)), parts[n], of_part(bar, n));
         }
-        let other: f64 = (0..parts.len()).filter(|n| !kept.contains(n)).map(|n| of_part(bar, n)).sum();
+        let other: f64 = (0..parts.len()).filter(|n| !shown_parts.contains(n)).map(|n| of_part(bar, n)).sum();
         part(format!("c{}", COLORS - 1), "other", other);
         let _ = write!(svg, "<text x=\"{:.1}\" y=\"{:.1}\">{}</text>", x + 5.0, top + 14.0, number(length(bar)));
     }
-    let legend = kept.iter().map(|&n| (n % (COLORS - 1), parts[n]));
-    let other = (kept.len() < parts.len()).then_some((COLORS - 1, "other"));
+    let legend = shown_parts.iter().map(|&n| (n % (COLORS - 1), parts[n]));
+    let other = (shown_parts.len() < parts.len()).then_some((COLORS - 1, "other"));
     for (n, (color, name)) in legend.chain(other).enumerate() {
         let (x, y) = (right + 14.0, TOP + 18.0 * n as f64);
         let _ = write!(
@@ -217,12 +217,12 @@ fn dash(dashed: bool) -> &'static str {
 }
 
 /// A disc or a square; what it tells when pointed at.
-fn dot(x: f64, y: f64, square: bool, told: &str) -> String {
-    let told = if told.is_empty() { String::new() } else { format!("<title>{}</title>", escaped(told)) };
+fn dot(x: f64, y: f64, square: bool, tooltip: &str) -> String {
+    let tooltip = if tooltip.is_empty() { String::new() } else { format!("<title>{}</title>", escaped(tooltip)) };
     if square {
-        return format!("<rect class=\"dot\" x=\"{:.1}\" y=\"{:.1}\" width=\"8\" height=\"8\">{told}</rect>", x - 4.0, y - 4.0);
+        return format!("<rect class=\"dot\" x=\"{:.1}\" y=\"{:.1}\" width=\"8\" height=\"8\">{tooltip}</rect>", x - 4.0, y - 4.0);
     }
-    format!("<circle class=\"dot\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4.5\">{told}</circle>")
+    format!("<circle class=\"dot\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4.5\">{tooltip}</circle>")
 }
 
 /// What a logarithmic axis spans.
@@ -250,7 +250,7 @@ impl Span {
 }
 
 /// The ticks that an axis asks for, or round ones.
-fn ticks_of(axis: &Axis, span: &Span) -> Vec<f64> {
+fn ticks_of(axis: &PlotAxis, span: &Span) -> Vec<f64> {
     if axis.ticks.is_empty() {
         return ticks(span.low, span.high);
     }
@@ -376,8 +376,8 @@ mod tests {
     #[test]
     fn a_power_is_a_straight_line() {
         let dots: Vec<Dot> = [1.0, 10.0, 100.0].map(|x| Dot { x, y: 5.0 * x * x, spread: None }).into();
-        let series = Series { name: "a < b".into(), color: 3, dashed: false, dots };
-        let svg = curves("t", &Axis::default(), &Axis::default(), std::slice::from_ref(&series), Some(10.0));
+        let series = PlotSeries { name: "a < b".into(), color: 3, dashed: false, dots };
+        let svg = curves("t", &PlotAxis::default(), &PlotAxis::default(), std::slice::from_ref(&series), Some(10.0));
         let path = svg.split("class=\"curve\" d=\"M").nth(1).and_then(|p| p.split('"').next()).unwrap_or_default().to_owned();
         let at: Vec<Vec<f64>> = path.split('L').map(|p| p.split(' ').filter_map(|v| v.parse().ok()).collect()).collect();
         assert!(at.len() == 3 && (at[2][0] - 2.0 * at[1][0] + at[0][0]).abs() < 0.3 && (at[2][1] - 2.0 * at[1][1] + at[0][1]).abs() < 0.3, "{at:?}");
@@ -390,10 +390,10 @@ mod tests {
     fn what_cannot_be_shown_is_left_out() {
         let dot = |x: f64, y: f64| Dot { x, y, spread: Some([0.0, f64::NAN]) };
         let dots = vec![dot(1.0, 0.0), dot(f64::NAN, 1.0), dot(2.0, f64::INFINITY), dot(-1.0, 3.0), dot(1.0, 4.0)];
-        let series = [Series { name: String::new(), color: 99, dashed: true, dots }];
-        let svg = curves("", &Axis::default(), &Axis::default(), &series, Some(f64::NAN));
+        let series = [PlotSeries { name: String::new(), color: 99, dashed: true, dots }];
+        let svg = curves("", &PlotAxis::default(), &PlotAxis::default(), &series, Some(f64::NAN));
         assert!(!svg.contains("NaN") && !svg.contains("inf") && svg.matches("class=\"dot\"").count() == 2, "{svg}");
-        let none = curves("", &Axis::default(), &Axis::default(), &[], None);
+        let none = curves("", &PlotAxis::default(), &PlotAxis::default(), &[], None);
         assert!(!none.contains("NaN") && !none.contains("inf"));
         let svg = bars("", "ms", &["a"], &[Bar { name: "x".into(), parts: vec![(0, f64::NAN), (0, -1.0)] }]);
         assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
@@ -402,7 +402,7 @@ mod tests {
     #[test]
     fn a_gap_breaks_the_line() {
         let dots: Vec<Dot> = [1.0, 2.0, f64::NAN, 4.0, 5.0, 6.0].map(|y| Dot { x: y.max(3.0), y, spread: None }).into();
-        let svg = curves("", &Axis::default(), &Axis::default(), &[Series { name: String::new(), color: 0, dashed: false, dots }], None);
+        let svg = curves("", &PlotAxis::default(), &PlotAxis::default(), &[PlotSeries { name: String::new(), color: 0, dashed: false, dots }], None);
         // Two stretches, and the sample in the legend.
         assert_eq!((svg.matches("class=\"curve\"").count(), svg.matches("class=\"dot\"").count()), (2 + 1, 5 + 1));
     }

@@ -12,7 +12,7 @@ const AMPLIFY: f32 = 8.0;
 
 /// Two runs and how their pictures differ.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pair {
+pub struct RunPair {
     /// Index of the first run.
     pub a: usize,
     /// Index of the second run.
@@ -49,7 +49,7 @@ pub struct Report {
     /// The runs.
     pub runs: Vec<Run>,
     /// Pairs of runs, in order.
-    pub pairs: Vec<Pair>,
+    pub pairs: Vec<RunPair>,
     /// Behind the pictures: red, green, blue, alpha in 0..1, not premultiplied. The numbers do not depend on it.
     pub background: [f32; 4],
     /// Difference pictures show differences this many times as large.
@@ -93,7 +93,7 @@ impl Report {
             return Err(Error::value("runs", format!("two are called \"{}\"; give each a name of its own", twice.name)));
         }
         let compared = |[a, b]: [usize; 2]| match (runs.get(a), runs.get(b)) {
-            (Some(first), Some(second)) => Ok(Pair { a, b, difference: difference(&first.picture, &second.picture)? }),
+            (Some(first), Some(second)) => Ok(RunPair { a, b, difference: difference(&first.picture, &second.picture)? }),
             _ => Err(Error::value("pairs", format!("runs {a} and {b} are not both among the {} there are", runs.len()))),
         };
         let pairs = pairs.into_iter().map(compared).collect::<Result<_>>()?;
@@ -117,7 +117,7 @@ impl Report {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::compare::run::{Memory, Shown, Times};
+    use crate::compare::run::{Memory, Times, ViewKey};
     use crate::picture::{Picture, RenderStats};
     use crate::scene::Mode;
 
@@ -130,7 +130,7 @@ pub(super) mod tests {
             rendering: Times { median: 10.0, min: 9.0, max: 11.0 },
             repetitions: 3,
             warm_up: None,
-            shown: Shown { camera: "anterior".to_owned(), size: [4, 3], surface: false },
+            shown: ViewKey { camera: "anterior".to_owned(), size: [4, 3], surface: false },
             mode: Mode::Slice,
             memory: Memory { volume_bytes: 64, gradient_bytes: 0, map_bytes: 0, surface_bytes: 0, peak_bytes: None },
             error: None,

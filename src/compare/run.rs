@@ -2,10 +2,11 @@
 
 use super::metrics::Difference;
 use crate::engine::{Engine, RenderRequest};
-use crate::picture::{Picture, RenderStats, Rendered, Stages};
+use crate::files::memory;
+use crate::picture::{Picture, RenderStats, Rendered, StageTimes};
 use crate::prepare::{Assets, Prepared};
 use crate::scene::{Mode, Scene};
-use crate::volume::{Colors, GridVoxels};
+use crate::volume::{Colors, VoxelGridValues};
 use crate::{Result, Watch};
 use std::time::Instant;
 
@@ -50,10 +51,10 @@ impl Memory {
     /// What a scene holds that was prepared and rendered on the CPU; without a volume if it has none of its own.
     pub fn of(scene: &Prepared, has_volume: bool) -> Self {
         let volume = match &scene.volume().grid.voxels {
-            GridVoxels::U8(v) => size_of_val(v.as_slice()),
-            GridVoxels::U16(v) => size_of_val(v.as_slice()),
-            GridVoxels::I16(v) => size_of_val(v.as_slice()),
-            GridVoxels::F32(v) => size_of_val(v.as_slice()),
+            VoxelGridValues::U8(v) => size_of_val(v.as_slice()),
+            VoxelGridValues::U16(v) => size_of_val(v.as_slice()),
+            VoxelGridValues::I16(v) => size_of_val(v.as_slice()),
+            VoxelGridValues::F32(v) => size_of_val(v.as_slice()),
         };
         let colors = scene.volume().colors.map_or(0, Colors::size_in_bytes);
         Self {
@@ -61,26 +62,19 @@ impl Memory {
             gradient_bytes: scene.gradients().map_or(0, |g| size_of_val(&*g.texels) as u64),
             map_bytes: scene.stack.all_maps().map(|m| m.map.stored_bytes() as u64).sum(),
             surface_bytes: scene.surfaces.objects.iter().filter_map(|o| o.implicit.as_ref()).map(|i| i.gpu_bytes() as u64).sum(),
-            peak_bytes: peak_memory_bytes(),
+            peak_bytes: memory::peak_bytes(),
         }
     }
 }
 
-/// The process's largest resident size, where the system tells (Linux).
-pub fn peak_memory_bytes() -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
-    line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib * 1024)
-}
-
 /// Stages with names of their own.
-pub(super) fn owned(stages: &[&Stages]) -> Vec<(String, f64)> {
+pub(super) fn owned(stages: &[&StageTimes]) -> Vec<(String, f64)> {
     stages.iter().flat_map(|s| &s.0).map(|&(stage, ms)| (stage.to_owned(), ms)).collect()
 }
 
 /// What a picture shows, and how large: only pictures that agree in it can be compared.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Shown {
+pub struct ViewKey {
     /// The direction of view, as it is written in a scene file.
     pub camera: String,
     /// Width and height, pixels.
@@ -89,14 +83,14 @@ pub struct Shown {
     pub surface: bool,
 }
 
-impl Shown {
+impl ViewKey {
     /// What a scene's picture shows.
     pub fn of(scene: &Scene) -> Self {
         Self { camera: scene.camera.view.into(), size: scene.render.size, surface: scene.render.mode == Mode::Surface }
     }
 }
 
-impl std::fmt::Display for Shown {
+impl std::fmt::Display for ViewKey {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let what = if self.surface { "surfaces" } else { "volume" };
         write!(f, "{what}, view {}, {} × {} pixels", self.camera, self.size[0], self.size[1])
@@ -111,7 +105,7 @@ pub struct Run {
     /// The picture, premultiplied, without background.
     pub picture: Picture,
     /// What it shows.
-    pub shown: Shown,
+    pub shown: ViewKey,
     /// How the scene was sampled.
     pub mode: Mode,
     /// What rendered it: `cpu` or `gpu`.
@@ -163,7 +157,7 @@ pub fn run(engine: &mut Engine, scene: &Scene, assets: &Assets, name: &str, requ
 fn once(scene: &Scene, prepared: &Prepared, rendered: Rendered, [before, all]: [f64; 2]) -> Run {
     Run {
         name: String::new(),
-        shown: Shown::of(scene),
+        shown: ViewKey::of(scene),
         mode: scene.render.mode,
         backend: String::new(),
         step: scene.render.step,
@@ -254,7 +248,7 @@ pub(super) mod tests {
         Run {
             name: name.to_owned(),
             picture: Picture { width: 1, height: 1, pixels: vec![[0.5; 4]] },
-            shown: Shown { camera: "anterior".to_owned(), size: [1, 1], surface: mode == Mode::Surface },
+            shown: ViewKey { camera: "anterior".to_owned(), size: [1, 1], surface: mode == Mode::Surface },
             mode,
             backend: backend.to_owned(),
             step,

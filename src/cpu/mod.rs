@@ -39,7 +39,7 @@
 //! and 298 for the CT twisted. Packets go down columns of 16 rows, so that what one has fetched of the volume the next still finds in the cache: an
 //! eighth of haze's time. Fetches check a lane's cell once, not each of its rows ([`crate::math::cells::Strides`]), and no structure of registers is
 //! copied by a call: a tenth each. Rays are made and meet the box in lanes. Values come alone where most looks show nothing, with differences and
-//! colours where most show something ([`packet::Habit`]); in haze half of the lanes are enough to shade, and in the midst of matter macrocells are not
+//! colours where most show something ([`packet::FetchPolicy`]); in haze half of the lanes are enough to shade, and in the midst of matter macrocells are not
 //! asked ([`crate::prepare::Macrocells::blocks_lanes`]). Without any volume of gradients surfaces now take the same time, and haze a tenth more.
 //!
 //! Then, alternating in one run again: 157 became 128 and 221 became 182 as haze, 20 became 19 and 32 became 31 as surfaces, and 221 became 198 for the
@@ -68,19 +68,19 @@ pub mod shading;
 pub mod surface;
 
 use crate::math::lanes::*;
-use crate::picture::{Picture, RenderStats, Rendered, Stages};
+use crate::picture::{Picture, RenderStats, Rendered, StageTimes};
 use crate::prepare::Prepared;
 use crate::scene::Mode;
 use crate::transfer::Blend;
-use crate::volume::{GridVoxels, Sampler, Voxel};
+use crate::volume::{VolumeSampler, Voxel, VoxelGridValues};
 use crate::{Result, Watch};
 use glam::Vec3;
-use packet::{Habit, Marcher, Packet};
+use packet::{FetchPolicy, RayMarcher, RayPacket};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// A ray whose remaining transmittance is below this is finished: less than half an 8-bit step can follow.
-const OPAQUE: f32 = 1.0 / 512.0;
+const MIN_TRANSMITTANCE: f32 = 1.0 / 512.0;
 
 /// Rows that one task renders, whole packets: where there are tasks enough for all threads to be busy to the end, and where there are not.
 const STRIP_ROWS: [usize; 2] = [16, 8];
@@ -104,25 +104,25 @@ pub fn render_watched(scene: &Prepared, watch: &Watch) -> Result<Rendered> {
 }
 
 /// Rows after a stop stay empty.
-fn render_rows(scene: &Prepared, watch: &Watch) -> (Picture, RenderStats, Stages) {
-    let mut stages = Stages::default();
+fn render_rows(scene: &Prepared, watch: &Watch) -> (Picture, RenderStats, StageTimes) {
+    let mut stages = StageTimes::default();
     scene.stack.fetch_texels();
     let gradients = stages.time("gradients", || scene.gradients_for_picture());
     let (picture, stats) = stages.time("render", || match &scene.volume().grid.voxels {
-        GridVoxels::U8(v) => rows(scene, &Sampler::new(scene.volume().grid, v).with_gradients(gradients), watch),
-        GridVoxels::U16(v) => rows(scene, &Sampler::new(scene.volume().grid, v).with_gradients(gradients), watch),
-        GridVoxels::I16(v) => rows(scene, &Sampler::new(scene.volume().grid, v).with_gradients(gradients), watch),
-        GridVoxels::F32(v) => rows(scene, &Sampler::new(scene.volume().grid, v).with_gradients(gradients), watch),
+        VoxelGridValues::U8(v) => rows(scene, &VolumeSampler::new(scene.volume().grid, v).with_gradients(gradients), watch),
+        VoxelGridValues::U16(v) => rows(scene, &VolumeSampler::new(scene.volume().grid, v).with_gradients(gradients), watch),
+        VoxelGridValues::I16(v) => rows(scene, &VolumeSampler::new(scene.volume().grid, v).with_gradients(gradients), watch),
+        VoxelGridValues::F32(v) => rows(scene, &VolumeSampler::new(scene.volume().grid, v).with_gradients(gradients), watch),
     });
     (picture.reduced(scene.settings.antialias), stats, stages)
 }
 
-fn rows<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, watch: &Watch) -> (Picture, RenderStats) {
+fn rows<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, watch: &Watch) -> (Picture, RenderStats) {
     let [width, height] = scene.frame.size;
     let mut pixels = vec![[0.0f32; 4]; width as usize * height as usize];
     let done = AtomicUsize::new(0);
     let strip_rows = STRIP_ROWS[usize::from((height as usize) < STRIP_ROWS[0] * STRIPS_PER_THREAD * rayon::current_num_threads())];
-    let marcher = Marcher::new(scene, sampler);
+    let marcher = RayMarcher::new(scene, sampler);
     let [columns, lines] = if scene.surfaces.objects.is_empty() {
         scene.frame.view.pixels_of(&scene.frame.proxy, scene.frame.size)
     } else {
@@ -135,10 +135,10 @@ fn rows<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, watch: &Watch) -> (Pic
         .into_iter()
         .par_bridge()
         .map(|(n, pixels)| {
-            if watch.stopped() {
+            if watch.is_cancelled() {
                 return RenderStats::default();
             }
-            let strip = Strip { marcher: &marcher, scene, top: n * strip_rows, columns, lines, pixels };
+            let strip = RowStrip { marcher: &marcher, scene, top: n * strip_rows, columns, lines, pixels };
             let stats = with_simd(strip);
             let rows = done.fetch_add(strip_rows, Ordering::Relaxed) + strip_rows;
             (watch.progress)((rows as f32 / height as f32).min(1.0));
@@ -153,8 +153,8 @@ fn rows<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, watch: &Watch) -> (Pic
 }
 
 /// Some whole rows of a picture.
-struct Strip<'a, T> {
-    marcher: &'a Marcher<'a, T>,
+struct RowStrip<'a, T> {
+    marcher: &'a RayMarcher<'a, T>,
     scene: &'a Prepared<'a>,
     /// The first row.
     top: usize,
@@ -164,7 +164,7 @@ struct Strip<'a, T> {
     pixels: &'a mut [[f32; 4]],
 }
 
-impl<T: Voxel> OverSimd for Strip<'_, T> {
+impl<T: Voxel> SimdKernel for RowStrip<'_, T> {
     type Output = RenderStats;
 
     #[inline(always)]
@@ -172,7 +172,7 @@ impl<T: Voxel> OverSimd for Strip<'_, T> {
         let Self { marcher, scene, .. } = self;
         let frame = &scene.frame;
         let [width, height] = frame.size.map(|n| n as usize);
-        let (mut stats, mut habit) = (RenderStats::default(), Habit::default());
+        let (mut stats, mut fetch_policy) = (RenderStats::default(), FetchPolicy::default());
         let rows = self.pixels.len() / width;
         let across = f32x8::load_array(simd, [0.5, 1.5, 2.5, 3.5, 0.5, 1.5, 2.5, 3.5]);
         let down = f32x8::load_array(simd, [0.5, 0.5, 0.5, 0.5, 1.5, 1.5, 1.5, 1.5]);
@@ -183,7 +183,7 @@ impl<T: Voxel> OverSimd for Strip<'_, T> {
             let u = (across + x as f32) / width as f32 * 2.0 - 1.0;
             let v = f32x8::splat(simd, 1.0) - (down + (self.top + y) as f32) / height as f32 * 2.0;
             let (origin, direction) = frame.view.rays(simd, u, v);
-            let mut rays = Packet { origin, direction, until: f32x8::splat(simd, f32::INFINITY) };
+            let mut rays = RayPacket { origin, direction, until: f32x8::splat(simd, f32::INFINITY) };
             let wanted = |n: usize| x + n % 4 < width && y + n / 4 < rows;
             let mut behind = [None; LANES];
             if !scene.surfaces.objects.is_empty() {
@@ -205,7 +205,7 @@ impl<T: Voxel> OverSimd for Strip<'_, T> {
             for n in (0..LANES).filter(|n| !wanted(*n)) {
                 rays.until[n] = -1.0;
             }
-            let colors = marcher.march(simd, rays, &mut stats, &mut habit);
+            let colors = marcher.march(simd, rays, &mut stats, &mut fetch_policy);
             for n in (0..LANES).filter(|n| wanted(*n)) {
                 let [r, g, b, a] = colors[n];
                 self.pixels[(y + n / 4) * width + x + n % 4] = match &behind[n] {
@@ -220,7 +220,7 @@ impl<T: Voxel> OverSimd for Strip<'_, T> {
 
 /// What is at a point of the deformed scene.
 #[derive(Clone, Copy)]
-struct Look {
+struct SceneSample {
     /// Where it came from, voxels.
     in_voxel: Vec3,
     /// Normalised value; only meaningful where matter is present.
@@ -233,17 +233,17 @@ struct Look {
 
 /// Looks at a point of the deformed scene.
 #[inline(always)]
-fn look<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, deformed: Vec3) -> Look {
-    if scene.cuts.kept(deformed) < 0.0 {
-        return Look { in_voxel: Vec3::ZERO, value: 0.0, present: false, alpha: 0.0 };
+fn sample_scene<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, deformed: Vec3) -> SceneSample {
+    if scene.cuts.signed_distance_mm(deformed) < 0.0 {
+        return SceneSample { in_voxel: Vec3::ZERO, value: 0.0, present: false, alpha: 0.0 };
     }
-    let (source, alpha) = scene.stack.walk(deformed);
+    let (source, alpha) = scene.stack.source_and_alpha(deformed);
     let in_voxel = scene.volume().voxel_from_world.transform_point3(source);
     if alpha < 0.5 || in_voxel.cmplt(Vec3::splat(-0.5)).any() || in_voxel.cmpgt(scene.volume().grid_size - 0.5).any() {
-        return Look { in_voxel, value: 0.0, present: false, alpha };
+        return SceneSample { in_voxel, value: 0.0, present: false, alpha };
     }
     let value = sampler.sample(in_voxel);
-    Look { in_voxel, value, present: !scene.volume().grid.has_holes || value >= -1e-4, alpha }
+    SceneSample { in_voxel, value, present: !scene.volume().grid.has_holes || value >= -1e-4, alpha }
 }
 
 /// Index of the first sample at or after `t`.
@@ -252,13 +252,13 @@ fn first_sample_after(t: f32, step: f32) -> i32 {
 }
 
 /// The samples of a projection along eight rays.
-struct Projection<S: Simd> {
+struct IntensityProjection<S: Simd> {
     blend: Blend,
     value: f32x8<S>,
     count: f32x8<S>,
 }
 
-impl<S: Simd> Projection<S> {
+impl<S: Simd> IntensityProjection<S> {
     #[inline(always)]
     fn new(simd: S, blend: Blend) -> Self {
         let value = match blend {

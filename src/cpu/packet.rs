@@ -13,19 +13,19 @@
 //! known without a look; the distance to the shapes of cuts changes no faster than the point moves, so that between two evaluations it is
 //! bounded; the Jacobian is the identity outside all maps.
 
-use super::shading::{self, BACK_STEPS, BACK_TO_CUT, ENTRY_STEPS, EVEN_LIGHT, FARTHEST_BACK, SURFACE};
-use super::{OPAQUE, Projection, shading::Sample};
+use super::shading::{self, CUT_LOOKBACK_SHARE, CUT_LOOKBACK_STEPS, ENTRY_STEPS, ISOTROPIC_DIFFUSE, MAX_CUT_LOOKBACK, SURFACE_GRADIENT};
+use super::{IntensityProjection, MIN_TRANSMITTANCE, shading::VisibleSample};
 use crate::math::lanes::*;
 use crate::picture::RenderStats;
 use crate::prepare::Prepared;
 use crate::scene::{Mode, Normals};
 use crate::transfer::{Blend, Preintegrated};
-use crate::volume::{Sampler, Voxel};
+use crate::volume::{VolumeSampler, Voxel};
 use glam::{Mat3, Vec3};
 
 /// Eight rays.
 #[derive(Clone, Copy)]
-pub struct Packet<S: Simd> {
+pub struct RayPacket<S: Simd> {
     /// Starts.
     pub origin: Vec3x8<S>,
     /// Unit directions.
@@ -35,26 +35,26 @@ pub struct Packet<S: Simd> {
 }
 
 /// How many steps before a sample its texels are asked into the cache: by one they would come too late.
-const AHEAD: f32 = 2.0;
+const PREFETCH_STEPS: f32 = 2.0;
 
 /// How many of the looks of the packets so far found something to shade. Where few do, differences are fetched for those alone, not beside every value.
 /// The picture is the same either way.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Habit {
-    looks: u32,
-    shades: u32,
+pub struct FetchPolicy {
+    lookups: u32,
+    shaded_lookups: u32,
 }
 
-impl Habit {
+impl FetchPolicy {
     /// Whether differences are worth fetching beside values: a value alone costs about half of what it costs with them.
-    fn shades_mostly(self) -> bool {
-        self.shades * 3 >= self.looks
+    fn fetches_gradients(self) -> bool {
+        self.shaded_lookups * 3 >= self.lookups
     }
 }
 
-/// What is at eight points of the deformed scene; see [`super::Look`].
+/// What is at eight points of the deformed scene; see [`super::SceneSample`].
 #[derive(Clone, Copy)]
-struct Looks<S: Simd> {
+struct SamplePacket<S: Simd> {
     in_voxel: Vec3x8<S>,
     value: f32x8<S>,
     present: mask32x8<S>,
@@ -66,12 +66,12 @@ struct Looks<S: Simd> {
     /// Inside the cube of any map.
     inside: mask32x8<S>,
     /// In a clear macrocell.
-    clear: mask32x8<S>,
+    cut_free: mask32x8<S>,
     /// Differences of stored values and colours by the transfer function, where those were fetched too.
     differences: Vec3x8<S>,
     color: Vec3x8<S>,
     /// Whether they were.
-    fused: bool,
+    with_gradients: bool,
 }
 
 /// A pixel's shift of its samples, in steps, -1/2 .. 1/2: a hash by multiplication and shifts, the same integers as in
@@ -85,13 +85,13 @@ pub fn pixel_shift(x: u32, y: u32) -> f32 {
 }
 
 /// What all packets of a picture share.
-pub struct Marcher<'a, T> {
+pub struct RayMarcher<'a, T> {
     scene: &'a Prepared<'a>,
-    sampler: &'a Sampler<'a, T>,
+    sampler: &'a VolumeSampler<'a, T>,
     /// Voxels along each axis nearer to the volume's faces than which those matter.
-    face: Vec3,
+    face_margin_voxels: Vec3,
     /// The same wherever the deformation has brought the faces.
-    deformed_face: Vec3,
+    deformed_face_margin_voxels: Vec3,
     /// The same for cuts, mm.
     margin_mm: f32,
     /// A covector per voxel to one per mm.
@@ -102,7 +102,7 @@ pub struct Marcher<'a, T> {
     lit: bool,
     gradient_opacity: bool,
     /// The exponent of highlights, if it is whole.
-    whole_shininess: Option<u32>,
+    integer_shininess: Option<u32>,
     /// By the values at both ends of a step, if those are what is seen.
     preintegrated: Option<Preintegrated>,
 }
@@ -130,22 +130,22 @@ fn sum<S: Simd>(v: f32x8<S>) -> u64 {
     v.as_slice().iter().sum::<f32>() as u64
 }
 
-impl<'a, T: Voxel> Marcher<'a, T> {
+impl<'a, T: Voxel> RayMarcher<'a, T> {
     /// Prepares what does not depend on the ray.
-    pub fn new(scene: &'a Prepared, sampler: &'a Sampler<'a, T>) -> Self {
+    pub fn new(scene: &'a Prepared, sampler: &'a VolumeSampler<'a, T>) -> Self {
         let world_from_covector = Mat3::from(scene.volume().voxel_from_world.matrix3).transpose();
         Self {
             scene,
             sampler,
-            face: scene.voxels_beside_faces(),
-            deformed_face: scene.voxels_beside_deformed_faces(),
+            face_margin_voxels: scene.face_margin_voxels(),
+            deformed_face_margin_voxels: scene.deformed_face_margin_voxels(),
             margin_mm: scene.cut_margin_mm(),
             world_from_covector,
             composite: scene.volume().blend == Blend::Composite,
             grey_faces: scene.grey_faces(),
             lit: scene.is_lit(),
             gradient_opacity: scene.uses_gradient_opacity(),
-            whole_shininess: Some(scene.light.shininess).filter(|s| s.fract() == 0.0 && (0.0..=1024.0).contains(s)).map(|s| s as u32),
+            integer_shininess: Some(scene.light.shininess).filter(|s| s.fract() == 0.0 && (0.0..=1024.0).contains(s)).map(|s| s as u32),
             preintegrated: scene
                 .preintegrated()
                 .then(|| Preintegrated::new(&scene.volume().table, scene.frame.steps.step_mm / scene.frame.steps.reference_mm)),
@@ -158,24 +158,24 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         table.lookup(place(front), place(back))
     }
 
-    /// Looks at eight points, of which those in `lanes` are wanted; `fused` for differences and colours too. Cuts that are shapes are not asked.
+    /// Looks at eight points, of which those in `lanes` are wanted; `with_gradients` for differences and colours too. Cuts that are shapes are not asked.
     #[inline(always)]
-    fn look<S: Simd>(&self, simd: S, p: Vec3x8<S>, lanes: mask32x8<S>, fused: bool) -> Looks<S> {
-        let walk = self.scene.stack.walk_lanes(simd, p, lanes);
+    fn sample_points<S: Simd>(&self, simd: S, p: Vec3x8<S>, lanes: mask32x8<S>, with_gradients: bool) -> SamplePacket<S> {
+        let walk = self.scene.stack.source_and_alpha_lanes(simd, p, lanes);
         let in_voxel = walk.source.transformed(&self.scene.volume().voxel_from_world);
         let top = self.scene.volume().grid_size - 0.5;
         let mut present =
             lanes & walk.alpha.simd_ge(0.5) & within(in_voxel.x, -0.5, top.x) & within(in_voxel.y, -0.5, top.y) & within(in_voxel.z, -0.5, top.z);
         let none = Vec3x8::splat(simd, Vec3::ZERO);
         let (value, differences) =
-            if fused { self.sampler.sample_with_differences(simd, in_voxel) } else { (self.sampler.sample_lanes(simd, in_voxel), none) };
+            if with_gradients { self.sampler.sample_with_differences(simd, in_voxel) } else { (self.sampler.sample_lanes(simd, in_voxel), none) };
         if self.scene.volume().grid.has_holes {
             present &= value.simd_ge(-1e-4);
         }
         let table = &self.scene.volume().table;
-        let (color, depth) = if fused { table.lookup_lanes(simd, value) } else { (none, table.depth_lanes(simd, value)) };
+        let (color, depth) = if with_gradients { table.lookup_lanes(simd, value) } else { (none, table.depth_lanes(simd, value)) };
         let depth = present.select(depth, f32x8::splat(simd, 0.0));
-        Looks {
+        SamplePacket {
             in_voxel,
             value,
             present,
@@ -183,10 +183,10 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             depth,
             front: value,
             inside: walk.inside,
-            clear: lanes & !lanes,
+            cut_free: lanes & !lanes,
             differences,
             color,
-            fused,
+            with_gradients,
         }
     }
 
@@ -220,11 +220,11 @@ impl<'a, T: Voxel> Marcher<'a, T> {
 
     /// The volume along eight rays: premultiplied colours.
     #[inline(always)]
-    pub fn march<S: Simd>(&self, simd: S, rays: Packet<S>, stats: &mut RenderStats, habit: &mut Habit) -> [[f32; 4]; LANES] {
+    pub fn march<S: Simd>(&self, simd: S, rays: RayPacket<S>, stats: &mut RenderStats, fetch_policy: &mut FetchPolicy) -> [[f32; 4]; LANES] {
         let scene = self.scene;
         let frame = &scene.frame;
         let zero = f32x8::splat(simd, 0.0);
-        let Packet { origin, direction, until } = rays;
+        let RayPacket { origin, direction, until } = rays;
         let one = f32x8::splat(simd, 1.0);
         let inverse_direction = Vec3x8 { x: one / direction.x, y: one / direction.y, z: one / direction.z };
         let step = match scene.settings.mode {
@@ -242,140 +242,141 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         let half = (Vec3x8::splat(simd, frame.to_light) - direction).normalized();
         let mut color = Vec3x8::splat(simd, Vec3::ZERO);
         let mut transmittance = one;
-        let mut projection = Projection::new(simd, scene.volume().blend);
+        let mut projection = IntensityProjection::new(simd, scene.volume().blend);
         // The last sample that was looked at: its number, whether it stood for its whole step, and what it showed.
         let (mut last, mut last_depth, mut last_value) = (f32x8::splat(simd, -2.0), zero, zero);
         let mut last_present = i.simd_lt(-1.0);
         // Where the distance from the shapes of cuts was last evaluated, and what it was.
-        let (mut kept_t, mut kept_mm) = (f32x8::splat(simd, f32::NEG_INFINITY), f32x8::splat(simd, -1.0));
-        let nobody = last_present;
+        let (mut cut_distance_t, mut cut_distance_mm) = (f32x8::splat(simd, f32::NEG_INFINITY), f32x8::splat(simd, -1.0));
+        let none = last_present;
         // Which rays are in clear macrocells, and until where.
         let never = f32x8::splat(simd, f32::NEG_INFINITY);
-        let (mut clear, mut clear_until) = (nobody, never);
+        let (mut cut_free, mut cut_free_until) = (none, never);
         let (mut skipped, mut terminated) = (zero, zero);
-        let fused = self.sampler.has_gradients() && habit.shades_mostly();
-        let ahead = direction.mapped(&Mat3::from(scene.volume().voxel_from_world.matrix3)) * (step * AHEAD);
+        let with_gradients = self.sampler.has_gradients() && fetch_policy.fetches_gradients();
+        let ahead = direction.mapped(&Mat3::from(scene.volume().voxel_from_world.matrix3)) * (step * PREFETCH_STEPS);
         while live.any_true() {
-            let (mut looking, mut found) = (live, nobody);
-            let mut at = Looks {
+            let (mut searching, mut found) = (live, none);
+            let mut at = SamplePacket {
                 in_voxel: origin,
                 value: zero,
-                present: nobody,
+                present: none,
                 alpha: one,
                 depth: zero,
                 front: zero,
-                inside: nobody,
-                clear: nobody,
+                inside: none,
+                cut_free: none,
                 differences: origin,
                 color: origin,
-                fused,
+                with_gradients,
             };
             let (mut sampled, mut before) = (origin, origin);
-            let (mut share, mut near_shape) = (one, nobody);
-            let (mut front_known, mut front_present, mut front_depth) = (nobody, nobody, zero);
-            while looking.any_true() {
+            let (mut share, mut near_shape) = (one, none);
+            let (mut previous_sampled, mut previous_present, mut previous_depth) = (none, none, zero);
+            while searching.any_true() {
                 // Lanes in empty cells move on until every one has something to look at: a look costs as much for one lane as for eight.
                 let (mut middle, mut p);
                 loop {
                     middle = (i + 0.5) * step;
                     p = origin + direction * middle;
-                    if (looking & !middle.simd_lt(clear_until)).all_false() {
+                    if (searching & !middle.simd_lt(cut_free_until)).all_false() {
                         break;
                     }
-                    let (empty, in_clear, exit) = scene.volume().macrocells.blocks_lanes(simd, p, origin, inverse_direction);
-                    clear = in_clear;
-                    clear_until = clear.select(exit, never);
-                    let empty = empty & looking;
+                    let (empty, in_cut_free, exit) = scene.volume().macrocells.blocks_lanes(simd, p, origin, inverse_direction);
+                    cut_free = in_cut_free;
+                    cut_free_until = cut_free.select(exit, never);
+                    let empty = empty & searching;
                     if empty.all_false() {
                         break;
                     }
                     let next = first_sample_after(exit, step).max(i + 1.0).min(end);
                     skipped += empty.select(next - i, zero);
                     i = empty.select(next, i);
-                    looking &= i.simd_lt(end);
+                    searching &= i.simd_lt(end);
                 }
-                let here = looking;
+                let here = searching;
                 if here.all_false() {
                     break;
                 }
                 stats.samples_taken += count(here);
                 let number = i;
                 i = here.select(i + 1.0, i);
-                looking &= i.simd_lt(end);
-                let (mut part, mut beside) = (one, nobody);
-                let mut asked = here;
+                searching &= i.simd_lt(end);
+                let (mut part, mut near_cut) = (one, none);
+                let mut active_lanes = here;
                 if !scene.cuts.is_empty() {
                     // The distance is known to within the way since: evaluate it only where that does not decide.
-                    let sure = kept_mm.abs() - (middle - kept_t).abs();
-                    let unsure = here & !sure.simd_gt(step * 0.5);
+                    let certain_mm = cut_distance_mm.abs() - (middle - cut_distance_t).abs();
+                    let unsure = here & !certain_mm.simd_gt(step * 0.5);
                     for n in lanes_of(unsure.to_bitmask()) {
                         let (o, d, t) = (origin.lane(n), direction.lane(n), middle[n]);
-                        kept_t[n] = t;
-                        kept_mm[n] = scene.cuts.kept(o + d * t);
-                        if kept_mm[n].abs() <= 0.5 * step[n] {
-                            let kept = scene.cuts.kept_part(o, d, t, step[n]);
+                        cut_distance_t[n] = t;
+                        cut_distance_mm[n] = scene.cuts.signed_distance_mm(o + d * t);
+                        if cut_distance_mm[n].abs() <= 0.5 * step[n] {
+                            let kept = scene.cuts.retained_part(o, d, t, step[n]);
                             part[n] = kept.share;
                             p.set(n, o + d * kept.at);
                         }
                     }
-                    let sure = kept_mm.abs() - (middle - kept_t).abs();
-                    let whole = sure.simd_gt(step * 0.5);
-                    part = (whole & kept_mm.simd_lt(0.0)).select(zero, part);
-                    asked &= part.simd_gt(0.0);
-                    beside = asked & !(sure.simd_gt(self.margin_mm) & kept_mm.simd_gt(0.0));
+                    let certain_mm = cut_distance_mm.abs() - (middle - cut_distance_t).abs();
+                    let whole = certain_mm.simd_gt(step * 0.5);
+                    part = (whole & cut_distance_mm.simd_lt(0.0)).select(zero, part);
+                    active_lanes &= part.simd_gt(0.0);
+                    near_cut = active_lanes & !(certain_mm.simd_gt(self.margin_mm) & cut_distance_mm.simd_gt(0.0));
                     // Asked again where the bound leaves it open: what a sample is must not depend on where the ray was asked before.
-                    for n in lanes_of(beside.to_bitmask()) {
-                        (kept_t[n], kept_mm[n]) = (middle[n], scene.cuts.kept(origin.lane(n) + direction.lane(n) * middle[n]));
-                        beside.set(n, kept_mm[n] <= self.margin_mm);
+                    for n in lanes_of(near_cut.to_bitmask()) {
+                        (cut_distance_t[n], cut_distance_mm[n]) =
+                            (middle[n], scene.cuts.signed_distance_mm(origin.lane(n) + direction.lane(n) * middle[n]));
+                        near_cut.set(n, cut_distance_mm[n] <= self.margin_mm);
                     }
-                    if asked.all_false() {
+                    if active_lanes.all_false() {
                         last = here.select(f32x8::splat(simd, -2.0), last);
                         continue;
                     }
                 }
-                habit.looks += 1;
-                let mut look = self.look(simd, p, asked, fused);
-                if fused {
+                fetch_policy.lookups += 1;
+                let mut look = self.sample_points(simd, p, active_lanes, with_gradients);
+                if with_gradients {
                     self.sampler.prefetch(look.in_voxel + ahead);
                 }
                 if !self.composite {
                     projection.insert(look.value, look.present);
                     continue;
                 }
-                let (mut depth, known) = (look.depth, asked & last.simd_eq(number - 1.0) & part.simd_eq(1.0));
+                let (mut depth, last_sampled) = (look.depth, active_lanes & last.simd_eq(number - 1.0) & part.simd_eq(1.0));
                 // The same point, to the bit, whether or not it was looked at.
                 let previous = Vec3x8::select(part.simd_eq(1.0), origin + direction * ((number - 0.5) * step), p - direction * step);
                 if let Some(table) = &self.preintegrated {
-                    let with_front = known & last_present;
+                    let with_front = last_sampled & last_present;
                     look.front = with_front.select(last_value, look.value);
-                    let unknown = asked & look.present & !known;
+                    let unknown = active_lanes & look.present & !last_sampled;
                     if unknown.any_true() {
-                        let earlier = self.look(simd, previous, unknown, false);
+                        let earlier = self.sample_points(simd, previous, unknown, false);
                         look.front = earlier.present.select(earlier.value, look.front);
                     }
-                    for n in lanes_of((asked & look.present).to_bitmask()) {
+                    for n in lanes_of((active_lanes & look.present).to_bitmask()) {
                         depth[n] = self.segment(table, look.front[n], look.value[n])[3];
                     }
                 }
-                let mut hit = asked
+                let mut hit = active_lanes
                     & match scene.volume().iso {
                         Some(iso) => look.present & look.value.simd_ge(iso),
                         None => depth.simd_gt(0.0) | (look.alpha.simd_gt(0.0) & look.alpha.simd_lt(1.0)),
                     };
                 if self.grey_faces {
-                    hit |= asked & look.present & (look.alpha.simd_lt(1.0) | beside);
+                    hit |= active_lanes & look.present & (look.alpha.simd_lt(1.0) | near_cut);
                 }
                 if found.all_false() {
                     // Nothing is to be kept of other lanes. One by one: the whole would be copied by a call, around which all registers are saved.
                     (at.in_voxel, at.value, at.differences, at.color) = (look.in_voxel, look.value, look.differences, look.color);
                     (at.depth, at.front, at.alpha) = (depth, look.front, look.alpha);
-                    (at.present, at.inside, at.clear) = (look.present, look.inside, clear);
+                    (at.present, at.inside, at.cut_free) = (look.present, look.inside, cut_free);
                     (sampled, before, share) = (p, previous, part);
-                    (near_shape, found) = (hit & beside, hit);
-                    (front_known, front_present, front_depth) = (hit & known, hit & last_present, last_depth);
-                    looking &= !hit;
+                    (near_shape, found) = (hit & near_cut, hit);
+                    (previous_sampled, previous_present, previous_depth) = (hit & last_sampled, hit & last_present, last_depth);
+                    searching &= !hit;
                 } else if hit.any_true() {
-                    at = Looks {
+                    at = SamplePacket {
                         in_voxel: Vec3x8::select(hit, look.in_voxel, at.in_voxel),
                         value: hit.select(look.value, at.value),
                         present: (hit & look.present) | (at.present & !hit),
@@ -383,73 +384,73 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                         depth: hit.select(depth, at.depth),
                         front: hit.select(look.front, at.front),
                         inside: (hit & look.inside) | (at.inside & !hit),
-                        clear: (hit & clear) | (at.clear & !hit),
+                        cut_free: (hit & cut_free) | (at.cut_free & !hit),
                         differences: Vec3x8::select(hit, look.differences, at.differences),
                         color: Vec3x8::select(hit, look.color, at.color),
-                        fused,
+                        with_gradients,
                     };
                     sampled = Vec3x8::select(hit, p, sampled);
                     before = Vec3x8::select(hit, previous, before);
                     share = hit.select(part, share);
-                    near_shape |= hit & beside;
-                    front_known |= hit & known;
-                    front_present |= hit & last_present;
-                    front_depth = hit.select(last_depth, front_depth);
+                    near_shape |= hit & near_cut;
+                    previous_sampled |= hit & last_sampled;
+                    previous_present |= hit & last_present;
+                    previous_depth = hit.select(last_depth, previous_depth);
                     found |= hit;
-                    looking &= !hit;
+                    searching &= !hit;
                 }
-                last = here.select((asked & part.simd_eq(1.0)).select(number, f32x8::splat(simd, -2.0)), last);
+                last = here.select((active_lanes & part.simd_eq(1.0)).select(number, f32x8::splat(simd, -2.0)), last);
                 last_present = (here & look.present) | (last_present & !here);
                 last_depth = here.select(look.depth, last_depth);
                 last_value = here.select(look.value, last_value);
                 // The others are not waited for where they mostly have something to shade, too: a look for a few lanes costs as much as one for all.
-                if fused && count(found) >= LANES as u64 / 2 {
+                if with_gradients && count(found) >= LANES as u64 / 2 {
                     break;
                 }
             }
             if found.all_false() {
                 break;
             }
-            let mut seen = found & at.depth.simd_gt(0.0);
-            let mut opaque = nobody;
+            let mut visible = found & at.depth.simd_gt(0.0);
+            let mut opaque = none;
             let (mut rgb, mut depth) = (color, zero);
             // What is no plain sample, one by one.
-            let mut single = near_shape & found;
+            let mut scalar_lanes = near_shape & found;
             if self.grey_faces || scene.volume().iso.is_some() {
-                single = found;
+                scalar_lanes = found;
             } else {
                 // Farther than a step from the volume's faces those change the normal alone, unless there are holes.
-                let beside = found & !at.inside & !self.far_from_faces(at.in_voxel, Vec3x8::splat(simd, self.face));
-                if beside.any_true() {
+                let near_cut = found & !at.inside & !self.far_from_faces(at.in_voxel, Vec3x8::splat(simd, self.face_margin_voxels));
+                if near_cut.any_true() {
                     let near = if scene.volume().grid.has_holes { f32x8::splat(simd, self.margin_mm) } else { step * 1.1 };
-                    single |= beside & self.nearest_face(simd, at.in_voxel).0.simd_lt(near);
+                    scalar_lanes |= near_cut & self.nearest_face(simd, at.in_voxel).0.simd_lt(near);
                 }
                 // Matter that ends between the sample in front and this one, which both show nothing: only one of the two is present then.
-                let both = (front_present & at.present) | !(front_present | at.present);
-                single |= found & !seen & !(front_known & (both | front_depth.simd_gt(0.0)));
+                let both = (previous_present & at.present) | !(previous_present | at.present);
+                scalar_lanes |= found & !visible & !(previous_sampled & (both | previous_depth.simd_gt(0.0)));
             }
-            let plain = seen & !single;
-            if plain.any_true() {
-                let front = Front { before, known: front_known, present: front_present, depth: front_depth };
-                habit.shades += 1;
-                let (shaded, factor, cut) = self.shade(simd, &at, sampled, Rays { direction, half, step }, plain, &front);
+            let packet_lanes = visible & !scalar_lanes;
+            if packet_lanes.any_true() {
+                let front = PreviousSamples { before, sampled: previous_sampled, present: previous_present, depth: previous_depth };
+                fetch_policy.shaded_lookups += 1;
+                let (shaded, factor, cut) = self.shade(simd, &at, sampled, ShadingRays { direction, half, step }, packet_lanes, &front);
                 rgb = shaded;
                 depth = at.depth * factor * share;
-                single |= cut;
+                scalar_lanes |= cut;
             }
-            if (single & found).any_true() {
-                for n in lanes_of((single & found).to_bitmask()) {
-                    let of_sample = self.shade_single(at.lane(n), at.front[n], sampled.lane(n), direction.lane(n), step[n]);
+            if (scalar_lanes & found).any_true() {
+                for n in lanes_of((scalar_lanes & found).to_bitmask()) {
+                    let of_sample = self.shade_scalar(at.lane(n), at.front[n], sampled.lane(n), direction.lane(n), step[n]);
                     match of_sample {
-                        Single::Nothing => seen.set(n, false),
-                        Single::Opaque(c) => {
+                        ScalarSample::Nothing => visible.set(n, false),
+                        ScalarSample::Opaque(c) => {
                             opaque.set(n, true);
                             rgb.set(n, c);
                             depth[n] = f32::INFINITY;
-                            seen.set(n, true);
+                            visible.set(n, true);
                         }
-                        Single::Visible(c, tau) => {
-                            seen.set(n, true);
+                        ScalarSample::Visible(c, tau) => {
+                            visible.set(n, true);
                             rgb.set(n, c);
                             depth[n] = tau * share[n];
                         }
@@ -457,12 +458,12 @@ impl<'a, T: Voxel> Marcher<'a, T> {
                 }
             }
             let pass = opaque.select(zero, exp2(-(depth * length)));
-            let weight = seen.select(transmittance * (one - pass), zero);
-            color = color + Vec3x8::select(seen, rgb, color) * weight;
-            transmittance = seen.select(transmittance * pass, transmittance);
+            let weight = visible.select(transmittance * (one - pass), zero);
+            color = color + Vec3x8::select(visible, rgb, color) * weight;
+            transmittance = visible.select(transmittance * pass, transmittance);
             let mut through = opaque;
             if scene.settings.early_termination {
-                through |= seen & transmittance.simd_lt(OPAQUE);
+                through |= visible & transmittance.simd_lt(MIN_TRANSMITTANCE);
             }
             let through = through & live;
             terminated += through.select((end - i).max(0.0), zero);
@@ -479,36 +480,36 @@ impl<'a, T: Voxel> Marcher<'a, T> {
 
     /// A sample that is not plain.
     #[inline(never)]
-    fn shade_single(&self, (at, depth): (super::Look, f32), front: f32, sampled: Vec3, direction: Vec3, step: f32) -> Single {
+    fn shade_scalar(&self, (at, depth): (super::SceneSample, f32), front: f32, sampled: Vec3, direction: Vec3, step: f32) -> ScalarSample {
         let (scene, sampler) = (self.scene, self.sampler);
         if at.present
             && self.grey_faces
             && let Some(grey) = shading::grey_face(scene, sampler, &at, sampled, direction, step)
         {
-            return Single::Opaque(Vec3::splat(grey));
+            return ScalarSample::Opaque(Vec3::splat(grey));
         }
         if let Some(iso) = scene.volume().iso {
             if at.present && at.value >= iso {
-                return Single::Opaque(shading::iso_surface(scene, sampler, iso, sampled, direction, step));
+                return ScalarSample::Opaque(shading::iso_surface(scene, sampler, iso, sampled, direction, step));
             }
-            return Single::Nothing;
+            return ScalarSample::Nothing;
         }
         if depth > 0.0 {
             let [r, g, b, depth] = match &self.preintegrated {
                 Some(table) => self.segment(table, front, at.value),
                 None => scene.volume().table.lookup(at.value),
             };
-            let sample = Sample { deformed: sampled, in_voxel: at.in_voxel, color: Vec3::new(r, g, b), depth, value: at.value };
+            let sample = VisibleSample { deformed: sampled, in_voxel: at.in_voxel, color: Vec3::new(r, g, b), depth, value: at.value };
             let shaded = shading::shade(scene, sampler, &sample, direction, step);
-            return Single::Visible(shaded.color, depth * shaded.depth_factor);
+            return ScalarSample::Visible(shaded.color, depth * shaded.depth_factor);
         }
         if at.alpha > 0.0
             && at.alpha < 1.0
-            && let Some((depth, shaded)) = shading::sliver(scene, sampler, sampled, at.present, direction, step)
+            && let Some((depth, shaded)) = shading::thin_layer_at_cut(scene, sampler, sampled, at.present, direction, step)
         {
-            return Single::Visible(shaded.color, depth * shaded.depth_factor);
+            return ScalarSample::Visible(shaded.color, depth * shaded.depth_factor);
         }
-        Single::Nothing
+        ScalarSample::Nothing
     }
 
     /// Light on eight visible samples: colours, factors on their depths, and which of `lanes` turn out to lie beside a cut, so that what is said
@@ -517,18 +518,18 @@ impl<'a, T: Voxel> Marcher<'a, T> {
     fn shade<S: Simd>(
         &self,
         simd: S,
-        at: &Looks<S>,
+        at: &SamplePacket<S>,
         sampled: Vec3x8<S>,
-        rays: Rays<S>,
+        rays: ShadingRays<S>,
         lanes: mask32x8<S>,
-        front: &Front<S>,
+        front: &PreviousSamples<S>,
     ) -> (Vec3x8<S>, f32x8<S>, mask32x8<S>) {
         let scene = self.scene;
         let one = f32x8::splat(simd, 1.0);
         let (entry, entered) = self.entry(simd, at, sampled, rays, lanes, front);
         let (bits, mut cut) = (lanes.to_bitmask(), lanes & !lanes);
         let mut color = match &self.preintegrated {
-            None if at.fused && !entered.any_true() => at.color,
+            None if at.with_gradients && !entered.any_true() => at.color,
             None => scene.volume().table.color_lanes(simd, entry.value),
             Some(table) => {
                 let mut color = Vec3x8::splat(simd, Vec3::ZERO);
@@ -546,7 +547,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         }
         let (mut gradient, mut magnitude, mut factor) = (Vec3x8::splat(simd, Vec3::ZERO), one, one);
         if self.lit || self.gradient_opacity {
-            let per_voxel = if at.fused {
+            let per_voxel = if at.with_gradients {
                 let mut differences = at.differences;
                 if entered.any_true() {
                     let there = self.sampler.sample_with_differences(simd, entry.in_voxel).1;
@@ -565,27 +566,27 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             }
         }
         let per_reference = magnitude * (scene.volume().table.scale.abs() * scene.frame.steps.reference_mm);
-        let mut confidence = smoothstep(SURFACE[0], SURFACE[1], per_reference);
-        let touched = lanes & (at.inside | entry.inside);
-        let mut turned = [Vec3x8::splat(simd, Vec3::X), Vec3x8::splat(simd, Vec3::Y), Vec3x8::splat(simd, Vec3::Z)];
+        let mut confidence = smoothstep(SURFACE_GRADIENT[0], SURFACE_GRADIENT[1], per_reference);
+        let in_a_map = lanes & (at.inside | entry.inside);
+        let mut jacobian_columns = [Vec3x8::splat(simd, Vec3::X), Vec3x8::splat(simd, Vec3::Y), Vec3x8::splat(simd, Vec3::Z)];
         // Far from every cut, the deformation matters to what has a normal only.
-        let mut asked = touched & !(at.clear & self.far_from_faces(entry.in_voxel, Vec3x8::splat(simd, self.deformed_face)));
+        let mut active_lanes = in_a_map & !(at.cut_free & self.far_from_faces(entry.in_voxel, Vec3x8::splat(simd, self.deformed_face_margin_voxels)));
         if self.lit {
-            asked |= touched & confidence.simd_gt(0.0);
+            active_lanes |= in_a_map & confidence.simd_gt(0.0);
         }
-        if asked.any_true() {
-            let jets = scene.stack.jets_lanes(simd, entry.deformed, asked);
-            turned = jets.columns;
+        if active_lanes.any_true() {
+            let jets = scene.stack.jets_lanes(simd, entry.deformed, active_lanes);
+            jacobian_columns = jets.columns;
             // No face of the volume's box is nearer than its distance in the source over the norm of J: mostly far enough to ask no further.
             let [x, y, z] = jets.columns;
             let norm = (x.dot(x) + y.dot(y) + z.dot(z)).sqrt();
-            let far = self.far_from_faces(entry.in_voxel, Vec3x8::splat(simd, self.face) * norm);
-            cut |= asked & jets.cut_mm.simd_lt(self.margin_mm);
-            for n in lanes_of((asked & !far).to_bitmask()) {
+            let far = self.far_from_faces(entry.in_voxel, Vec3x8::splat(simd, self.face_margin_voxels) * norm);
+            cut |= active_lanes & jets.cut_distance_mm.simd_lt(self.margin_mm);
+            for n in lanes_of((active_lanes & !far).to_bitmask()) {
                 let jet = scene.stack.jet(entry.deformed.lane(n));
                 let nearest = shading::nearest_cut(scene, &jet, entry.in_voxel.lane(n));
                 cut.set(n, nearest.distance_mm < self.margin_mm);
-                (0..3).for_each(|a| turned[a].set(n, jet.d_source_d_deformed.col(a)));
+                (0..3).for_each(|a| jacobian_columns[a].set(n, jet.d_source_d_deformed.col(a)));
             }
         }
         if !self.lit {
@@ -594,13 +595,13 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         let mut inward = gradient;
         if !scene.light.two_sided {
             for n in lanes_of(bits) {
-                if scene.volume().table.falling_side(entry.value[n]) < 0.0 {
+                if scene.volume().table.opacity_slope_sign(entry.value[n]) < 0.0 {
                     inward.set(n, -inward.lane(n));
                 }
             }
         }
-        if touched.any_true() && matches!(scene.settings.normals, Normals::Transformed | Normals::Blended) {
-            inward = Vec3x8 { x: turned[0].dot(inward), y: turned[1].dot(inward), z: turned[2].dot(inward) };
+        if in_a_map.any_true() && matches!(scene.settings.normals, Normals::Transformed | Normals::Blended) {
+            inward = Vec3x8 { x: jacobian_columns[0].dot(inward), y: jacobian_columns[1].dot(inward), z: jacobian_columns[2].dot(inward) };
         }
         let mut normal = -inward.normalized();
         if scene.light.two_sided {
@@ -608,29 +609,29 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             normal = Vec3x8::select(away, -normal, normal);
         }
         // What entered through a surface of the volume's own shows that surface.
-        let beside = lanes & !touched & !entered & !self.far_from_faces(at.in_voxel, Vec3x8::splat(simd, self.face));
-        if scene.settings.normals == Normals::Blended && beside.any_true() {
+        let near_cut = lanes & !in_a_map & !entered & !self.far_from_faces(at.in_voxel, Vec3x8::splat(simd, self.face_margin_voxels));
+        if scene.settings.normals == Normals::Blended && near_cut.any_true() {
             let (distance, outward) = self.nearest_face(simd, at.in_voxel);
             let own = smoothstep(scene.frame.steps.blend_mm[0], scene.frame.steps.blend_mm[1], distance);
             let facing = -outward.dot(rays.direction);
-            let mut beside = beside & own.simd_lt(1.0) & facing.simd_gt(0.0);
-            if beside.any_true() {
-                // As shading::seen_cut.
-                let mut way = (distance * BACK_TO_CUT / facing).min(FARTHEST_BACK * scene.frame.steps.blend_mm[1]);
-                let mut untold = beside;
-                for _ in 0..BACK_STEPS {
-                    let back = self.look(simd, sampled - rays.direction * way, untold, false);
-                    beside &= !(untold & back.present) | back.depth.simd_ge(at.depth * 0.5);
-                    untold &= !back.present;
-                    if !untold.any_true() {
+            let mut near_cut = near_cut & own.simd_lt(1.0) & facing.simd_gt(0.0);
+            if near_cut.any_true() {
+                // As shading::cut_in_front.
+                let mut way = (distance * CUT_LOOKBACK_SHARE / facing).min(MAX_CUT_LOOKBACK * scene.frame.steps.blend_mm[1]);
+                let mut undecided = near_cut;
+                for _ in 0..CUT_LOOKBACK_STEPS {
+                    let back = self.sample_points(simd, sampled - rays.direction * way, undecided, false);
+                    near_cut &= !(undecided & back.present) | back.depth.simd_ge(at.depth * 0.5);
+                    undecided &= !back.present;
+                    if !undecided.any_true() {
                         break;
                     }
                     way *= 0.5;
                 }
                 let of_face = one - own;
                 let blended = (normal * (own * confidence) + outward * of_face).normalized();
-                normal = Vec3x8::select(beside, blended, normal);
-                confidence = beside.select((own * confidence).max(of_face), confidence);
+                normal = Vec3x8::select(near_cut, blended, normal);
+                confidence = near_cut.select((own * confidence).max(of_face), confidence);
             }
         }
         (self.light(simd, normal, confidence, rays.half, color), factor, cut)
@@ -642,7 +643,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
         let light = &self.scene.light;
         let to_light = Vec3x8::splat(simd, self.scene.frame.to_light);
         let zero = f32x8::splat(simd, 0.0);
-        let even = light.ambient + EVEN_LIGHT * light.diffuse;
+        let even = light.ambient + ISOTROPIC_DIFFUSE * light.diffuse;
         let facing = normal.dot(to_light);
         let diffuse = facing.max(0.0).mul_add(light.diffuse, light.ambient);
         let mut highlight = zero;
@@ -650,7 +651,7 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             let cosine = normal.dot(half);
             let shines = facing.simd_gt(0.0) & cosine.simd_gt(1e-6);
             if shines.any_true() {
-                let power = match self.whole_shininess {
+                let power = match self.integer_shininess {
                     Some(n) => powi(cosine, n),
                     None => exp2(log2(cosine.max(1e-6)) * light.shininess),
                 };
@@ -669,18 +670,18 @@ impl<'a, T: Voxel> Marcher<'a, T> {
     fn entry<S: Simd>(
         &self,
         simd: S,
-        at: &Looks<S>,
+        at: &SamplePacket<S>,
         sampled: Vec3x8<S>,
-        rays: Rays<S>,
+        rays: ShadingRays<S>,
         lanes: mask32x8<S>,
-        front: &Front<S>,
-    ) -> (Entry<S>, mask32x8<S>) {
+        front: &PreviousSamples<S>,
+    ) -> (SurfaceEntries<S>, mask32x8<S>) {
         let enough = at.depth * 0.5;
-        let mut first = Entry { deformed: sampled, in_voxel: at.in_voxel, value: at.value, inside: at.inside };
-        let mut enters = lanes & front.known & !(front.present & front.depth.simd_ge(enough));
-        let unknown = lanes & !front.known;
+        let mut first = SurfaceEntries { deformed: sampled, in_voxel: at.in_voxel, value: at.value, inside: at.inside };
+        let mut enters = lanes & front.sampled & !(front.present & front.depth.simd_ge(enough));
+        let unknown = lanes & !front.sampled;
         if unknown.any_true() {
-            let before = self.look(simd, front.before, unknown, false);
+            let before = self.sample_points(simd, front.before, unknown, false);
             enters |= unknown & !(before.present & before.depth.simd_ge(enough));
         }
         if enters.any_true() {
@@ -688,9 +689,9 @@ impl<'a, T: Voxel> Marcher<'a, T> {
             for _ in 0..ENTRY_STEPS {
                 width *= 0.5;
                 let p = first.deformed - rays.direction * width;
-                let look = self.look(simd, p, enters, false);
+                let look = self.sample_points(simd, p, enters, false);
                 let dense = enters & look.present & look.depth.simd_ge(enough);
-                first = Entry {
+                first = SurfaceEntries {
                     deformed: Vec3x8::select(dense, p, first.deformed),
                     in_voxel: Vec3x8::select(dense, look.in_voxel, first.in_voxel),
                     value: dense.select(look.value, first.value),
@@ -704,25 +705,25 @@ impl<'a, T: Voxel> Marcher<'a, T> {
 
 /// Of eight rays, their directions, the vectors half-way between the light and the eye, and the distances of their samples, mm.
 #[derive(Clone, Copy)]
-struct Rays<S: Simd> {
+struct ShadingRays<S: Simd> {
     direction: Vec3x8<S>,
     half: Vec3x8<S>,
     step: f32x8<S>,
 }
 
 /// What is known of the samples in front of eight.
-struct Front<S: Simd> {
+struct PreviousSamples<S: Simd> {
     /// Where they lie.
     before: Vec3x8<S>,
     /// Which of them have been looked at.
-    known: mask32x8<S>,
+    sampled: mask32x8<S>,
     present: mask32x8<S>,
     depth: f32x8<S>,
 }
 
 /// Where eight rays enter matter.
 #[derive(Clone, Copy)]
-struct Entry<S: Simd> {
+struct SurfaceEntries<S: Simd> {
     deformed: Vec3x8<S>,
     in_voxel: Vec3x8<S>,
     value: f32x8<S>,
@@ -730,7 +731,7 @@ struct Entry<S: Simd> {
 }
 
 /// What a sample beside a cut shows.
-enum Single {
+enum ScalarSample {
     Nothing,
     /// A surface that hides everything behind it.
     Opaque(Vec3),
@@ -738,11 +739,11 @@ enum Single {
     Visible(Vec3, f32),
 }
 
-impl<S: Simd> Looks<S> {
+impl<S: Simd> SamplePacket<S> {
     /// What a lane saw, and its optical depth.
     #[inline(always)]
-    fn lane(&self, n: usize) -> (super::Look, f32) {
-        let look = super::Look { in_voxel: self.in_voxel.lane(n), value: self.value[n], present: self.present.test(n), alpha: self.alpha[n] };
+    fn lane(&self, n: usize) -> (super::SceneSample, f32) {
+        let look = super::SceneSample { in_voxel: self.in_voxel.lane(n), value: self.value[n], present: self.present.test(n), alpha: self.alpha[n] };
         (look, self.depth[n])
     }
 }

@@ -3,16 +3,16 @@
 //! A ray is followed as the renderer follows it, to where it has lost three tenths of its light: the first surface that a viewer would point at,
 //! rather than the first haze in front of it.
 
-use super::{Look, first_sample_after, look, shading, surface};
-use crate::deform::{Cut, Jet};
+use super::{SceneSample, first_sample_after, sample_scene, shading, surface};
+use crate::deform::{Jet, NearestCut};
 use crate::math::normalize_or;
 use crate::prepare::Prepared;
 use crate::scene::Mode;
-use crate::volume::{GridVoxels, Sampler, Voxel};
+use crate::volume::{VolumeSampler, Voxel, VoxelGridValues};
 use glam::{Mat3, Vec3};
 
 /// Share of a ray's light that is lost at the point that is picked.
-const SEEN: f32 = 0.3;
+const MIN_PICK_OPACITY: f32 = 0.3;
 
 /// A picked point.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -31,23 +31,23 @@ pub struct Pick {
 pub fn at(scene: &Prepared, range: [f64; 2], u: f32, v: f32) -> Option<Pick> {
     let (origin, direction) = scene.frame.view.ray(u, v);
     match &scene.volume().grid.voxels {
-        GridVoxels::U8(voxels) => along(scene, &Sampler::new(scene.volume().grid, voxels), range, origin, direction),
-        GridVoxels::U16(voxels) => along(scene, &Sampler::new(scene.volume().grid, voxels), range, origin, direction),
-        GridVoxels::I16(voxels) => along(scene, &Sampler::new(scene.volume().grid, voxels), range, origin, direction),
-        GridVoxels::F32(voxels) => along(scene, &Sampler::new(scene.volume().grid, voxels), range, origin, direction),
+        VoxelGridValues::U8(voxels) => along(scene, &VolumeSampler::new(scene.volume().grid, voxels), range, origin, direction),
+        VoxelGridValues::U16(voxels) => along(scene, &VolumeSampler::new(scene.volume().grid, voxels), range, origin, direction),
+        VoxelGridValues::I16(voxels) => along(scene, &VolumeSampler::new(scene.volume().grid, voxels), range, origin, direction),
+        VoxelGridValues::F32(voxels) => along(scene, &VolumeSampler::new(scene.volume().grid, voxels), range, origin, direction),
     }
 }
 
-fn along<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, range: [f64; 2], origin: Vec3, direction: Vec3) -> Option<Pick> {
+fn along<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, range: [f64; 2], origin: Vec3, direction: Vec3) -> Option<Pick> {
     let mesh = surface::nearest_side(scene, origin, direction);
     let until = mesh.map_or(f32::INFINITY, |(t, _)| t);
     let in_data = |value: f32| range[0] + f64::from(value) * (range[1] - range[0]);
     if scene.settings.mode != Mode::Surface
-        && let Some((deformed, at)) = first_seen(scene, sampler, origin, direction, until)
+        && let Some((deformed, at)) = first_visible_sample(scene, sampler, origin, direction, until)
     {
         let jet = jet(scene, deformed);
-        let gradient = shading::voxel_covector(scene, sampler.gradient(at.in_voxel, scene.gradient_filter()));
-        let cut = shading::or_shape(scene, shading::nearest_cut(scene, &jet, at.in_voxel), deformed);
+        let gradient = shading::world_from_voxel_covector(scene, sampler.gradient(at.in_voxel, scene.gradient_filter()));
+        let cut = shading::nearer_cut_shape(scene, shading::nearest_cut(scene, &jet, at.in_voxel), deformed);
         let own = shading::normal(scene, &jet.d_source_d_deformed, gradient, &cut, direction).normal;
         let normal = normalize_or(own, -direction);
         let normal = if normal.dot(direction) > 0.0 { -normal } else { normal };
@@ -55,21 +55,27 @@ fn along<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, range: [f64; 2], orig
     }
     let (t, normal) = mesh?;
     let deformed = origin + direction * t;
-    let at = look(scene, sampler, deformed);
-    let source = scene.stack.walk(deformed).0;
+    let at = sample_scene(scene, sampler, deformed);
+    let source = scene.stack.source_and_alpha(deformed).0;
     let normal = if normal.dot(direction) > 0.0 { -normal } else { normal };
     Some(Pick { deformed, source, value: at.present.then(|| in_data(at.value)), normal: normalize_or(normal, -direction) })
 }
 
 fn jet(scene: &Prepared, deformed: Vec3) -> Jet {
     if scene.stack.is_empty() {
-        return Jet { source: deformed, d_source_d_deformed: Mat3::IDENTITY, cut: Cut::NONE, alpha: 1.0 };
+        return Jet { source: deformed, d_source_d_deformed: Mat3::IDENTITY, cut: NearestCut::NONE, alpha: 1.0 };
     }
     scene.stack.jet(deformed)
 }
 
 /// The first sample along a ray by which enough light is lost.
-fn first_seen<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, origin: Vec3, direction: Vec3, until: f32) -> Option<(Vec3, Look)> {
+fn first_visible_sample<T: Voxel>(
+    scene: &Prepared,
+    sampler: &VolumeSampler<T>,
+    origin: Vec3,
+    direction: Vec3,
+    until: f32,
+) -> Option<(Vec3, SceneSample)> {
     let frame = &scene.frame;
     let (near, far) = frame.proxy.intersect_ray(origin, direction)?;
     // Half the renderer's step: the point is to lie on the surface, not up to a step behind it.
@@ -84,7 +90,7 @@ fn first_seen<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, origin: Vec3, di
             continue;
         }
         i += 1;
-        let at = look(scene, sampler, deformed);
+        let at = sample_scene(scene, sampler, deformed);
         if !at.present {
             continue;
         }
@@ -96,7 +102,7 @@ fn first_seen<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, origin: Vec3, di
         }
         let depth = scene.volume().table.lookup(at.value)[3];
         transmittance *= (-depth * step / frame.steps.reference_mm).exp2();
-        if 1.0 - transmittance >= SEEN {
+        if 1.0 - transmittance >= MIN_PICK_OPACITY {
             return Some((deformed, at));
         }
     }

@@ -5,14 +5,14 @@
 
 use crate::deform::StackAndCuts;
 use crate::math::to_f32;
-use crate::volume::{Grid, GridVoxels, Sampler, Volume, Voxel};
+use crate::volume::{Volume, VolumeSampler, Voxel, VoxelGrid, VoxelGridValues};
 use crate::{Result, Watch};
 use glam::{Affine3A, Vec3};
 use rayon::prelude::*;
 
 /// A plane of pixels in the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Plane {
+pub struct SectionPlane {
     /// The point in the middle of the picture, mm.
     pub center: Vec3,
     /// Unit vector to the right of the picture.
@@ -25,7 +25,7 @@ pub struct Plane {
     pub size: [u32; 2],
 }
 
-impl Plane {
+impl SectionPlane {
     /// The world point of pixel coordinates (0 at the left or upper edge).
     pub fn point(&self, x: f32, y: f32) -> Vec3 {
         let [width, height] = self.size.map(|n| n as f32);
@@ -43,7 +43,7 @@ impl Plane {
 /// What was found on a plane, row by row from the top.
 pub struct Section {
     /// The plane.
-    pub plane: Plane,
+    pub plane: SectionPlane,
     /// Data values; NaN where nothing is.
     pub values: Vec<f32>,
     /// Where each point's matter came from, mm.
@@ -58,26 +58,33 @@ pub struct Section {
 ///
 /// # Errors
 /// [`Error::Cancelled`](crate::Error::Cancelled).
-pub fn sample(volume: &Volume, grid: &Grid, deformed: Option<StackAndCuts>, plane: Plane, determinants: bool, watch: &Watch) -> Result<Section> {
+pub fn sample(
+    volume: &Volume,
+    grid: &VoxelGrid,
+    deformed: Option<StackAndCuts>,
+    plane: SectionPlane,
+    determinants: bool,
+    watch: &Watch,
+) -> Result<Section> {
     let section = match &grid.voxels {
-        GridVoxels::U8(v) => rows(volume, grid, &Sampler::new(grid, v), deformed, plane, determinants, watch),
-        GridVoxels::U16(v) => rows(volume, grid, &Sampler::new(grid, v), deformed, plane, determinants, watch),
-        GridVoxels::I16(v) => rows(volume, grid, &Sampler::new(grid, v), deformed, plane, determinants, watch),
-        GridVoxels::F32(v) => rows(volume, grid, &Sampler::new(grid, v), deformed, plane, determinants, watch),
+        VoxelGridValues::U8(v) => rows(volume, grid, &VolumeSampler::new(grid, v), deformed, plane, determinants, watch),
+        VoxelGridValues::U16(v) => rows(volume, grid, &VolumeSampler::new(grid, v), deformed, plane, determinants, watch),
+        VoxelGridValues::I16(v) => rows(volume, grid, &VolumeSampler::new(grid, v), deformed, plane, determinants, watch),
+        VoxelGridValues::F32(v) => rows(volume, grid, &VolumeSampler::new(grid, v), deformed, plane, determinants, watch),
     };
     watch.check()?;
     Ok(section)
 }
 
 /// One pixel of a section: value, source, mask, determinant.
-type Found = (f32, Vec3, f32, f32);
+type SectionPixel = (f32, Vec3, f32, f32);
 
 fn rows<T: Voxel>(
     volume: &Volume,
-    grid: &Grid,
-    sampler: &Sampler<T>,
+    grid: &VoxelGrid,
+    sampler: &VolumeSampler<T>,
     deformed: Option<StackAndCuts>,
-    plane: Plane,
+    plane: SectionPlane,
     determinants: bool,
     watch: &Watch,
 ) -> Section {
@@ -85,10 +92,10 @@ fn rows<T: Voxel>(
     let voxel_from_world = to_f32(&volume.world_from_voxel.inverse());
     let top = Vec3::from(grid.size.map(|n| n as f32)) - 0.5;
     let span = (volume.range[1] - volume.range[0]) as f32;
-    let nothing: Found = (f32::NAN, Vec3::ZERO, 1.0, 1.0);
+    let nothing: SectionPixel = (f32::NAN, Vec3::ZERO, 1.0, 1.0);
     let mut pixels = vec![nothing; width * height];
     pixels.par_chunks_mut(width.max(1)).enumerate().for_each(|(y, row)| {
-        if watch.stopped() {
+        if watch.is_cancelled() {
             return;
         }
         for (x, pixel) in row.iter_mut().enumerate() {
@@ -106,13 +113,20 @@ fn rows<T: Voxel>(
     }
 }
 
-fn at<T: Voxel>(sampler: &Sampler<T>, voxel_from_world: &Affine3A, top: Vec3, deformed: Option<StackAndCuts>, p: Vec3, determinants: bool) -> Found {
+fn at<T: Voxel>(
+    sampler: &VolumeSampler<T>,
+    voxel_from_world: &Affine3A,
+    top: Vec3,
+    deformed: Option<StackAndCuts>,
+    p: Vec3,
+    determinants: bool,
+) -> SectionPixel {
     let (source, mask, determinant) = match deformed {
         None => (p, 1.0, 1.0),
         Some(d) => {
-            let (source, alpha) = d.stack.walk(p);
+            let (source, alpha) = d.stack.source_and_alpha(p);
             let determinant = if determinants && !d.stack.is_empty() { d.stack.jet(p).d_source_d_deformed.determinant() } else { 1.0 };
-            (source, if d.cuts.kept(p) < 0.0 { 0.0 } else { alpha }, determinant)
+            (source, if d.cuts.signed_distance_mm(p) < 0.0 { 0.0 } else { alpha }, determinant)
         }
     };
     let in_voxel = voxel_from_world.transform_point3(source);
@@ -135,9 +149,9 @@ mod tests {
         (scene, assets)
     }
 
-    fn plane(assets: &Assets) -> Plane {
+    fn plane(assets: &Assets) -> SectionPlane {
         let b = assets.volume.bounds_in_world();
-        Plane { center: b.center(), right: Vec3::X, down: Vec3::Y, mm_per_pixel: b.size().x / 24.0, size: [24, 24] }
+        SectionPlane { center: b.center(), right: Vec3::X, down: Vec3::Y, mm_per_pixel: b.size().x / 24.0, size: [24, 24] }
     }
 
     #[test]

@@ -8,7 +8,7 @@
 //!   resolution: the cut's normal alone within one sample (the first one a ray finds behind a cut), none of it after 2.5.
 //! - A ray that enters matter through a surface of the volume's own, beside a cut, sees that surface: its normal is not blended. Only
 //!   where the ray comes out of a cut is the cut what is seen: where from the cut's face on, along the ray, there is matter at least half as dense as
-//!   here (`seen_cut`). Without this every cut has a dark rim, and one behind thin matter shows through it, the more the finer the step.
+//!   here (`cut_in_front`). Without this every cut has a dark rim, and one behind thin matter shows through it, the more the finer the step.
 //! - The faces of the volume's own box are cuts too: matter that a scan's edge cuts off is lit like any other cut.
 //! - A sample next to a cut stands for the part of its length that is matter: (1/2 + d/ℓ) of it, ℓ being the step's share along the
 //!   cut's normal. The sum over a ray is then the exact path through a planar cut, wherever the samples fall: no rings on cuts.
@@ -23,12 +23,12 @@
 //! `shaders/lib/shading.wgsl` says the same; it takes the Jacobian at a sample once more instead of keeping it, so that samples, entries
 //! and slivers share one call.
 
-use super::Look;
-use crate::deform::{Cut, Jet};
+use super::SceneSample;
+use crate::deform::{Jet, NearestCut};
 use crate::math::{normalize_or, smoothstep};
 use crate::prepare::Prepared;
 use crate::scene::{IsoLight, Normals};
-use crate::volume::{Sampler, Voxel};
+use crate::volume::{VolumeSampler, Voxel};
 use glam::{Mat3, Vec3};
 
 /// A sample's colour under light, and the factor on its optical depth.
@@ -49,16 +49,16 @@ pub struct Normal {
 }
 
 /// Change of the table coordinate per Δ₀ below which a gradient is noise, and above which it is a surface.
-pub(super) const SURFACE: [f32; 2] = [0.004, 0.04];
+pub(super) const SURFACE_GRADIENT: [f32; 2] = [0.004, 0.04];
 /// Share of the diffuse light that a sample without a normal gets.
-pub(super) const EVEN_LIGHT: f32 = 0.6;
+pub(super) const ISOTROPIC_DIFFUSE: f32 = 0.6;
 
 /// Bisections of the step in which a ray enters matter.
 pub(super) const ENTRY_STEPS: u32 = 4;
 
 /// A visible sample before light.
 #[derive(Clone, Copy, Debug)]
-pub struct Sample {
+pub struct VisibleSample {
     /// Where it is seen, mm.
     pub deformed: Vec3,
     /// Where its matter came from, voxels.
@@ -73,23 +73,23 @@ pub struct Sample {
 
 /// The sample at a point that was looked at, if it shows anything.
 #[inline(always)]
-pub(super) fn visible(scene: &Prepared, at: &Look, deformed: Vec3) -> Option<Sample> {
+pub(super) fn visible_sample(scene: &Prepared, at: &SceneSample, deformed: Vec3) -> Option<VisibleSample> {
     if !at.present {
         return None;
     }
     let [r, g, b, depth] = scene.volume().table.lookup(at.value);
-    (depth > 0.0).then_some(Sample { deformed, in_voxel: at.in_voxel, color: Vec3::new(r, g, b), depth, value: at.value })
+    (depth > 0.0).then_some(VisibleSample { deformed, in_voxel: at.in_voxel, color: Vec3::new(r, g, b), depth, value: at.value })
 }
 
 /// Shades a visible sample, seen along `direction` with samples every `step_mm`.
-pub fn shade<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, sample: &Sample, direction: Vec3, step_mm: f32) -> Shaded {
+pub fn shade<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, sample: &VisibleSample, direction: Vec3, step_mm: f32) -> Shaded {
     let jet_here = jet(scene, sample.deformed);
     let cut = nearest_cut(scene, &jet_here, sample.in_voxel);
-    let share = path_share(scene, sampler, &cut, sample.deformed, direction, step_mm);
+    let share = path_fraction(scene, sampler, &cut, sample.deformed, direction, step_mm);
     let mut shaded = match entry(scene, sampler, sample, direction, step_mm) {
         Some(entry) => shade_entry(scene, sampler, &entry, direction),
         None => {
-            let cut = seen_cut(scene, sampler, sample, or_shape(scene, cut, sample.deformed), direction);
+            let cut = cut_in_front(scene, sampler, sample, nearer_cut_shape(scene, cut, sample.deformed), direction);
             shade_with(scene, sampler, sample, &jet_here, &cut, direction)
         }
     };
@@ -98,26 +98,26 @@ pub fn shade<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, sample: &Sample, 
 }
 
 /// How far back to the face of a cut one looks for the matter that it cuts: not onto the face itself, which the distance to it tells to first order only.
-pub(super) const BACK_TO_CUT: f32 = 0.9;
+pub(super) const CUT_LOOKBACK_SHARE: f32 = 0.9;
 /// The farthest that is looked, in reaches of the blend: along a face that a ray grazes nothing is told of what lies farther.
-pub(super) const FARTHEST_BACK: f32 = 4.0;
+pub(super) const MAX_CUT_LOOKBACK: f32 = 4.0;
 /// How often half of that is tried where it is too far.
-pub(super) const BACK_STEPS: u32 = 4;
+pub(super) const CUT_LOOKBACK_STEPS: u32 = 4;
 
 /// A cut near a sample in the midst of matter, if the ray came out of it; none if it came through another surface since, or goes towards it.
-fn seen_cut<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, sample: &Sample, cut: Cut, direction: Vec3) -> Cut {
+fn cut_in_front<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, sample: &VisibleSample, cut: NearestCut, direction: Vec3) -> NearestCut {
     if scene.settings.normals != Normals::Blended || cut.distance_mm >= scene.frame.steps.blend_mm[1] {
         return cut;
     }
     let facing = -cut.normal.dot(direction);
     if facing <= 0.0 {
-        return Cut::NONE;
+        return NearestCut::NONE;
     }
-    let mut way = (BACK_TO_CUT * cut.distance_mm.max(0.0) / facing).min(FARTHEST_BACK * scene.frame.steps.blend_mm[1]);
-    for _ in 0..BACK_STEPS {
-        let back = super::look(scene, sampler, sample.deformed - direction * way);
+    let mut way = (CUT_LOOKBACK_SHARE * cut.distance_mm.max(0.0) / facing).min(MAX_CUT_LOOKBACK * scene.frame.steps.blend_mm[1]);
+    for _ in 0..CUT_LOOKBACK_STEPS {
+        let back = super::sample_scene(scene, sampler, sample.deformed - direction * way);
         if back.present {
-            return if scene.volume().table.lookup(back.value)[3] >= 0.5 * sample.depth { cut } else { Cut::NONE };
+            return if scene.volume().table.lookup(back.value)[3] >= 0.5 * sample.depth { cut } else { NearestCut::NONE };
         }
         // Beyond the face: it is not as flat as it is taken for.
         way *= 0.5;
@@ -126,10 +126,10 @@ fn seen_cut<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, sample: &Sample, c
 }
 
 /// Shades the point at which a ray enters matter.
-fn shade_entry<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, entry: &Entry, direction: Vec3) -> Shaded {
+fn shade_entry<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, entry: &SurfaceEntry, direction: Vec3) -> Shaded {
     let first = &entry.first;
     let jet = jet(scene, first.deformed);
-    let cut = if entry.through_cut { or_shape(scene, nearest_cut(scene, &jet, first.in_voxel), first.deformed) } else { Cut::NONE };
+    let cut = if entry.through_cut { nearer_cut_shape(scene, nearest_cut(scene, &jet, first.in_voxel), first.deformed) } else { NearestCut::NONE };
     shade_with(scene, sampler, first, &jet, &cut, direction)
 }
 
@@ -139,17 +139,24 @@ fn own_color(scene: &Prepared, in_voxel: Vec3) -> Option<Vec3> {
 }
 
 /// Light and gradient opacity of a point.
-fn shade_with<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, sample: &Sample, jet: &Jet, cut: &Cut, direction: Vec3) -> Shaded {
+fn shade_with<T: Voxel>(
+    scene: &Prepared,
+    sampler: &VolumeSampler<T>,
+    sample: &VisibleSample,
+    jet: &Jet,
+    cut: &NearestCut,
+    direction: Vec3,
+) -> Shaded {
     let color = own_color(scene, sample.in_voxel).unwrap_or(sample.color);
     if !scene.is_lit() && !scene.uses_gradient_opacity() {
         return Shaded { color, depth_factor: 1.0 };
     }
-    let gradient_in_source = voxel_covector(scene, sampler.gradient(sample.in_voxel, scene.gradient_filter()));
+    let gradient_in_source = world_from_voxel_covector(scene, sampler.gradient(sample.in_voxel, scene.gradient_filter()));
     let depth_factor = if scene.uses_gradient_opacity() { scene.volume().table.gradient_factor(gradient_in_source.length()) } else { 1.0 };
     if !scene.is_lit() {
         return Shaded { color, depth_factor };
     }
-    let falling = if scene.light.two_sided { 1.0 } else { scene.volume().table.falling_side(sample.value) };
+    let falling = if scene.light.two_sided { 1.0 } else { scene.volume().table.opacity_slope_sign(sample.value) };
     let normal = normal(scene, &jet.d_source_d_deformed, gradient_in_source * falling, cut, direction);
     Shaded { color: light(scene, normal, direction, color), depth_factor }
 }
@@ -158,25 +165,25 @@ fn shade_with<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, sample: &Sample,
 /// one before it, exactly one of the two being present. Its optical depth per reference length, and its light with its share of the step.
 ///
 /// Without this the thin end of whatever a cut crosses at a slant is hit or missed by turns, and its edge is a comb.
-pub(super) fn sliver<T: Voxel>(
+pub(super) fn thin_layer_at_cut<T: Voxel>(
     scene: &Prepared,
-    sampler: &Sampler<T>,
+    sampler: &VolumeSampler<T>,
     deformed: Vec3,
     present: bool,
     direction: Vec3,
     step_mm: f32,
 ) -> Option<(f32, Shaded)> {
     let before = deformed - direction * step_mm;
-    let at_before = super::look(scene, sampler, before);
-    if at_before.present == present || visible(scene, &at_before, before).is_some() {
+    let at_before = super::sample_scene(scene, sampler, before);
+    if at_before.present == present || visible_sample(scene, &at_before, before).is_some() {
         return None;
     }
-    let visible_at = |p: Vec3| visible(scene, &super::look(scene, sampler, p), p);
+    let visible_at = |p: Vec3| visible_sample(scene, &super::sample_scene(scene, sampler, p), p);
     let end = if present { deformed } else { before };
     let (mut inside, mut outside) = if present { (deformed, before) } else { (before, deformed) };
     for _ in 0..ENTRY_STEPS {
         let middle = (inside + outside) * 0.5;
-        if super::look(scene, sampler, middle).present {
+        if super::sample_scene(scene, sampler, middle).present {
             inside = middle;
         } else {
             outside = middle;
@@ -193,7 +200,7 @@ pub(super) fn sliver<T: Voxel>(
     }
     let share = (dense.deformed - outside).length() / step_mm;
     // Coming out of a cut, the ray sees the cut's face; going into one, the surface on the matter's other side.
-    let entry = Entry { first: if present { at_cut } else { dense }, through_cut: present };
+    let entry = SurfaceEntry { first: if present { at_cut } else { dense }, through_cut: present };
     let mut shaded = shade_entry(scene, sampler, &entry, direction);
     shaded.depth_factor *= share;
     Some((at_cut.depth, shaded))
@@ -201,29 +208,29 @@ pub(super) fn sliver<T: Voxel>(
 
 fn jet(scene: &Prepared, deformed: Vec3) -> Jet {
     if scene.stack.is_empty() {
-        return Jet { source: deformed, d_source_d_deformed: Mat3::IDENTITY, cut: Cut::NONE, alpha: 1.0 };
+        return Jet { source: deformed, d_source_d_deformed: Mat3::IDENTITY, cut: NearestCut::NONE, alpha: 1.0 };
     }
     scene.stack.jet(deformed)
 }
 
 /// Where a ray entered the matter that a sample lies in.
-struct Entry {
-    first: Sample,
+struct SurfaceEntry {
+    first: VisibleSample,
     /// Nothing was there just before (a cut, the volume's edge), as opposed to something thinner (a surface of the volume's own).
     through_cut: bool,
 }
 
 /// If the sample before this one is less than half as dense, the ray has entered matter in between: where it did, by bisection.
-fn entry<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, sample: &Sample, direction: Vec3, step_mm: f32) -> Option<Entry> {
+fn entry<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, sample: &VisibleSample, direction: Vec3, step_mm: f32) -> Option<SurfaceEntry> {
     // The sample there if it is dense enough, else whether anything is there at all.
     let dense = |deformed: Vec3| {
-        let at = super::look(scene, sampler, deformed);
+        let at = super::sample_scene(scene, sampler, deformed);
         if !at.present {
             return Err(false);
         }
         let (in_voxel, value) = (at.in_voxel, at.value);
         let [r, g, b, depth] = scene.volume().table.lookup(value);
-        if depth >= 0.5 * sample.depth { Ok(Sample { deformed, in_voxel, color: Vec3::new(r, g, b), depth, value }) } else { Err(true) }
+        if depth >= 0.5 * sample.depth { Ok(VisibleSample { deformed, in_voxel, color: Vec3::new(r, g, b), depth, value }) } else { Err(true) }
     };
     let mut through_cut = !dense(sample.deformed - direction * step_mm).err()?;
     let mut first = *sample;
@@ -239,32 +246,36 @@ fn entry<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, sample: &Sample, dire
         // The colour is that of the whole segment.
         first.color = sample.color;
     }
-    Some(Entry { first, through_cut })
+    Some(SurfaceEntry { first, through_cut })
 }
 
 /// A covector per voxel (a gradient along i, j, k) as one per millimetre of the source.
-pub fn voxel_covector(scene: &Prepared, per_voxel: Vec3) -> Vec3 {
+pub fn world_from_voxel_covector(scene: &Prepared, per_voxel: Vec3) -> Vec3 {
     Mat3::from(scene.volume().voxel_from_world.matrix3).transpose() * per_voxel
 }
 
 /// The nearest of the masks' cuts and the six faces of the volume's box.
-pub fn nearest_cut(scene: &Prepared, jet: &Jet, in_voxel: Vec3) -> Cut {
+pub fn nearest_cut(scene: &Prepared, jet: &Jet, in_voxel: Vec3) -> NearestCut {
     let low = in_voxel + 0.5;
     let high = scene.volume().grid_size - 0.5 - in_voxel;
     let mut cut = jet.cut;
     for axis in 0..3 {
         let (inside, inward) = if low[axis] < high[axis] { (low[axis], 1.0) } else { (high[axis], -1.0) };
-        let per_mm = voxel_covector(scene, Vec3::AXES[axis] * inward);
-        cut = cut.or_nearer(inside, jet.d_source_d_deformed.transpose() * per_mm);
+        let per_mm = world_from_voxel_covector(scene, Vec3::AXES[axis] * inward);
+        cut = cut.nearer_of(inside, jet.d_source_d_deformed.transpose() * per_mm);
     }
     cut
 }
 
 /// The nearer of a cut and the surface of the cuts that are shapes.
-pub fn or_shape(scene: &Prepared, cut: Cut, deformed: Vec3) -> Cut {
-    let kept = scene.cuts.kept(deformed);
+pub fn nearer_cut_shape(scene: &Prepared, cut: NearestCut, deformed: Vec3) -> NearestCut {
+    let distance_mm = scene.cuts.signed_distance_mm(deformed);
     // Beyond the reach of the blend it matters no more.
-    if kept > scene.frame.steps.blend_mm[1] { cut } else { cut.or_nearer(kept, scene.cuts.gradient(deformed, 0.05 * scene.frame.steps.reference_mm)) }
+    if distance_mm > scene.frame.steps.blend_mm[1] {
+        cut
+    } else {
+        cut.nearer_of(distance_mm, scene.cuts.gradient(deformed, 0.05 * scene.frame.steps.reference_mm))
+    }
 }
 
 /// Bisections of the step in which a ray meets the face of a cut, or a surface.
@@ -272,12 +283,19 @@ const FACE_STEPS: u32 = 10;
 
 /// Whether a point of the deformed scene is cut away.
 fn is_cut(scene: &Prepared, deformed: Vec3) -> bool {
-    scene.cuts.kept(deformed) < 0.0 || scene.stack.walk(deformed).1 < 0.5
+    scene.cuts.signed_distance_mm(deformed) < 0.0 || scene.stack.source_and_alpha(deformed).1 < 0.5
 }
 
 /// The scan's grey value by window and level on the face of a cut, if the ray came out of one within the last step.
-pub(super) fn grey_face<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, at: &Look, deformed: Vec3, direction: Vec3, step_mm: f32) -> Option<f32> {
-    let near = at.alpha < 1.0 || scene.cuts.kept(deformed) < 1.5 * step_mm;
+pub(super) fn grey_face<T: Voxel>(
+    scene: &Prepared,
+    sampler: &VolumeSampler<T>,
+    at: &SceneSample,
+    deformed: Vec3,
+    direction: Vec3,
+    step_mm: f32,
+) -> Option<f32> {
+    let near = at.alpha < 1.0 || scene.cuts.signed_distance_mm(deformed) < 1.5 * step_mm;
     if !near || !is_cut(scene, deformed - direction * step_mm) {
         return None;
     }
@@ -287,7 +305,7 @@ pub(super) fn grey_face<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, at: &L
         if is_cut(scene, middle) { outside = middle } else { inside = middle }
     }
     // The ray may have left the volume's box between the cut and here.
-    let face = super::look(scene, sampler, inside);
+    let face = super::sample_scene(scene, sampler, inside);
     let [low, high] = scene.volume().grey_window;
     // What is black in the window (the air around a body) is not painted.
     (face.present && face.value > low).then(|| ((face.value - low) / (high - low).max(1e-6)).clamp(0.0, 1.0))
@@ -295,10 +313,10 @@ pub(super) fn grey_face<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, at: &L
 
 /// Cosine of the angle between an iso-surface and the light: the derivative of the deformed volume towards the light over that in all directions,
 /// by differences of looks. Neither the source's gradient nor the Jacobian is needed.
-fn derivative_facing<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, at: Vec3) -> f32 {
+fn light_cosine_by_derivative<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, at: Vec3) -> f32 {
     let h = scene.frame.steps.reference_mm;
     let value = |p: Vec3| {
-        let at = super::look(scene, sampler, p);
+        let at = super::sample_scene(scene, sampler, p);
         if at.present { at.value } else { 0.0 }
     };
     let to_light = scene.frame.to_light;
@@ -310,9 +328,9 @@ fn derivative_facing<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, at: Vec3)
 }
 
 /// Colour of the surface where the volume has the value `iso`, which the ray met within the step before `deformed` (\[RVD01\] section 3.3).
-pub(super) fn iso_surface<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, iso: f32, deformed: Vec3, direction: Vec3, step_mm: f32) -> Vec3 {
+pub(super) fn iso_surface<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, iso: f32, deformed: Vec3, direction: Vec3, step_mm: f32) -> Vec3 {
     let inside_at = |p: Vec3| {
-        let at = super::look(scene, sampler, p);
+        let at = super::sample_scene(scene, sampler, p);
         (at, at.present && at.value >= iso)
     };
     let (mut inside, mut outside) = (deformed, deformed - direction * step_mm);
@@ -328,17 +346,17 @@ pub(super) fn iso_surface<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, iso:
             }
         }
     }
-    let hit = super::look(scene, sampler, inside);
+    let hit = super::sample_scene(scene, sampler, inside);
     let [r, g, b, _] = scene.volume().table.lookup(if through_cut { hit.value } else { iso });
     let color = own_color(scene, hit.in_voxel).unwrap_or(Vec3::new(r, g, b));
     if !scene.is_lit() {
         return color;
     }
     let jet = jet(scene, inside);
-    let cut = if through_cut { or_shape(scene, nearest_cut(scene, &jet, hit.in_voxel), inside) } else { Cut::NONE };
-    let gradient = voxel_covector(scene, sampler.gradient(hit.in_voxel, scene.gradient_filter()));
+    let cut = if through_cut { nearer_cut_shape(scene, nearest_cut(scene, &jet, hit.in_voxel), inside) } else { NearestCut::NONE };
+    let gradient = world_from_voxel_covector(scene, sampler.gradient(hit.in_voxel, scene.gradient_filter()));
     if !through_cut && scene.settings.iso_light == IsoLight::Derivative {
-        let facing = derivative_facing(scene, sampler, inside);
+        let facing = light_cosine_by_derivative(scene, sampler, inside);
         return (color * (scene.light.ambient + scene.light.diffuse * facing)).clamp(Vec3::ZERO, Vec3::ONE);
     }
     let normal = normal(scene, &jet.d_source_d_deformed, gradient, &cut, direction);
@@ -350,24 +368,24 @@ pub(super) fn iso_surface<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, iso:
 /// Next to a cut, the neighbouring sample on the cut's other side tells whether this one stands for the rest of the path: it does
 /// if that one was cut away. (Asking the distance alone would count half a sample too much or too little wherever a sample lies
 /// exactly on the cut.)
-fn path_share<T: Voxel>(scene: &Prepared, sampler: &Sampler<T>, cut: &Cut, deformed: Vec3, direction: Vec3, step_mm: f32) -> f32 {
+fn path_fraction<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, cut: &NearestCut, deformed: Vec3, direction: Vec3, step_mm: f32) -> f32 {
     let facing = cut.normal.dot(direction);
     let across = step_mm * facing.abs();
     if cut.distance_mm >= 1.1 * across {
         return 1.0;
     }
     let beyond = deformed + direction * if facing < 0.0 { -step_mm } else { step_mm };
-    if super::look(scene, sampler, beyond).present { 1.0 } else { 0.5 + (cut.distance_mm / across).clamp(0.0, 1.0) }
+    if super::sample_scene(scene, sampler, beyond).present { 1.0 } else { 0.5 + (cut.distance_mm / across).clamp(0.0, 1.0) }
 }
 
 /// The normal of \[DDM06\] eq 7 in the deformed scene, from a source gradient per mm that points into the matter.
-pub fn normal(scene: &Prepared, d_source_d_deformed: &Mat3, gradient_in_source: Vec3, cut: &Cut, direction: Vec3) -> Normal {
+pub fn normal(scene: &Prepared, d_source_d_deformed: &Mat3, gradient_in_source: Vec3, cut: &NearestCut, direction: Vec3) -> Normal {
     let gradient = match scene.settings.normals {
         Normals::Source | Normals::None => gradient_in_source,
         Normals::Transformed | Normals::Blended => d_source_d_deformed.transpose() * gradient_in_source,
     };
     let per_reference = gradient_in_source.length() * scene.volume().table.scale.abs() * scene.frame.steps.reference_mm;
-    let mut confidence = smoothstep(SURFACE[0], SURFACE[1], per_reference);
+    let mut confidence = smoothstep(SURFACE_GRADIENT[0], SURFACE_GRADIENT[1], per_reference);
     // Out of the matter: down the gradient, which the caller has turned to where opacity rises.
     let mut normal = normalize_or(-gradient, Vec3::ZERO);
     if scene.light.two_sided && normal.dot(direction) > 0.0 {
@@ -386,7 +404,7 @@ pub fn normal(scene: &Prepared, d_source_d_deformed: &Mat3, gradient_in_source: 
 fn light(scene: &Prepared, n: Normal, direction: Vec3, color: Vec3) -> Vec3 {
     let light = &scene.light;
     let to_light = scene.frame.to_light;
-    let even = light.ambient + EVEN_LIGHT * light.diffuse;
+    let even = light.ambient + ISOTROPIC_DIFFUSE * light.diffuse;
     let facing = n.normal.dot(to_light);
     let diffuse = light.ambient + light.diffuse * facing.max(0.0);
     let half = normalize_or(to_light - direction, to_light);

@@ -19,7 +19,7 @@
 //!
 //! `shaders/surface.wgsl` and `shaders/lib/surface.wgsl` say the same.
 
-use crate::deform::{Cut, Jet};
+use crate::deform::{Jet, NearestCut};
 use crate::math::{normalize_or, smoothstep};
 use crate::mesh::MeshHit;
 use crate::prepare::Prepared;
@@ -28,17 +28,17 @@ use crate::scene::surface::{CutModel, Steps};
 use glam::{Mat3, Vec3};
 
 /// Bisections of a step.
-const REFINEMENTS: u32 = 14;
+const BISECTION_STEPS: u32 = 14;
 /// Sphere steps are no shorter than this share of an even one.
-const SHORTEST: f32 = 0.25;
+const MIN_SPHERE_STEP: f32 = 0.25;
 /// Near the surface threshold steps are this share of an even one.
-const FINE: f32 = 0.25;
+const THRESHOLD_STEP: f32 = 0.25;
 /// A ray goes on by this share of its length at least, else rounding would hold it at the border of a cell.
-const ONWARD: f32 = 1e-6;
+const MIN_ADVANCE: f32 = 1e-6;
 /// Steps are no shorter than this share of a ray's way through what an object may fill, however steep the deformation: beyond any picture's need.
-const FINEST: f32 = 1.0 / 32_768.0;
+const MIN_STEP: f32 = 1.0 / 32_768.0;
 /// Most samples along one ray: three times as many as there is room for, an end whatever rounding does.
-const MOST_SAMPLES: u32 = 100_000;
+const MAX_SAMPLES: u32 = 100_000;
 
 /// What a ray sees of the surfaces.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -51,7 +51,7 @@ pub struct SurfaceHit {
 
 /// Which surface was hit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Side {
+pub enum HitSide {
     /// The outside.
     Outside,
     /// The inside of a shell.
@@ -62,7 +62,7 @@ pub enum Side {
 
 /// A point of a ray.
 #[derive(Clone, Copy)]
-struct Sample {
+struct SurfaceSample {
     t: f32,
     /// f, or f̂ of a thick skin; positive inside.
     f: f32,
@@ -145,7 +145,7 @@ pub fn depth_in_boxes(scene: &Prepared, object: &SurfaceObject, p: Vec3, seam: f
     }
     // A cut that is a shape has no box: its neighbourhood takes its place.
     if !scene.cuts.is_empty() {
-        depth = depth.max(2.0 * seam - scene.cuts.kept(p));
+        depth = depth.max(2.0 * seam - scene.cuts.signed_distance_mm(p));
     }
     depth
 }
@@ -159,8 +159,8 @@ fn is_undeformed(scene: &Prepared, object: &SurfaceObject, p: Vec3, seam: f32) -
     if depth >= seam {
         return false;
     }
-    let (source, alpha) = scene.stack.walk_through(p);
-    alpha >= 0.5 && scene.cuts.kept(p) >= 0.0 && source.distance(p) < 0.25 * object.cell_mm
+    let (source, alpha) = scene.stack.source_and_alpha_unclipped(p);
+    alpha >= 0.5 && scene.cuts.signed_distance_mm(p) >= 0.0 && source.distance(p) < 0.25 * object.cell_mm
 }
 
 /// Joins what was drawn with what was cast: the nearer one, or, where both show one surface within the seam, a blend of their colours.
@@ -182,35 +182,35 @@ fn blend_seam(
 }
 
 /// f of the object's model at a value of its field.
-fn modelled(object: &SurfaceObject, f: f32) -> f32 {
+fn apply_cut_model(object: &SurfaceObject, f: f32) -> f32 {
     if object.thickness_mm > 0.0 && f > 0.5 * object.thickness_mm { object.thickness_mm - f } else { f }
 }
 
-fn sample(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: Vec3, t: f32) -> Sample {
+fn sample(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: Vec3, t: f32) -> SurfaceSample {
     let p = origin + direction * t;
-    let Some(implicit) = &object.implicit else { return Sample { t, f: -1.0, cut: -1.0 } };
+    let Some(implicit) = &object.implicit else { return SurfaceSample { t, f: -1.0, cut: -1.0 } };
     if object.rigid {
-        return Sample { t, f: modelled(object, implicit.value(p)), cut: -1.0 };
+        return SurfaceSample { t, f: apply_cut_model(object, implicit.value(p)), cut: -1.0 };
     }
-    let (source, alpha) = scene.stack.walk_through(p);
-    Sample { t, f: modelled(object, implicit.value(source)), cut: (0.5 - alpha).max(-scene.cuts.kept(p)) }
+    let (source, alpha) = scene.stack.source_and_alpha_unclipped(p);
+    SurfaceSample { t, f: apply_cut_model(object, implicit.value(source)), cut: (0.5 - alpha).max(-scene.cuts.signed_distance_mm(p)) }
 }
 
 /// Walks a ray to the first hit of an object: where, and which side.
-pub fn trace(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: Vec3, samples: &mut u64) -> Option<(f32, Side)> {
+pub fn trace(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: Vec3, samples: &mut u64) -> Option<(f32, HitSide)> {
     let grid = &object.cells.grid;
     let (near, far) = grid.occupied.intersect_ray(origin, direction)?;
     let inverse = direction.recip();
     let mut t = near.max(0.0);
-    let finest = FINEST * (far - t);
-    let mut before: Option<Sample> = None;
+    let finest = MIN_STEP * (far - t);
+    let mut before: Option<SurfaceSample> = None;
     let is_distance = object.implicit.as_ref().is_some_and(crate::mesh::Implicit::is_distance);
     let mut count = 0;
-    while t < far && count < MOST_SAMPLES {
+    while t < far && count < MAX_SAMPLES {
         let p = origin + direction * t;
         if let Some(exit) = grid.empty_until(p, origin, inverse) {
             // A surface just within the next cell lies between its border and the first sample in it.
-            t = exit.max(t) + 1e-4 * object.step_mm + ONWARD * t;
+            t = exit.max(t) + 1e-4 * object.step_mm + MIN_ADVANCE * t;
             before = None;
             continue;
         }
@@ -223,7 +223,7 @@ pub fn trace(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: 
             return Some(hit);
         }
         before = Some(here);
-        t += step(scene, object, &here, p, is_distance, origin, inverse, t).max(ONWARD * t).max(finest);
+        t += step(scene, object, &here, p, is_distance, origin, inverse, t).max(MIN_ADVANCE * t).max(finest);
     }
     // The last part of the ray, to the end of what can be seen.
     let hit =
@@ -234,7 +234,7 @@ pub fn trace(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: 
 
 /// Distance to the next sample.
 #[allow(clippy::too_many_arguments, reason = "the state of one ray")]
-fn step(scene: &Prepared, object: &SurfaceObject, here: &Sample, p: Vec3, is_distance: bool, origin: Vec3, inverse: Vec3, t: f32) -> f32 {
+fn step(scene: &Prepared, object: &SurfaceObject, here: &SurfaceSample, p: Vec3, is_distance: bool, origin: Vec3, inverse: Vec3, t: f32) -> f32 {
     let even = object.step_mm;
     let grid = &object.cells.grid;
     let slope = || object.cells.slope[grid.index(p)].max(1e-3);
@@ -243,16 +243,16 @@ fn step(scene: &Prepared, object: &SurfaceObject, here: &Sample, p: Vec3, is_dis
         let cell = ((p - grid.origin) / grid.cell_mm).floor().clamp(Vec3::ZERO, (grid.size - 1).as_vec3());
         let low = grid.origin + cell * grid.cell_mm;
         let far = ((low - origin) * inverse).max((low + grid.cell_mm - origin) * inverse).min_element();
-        length.min((far - t).max(0.0) + 0.01 * even + ONWARD * t)
+        length.min((far - t).max(0.0) + 0.01 * even + MIN_ADVANCE * t)
     };
     match scene.surfaces.steps {
         Steps::Uniform => even,
-        Steps::Threshold => even * if here.f.abs() < scene.surfaces.threshold * object.cell_mm { FINE } else { 1.0 },
+        Steps::Threshold => even * if here.f.abs() < scene.surfaces.threshold * object.cell_mm { THRESHOLD_STEP } else { 1.0 },
         Steps::Jacobian => within(even / slope()),
         Steps::Sphere if !is_distance => even,
         Steps::Sphere => {
             let slope = slope();
-            let shortest = SHORTEST * even / slope.max(1.0);
+            let shortest = MIN_SPHERE_STEP * even / slope.max(1.0);
             // In a cut the next thing to meet may be the cut itself.
             let in_cut = here.cut > 0.0 && here.f > 0.0 && object.look.model != CutModel::Hollow;
             if in_cut { even.min(even / slope).max(shortest) } else { within((0.9 * here.f.abs() / slope).max(shortest)) }
@@ -261,7 +261,14 @@ fn step(scene: &Prepared, object: &SurfaceObject, here: &Sample, p: Vec3, is_dis
 }
 
 /// The first hit between two samples, if there is one.
-fn first_event(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: Vec3, a: Sample, b: Sample) -> Option<(f32, Side)> {
+fn first_event(
+    scene: &Prepared,
+    object: &SurfaceObject,
+    origin: Vec3,
+    direction: Vec3,
+    a: SurfaceSample,
+    b: SurfaceSample,
+) -> Option<(f32, HitSide)> {
     let at = |t: f32| sample(scene, object, origin, direction, t);
     let solid = object.look.model != CutModel::Hollow;
     let surface = ((a.f > 0.0) != (b.f > 0.0)).then(|| bisect(a, b, |s| s.f > 0.0, &at));
@@ -273,9 +280,9 @@ fn first_event(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction
             return None;
         }
         let inner = object.thickness_mm > 0.0 && source_value(scene, object, origin + direction * after.t) > 0.5 * object.thickness_mm;
-        Some((after.t, if entering && !inner { Side::Outside } else { Side::Inside }))
+        Some((after.t, if entering && !inner { HitSide::Outside } else { HitSide::Inside }))
     });
-    let face_hit = face.filter(|(_, after)| after.f > 0.0).map(|(_, after)| (after.t, Side::Cut));
+    let face_hit = face.filter(|(_, after)| after.f > 0.0).map(|(_, after)| (after.t, HitSide::Cut));
     match (surface_hit, face_hit) {
         (Some(s), Some(f)) => Some(if s.0 <= f.0 { s } else { f }),
         (s, f) => s.or(f),
@@ -284,14 +291,19 @@ fn first_event(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction
 
 /// f itself at a point of the deformed scene.
 fn source_value(scene: &Prepared, object: &SurfaceObject, p: Vec3) -> f32 {
-    let source = if object.rigid { p } else { scene.stack.walk_through(p).0 };
+    let source = if object.rigid { p } else { scene.stack.source_and_alpha_unclipped(p).0 };
     object.implicit.as_ref().map_or(-1.0, |i| i.value(source))
 }
 
 /// The two sides of a change between two samples, closer and closer.
-fn bisect(mut a: Sample, mut b: Sample, is: impl Fn(&Sample) -> bool, at: &impl Fn(f32) -> Sample) -> (Sample, Sample) {
+fn bisect(
+    mut a: SurfaceSample,
+    mut b: SurfaceSample,
+    is: impl Fn(&SurfaceSample) -> bool,
+    at: &impl Fn(f32) -> SurfaceSample,
+) -> (SurfaceSample, SurfaceSample) {
     let first = is(&a);
-    for _ in 0..REFINEMENTS {
+    for _ in 0..BISECTION_STEPS {
         let middle = at(0.5 * (a.t + b.t));
         if is(&middle) == first { a = middle } else { b = middle }
     }
@@ -299,31 +311,31 @@ fn bisect(mut a: Sample, mut b: Sample, is: impl Fn(&Sample) -> bool, at: &impl 
 }
 
 /// Unit normal of a hit, out of the matter.
-pub fn normal(scene: &Prepared, object: &SurfaceObject, p: Vec3, side: Side) -> Vec3 {
+pub fn normal(scene: &Prepared, object: &SurfaceObject, p: Vec3, side: HitSide) -> Vec3 {
     let jet = if object.rigid || scene.stack.is_empty() {
-        Jet { source: p, d_source_d_deformed: Mat3::IDENTITY, cut: Cut::NONE, alpha: 1.0 }
+        Jet { source: p, d_source_d_deformed: Mat3::IDENTITY, cut: NearestCut::NONE, alpha: 1.0 }
     } else {
         scene.stack.jet(p)
     };
-    if side == Side::Cut {
+    if side == HitSide::Cut {
         let mut cut = jet.cut;
-        let kept = scene.cuts.kept(p);
-        if kept < object.step_mm {
-            cut = cut.or_nearer(kept.abs(), scene.cuts.gradient(p, 0.05 * object.cell_mm));
+        let distance_mm = scene.cuts.signed_distance_mm(p);
+        if distance_mm < object.step_mm {
+            cut = cut.nearer_of(distance_mm.abs(), scene.cuts.gradient(p, 0.05 * object.cell_mm));
         }
         return cut.normal;
     }
     let gradient = object.implicit.as_ref().map_or(Vec3::ZERO, |i| i.gradient(jet.source, object.cell_mm));
     let outward = normalize_or(-(jet.d_source_d_deformed.transpose() * gradient), Vec3::ZERO);
-    if side == Side::Inside { -outward } else { outward }
+    if side == HitSide::Inside { -outward } else { outward }
 }
 
-fn shade_field(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: Vec3, t: f32, side: Side) -> SurfaceHit {
+fn shade_field(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: Vec3, t: f32, side: HitSide) -> SurfaceHit {
     let normal = normal(scene, object, origin + direction * t, side);
     let color = Vec3::from(match side {
-        Side::Outside => object.look.color,
-        Side::Inside => object.look.inside,
-        Side::Cut => object.look.cut,
+        HitSide::Outside => object.look.color,
+        HitSide::Inside => object.look.inside,
+        HitSide::Cut => object.look.cut,
     });
     SurfaceHit { t, color: light(scene, object, normal, direction, color) }
 }

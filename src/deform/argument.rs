@@ -118,13 +118,13 @@ impl Arguments {
     ///
     /// # Errors
     /// Another word (with the closest known one).
-    pub fn choice<'a>(&self, name: &str, known: &[&'a str]) -> Result<&'a str> {
-        let Some(given) = self.text(name)? else { return Ok(known[0]) };
-        known
+    pub fn choice<'a>(&self, name: &str, valid_names: &[&'a str]) -> Result<&'a str> {
+        let Some(given) = self.text(name)? else { return Ok(valid_names[0]) };
+        valid_names
             .iter()
             .copied()
             .find(|k| *k == given)
-            .ok_or_else(|| Error::value(name, format!("\"{given}\" is not known; {}", crate::error::suggestion(given, known.iter().copied()))))
+            .ok_or_else(|| Error::value(name, format!("\"{given}\" is not known; {}", crate::error::suggestion(given, valid_names.iter().copied()))))
     }
 
     /// Numbers, rows joined.

@@ -4,27 +4,27 @@
 //! neighbouring texels, how far they are from that of the box's centre. The second, the mean value form of interval arithmetic (Moore 1966), does not
 //! take a rotation for a growth along all axes. Both hold, so that what they share does.
 
-use super::slope::spectral_norm;
+use super::lipschitz::spectral_norm;
 use super::{PlacedMap, Stack};
 use crate::math::Bounds;
 use glam::{Affine3A, Mat3, Vec3, Vec3A, Vec4Swizzles};
 
 /// Where displacements differ by less than this share of a box, a bound by slopes is no better than a box of displacements.
-const SAME: f32 = 0.25;
+const FLAT_DISPLACEMENT: f32 = 0.25;
 
 /// A box that lies partly in a map's cube goes on as two parts, this many times; then as one box around both, so that the work grows with the number
 /// of maps and not with the power of it.
-const FORKS: u32 = 4;
+const MAX_SPLITS: u32 = 4;
 
 impl PlacedMap {
     /// A box that holds the displacements of the points of a box.
     pub(super) fn displacement_bounds(&self, b: &Bounds) -> Bounds {
         let zero = Bounds::new(Vec3::ZERO, Vec3::ZERO);
-        self.all_moves(b).map_or(zero, |m| if m.outside { m.all.union(&zero) } else { m.all })
+        self.displacement_range(b).map_or(zero, |m| if m.outside { m.all.union(&zero) } else { m.all })
     }
 
     /// The displacements and masks of the points of a box that lie in this map's cube, if any do.
-    fn all_moves(&self, b: &Bounds) -> Option<AllMoves> {
+    fn displacement_range(&self, b: &Bounds) -> Option<DisplacementRange> {
         let in_map = b.transformed(&self.placement.map_from_world);
         // The transform of a sample rounds, and GPUs place samples by 1/256 of a texel; a hundredth of one covers both.
         let texel = 0.01 / Vec3::from(self.map.size.map(|n| n.max(2) as f32));
@@ -36,28 +36,29 @@ impl PlacedMap {
         let range = self.map.bounds(inside.min, inside.max);
         let [low, high] = [range.min, range.max].map(|v| Vec3::from_slice(&v[..3]));
         let all = Bounds::new(low, high).transformed(&Affine3A::from_mat3(self.world_from_stored));
-        Some(AllMoves { all, mask: [range.min[3], range.max[3]], in_map, texel, outside: !self.domain().contains(&in_map) })
+        Some(DisplacementRange { all, mask: [range.min[3], range.max[3]], in_map, texel, outside: !self.domain().contains(&in_map) })
     }
 
     /// Bounds on what this map does to the points of a box that lie in its cube, if any do (`model.md` section 9), and whether some lie outside.
-    fn moves(&self, b: &Bounds) -> (Option<Moves>, bool) {
-        let Some(AllMoves { all, mask, in_map, texel, outside }) = self.all_moves(b) else {
+    fn affine_enclosure(&self, b: &Bounds) -> (Option<AffineEnclosure>, bool) {
+        let Some(DisplacementRange { all, mask, in_map, texel, outside }) = self.displacement_range(b) else {
             return (None, true);
         };
-        if all.size().max_element() < SAME * b.size().max_element() {
-            let moves = Moves { all, mask, at_center: all.center(), slope: Mat3::ZERO, spread: Mat3::ZERO, beside: all.size() * 0.5 };
-            return (Some(moves), outside);
+        if all.size().max_element() < FLAT_DISPLACEMENT * b.size().max_element() {
+            let affine_enclosure =
+                AffineEnclosure { all, mask, at_center: all.center(), slope: Mat3::ZERO, spread: Mat3::ZERO, remainder: all.size() * 0.5 };
+            return (Some(affine_enclosure), outside);
         }
         // Of the map as its outermost texels continue it, so that nothing jumps within the box.
         let at_center = self.world_from_stored * self.map.fetch(self.placement.map_from_world.transform_point3(b.center())).xyz();
         let [slope, spread] = self.slopes_within(&in_map);
         let texel_mm = self.placement.world_from_map.matrix3.abs() * Vec3A::from(texel);
-        (Some(Moves { all, mask, at_center, slope, spread, beside: (slope.abs() + spread) * Vec3::from(texel_mm) }), outside)
+        (Some(AffineEnclosure { all, mask, at_center, slope, spread, remainder: (slope.abs() + spread) * Vec3::from(texel_mm) }), outside)
     }
 
     /// Whether a texel within one of a box's is not that of matter.
     fn mask_varies(&self, b: &Bounds) -> bool {
-        if !self.map.cuts() {
+        if !self.map.has_cuts() {
             return false;
         }
         let texel = 1.01 / Vec3::from(self.map.size.map(|n| (n.max(2) - 1) as f32));
@@ -78,7 +79,7 @@ impl PlacedMap {
 
 /// Bounds on the displacements (mm) and masks of the points of a box in a map's cube; the box in map coordinates with a margin of `texel`, and whether
 /// a part of it lies outside.
-struct AllMoves {
+struct DisplacementRange {
     all: Bounds,
     mask: [f32; 2],
     in_map: Bounds,
@@ -87,8 +88,8 @@ struct AllMoves {
 }
 
 /// Bounds on what a map, or several added to each other, does to the points p of a box with centre c: their displacements lie in `all`, and also in
-/// `at_center` + (`slope` ± `spread`) (p - c) ± `beside`.
-struct Moves {
+/// `at_center` + (`slope` ± `spread`) (p - c) ± `remainder`.
+struct AffineEnclosure {
     /// mm.
     all: Bounds,
     /// Lowest and highest mask.
@@ -100,10 +101,10 @@ struct Moves {
     /// Half of their extents.
     spread: Mat3,
     /// mm.
-    beside: Vec3,
+    remainder: Vec3,
 }
 
-impl Moves {
+impl AffineEnclosure {
     /// Of points outside of every cube.
     const NONE: Self = Self {
         all: Bounds { min: Vec3::ZERO, max: Vec3::ZERO },
@@ -111,32 +112,32 @@ impl Moves {
         at_center: Vec3::ZERO,
         slope: Mat3::ZERO,
         spread: Mat3::ZERO,
-        beside: Vec3::ZERO,
+        remainder: Vec3::ZERO,
     };
 
     /// Of points some of which lie in the cube and some outside of it.
-    fn or_none(&self) -> Self {
+    fn including_zero(&self) -> Self {
         let all = self.all.union(&Self::NONE.all);
         let mask = [self.mask[0].min(1.0), self.mask[1].max(1.0)];
-        Self { all, mask, at_center: all.center(), beside: all.size() * 0.5, ..Self::NONE }
+        Self { all, mask, at_center: all.center(), remainder: all.size() * 0.5, ..Self::NONE }
     }
 
     /// Of two maps that are added to each other.
-    fn plus(&self, other: &Self) -> Self {
+    fn sum(&self, other: &Self) -> Self {
         Self {
             all: Bounds::new(self.all.min + other.all.min, self.all.max + other.all.max),
             mask: [self.mask[0].min(other.mask[0]), self.mask[1].min(other.mask[1])],
             at_center: self.at_center + other.at_center,
             slope: self.slope + other.slope,
             spread: self.spread + other.spread,
-            beside: self.beside + other.beside,
+            remainder: self.remainder + other.remainder,
         }
     }
 
     /// A box that holds where the points of `b` came from: what both bounds allow.
     fn source(&self, b: &Bounds) -> Bounds {
         let (center, half) = (b.center() + self.at_center, b.size() * 0.5);
-        let half = ((Mat3::IDENTITY + self.slope).abs() + self.spread) * half + self.beside;
+        let half = ((Mat3::IDENTITY + self.slope).abs() + self.spread) * half + self.remainder;
         Bounds::new(b.min + self.all.min, b.max + self.all.max).intersection(&Bounds::new(center - half, center + half))
     }
 }
@@ -155,36 +156,44 @@ impl Stack {
 
     /// As [`Self::source_bounds`], in parts: points inside and outside of a map's cube may come from far apart.
     pub fn source_parts(&self, deformed: &Bounds, found: &mut dyn FnMut(&Bounds, [f32; 2])) {
-        let mut grown = |part: &Bounds, alpha: [f32; 2]| found(&part.grown(self.beside_mm()), alpha);
-        self.parts_of(self.maps().len(), FORKS, deformed, &Moves::NONE, [1.0; 2], &mut grown);
+        let mut grown = |part: &Bounds, alpha: [f32; 2]| found(&part.grown(self.precompose_error_mm()), alpha);
+        self.parts_of(self.maps().len(), MAX_SPLITS, deformed, &AffineEnclosure::NONE, [1.0; 2], &mut grown);
     }
 
     /// How far sources may be from those of the maps, mm: what stands for them is not as exact as they are.
-    pub fn beside_mm(&self) -> f32 {
-        self.shortcut().map_or(0.0, |s| s.bound_mm)
+    pub fn precompose_error_mm(&self) -> f32 {
+        self.precomposed().map_or(0.0, |s| s.bound_mm)
     }
 
-    /// Through the first `count` maps, with `forks` left; those added to the next one have moved the box `together`.
-    fn parts_of(&self, count: usize, forks: u32, at: &Bounds, together: &Moves, alpha: [f32; 2], found: &mut dyn FnMut(&Bounds, [f32; 2])) {
+    /// Through the first `count` maps, with `splits_left` left; those added to the next one have moved the box `together`.
+    fn parts_of(
+        &self,
+        count: usize,
+        splits_left: u32,
+        at: &Bounds,
+        together: &AffineEnclosure,
+        alpha: [f32; 2],
+        found: &mut dyn FnMut(&Bounds, [f32; 2]),
+    ) {
         let Some(map) = count.checked_sub(1).map(|n| &self.maps()[n]) else {
             return found(at, alpha);
         };
-        let mut go_on = |moves: &Moves, forks: u32| {
-            let alpha = [alpha[0].min(moves.mask[0]), alpha[1].min(moves.mask[1])];
-            let together = together.plus(moves);
+        let mut go_on = |affine_enclosure: &AffineEnclosure, splits_left: u32| {
+            let alpha = [alpha[0].min(affine_enclosure.mask[0]), alpha[1].min(affine_enclosure.mask[1])];
+            let together = together.sum(affine_enclosure);
             if map.added {
-                self.parts_of(count - 1, forks, at, &together, alpha, found);
+                self.parts_of(count - 1, splits_left, at, &together, alpha, found);
             } else {
-                self.parts_of(count - 1, forks, &together.source(at), &Moves::NONE, alpha, found);
+                self.parts_of(count - 1, splits_left, &together.source(at), &AffineEnclosure::NONE, alpha, found);
             }
         };
-        match map.moves(at) {
-            (None, _) => go_on(&Moves::NONE, forks),
-            (Some(inside), false) => go_on(&inside, forks),
-            (Some(inside), true) if forks == 0 => go_on(&inside.or_none(), 0),
+        match map.affine_enclosure(at) {
+            (None, _) => go_on(&AffineEnclosure::NONE, splits_left),
+            (Some(inside), false) => go_on(&inside, splits_left),
+            (Some(inside), true) if splits_left == 0 => go_on(&inside.including_zero(), 0),
             (Some(inside), true) => {
-                go_on(&inside, forks - 1);
-                go_on(&Moves::NONE, forks - 1);
+                go_on(&inside, splits_left - 1);
+                go_on(&AffineEnclosure::NONE, splits_left - 1);
             }
         }
     }
@@ -192,7 +201,7 @@ impl Stack {
     /// Whether any mask's value or derivative ([`super::DisplacementMap::derivatives`]) may be other than that of matter all around, anywhere in a box of
     /// deformed points.
     pub fn mask_varies(&self, deformed: &Bounds) -> bool {
-        if !self.cuts() {
+        if !self.has_cuts() {
             return false;
         }
         let (mut b, mut at) = (*deformed, *deformed);
@@ -210,13 +219,13 @@ impl Stack {
     }
 
     /// Whether any mask takes anything away.
-    pub fn cuts(&self) -> bool {
-        self.maps().iter().any(|m| m.map.cuts())
+    pub fn has_cuts(&self) -> bool {
+        self.maps().iter().any(|m| m.map.has_cuts())
     }
 
     /// A bound on the norm of d source / d deformed anywhere, at least 1.
-    pub fn steepest(&self) -> f32 {
-        let (mut all, mut together) = (1.0, 1.0);
+    pub fn lipschitz_bound(&self) -> f32 {
+        let (mut all, mut together) = (1.0f32, 1.0f32);
         for map in self.maps().iter().rev() {
             let [middle, half] = map.slopes_within(&map.domain());
             together += spectral_norm(middle) + half.to_cols_array().iter().map(|v| v * v).sum::<f32>().sqrt();
@@ -231,8 +240,8 @@ impl Stack {
 
     /// The box that holds the deformed scene: the source's box and every cube into which a map can bring its matter.
     pub fn deformed_bounds(&self, source: &Bounds) -> Bounds {
-        let mut all = source.grown(self.beside_mm());
-        for map in self.maps().iter().filter(|m| m.map.moves_matter()) {
+        let mut all = source.grown(self.precompose_error_mm());
+        for map in self.maps().iter().filter(|m| m.map.has_displacement()) {
             let cube = map.bounds_in_world();
             let moved = map.displacement_bounds(&cube);
             let reach = Bounds::new(cube.min + moved.min, cube.max + moved.max);
@@ -269,7 +278,7 @@ mod tests {
     fn a_box_goes_on_as_few_parts() {
         let mut parts = 0;
         super::super::stack::tests::stack().repeated(100).source_parts(&Bounds::new(Vec3::splat(-200.0), Vec3::splat(200.0)), &mut |_, _| parts += 1);
-        assert_eq!(parts, 1 << FORKS);
+        assert_eq!(parts, 1 << MAX_SPLITS);
     }
 
     /// Where no mask is said to vary there is neither a cut nor a slope of one; no Jacobian is steeper than the steepest.
@@ -288,8 +297,8 @@ mod tests {
                     clear += 1;
                 }
                 let own = spectral_norm(jet.d_source_d_deformed);
-                assert!(own <= s.steepest() * 1.0001, "{p}: {own} of {}", s.steepest());
-                steepest = steepest.max(own / s.steepest());
+                assert!(own <= s.lipschitz_bound() * 1.0001, "{p}: {own} of {}", s.lipschitz_bound());
+                steepest = steepest.max(own / s.lipschitz_bound());
             }
         }
         assert!(clear > 4000 && clear < 7900 && steepest > 0.1, "{clear} {steepest}");

@@ -4,13 +4,13 @@
 //! names both ways). Interpolating it makes an error that shrinks with the square of the texel where the stack is smooth, with the texel where it
 //! has a kink, and not at all where it tears matter. The resolution is not guessed: a coarse map is made, compared with the exact walk, and refined
 //! until the worst error where matter is lies within the bound. Stacks tear more often than not, at the faces of boxes that matter enters: so the map
-//! that stands for a stack in pictures ([`shortcut`]) marks the cells in which it is not exact enough, and there the maps themselves are walked.
+//! that stands for a stack in pictures ([`precomposed`]) marks the cells in which it is not exact enough, and there the maps themselves are walked.
 //!
 //! *The error* at a point is the distance between the two sources where both show matter, and the distance to the cut where one shows matter and the
 //! other does not. Points whose source lies beyond the scene show nothing and do not count.
 
-use super::transform::{Step, Transform};
-use super::{DisplacementMap, PlacedMap, Placement, Shortcut, Stack, Storage, TexelSample};
+use super::transform::{Transform, TransformStep};
+use super::{DisplacementMap, PlacedMap, Placement, PrecomposedMap, Stack, Storage, TexelSample};
 use crate::math::{Bounds, to_f32};
 use crate::volume::GridGeometry;
 use crate::{Result, Watch};
@@ -19,7 +19,7 @@ use rayon::prelude::*;
 use std::sync::Arc;
 
 /// Most texels of a composed map: 256³, 128 MiB in half precision.
-pub const MOST_TEXELS: usize = 1 << 24;
+pub const MAX_TEXELS: usize = 1 << 24;
 /// Texels along the longest axis that the search begins with.
 const FIRST_RESOLUTION: usize = 32;
 
@@ -31,7 +31,7 @@ const LAST_PROBES: usize = 600_000;
 /// Share of the bound that the points that are compared may take: between them it may be more.
 const OF_BOUND: f32 = 0.6;
 /// Texels along the longest axis of the maps that stand for a stack, the next one tried where too much is marked in one.
-const SHORTCUT_TEXELS: [usize; 4] = [48, 80, 128, 192];
+const PRECOMPOSED_TEXELS: [usize; 4] = [48, 80, 128, 192];
 /// Points compared in the cells of one of them.
 const CELL_PROBES: usize = 1_000_000;
 /// Share of the space that may be marked: a finer map is not worth it below.
@@ -47,10 +47,10 @@ const SOME_CELLS: usize = 10_000;
 /// Times that points found at last are marked.
 const LAST_ROUNDS: usize = 4;
 /// A map twice as fine that is not this much better will never be good enough: the stack tears there.
-const LEAST_GAIN: f32 = 0.8;
+const MIN_GAIN: f32 = 0.8;
 
 /// A composed map and how well it stands for what it was made from.
-pub struct Composed {
+pub struct ComposedMap {
     /// The map in its place.
     pub placed: PlacedMap,
     /// Largest error found where matter is, mm.
@@ -72,13 +72,13 @@ pub enum Resolution {
 
 /// How a shortcut came out.
 #[derive(Clone, Copy, Debug)]
-pub struct Exactness {
+pub struct PrecomposeError {
     /// Largest error found where matter is, mm.
     pub worst_mm: f32,
     /// 99th percentile of the error, mm.
     pub p99_mm: f32,
     /// Share of the space with matter in it where the maps themselves are walked.
-    pub by_maps: f32,
+    pub fallback_share: f32,
 }
 
 /// The axis-aligned box of every cube of a stack; none if it is empty.
@@ -87,24 +87,24 @@ fn cubes(stack: &Stack) -> Option<Bounds> {
 }
 
 /// Source and smallest mask of each of many points.
-pub type Sources = Vec<(Vec3, f32)>;
+pub type SourcesAndAlphas = Vec<(Vec3, f32)>;
 
 /// Evaluates a stack at many points. The CPU's own, or a device's.
-pub type Evaluate<'a> = &'a dyn Fn(&Stack, &[Vec3]) -> Result<Sources>;
+pub type Evaluate<'a> = &'a dyn Fn(&Stack, &[Vec3]) -> Result<SourcesAndAlphas>;
 
 /// The stack at many points, on all cores.
 ///
 /// # Errors
 /// None.
-pub fn evaluate(stack: &Stack, points: &[Vec3]) -> Result<Sources> {
-    Ok(points.par_iter().map(|p| stack.walk_through(*p)).collect())
+pub fn evaluate(stack: &Stack, points: &[Vec3]) -> Result<SourcesAndAlphas> {
+    Ok(points.par_iter().map(|p| stack.source_and_alpha_unclipped(*p)).collect())
 }
 
 /// What is sampled: source and mask of a deformed point, and the box beyond which there is no matter.
-struct Mapping<'a> {
+struct BackwardMap<'a> {
     source_and_alpha: &'a (dyn Fn(Vec3) -> (Vec3, f32) + Sync),
     /// The same for all points of a grid at once.
-    many: &'a dyn Fn(&[Vec3]) -> Result<Sources>,
+    many: &'a dyn Fn(&[Vec3]) -> Result<SourcesAndAlphas>,
     scene_box: Bounds,
 }
 
@@ -112,12 +112,12 @@ struct Mapping<'a> {
 ///
 /// # Errors
 /// A placement that cannot be used.
-pub fn stack(stack: &Stack, scene_box: &Bounds, resolution: Resolution, storage: Storage, evaluate: Evaluate) -> Result<Option<Composed>> {
+pub fn stack(stack: &Stack, scene_box: &Bounds, resolution: Resolution, storage: Storage, evaluate: Evaluate) -> Result<Option<ComposedMap>> {
     let Some(bounds) = cubes(stack) else { return Ok(None) };
     let placement = Placement::new(bounds.center(), bounds.size(), Vec3::ZERO)?;
-    let f = |p: Vec3| stack.walk_through(p);
+    let f = |p: Vec3| stack.source_and_alpha_unclipped(p);
     let many = |points: &[Vec3]| evaluate(stack, points);
-    search(&Mapping { source_and_alpha: &f, many: &many, scene_box: *scene_box }, &placement, resolution, storage).map(Some)
+    search(&BackwardMap { source_and_alpha: &f, many: &many, scene_box: *scene_box }, &placement, resolution, storage).map(Some)
 }
 
 /// One map that stands for a stack within `bound_mm` wherever matter is, with marks where it cannot: cells that a tear or a cut runs through, or
@@ -125,18 +125,24 @@ pub fn stack(stack: &Stack, scene_box: &Bounds, resolution: Resolution, storage:
 ///
 /// # Errors
 /// A placement that cannot be used; whatever the device reports; [`crate::Error::Cancelled`].
-pub fn shortcut(stack: &Stack, scene_box: &Bounds, bound_mm: f32, evaluate: Evaluate, watch: &Watch) -> Result<(Option<Shortcut>, Exactness)> {
-    let mut exactness = Exactness { worst_mm: 0.0, p99_mm: 0.0, by_maps: 1.0 };
-    let Some(bounds) = cubes(stack) else { return Ok((None, exactness)) };
+pub fn precompose(
+    stack: &Stack,
+    scene_box: &Bounds,
+    bound_mm: f32,
+    evaluate: Evaluate,
+    watch: &Watch,
+) -> Result<(Option<PrecomposedMap>, PrecomposeError)> {
+    let mut precompose_error = PrecomposeError { worst_mm: 0.0, p99_mm: 0.0, fallback_share: 1.0 };
+    let Some(bounds) = cubes(stack) else { return Ok((None, precompose_error)) };
     let placement = Placement::new(bounds.center(), bounds.size(), Vec3::ZERO)?;
     let size_mm = placement.size_mm();
     let finest = finest(size_mm, MAX_SEARCH_TEXELS);
-    let exact = |p: &Vec3| stack.walk_through(*p);
+    let exact = |p: &Vec3| stack.source_and_alpha_unclipped(*p);
     let comparison = Comparison { exact: &exact, scene_box };
     // Every sample costs one map, those that are marked all others as well.
     let max_marked = (1.0 - MIN_SAVED - 1.0 / stack.maps().len() as f32).min(MAX_MARKED);
     let mut best: Option<MarkedGrid> = None;
-    for texels in SHORTCUT_TEXELS.map(|n| n.min(finest)) {
+    for texels in PRECOMPOSED_TEXELS.map(|n| n.min(finest)) {
         watch.check()?;
         if best.as_ref().is_some_and(|b| b.size == grid_for(size_mm, texels)) {
             break;
@@ -145,11 +151,11 @@ pub fn shortcut(stack: &Stack, scene_box: &Bounds, bound_mm: f32, evaluate: Eval
         // Too coarse by far: not worth a look at every cell.
         let about = grid.bad_share_of_some(&comparison, bound_mm);
         if about > max_marked {
-            exactness.by_maps = exactness.by_maps.min(about);
+            precompose_error.fallback_share = precompose_error.fallback_share.min(about);
             continue;
         }
         grid.find_bad_cells(&comparison, stack, bound_mm, watch)?;
-        let gained = best.as_ref().is_none_or(|b| grid.share() < LEAST_GAIN * b.share());
+        let gained = best.as_ref().is_none_or(|b| grid.share() < MIN_GAIN * b.share());
         if gained {
             best = Some(grid);
         }
@@ -158,26 +164,26 @@ pub fn shortcut(stack: &Stack, scene_box: &Bounds, bound_mm: f32, evaluate: Eval
             break;
         }
     }
-    let Some(mut grid) = best else { return Ok((None, exactness)) };
+    let Some(mut grid) = best else { return Ok((None, precompose_error)) };
     // Many points at last, elsewhere than those that were asked: what they find is marked as well.
     for _ in 0..LAST_ROUNDS {
         watch.check()?;
-        exactness.by_maps = grid.share();
-        if exactness.by_maps > max_marked {
-            return Ok((None, exactness));
+        precompose_error.fallback_share = grid.share();
+        if precompose_error.fallback_share > max_marked {
+            return Ok((None, precompose_error));
         }
-        let shortcut = Shortcut { map: grid.marked_map(), bound_mm };
-        let with = Stack::new(stack.maps().to_vec()).with_shortcut(shortcut.clone());
+        let precomposed = PrecomposedMap { map: grid.marked_map(), bound_mm };
+        let with = Stack::new(stack.maps().to_vec()).with_precomposed(precomposed.clone());
         let h = 0.25 * grid.texel_mm();
-        let errors = comparison.errors(&|p| with.walk(*p), &bounds, LAST_PROBES, h);
+        let errors = comparison.errors(&|p| with.source_and_alpha(*p), &bounds, LAST_PROBES, h);
         let beyond: Vec<Vec3> = errors.iter().filter(|(e, _)| *e > bound_mm).map(|(_, p)| *p).collect();
         if beyond.is_empty() {
-            (exactness.worst_mm, exactness.p99_mm) = worst_and_p99(errors.into_iter().map(|(e, _)| e).collect());
-            return Ok((Some(shortcut), exactness));
+            (precompose_error.worst_mm, precompose_error.p99_mm) = worst_and_p99(errors.into_iter().map(|(e, _)| e).collect());
+            return Ok((Some(precomposed), precompose_error));
         }
         grid.mark_around(&beyond);
     }
-    Ok((None, exactness))
+    Ok((None, precompose_error))
 }
 
 /// Whether two Jacobians would light matter differently.
@@ -193,7 +199,7 @@ struct MarkedGrid {
     samples: Vec<TexelSample>,
     bad: Vec<bool>,
     /// Cells with any matter in them.
-    seen: Vec<bool>,
+    occupied: Vec<bool>,
 }
 
 impl MarkedGrid {
@@ -204,7 +210,7 @@ impl MarkedGrid {
         let rounding = largest * placement.size_mm().max_element() / 2048.0;
         let storage = if rounding > 0.2 * bound_mm { Storage::F32 } else { Storage::F16 };
         let cells = Self::cells_of(size).iter().product();
-        Ok(Self { size, placement: *placement, storage, samples, bad: vec![false; cells], seen: vec![false; cells] })
+        Ok(Self { size, placement: *placement, storage, samples, bad: vec![false; cells], occupied: vec![false; cells] })
     }
 
     fn cells_of(size: [usize; 3]) -> [usize; 3] {
@@ -217,9 +223,12 @@ impl MarkedGrid {
 
     /// Share of the cells with matter that are bad.
     fn share(&self) -> f32 {
-        let (bad, seen) =
-            self.bad.iter().zip(&self.seen).fold((0usize, 0usize), |(bad, seen), (b, s)| (bad + usize::from(*b && *s), seen + usize::from(*s)));
-        bad as f32 / seen.max(1) as f32
+        let (bad, occupied) = self
+            .bad
+            .iter()
+            .zip(&self.occupied)
+            .fold((0usize, 0usize), |(bad, occupied), (b, s)| (bad + usize::from(*b && *s), occupied + usize::from(*s)));
+        bad as f32 / occupied.max(1) as f32
     }
 
     fn placed(&self) -> PlacedMap {
@@ -243,22 +252,22 @@ impl MarkedGrid {
         let h = 0.25 * self.texel_mm();
         let of_cell = |n: usize| -> (bool, bool) {
             let low = Vec3::new((n % cells[0]) as f32, (n / cells[0] % cells[1]) as f32, (n / (cells[0] * cells[1])) as f32);
-            let (mut bad, mut seen) = (false, false);
+            let (mut bad, mut occupied) = (false, false);
             for k in 0..each {
                 let p = self.placement.world_from_map.transform_point3((low + spread(n * each + k)) * edge);
                 if let Some(error) = comparison.error(&|p| placed.backward(*p), p, h) {
-                    seen = true;
+                    occupied = true;
                     bad |= error > OF_BOUND * bound_mm;
                     // What a kink does to light is seen long before what it does to places.
                     bad = bad || k < SLOPE_PROBES && placed.derivatives(p).is_some_and(|(j, _)| differs(&j, &stack.jet(p).d_source_d_deformed));
                 }
             }
-            (bad, seen)
+            (bad, occupied)
         };
         let found: Vec<(bool, bool)> =
-            (0..self.bad.len()).into_par_iter().with_min_len(256).map(|n| if watch.stopped() { (false, false) } else { of_cell(n) }).collect();
+            (0..self.bad.len()).into_par_iter().with_min_len(256).map(|n| if watch.is_cancelled() { (false, false) } else { of_cell(n) }).collect();
         watch.check()?;
-        self.seen = found.iter().map(|f| f.1).collect();
+        self.occupied = found.iter().map(|f| f.1).collect();
         self.bad = self.grown(&found.iter().map(|f| f.0).collect::<Vec<_>>());
         Ok(())
     }
@@ -313,11 +322,11 @@ fn grid_for(size_mm: Vec3, texels: usize) -> [usize; 3] {
 }
 
 /// Samples a mapping over a placement, finely enough.
-fn search(mapping: &Mapping, placement: &Placement, resolution: Resolution, storage: Storage) -> Result<Composed> {
+fn search(mapping: &BackwardMap, placement: &Placement, resolution: Resolution, storage: Storage) -> Result<ComposedMap> {
     let size_mm = placement.size_mm();
     let bound = match resolution {
         Resolution::Fixed(n) => {
-            let finest = finest(size_mm, MOST_TEXELS);
+            let finest = finest(size_mm, MAX_TEXELS);
             let mut composed = sampled(mapping, placement, grid_for(size_mm, n.min(finest)), storage, LAST_PROBES)?;
             composed.within = true;
             return Ok(composed);
@@ -335,7 +344,7 @@ fn search(mapping: &Mapping, placement: &Placement, resolution: Resolution, stor
             let (worst_mm, p99_mm) = error(mapping, &composed.placed, LAST_PROBES);
             (composed.worst_mm, composed.p99_mm) = (composed.worst_mm.max(worst_mm), p99_mm);
             if composed.worst_mm <= bound {
-                return Ok(Composed { within: true, ..composed });
+                return Ok(ComposedMap { within: true, ..composed });
             }
         }
         // What half precision rounds to is no finer for a finer grid.
@@ -354,7 +363,7 @@ fn search(mapping: &Mapping, placement: &Placement, resolution: Resolution, stor
         texels = needed.clamp(texels * 5 / 4, texels * 2).min(finest);
         composed = sampled(mapping, placement, grid_for(size_mm, texels), storage, PROBES)?;
         let finer = texels as f32 / before.1 as f32;
-        let expected = before.0 * LEAST_GAIN.powf(finer.log2());
+        let expected = before.0 * MIN_GAIN.powf(finer.log2());
         in_vain = if composed.worst_mm > expected { in_vain + 1 } else { 0 };
     }
 }
@@ -365,7 +374,7 @@ fn finest(size_mm: Vec3, most: usize) -> usize {
 }
 
 /// The texels of a map: what `many` says of its grid points, in map coordinates.
-fn grid_samples(placement: &Placement, size: [usize; 3], many: &dyn Fn(&[Vec3]) -> Result<Sources>) -> Result<Vec<TexelSample>> {
+fn grid_samples(placement: &Placement, size: [usize; 3], many: &dyn Fn(&[Vec3]) -> Result<SourcesAndAlphas>) -> Result<Vec<TexelSample>> {
     let map_from_world = Mat3::from(placement.map_from_world.matrix3);
     let points: Vec<Vec3> = (0..size.iter().product::<usize>())
         .into_par_iter()
@@ -376,15 +385,15 @@ fn grid_samples(placement: &Placement, size: [usize; 3], many: &dyn Fn(&[Vec3]) 
 }
 
 /// The map of a mapping, with its error at some points.
-fn sampled(mapping: &Mapping, placement: &Placement, size: [usize; 3], storage: Storage, probes: usize) -> Result<Composed> {
+fn sampled(mapping: &BackwardMap, placement: &Placement, size: [usize; 3], storage: Storage, probes: usize) -> Result<ComposedMap> {
     let map = DisplacementMap::from_samples(size, storage, grid_samples(placement, size, mapping.many)?);
     let placed = PlacedMap::new(Arc::new(map), *placement);
     let (worst_mm, p99_mm) = error(mapping, &placed, probes);
-    Ok(Composed { placed, worst_mm, p99_mm, within: false })
+    Ok(ComposedMap { placed, worst_mm, p99_mm, within: false })
 }
 
 /// Largest error and 99th percentile of a map where matter is, mm.
-fn error(mapping: &Mapping, placed: &PlacedMap, probes: usize) -> (f32, f32) {
+fn error(mapping: &BackwardMap, placed: &PlacedMap, probes: usize) -> (f32, f32) {
     let (exact, composed) = (|p: &Vec3| (mapping.source_and_alpha)(*p), |p: &Vec3| placed.backward(*p));
     let size = placed.map.size;
     let texel = (placed.placement.size_mm() / Vec3::from(size.map(|n| n.max(2) as f32 - 1.0))).max_element();
@@ -462,11 +471,11 @@ pub fn transform_maps(
     storage: Storage,
 ) -> Result<Vec<PlacedMap>> {
     let single = transform.steps.len() == 1;
-    let fits = |g: &GridGeometry| g.size.iter().product::<usize>() <= MOST_TEXELS;
+    let fits = |g: &GridGeometry| g.size.iter().product::<usize>() <= MAX_TEXELS;
     let all_fit = transform.steps.iter().all(|s| match s {
-        Step::Affine(_) => true,
-        Step::Field(f) => fits(&f.grid),
-        Step::BSpline(b) => fits(&b.fine_grid()),
+        TransformStep::Affine(_) => true,
+        TransformStep::Field(f) => fits(&f.grid),
+        TransformStep::BSpline(b) => fits(&b.fine_grid()),
     });
     if resolution.is_some() || !(single || strength == 1.0) || !all_fit {
         return Ok(vec![self::transform(transform, scene_box, strength, resolution, storage)?.placed]);
@@ -476,18 +485,18 @@ pub fn transform_maps(
     let mut maps = Vec::with_capacity(transform.steps.len());
     for step in transform.steps.iter().rev() {
         maps.push(match step {
-            Step::Field(f) => {
+            TransformStep::Field(f) => {
                 let placement = placement_of(&f.grid)?;
                 let mut placed = sampled_grid(f, None, &placement, storage, strength);
                 placed.reach = Vec3::from(f.grid.size.map(|n| if n > 1 { 0.5 / (n - 1) as f32 } else { 0.0 }));
                 placed
             }
-            Step::BSpline(b) => {
+            TransformStep::BSpline(b) => {
                 let grid = b.fine_grid();
                 let sampled = super::transform::VectorField::sampled(grid, |p| b.source_from_deformed(p));
                 sampled_grid(&sampled, None, &placement_of(&grid)?, storage, strength)
             }
-            Step::Affine(m) => self::transform(&Transform::affine(*m), &bounds, strength, None, storage)?.placed,
+            TransformStep::Affine(m) => self::transform(&Transform::affine(*m), &bounds, strength, None, storage)?.placed,
         });
         bounds = bounds.union(&before(step, &bounds, strength));
     }
@@ -495,16 +504,16 @@ pub fn transform_maps(
 }
 
 /// The box in which matter of a box can be seen before a step of a chain.
-fn before(step: &Step, bounds: &Bounds, strength: f32) -> Bounds {
+fn before(step: &TransformStep, bounds: &Bounds, strength: f32) -> Bounds {
     match step {
-        Step::Affine(m) => {
+        TransformStep::Affine(m) => {
             // Part of the way to an affine is one of its own, whose inverse may reach further than the whole's.
             let t = f64::from(strength);
             let part = glam::DAffine3 { matrix3: glam::DMat3::IDENTITY * (1.0 - t) + m.matrix3 * t, translation: m.translation * t };
             bounds.transformed(&to_f32(&part.inverse()))
         }
-        Step::Field(v) => bounds.grown(v.vectors.par_iter().map(|d| d.length()).reduce(|| 0.0, f32::max)),
-        Step::BSpline(b) => bounds.grown(b.coefficients.iter().map(|d| d.length()).fold(0.0, f32::max)),
+        TransformStep::Field(v) => bounds.grown(v.vectors.par_iter().map(|d| d.length()).reduce(|| 0.0, f32::max)),
+        TransformStep::BSpline(b) => bounds.grown(b.coefficients.iter().map(|d| d.length()).fold(0.0, f32::max)),
     }
 }
 
@@ -514,13 +523,13 @@ fn before(step: &Step, bounds: &Bounds, strength: f32) -> Bounds {
 ///
 /// # Errors
 /// A placement that cannot be used: a singular matrix.
-pub fn transform(transform: &Transform, scene_box: &Bounds, strength: f32, resolution: Option<usize>, storage: Storage) -> Result<Composed> {
+pub fn transform(transform: &Transform, scene_box: &Bounds, strength: f32, resolution: Option<usize>, storage: Storage) -> Result<ComposedMap> {
     let f = |p: Vec3| {
         let d = transform.source_from_deformed(p.as_dvec3()) - p.as_dvec3();
         (p + d.as_vec3() * strength, 1.0)
     };
     let many = |points: &[Vec3]| Ok(points.par_iter().map(|p| f(*p)).collect());
-    let mapping = Mapping { source_and_alpha: &f, many: &many, scene_box: *scene_box };
+    let mapping = BackwardMap { source_and_alpha: &f, many: &many, scene_box: *scene_box };
     // Backwards through the chain: where the scene's matter can be seen.
     let mut bounds = *scene_box;
     for step in transform.steps.iter().rev() {
@@ -574,10 +583,10 @@ pub fn grid_of(placement: &Placement, size: [usize; 3]) -> GridGeometry {
     }
 }
 
-/// A vector field on its own grid as a map, its mask 0 where `seen` is false.
+/// A vector field on its own grid as a map, its mask 0 where `occupied` is false.
 pub fn sampled_grid(
     field: &super::transform::VectorField,
-    seen: Option<&[bool]>,
+    occupied: Option<&[bool]>,
     placement: &Placement,
     storage: Storage,
     strength: f32,
@@ -586,7 +595,7 @@ pub fn sampled_grid(
     let map_from_world = Mat3::from(placement.map_from_world.matrix3);
     let sample = |n: usize| TexelSample {
         displacement: map_from_world * field.vectors[n] * strength,
-        alpha: if seen.is_none_or(|s| s[n]) { 1.0 } else { 0.0 },
+        alpha: if occupied.is_none_or(|s| s[n]) { 1.0 } else { 0.0 },
     };
     let map = DisplacementMap::from_samples(size, storage, (0..field.vectors.len()).map(sample).collect());
     PlacedMap::new(Arc::new(map), *placement)

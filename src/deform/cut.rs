@@ -16,7 +16,7 @@ pub const MAX_CUTS: usize = 8;
 /// What is removed, in the shape's own millimetres about its centre.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
-pub enum Shape {
+pub enum CutShapeKind {
     /// Above z = `half.z`.
     HalfSpace = 0,
     /// Within `half`.
@@ -33,9 +33,9 @@ pub enum Shape {
 
 /// A shape in its place.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Primitive {
+pub struct CutShape {
     /// What it is.
-    pub shape: Shape,
+    pub shape: CutShapeKind,
     /// World to the shape's own millimetres: a rigid motion.
     pub local_from_world: Affine3A,
     /// Its lengths, mm.
@@ -45,36 +45,36 @@ pub struct Primitive {
     /// Removes what is outside instead.
     pub inverted: bool,
     /// Belongs to the group of the shape before it.
-    pub joined: bool,
+    pub joins_previous: bool,
     /// Within its group, only what every shape removes is removed; else what any does.
-    pub and: bool,
+    pub intersects: bool,
 }
 
-impl Primitive {
+impl CutShape {
     /// Distance from what is removed, mm, positive where matter stays.
     #[inline(always)]
-    pub fn kept(&self, world: Vec3) -> f32 {
+    pub fn signed_distance_mm(&self, world: Vec3) -> f32 {
         let q = self.local_from_world.transform_point3(world);
         let outside = match self.shape {
-            Shape::HalfSpace => self.half.z - q.z,
-            Shape::Box => {
+            CutShapeKind::HalfSpace => self.half.z - q.z,
+            CutShapeKind::Box => {
                 let d = q.abs() - self.half;
                 d.max(Vec3::ZERO).length() + d.max_element().min(0.0)
             }
             // A lower bound of the distance, exact for a sphere.
-            Shape::Ellipsoid => ((q / self.half).length() - 1.0) * self.half.min_element(),
-            Shape::Cylinder => {
+            CutShapeKind::Ellipsoid => ((q / self.half).length() - 1.0) * self.half.min_element(),
+            CutShapeKind::Cylinder => {
                 let d = Vec2::new(q.xy().length() - self.half.x, q.z.abs() - self.half.z);
                 d.max(Vec2::ZERO).length() + d.max_element().min(0.0)
             }
-            Shape::Wedge => {
+            CutShapeKind::Wedge => {
                 let r = q.xy().length();
                 let beyond = q.y.abs().atan2(q.x) - self.half_angle;
                 // Distance to the nearer side plane; from more than a right angle away, to the edge.
                 let side = if beyond.abs() < std::f32::consts::FRAC_PI_2 { r * beyond.sin() } else { r * beyond.signum() };
                 side.max(r - self.half.x).max(q.z.abs() - self.half.z)
             }
-            Shape::Cone => {
+            CutShapeKind::Cone => {
                 let v = Vec2::new(q.z, q.xy().length());
                 let axis = Vec2::from_angle(self.half_angle);
                 if v.dot(axis) > 0.0 { axis.perp_dot(v) } else { v.length() }
@@ -86,13 +86,13 @@ impl Primitive {
 
 /// Shapes in groups; what any group removes is removed.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Cuts {
-    primitives: Vec<Primitive>,
+pub struct CutShapes {
+    primitives: Vec<CutShape>,
 }
 
 /// The part of a step that is kept.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Kept {
+pub struct RetainedPart {
     /// Where the sample that stands for it lies, mm along the ray.
     pub at: f32,
     /// Its length, as a share of the step; 0 if nothing is kept.
@@ -102,18 +102,18 @@ pub struct Kept {
 /// Steps of regula falsi: a plane needs one, a curved surface within a step of the ray few more.
 const ROOT_STEPS: u32 = 4;
 
-impl Cuts {
+impl CutShapes {
     /// Shapes, those of a group one after the other.
-    pub fn new(mut primitives: Vec<Primitive>) -> Self {
+    pub fn new(mut primitives: Vec<CutShape>) -> Self {
         assert!(primitives.len() <= MAX_CUTS, "more shapes than a pass evaluates");
         if let Some(first) = primitives.first_mut() {
-            first.joined = false;
+            first.joins_previous = false;
         }
         Self { primitives }
     }
 
     /// The shapes.
-    pub fn primitives(&self) -> &[Primitive] {
+    pub fn primitives(&self) -> &[CutShape] {
         &self.primitives
     }
 
@@ -124,14 +124,14 @@ impl Cuts {
 
     /// Distance from what is removed, mm, positive where matter stays; infinite if nothing is cut.
     #[inline(always)]
-    pub fn kept(&self, world: Vec3) -> f32 {
+    pub fn signed_distance_mm(&self, world: Vec3) -> f32 {
         let (mut all, mut group) = (f32::INFINITY, f32::INFINITY);
         for p in &self.primitives {
-            let d = p.kept(world);
-            if !p.joined {
+            let d = p.signed_distance_mm(world);
+            if !p.joins_previous {
                 all = all.min(group);
                 group = d;
-            } else if p.and {
+            } else if p.intersects {
                 group = group.max(d);
             } else {
                 group = group.min(d);
@@ -140,29 +140,29 @@ impl Cuts {
         all.min(group)
     }
 
-    /// Gradient of [`Self::kept`] by central differences over `h` mm.
+    /// Gradient of [`Self::signed_distance_mm`] by central differences over `h` mm.
     pub fn gradient(&self, world: Vec3, h: f32) -> Vec3 {
-        let d = |e: Vec3| self.kept(world + e * h) - self.kept(world - e * h);
+        let d = |e: Vec3| self.signed_distance_mm(world + e * h) - self.signed_distance_mm(world - e * h);
         Vec3::new(d(Vec3::X), d(Vec3::Y), d(Vec3::Z)) / (2.0 * h)
     }
 
-    /// Highest and lowest value that [`Self::kept`] can have in a box.
+    /// Highest and lowest value that [`Self::signed_distance_mm`] can have in a box.
     pub fn bounds(&self, b: &Bounds) -> [f32; 2] {
         if self.is_empty() {
             return [f32::INFINITY; 2];
         }
-        let (middle, radius) = (self.kept(b.center()), b.size().length() / 2.0);
+        let (middle, radius) = (self.signed_distance_mm(b.center()), b.size().length() / 2.0);
         [middle - radius, middle + radius]
     }
 
     /// The part of the step [t - step/2, t + step/2] of a ray that is kept. A plane is met where it is, to rounding.
     #[inline(always)]
-    pub fn kept_part(&self, origin: Vec3, direction: Vec3, t: f32, step: f32) -> Kept {
+    pub fn retained_part(&self, origin: Vec3, direction: Vec3, t: f32, step: f32) -> RetainedPart {
         let half = 0.5 * step;
-        let f = |t: f32| self.kept(origin + direction * t);
+        let f = |t: f32| self.signed_distance_mm(origin + direction * t);
         let middle = f(t);
         if middle.abs() > half {
-            return Kept { at: t, share: if middle > 0.0 { 1.0 } else { 0.0 } };
+            return RetainedPart { at: t, share: if middle > 0.0 { 1.0 } else { 0.0 } };
         }
         let (low, high) = (f(t - half), f(t + half));
         let (a, b) = match (low >= 0.0, middle >= 0.0, high >= 0.0) {
@@ -173,33 +173,33 @@ impl Cuts {
             // Of two kept ends the nearer one is sampled; both count.
             (true, false, true) => {
                 let (a, b) = (root(&f, t - half, low, t, middle), root(&f, t + half, high, t, middle));
-                return Kept { at: 0.5 * (t - half + a), share: (a - t + half + t + half - b) / step };
+                return RetainedPart { at: 0.5 * (t - half + a), share: (a - t + half + t + half - b) / step };
             }
             (true, false, false) => (t - half, root(&f, t - half, low, t, middle)),
             (false, false, true) => (root(&f, t + half, high, t, middle), t + half),
-            (false, false, false) => return Kept { at: t, share: 0.0 },
+            (false, false, false) => return RetainedPart { at: t, share: 0.0 },
         };
-        Kept { at: 0.5 * (a + b), share: (b - a) / step }
+        RetainedPart { at: 0.5 * (a + b), share: (b - a) / step }
     }
 }
 
-/// Where a function changes its sign between `kept` (where it is not negative) and `cut` (where it is): regula falsi, which finds a plane in
+/// Where a function changes its sign between `outside` (where it is not negative) and `cut` (where it is): regula falsi, which finds a plane in
 /// one step.
 #[inline(always)]
-fn root(f: &impl Fn(f32) -> f32, mut kept: f32, mut at_kept: f32, mut cut: f32, mut at_cut: f32) -> f32 {
+fn root(f: &impl Fn(f32) -> f32, mut outside: f32, mut outside_value: f32, mut cut: f32, mut at_cut: f32) -> f32 {
     for _ in 0..ROOT_STEPS {
-        let t = kept + (cut - kept) * (at_kept / (at_kept - at_cut)).clamp(0.0, 1.0);
+        let t = outside + (cut - outside) * (outside_value / (outside_value - at_cut)).clamp(0.0, 1.0);
         let v = f(t);
         if v.abs() < 1e-4 {
             return t;
         }
         if v >= 0.0 {
-            (kept, at_kept) = (t, v);
+            (outside, outside_value) = (t, v);
         } else {
             (cut, at_cut) = (t, v);
         }
     }
-    kept + (cut - kept) * (at_kept / (at_kept - at_cut)).clamp(0.0, 1.0)
+    outside + (cut - outside) * (outside_value / (outside_value - at_cut)).clamp(0.0, 1.0)
 }
 
 #[cfg(test)]
@@ -207,28 +207,37 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn shape(shape: Shape) -> Primitive {
+    fn shape(shape: CutShapeKind) -> CutShape {
         let turn = Affine3A::from_rotation_x(0.4) * Affine3A::from_rotation_z(-0.7) * Affine3A::from_translation(Vec3::new(3.0, -2.0, 5.0));
-        Primitive { shape, local_from_world: turn, half: Vec3::new(20.0, 14.0, 17.0), half_angle: 0.6, inverted: false, joined: false, and: false }
+        CutShape {
+            shape,
+            local_from_world: turn,
+            half: Vec3::new(20.0, 14.0, 17.0),
+            half_angle: 0.6,
+            inverted: false,
+            joins_previous: false,
+            intersects: false,
+        }
     }
 
-    const SHAPES: [Shape; 6] = [Shape::HalfSpace, Shape::Box, Shape::Ellipsoid, Shape::Cylinder, Shape::Wedge, Shape::Cone];
+    const SHAPES: [CutShapeKind; 6] =
+        [CutShapeKind::HalfSpace, CutShapeKind::Box, CutShapeKind::Ellipsoid, CutShapeKind::Cylinder, CutShapeKind::Wedge, CutShapeKind::Cone];
 
     proptest! {
         /// The kept lengths of a ray's steps sum to what a very fine march finds, whatever the shapes' combination.
         #[test]
-        fn kept_parts_sum_to_the_path(a in 0usize..6, b in 0usize..6, and: bool, inverted: bool, joined: bool,
+        fn kept_parts_sum_to_the_path(a in 0usize..6, b in 0usize..6, intersects: bool, inverted: bool, joins_previous: bool,
                                       from in prop::array::uniform3(-60.0f32..60.0), to in prop::array::uniform3(-60.0f32..60.0)) {
             let (from, to) = (Vec3::from(from), Vec3::from(to));
             prop_assume!(from.distance(to) > 5.0);
-            let other = Primitive { local_from_world: Affine3A::from_rotation_y(0.5), and, inverted, joined, ..shape(SHAPES[b]) };
-            let cuts = Cuts::new(vec![shape(SHAPES[a]), other]);
+            let other = CutShape { local_from_world: Affine3A::from_rotation_y(0.5), intersects, inverted, joins_previous, ..shape(SHAPES[b]) };
+            let cuts = CutShapes::new(vec![shape(SHAPES[a]), other]);
             let (length, direction) = (from.distance(to), (to - from).normalize());
             let steps = length.ceil();
             let step = length / steps;
-            let sum: f32 = (0..steps as usize).map(|i| cuts.kept_part(from, direction, (i as f32 + 0.5) * step, step).share * step).sum();
+            let sum: f32 = (0..steps as usize).map(|i| cuts.retained_part(from, direction, (i as f32 + 0.5) * step, step).share * step).sum();
             let fine = 4000;
-            let count = (0..fine).filter(|i| cuts.kept(from + direction * length * ((*i as f32 + 0.5) / fine as f32)) >= 0.0).count();
+            let count = (0..fine).filter(|i| cuts.signed_distance_mm(from + direction * length * ((*i as f32 + 0.5) / fine as f32)) >= 0.0).count();
             let want = length * count as f32 / fine as f32;
             // A sliver thinner than half a step may be missed where two shapes meet.
             prop_assert!((sum - want).abs() < 0.6 * step + 0.01 * length, "{} for {}", sum, want);
@@ -239,37 +248,37 @@ mod tests {
         fn distances_have_the_bound(n in 0usize..6, p in prop::array::uniform3(-50.0f32..50.0), d in prop::array::uniform3(-3.0f32..3.0)) {
             let s = shape(SHAPES[n]);
             let (p, d) = (Vec3::from(p), Vec3::from(d));
-            prop_assert!((s.kept(p + d) - s.kept(p)).abs() <= d.length() * 1.001 + 1e-4);
+            prop_assert!((s.signed_distance_mm(p + d) - s.signed_distance_mm(p)).abs() <= d.length() * 1.001 + 1e-4);
         }
     }
 
     #[test]
     fn planes_are_exact_along_the_ray() {
-        let cuts = Cuts::new(vec![Primitive { local_from_world: Affine3A::IDENTITY, half: Vec3::ZERO, ..shape(Shape::HalfSpace) }]);
+        let cuts = CutShapes::new(vec![CutShape { local_from_world: Affine3A::IDENTITY, half: Vec3::ZERO, ..shape(CutShapeKind::HalfSpace) }]);
         let direction = Vec3::new(0.6, 0.0, 0.8);
         for offset in [0.0, 0.1, 0.37, 0.5, 0.93] {
             let origin = Vec3::new(0.0, 0.0, -8.0 - offset);
-            let path: f32 = (0..30).map(|i| cuts.kept_part(origin, direction, i as f32 + 0.5, 1.0).share).sum();
+            let path: f32 = (0..30).map(|i| cuts.retained_part(origin, direction, i as f32 + 0.5, 1.0).share).sum();
             assert!((path - (8.0 + offset) / 0.8).abs() < 1e-3, "{path} at {offset}");
         }
     }
 
     #[test]
     fn groups_combine() {
-        let plane = |normal: Vec3| Primitive {
+        let plane = |normal: Vec3| CutShape {
             local_from_world: Affine3A::from_quat(glam::Quat::from_rotation_arc(normal, Vec3::Z)),
             half: Vec3::ZERO,
-            ..shape(Shape::HalfSpace)
+            ..shape(CutShapeKind::HalfSpace)
         };
         let (top, side) = (plane(Vec3::Z), plane(Vec3::X));
-        let or = Cuts::new(vec![top, side]);
-        let and = Cuts::new(vec![top, Primitive { joined: true, and: true, ..side }]);
+        let or = CutShapes::new(vec![top, side]);
+        let intersects = CutShapes::new(vec![top, CutShape { joins_previous: true, intersects: true, ..side }]);
         // The top as well as the side, against the edge between them alone.
         for (x, z, in_or, in_and) in [(-1.0, -1.0, true, true), (1.0, -1.0, false, true), (-1.0, 1.0, false, true), (1.0, 1.0, false, false)] {
             let p = Vec3::new(x, 0.0, z);
-            assert_eq!((or.kept(p) > 0.0, and.kept(p) > 0.0), (in_or, in_and), "{p}");
+            assert_eq!((or.signed_distance_mm(p) > 0.0, intersects.signed_distance_mm(p) > 0.0), (in_or, in_and), "{p}");
         }
-        let inverted = Cuts::new(vec![Primitive { inverted: true, ..top }]);
-        assert!(inverted.kept(Vec3::Z) > 0.0 && inverted.kept(-Vec3::Z) < 0.0);
+        let inverted = CutShapes::new(vec![CutShape { inverted: true, ..top }]);
+        assert!(inverted.signed_distance_mm(Vec3::Z) > 0.0 && inverted.signed_distance_mm(-Vec3::Z) < 0.0);
     }
 }

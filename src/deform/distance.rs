@@ -12,10 +12,10 @@ use rayon::prelude::*;
 /// Openings of a body that are narrower than twice this are closed, mm.
 const CLOSING_MM: f32 = 6.0;
 /// Most voxels of a field; larger volumes are taken at every second voxel, or every fourth.
-const MOST_VOXELS: usize = 1 << 25;
+const MAX_VOXELS: usize = 1 << 25;
 
 /// Which voxels are inside.
-pub enum Region<'a> {
+pub enum RegionSource<'a> {
     /// Those with one of these values.
     Labels(&'a [usize]),
     /// Those above zero.
@@ -25,9 +25,9 @@ pub enum Region<'a> {
 }
 
 /// The distance field of a region; none if the region is empty or everything. `smooth` takes the stairs of the voxels off it.
-pub fn of_region(volume: &Volume, region: &Region, smooth: bool) -> Option<DistanceGrid> {
+pub fn of_region(volume: &Volume, region: &RegionSource, smooth: bool) -> Option<DistanceGrid> {
     let mut stride = 1;
-    while volume.size.iter().map(|n| n.div_ceil(stride)).product::<usize>() > MOST_VOXELS {
+    while volume.size.iter().map(|n| n.div_ceil(stride)).product::<usize>() > MAX_VOXELS {
         stride *= 2;
     }
     let size = volume.size.map(|n| n.div_ceil(stride));
@@ -37,17 +37,17 @@ pub fn of_region(volume: &Volume, region: &Region, smooth: bool) -> Option<Dista
     };
     // A list of thousands of labels is looked up, not searched, for each of millions of voxels.
     let wanted = match region {
-        Region::Labels(labels) => LabelSet::new(labels),
+        RegionSource::Labels(labels) => LabelSet::new(labels),
         _ => LabelSet::default(),
     };
     let inside = |n: usize| match region {
-        Region::Labels(_) => wanted.holds(value(n)),
-        Region::Mask => value(n) > 0.0,
-        Region::Body(iso) => value(n) >= *iso,
+        RegionSource::Labels(_) => wanted.holds(value(n)),
+        RegionSource::Mask => value(n) > 0.0,
+        RegionSource::Body(iso) => value(n) >= *iso,
     };
     let mut mask: Vec<bool> = (0..size.iter().product()).into_par_iter().map(inside).collect();
     let spacing = (volume.spacing_mm() * stride as f64).as_vec3();
-    if matches!(region, Region::Body(_)) {
+    if matches!(region, RegionSource::Body(_)) {
         mask = body(largest_part(&mask, size), size, spacing);
     }
     let count = mask.iter().filter(|m| **m).count();
@@ -105,8 +105,8 @@ fn body(mask: Vec<bool>, size: [usize; 3], spacing: Vec3) -> Vec<bool> {
     });
     let outside = connected(&open, size, shell);
     // What grew is taken back, but never a voxel of the body itself.
-    let kept = not(&within(&outside));
-    kept.iter().zip(&mask).map(|(k, m)| *k || *m).collect()
+    let closed = not(&within(&outside));
+    closed.iter().zip(&mask).map(|(k, m)| *k || *m).collect()
 }
 
 /// A 1-2-1 filter along each axis.
@@ -173,7 +173,7 @@ mod tests {
     fn a_ball_has_its_distance_and_its_cavity_counts_only_for_a_mask() {
         let volume = ball();
         let center = volume.world_from_voxel.transform_point3(DVec3::new(30.0, 20.0, 15.0)).as_vec3();
-        let body = of_region(&volume, &Region::Body(50.0), true).unwrap_or_else(|| panic!());
+        let body = of_region(&volume, &RegionSource::Body(50.0), true).unwrap_or_else(|| panic!());
         for (direction, r) in [(Vec3::X, 5.0), (Vec3::Y, 12.0), (Vec3::new(0.6, 0.0, 0.8), 18.0), (Vec3::Z, 24.0)] {
             let d = body.sample(center + direction * r);
             assert!((d - (20.0 - r)).abs() < 1.2, "{d} at {r} mm");
@@ -182,9 +182,9 @@ mod tests {
         assert!((-40.5..=-30.0).contains(&body.sample(center + Vec3::NEG_Y * 60.0)));
         let g = body.gradient(center + Vec3::X * 15.0, 1.0);
         assert!((g - Vec3::NEG_X).length() < 0.15, "{g}");
-        let mask = of_region(&volume, &Region::Mask, true).unwrap_or_else(|| panic!());
+        let mask = of_region(&volume, &RegionSource::Mask, true).unwrap_or_else(|| panic!());
         assert!(mask.sample(center) < 0.0 && body.sample(center) > 15.0);
-        assert!(of_region(&volume, &Region::Labels(&[7]), true).is_none());
-        assert!(of_region(&volume, &Region::Labels(&[100]), true).is_some_and(|f| f.sample(center) < 0.0));
+        assert!(of_region(&volume, &RegionSource::Labels(&[7]), true).is_none());
+        assert!(of_region(&volume, &RegionSource::Labels(&[100]), true).is_some_and(|f| f.sample(center) < 0.0));
     }
 }

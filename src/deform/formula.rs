@@ -51,7 +51,7 @@ impl Formula {
 }
 
 /// What a map is sampled from.
-pub struct Recipe {
+pub struct MapDefinition {
     /// Grid points along x, y, z.
     pub size: [usize; 3],
     /// Texel format.
@@ -64,12 +64,12 @@ pub struct Recipe {
     pub field: Box<dyn Field>,
 }
 
-impl Recipe {
+impl MapDefinition {
     /// D and alpha at map coordinates.
     pub fn sample(&self, x: Vec3) -> TexelSample {
         let local = (x - 0.5) * self.cube_mm;
         let b = self.field.backward(local);
-        TexelSample { displacement: (b.source - local) / self.cube_mm, alpha: (0.5 + 0.5 * b.cut_mm / self.ramp_mm).clamp(0.0, 1.0) }
+        TexelSample { displacement: (b.source - local) / self.cube_mm, alpha: (0.5 + 0.5 * b.cut_distance_mm / self.ramp_mm).clamp(0.0, 1.0) }
     }
 
     /// The map, sampled now.

@@ -9,7 +9,7 @@
 //! What does not converge, or converges where det J <= 0, lies in a fold: no single source exists there. Its mask is 0.
 
 use super::compose::{placement_of, sampled_grid};
-use super::transform::{Step, Transform, VectorField};
+use super::transform::{Transform, TransformStep, VectorField};
 use super::{PlacedMap, Storage};
 use crate::Result;
 use crate::math::Bounds;
@@ -102,7 +102,7 @@ pub fn point(forward: &impl Fn(DVec3) -> DVec3, y: DVec3, guess: DVec3, h: f64, 
 
 /// How well an inverse fits.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
-pub struct Report {
+pub struct InversionReport {
     /// Points of the grid.
     pub points: usize,
     /// Points without a source: folds, and what lies beyond the field.
@@ -124,22 +124,22 @@ pub struct Inverse {
     /// Whether the point has a source.
     pub found: Vec<bool>,
     /// How well it fits.
-    pub report: Report,
+    pub report: InversionReport,
 }
 
-impl Report {
+impl InversionReport {
     /// The statistics of residuals, of which those not found are left out.
     fn of(residuals: &[f32], found: &[bool]) -> Self {
-        let mut kept: Vec<f32> = residuals.iter().zip(found).filter(|(_, f)| **f).map(|(r, _)| *r).collect();
-        let mut report = Self { points: residuals.len(), not_found: residuals.len() - kept.len(), ..Self::default() };
-        if kept.is_empty() {
+        let mut found_residuals: Vec<f32> = residuals.iter().zip(found).filter(|(_, f)| **f).map(|(r, _)| *r).collect();
+        let mut report = Self { points: residuals.len(), not_found: residuals.len() - found_residuals.len(), ..Self::default() };
+        if found_residuals.is_empty() {
             return report;
         }
-        report.mean_mm = kept.iter().map(|r| f64::from(*r)).sum::<f64>() / kept.len() as f64;
-        let rank = |share: f64| ((kept.len() - 1) as f64 * share).round() as usize;
+        report.mean_mm = found_residuals.iter().map(|r| f64::from(*r)).sum::<f64>() / found_residuals.len() as f64;
+        let rank = |share: f64| ((found_residuals.len() - 1) as f64 * share).round() as usize;
         let [p95, p99] = [rank(0.95), rank(0.99)];
         // Ranks without sorting all: each is sought among those above the one before.
-        let (_, at_p95, above) = kept.select_nth_unstable_by(p95, f32::total_cmp);
+        let (_, at_p95, above) = found_residuals.select_nth_unstable_by(p95, f32::total_cmp);
         report.p95_mm = f64::from(*at_p95);
         report.p99_mm = match p99 - p95 {
             0 => report.p95_mm,
@@ -166,7 +166,7 @@ impl Inverse {
 
 /// Inverts a forward function on a grid.
 pub fn function(forward: &(impl Fn(DVec3) -> DVec3 + Sync), grid: &GridGeometry) -> Inverse {
-    by_rows(grid, |row, to| Row::new(forward, grid, row).fill(to))
+    by_rows(grid, |row, to| InversionRow::new(forward, grid, row).fill(to))
 }
 
 /// Inverts a field on its own grid. Beyond its grid the field goes on as at its faces, so that the faces have an inverse.
@@ -176,12 +176,12 @@ pub fn field(field: &VectorField) -> Inverse {
         if field.grid.size.iter().all(|&n| n >= 2) {
             with_simd(Newton { field, row, to: to.reborrow() });
         }
-        Row::new(&forward, &field.grid, row).fill(to);
+        InversionRow::new(&forward, &field.grid, row).fill(to);
     })
 }
 
 /// Where the inverse of a row of points goes.
-struct RowOfInverse<'a> {
+struct InverseRow<'a> {
     /// Source minus deformed point, mm.
     displacements: &'a mut [Vec3],
     /// |F(x) - y|, mm.
@@ -189,9 +189,9 @@ struct RowOfInverse<'a> {
     found: &'a mut [bool],
 }
 
-impl RowOfInverse<'_> {
-    fn reborrow(&mut self) -> RowOfInverse<'_> {
-        RowOfInverse { displacements: self.displacements, residuals: self.residuals, found: self.found }
+impl InverseRow<'_> {
+    fn reborrow(&mut self) -> InverseRow<'_> {
+        InverseRow { displacements: self.displacements, residuals: self.residuals, found: self.found }
     }
 
     fn set(&mut self, n: usize, displacement: Vec3, residual: f32, found: bool) {
@@ -200,7 +200,7 @@ impl RowOfInverse<'_> {
 }
 
 /// `row` is given the number of each row of a grid and where its inverse goes; nothing is found at first.
-fn by_rows(grid: &GridGeometry, row: impl Fn(usize, RowOfInverse) + Sync) -> Inverse {
+fn by_rows(grid: &GridGeometry, row: impl Fn(usize, InverseRow) + Sync) -> Inverse {
     let points = grid.size.iter().product();
     let mut displacements = bytemuck::zeroed_vec(points);
     let (mut residuals, mut found) = (vec![0.0; points], vec![false; points]);
@@ -210,8 +210,8 @@ fn by_rows(grid: &GridGeometry, row: impl Fn(usize, RowOfInverse) + Sync) -> Inv
         .zip(residuals.par_chunks_mut(nx))
         .zip(found.par_chunks_mut(nx))
         .enumerate()
-        .for_each(|(n, ((displacements, residuals), found))| row(n, RowOfInverse { displacements, residuals, found }));
-    let report = Report::of(&residuals, &found);
+        .for_each(|(n, ((displacements, residuals), found))| row(n, InverseRow { displacements, residuals, found }));
+    let report = InversionReport::of(&residuals, &found);
     Inverse { field: VectorField::new(*grid, displacements), found, report }
 }
 
@@ -222,7 +222,7 @@ fn voxel_mm(grid: &GridGeometry) -> f64 {
 }
 
 /// A grid's points along a row, each found from its neighbour's solution.
-struct Row<'a, F> {
+struct InversionRow<'a, F> {
     forward: &'a F,
     grid: &'a GridGeometry,
     row: usize,
@@ -231,13 +231,13 @@ struct Row<'a, F> {
     voxel_mm: f64,
 }
 
-impl<'a, F: Fn(DVec3) -> DVec3> Row<'a, F> {
+impl<'a, F: Fn(DVec3) -> DVec3> InversionRow<'a, F> {
     fn new(forward: &'a F, grid: &'a GridGeometry, row: usize) -> Self {
         Self { forward, grid, row, displacement: DVec3::ZERO, voxel_mm: voxel_mm(grid) }
     }
 
     /// Finds what is not found yet.
-    fn fill(mut self, mut to: RowOfInverse) {
+    fn fill(mut self, mut to: InverseRow) {
         for n in 0..to.found.len() {
             if to.found[n] {
                 self.displacement = to.displacements[n].as_dvec3();
@@ -273,7 +273,7 @@ impl<'a, F: Fn(DVec3) -> DVec3> Row<'a, F> {
 struct Newton<'a> {
     field: &'a VectorField,
     row: usize,
-    to: RowOfInverse<'a>,
+    to: InverseRow<'a>,
 }
 
 /// Steps of [`Newton`]: it is quadratic within a cell.
@@ -281,7 +281,7 @@ const LANE_STEPS: usize = 8;
 /// Share of its volume to which a neighbourhood may be compressed before it is looked at more closely.
 const NEAR_FOLD: f32 = 0.05;
 
-impl OverSimd for Newton<'_> {
+impl SimdKernel for Newton<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -342,15 +342,15 @@ impl OverSimd for Newton<'_> {
 /// # Errors
 /// A box that cannot be placed.
 pub fn transform(transform: &Transform, scene_box: &Bounds, resolution: Option<usize>) -> Result<Inverse> {
-    if let ([Step::Field(f)], None) = (&transform.steps[..], resolution) {
+    if let ([TransformStep::Field(f)], None) = (&transform.steps[..], resolution) {
         return Ok(field(f));
     }
     let mut bounds = *scene_box;
     for step in &transform.steps {
         bounds = match step {
-            Step::Affine(m) => bounds.transformed(&crate::math::to_f32(m)),
-            Step::Field(v) => bounds.grown(v.vectors.par_iter().map(|d| d.length()).reduce(|| 0.0, f32::max)),
-            Step::BSpline(b) => bounds.grown(b.coefficients.iter().map(|d| d.length()).fold(0.0, f32::max)),
+            TransformStep::Affine(m) => bounds.transformed(&crate::math::to_f32(m)),
+            TransformStep::Field(v) => bounds.grown(v.vectors.par_iter().map(|d| d.length()).reduce(|| 0.0, f32::max)),
+            TransformStep::BSpline(b) => bounds.grown(b.coefficients.iter().map(|d| d.length()).fold(0.0, f32::max)),
         };
     }
     let bounds = bounds.union(scene_box);
@@ -430,14 +430,14 @@ mod tests {
         for points in [1, 2, 20, 101, 5003] {
             let residuals: Vec<f32> = (0..points).map(|n| (n * 7919 % 5003) as f32).collect();
             let found: Vec<bool> = (0..points).map(|n| n % 7 != 3).collect();
-            let mut kept: Vec<f32> = residuals.iter().zip(&found).filter(|(_, f)| **f).map(|(r, _)| *r).collect();
-            kept.sort_unstable_by(f32::total_cmp);
-            let at = |share: f64| f64::from(kept[((kept.len() - 1) as f64 * share).round() as usize]);
-            let report = Report::of(&residuals, &found);
+            let mut found_residuals: Vec<f32> = residuals.iter().zip(&found).filter(|(_, f)| **f).map(|(r, _)| *r).collect();
+            found_residuals.sort_unstable_by(f32::total_cmp);
+            let at = |share: f64| f64::from(found_residuals[((found_residuals.len() - 1) as f64 * share).round() as usize]);
+            let report = InversionReport::of(&residuals, &found);
             assert_eq!([report.p95_mm, report.p99_mm, report.max_mm], [at(0.95), at(0.99), at(1.0)], "{points}");
-            assert_eq!((report.points, report.not_found), (points, points - kept.len()));
+            assert_eq!((report.points, report.not_found), (points, points - found_residuals.len()));
         }
-        assert_eq!(Report::of(&[1.0], &[false]), Report { points: 1, not_found: 1, ..Report::default() });
+        assert_eq!(InversionReport::of(&[1.0], &[false]), InversionReport { points: 1, not_found: 1, ..InversionReport::default() });
     }
 
     #[test]

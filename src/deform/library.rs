@@ -1,13 +1,13 @@
 //! What deformations read besides their numbers: the scene's volume, label maps, distance fields, fields from files. Each is loaded once
 //! and kept as long as the scene's assets are.
 
-use super::compose::Exactness;
-use super::distance::{Region, of_region};
-use super::transform::{Context, Transform};
-use super::{Arguments, DisplacementMap, Shortcut, Stack};
+use super::compose::PrecomposeError;
+use super::distance::{RegionSource, of_region};
+use super::transform::{Transform, TransformContext};
+use super::{Arguments, DisplacementMap, PrecomposedMap, Stack};
 use crate::files::path_text::path_of;
 use crate::math::{Bounds, DistanceGrid};
-use crate::volume::load::{self, Choice};
+use crate::volume::load::{self, ReadOptions};
 use crate::volume::{GridGeometry, Volume};
 use crate::{Error, Result, Watch};
 use std::collections::HashMap;
@@ -24,21 +24,21 @@ pub struct Library {
     distances: Mutex<HashMap<String, Arc<DistanceGrid>>>,
     transforms: Mutex<HashMap<String, Arc<Transform>>>,
     /// The map that stands for the last stack that was composed.
-    shortcut: Mutex<Option<(ShortcutKey, Composed)>>,
+    precomposed: Mutex<Option<(PrecomposedKey, Precomposition)>>,
     /// Sampled maps by what they were made of, the most recently used last.
     maps: Mutex<Vec<(String, Arc<DisplacementMap>)>>,
     notices: Mutex<Vec<String>>,
 }
 
 /// What a shortcut was made for: the stack, the scene's box, the bound.
-type ShortcutKey = (Stack, Bounds, f32);
+type PrecomposedKey = (Stack, Bounds, f32);
 
 /// A shortcut, if there is one, and how exact it is.
-type Composed = (Option<Shortcut>, Exactness);
+type Precomposition = (Option<PrecomposedMap>, PrecomposeError);
 
 /// Sampled maps that are kept at most, and their bytes.
-const KEPT_MAPS: usize = 32;
-const KEPT_MAP_BYTES: usize = 160 << 20;
+const MAX_CACHED_MAPS: usize = 32;
+const MAX_CACHED_MAP_BYTES: usize = 160 << 20;
 
 fn lock<T>(m: &Mutex<T>) -> MutexGuard<'_, T> {
     // Entries are only ever added whole; a panic elsewhere leaves them good.
@@ -96,7 +96,7 @@ impl Library {
         if let Some(volume) = lock(&self.volumes).get(&path) {
             return Ok(volume.clone());
         }
-        let volume = Arc::new(load::volume(&path, &Choice::default(), &Watch::NONE)?);
+        let volume = Arc::new(load::volume(&path, &ReadOptions::default(), &Watch::NONE)?);
         lock(&self.volumes).insert(path, volume.clone());
         Ok(volume)
     }
@@ -110,7 +110,7 @@ impl Library {
         if let Some(map) = lock(&self.label_maps).get(&path) {
             return Ok(map.clone());
         }
-        let volume = load::volume(&path, &Choice::default(), &Watch::NONE)?;
+        let volume = load::volume(&path, &ReadOptions::default(), &Watch::NONE)?;
         let map = Arc::new(volume.into_label_map().map_err(|problem| Error::file(&path, problem))?);
         self.note_distance("the label map", &path, &map);
         lock(&self.label_maps).insert(path, map.clone());
@@ -155,9 +155,9 @@ impl Library {
             let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
             let matrix = !matches!(ending.as_str(), "gz" | "nii" | "nrrd" | "nhdr" | "mha" | "mhd");
             let context = if matrix {
-                Context { moving: moving.or(own), reference: reference.or(own), convention: None }
+                TransformContext { moving: moving.or(own), reference: reference.or(own), convention: None }
             } else {
-                Context { moving, reference, convention: settings.text("convention")? }
+                TransformContext { moving, reference, convention: settings.text("convention")? }
             };
             let one = Transform::load(&path, &context)?;
             whole = Some(match whole {
@@ -191,7 +191,7 @@ impl Library {
         let key = format!("{file:?} {wanted:?}");
         let whose = if file.is_some() { "the label map" } else { "the volume (used as the label map, since labels=FILE is not set)" };
         self.distance(key, || {
-            of_region(&volume, &Region::Labels(wanted), true)
+            of_region(&volume, &RegionSource::Labels(wanted), true)
                 .ok_or_else(|| Error::value(setting, format!("{wanted:?}: no voxel has this label; {whose} contains {}", some_labels(&volume))))
         })
     }
@@ -210,7 +210,7 @@ impl Library {
                 let volume = self.load_volume(path)?;
                 self.note_distance("the mask", &self.path(path), &volume);
                 self.distance(format!("mask {path}"), || {
-                    of_region(&volume, &Region::Mask, true)
+                    of_region(&volume, &RegionSource::Mask, true)
                         .ok_or_else(|| Error::value("mask", format!("{path} has no surface: it is all inside or all outside")))
                 })
             }
@@ -218,7 +218,7 @@ impl Library {
                 let volume = self.volume()?;
                 let iso = iso.map_or_else(|| volume.body_threshold(), f64::from);
                 self.distance(format!("iso {iso}"), || {
-                    of_region(volume, &Region::Body(iso), true).ok_or_else(|| {
+                    of_region(volume, &RegionSource::Body(iso), true).ok_or_else(|| {
                         let [low, high] = volume.range;
                         Error::value("iso", format!("the volume has no surface at {iso}; its values range from {low} to {high}"))
                     })
@@ -248,7 +248,7 @@ impl Library {
         kept.push((key, made.clone()));
         let bytes = |map: &DisplacementMap| map.size.iter().product::<usize>() * 16;
         let mut all: usize = kept.iter().map(|(_, map)| bytes(map)).sum();
-        while kept.len() > 1 && (all > KEPT_MAP_BYTES || kept.len() > KEPT_MAPS) {
+        while kept.len() > 1 && (all > MAX_CACHED_MAP_BYTES || kept.len() > MAX_CACHED_MAPS) {
             all -= bytes(&kept.remove(0).1);
         }
         Ok(made)
@@ -258,13 +258,19 @@ impl Library {
     ///
     /// # Errors
     /// Those of making it.
-    pub fn shortcut(&self, stack: &Stack, scene_box: &Bounds, bound_mm: f32, make: impl FnOnce() -> Result<Composed>) -> Result<Composed> {
+    pub fn precomposed(
+        &self,
+        stack: &Stack,
+        scene_box: &Bounds,
+        bound_mm: f32,
+        make: impl FnOnce() -> Result<Precomposition>,
+    ) -> Result<Precomposition> {
         let key = (stack.clone(), *scene_box, bound_mm);
-        if let Some((_, known)) = lock(&self.shortcut).as_ref().filter(|(k, _)| *k == key) {
-            return Ok(known.clone());
+        if let Some((_, cached)) = lock(&self.precomposed).as_ref().filter(|(k, _)| *k == key) {
+            return Ok(cached.clone());
         }
         let made = make()?;
-        *lock(&self.shortcut) = Some((key, made.clone()));
+        *lock(&self.precomposed) = Some((key, made.clone()));
         Ok(made)
     }
 

@@ -1,12 +1,12 @@
 //! One displacement map: a grid of (D, alpha) over the unit cube, in one of four storage formats.
 
-use super::Recipe;
-use super::stack::MARK;
-use crate::math::cells::{Cells, Fours, across, columns, mix_line, mix_texels, mix_with_differences};
+use super::MapDefinition;
+use super::stack::MARKED_ALPHA;
+use crate::math::cells::{Cells, Vec4x8, across, columns, mix_line, mix_texels, mix_with_differences};
 use crate::math::lanes::*;
-use crate::math::pyramid::Range;
+use crate::math::pyramid::ChannelRange;
 use crate::math::{MinMaxPyramid, trilinear};
-use crate::{Meter, Result, Watch};
+use crate::{ByteProgress, Result, Watch};
 use glam::{Mat3, Vec3, Vec4, Vec4Swizzles};
 use half::f16;
 use rayon::prelude::*;
@@ -67,10 +67,10 @@ pub struct DisplacementMap {
     pub storage: Storage,
     /// Map units per stored unit of D: the largest component of D, so that stored values lie in [-1, 1].
     pub scale: f32,
-    whole: Extent,
+    whole: TexelRange,
     /// Not there until it is asked for where a device has made the texels, and then sampled anew.
-    detail: OnceLock<Detail>,
-    recipe: Option<Recipe>,
+    detail: OnceLock<TexelPyramids>,
+    recipe: Option<MapDefinition>,
 }
 
 /// Points between which sampling asks whether to go on.
@@ -78,15 +78,15 @@ const AT_ONCE: usize = 2048;
 
 /// What the texels of a whole map lie within.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Extent {
+pub struct TexelRange {
     /// Of (D / scale, alpha).
-    pub texels: Range<4>,
+    pub texels: ChannelRange<4>,
     /// Of what stored D changes by from a grid point to the next one along x, along y and along z, per map unit.
-    pub slopes: Range<9>,
+    pub slopes: ChannelRange<9>,
 }
 
 /// The texels with bounds on boxes of them.
-struct Detail {
+struct TexelPyramids {
     /// (D / scale, alpha), x fastest.
     texels: Vec<Vec4>,
     pyramid: MinMaxPyramid<4>,
@@ -94,13 +94,13 @@ struct Detail {
     slopes: MinMaxPyramid<9>,
 }
 
-impl Detail {
+impl TexelPyramids {
     /// Of the texels of a grid.
     fn of(size: [usize; 3], texels: Vec<Vec4>) -> Self {
         let pyramid = MinMaxPyramid::from_runs(size, 1, |first, last, j, k| {
             let row = (k * size[1] + j) * size[0];
             let (low, high) = extremes(&texels[row + first..=row + last]);
-            Range { min: low.to_array(), max: high.to_array() }
+            ChannelRange { min: low.to_array(), max: high.to_array() }
         });
         // They vary less than what they are slopes of, and only say how far a bound is from a better one.
         let slopes = MinMaxPyramid::from_runs(size, 2, |first, last, j, k| slopes_of(&texels, size, [first, last], [j, k]));
@@ -133,7 +133,7 @@ impl DisplacementMap {
     /// [`crate::Error::Cancelled`].
     pub fn from_fn_until(size: [usize; 3], storage: Storage, f: impl Fn(Vec3) -> TexelSample + Sync, watch: &Watch) -> Result<Self> {
         let mut samples = vec![TexelSample { displacement: Vec3::ZERO, alpha: 1.0 }; size.iter().product()];
-        let meter = Meter::new(watch, samples.len() as u64);
+        let meter = ByteProgress::new(watch, samples.len() as u64);
         samples.par_chunks_mut(AT_ONCE).enumerate().try_for_each(|(chunk, samples)| {
             samples.iter_mut().enumerate().for_each(|(n, sample)| *sample = f(Self::grid_point(size, chunk * AT_ONCE + n)));
             meter.add(samples.len() as u64)
@@ -154,37 +154,37 @@ impl DisplacementMap {
         Self::from_marked_samples(size, storage, samples, &[])
     }
 
-    /// A map of given samples of which some are marked ([`super::Shortcut`]); `marked` may be empty.
+    /// A map of given samples of which some are marked ([`super::PrecomposedMap`]); `marked` may be empty.
     pub(super) fn from_marked_samples(size: [usize; 3], storage: Storage, samples: Vec<TexelSample>, marked: &[bool]) -> Self {
         assert!(size.iter().all(|&n| n >= 1) && samples.len() == size.iter().product::<usize>(), "sample count and size disagree");
         let samples: Vec<Vec4> = samples.into_par_iter().map(finite).collect();
         let largest = samples.par_iter().map(|s| s.xyz().abs().max_element()).reduce(|| 0.0, f32::max);
         let scale = if largest > 0.0 { largest } else { 1.0 };
         let mut texels = stored(&samples, scale, storage);
-        texels.par_iter_mut().zip(marked).filter(|(_, marked)| **marked).for_each(|(texel, _)| texel.w = MARK);
-        let detail = Detail::of(size, texels);
-        let whole = Extent { texels: detail.pyramid.whole(), slopes: detail.slopes.whole() };
+        texels.par_iter_mut().zip(marked).filter(|(_, marked)| **marked).for_each(|(texel, _)| texel.w = MARKED_ALPHA);
+        let detail = TexelPyramids::of(size, texels);
+        let whole = TexelRange { texels: detail.pyramid.whole(), slopes: detail.slopes.whole() };
         Self { size, storage, scale, whole, detail: detail.into(), recipe: None }
     }
 
     /// A map whose texels a device has made of a recipe, with what they lie within.
-    pub fn made_elsewhere(recipe: Recipe, scale: f32, whole: Extent) -> Self {
+    pub fn from_device(recipe: MapDefinition, scale: f32, whole: TexelRange) -> Self {
         Self { size: recipe.size, storage: recipe.storage, scale, whole, detail: OnceLock::new(), recipe: Some(recipe) }
     }
 
     /// What all texels lie within.
-    pub fn extent(&self) -> Extent {
+    pub fn extent(&self) -> TexelRange {
         self.whole
     }
 
     /// What a device made the texels of, if one did.
-    pub fn recipe(&self) -> Option<&Recipe> {
+    pub fn recipe(&self) -> Option<&MapDefinition> {
         self.recipe.as_ref()
     }
 
     /// The texels, and bounds on boxes of them.
     #[inline(always)]
-    fn detail(&self) -> &Detail {
+    fn detail(&self) -> &TexelPyramids {
         match self.detail.get() {
             Some(detail) => detail,
             None => self.sampled_now(),
@@ -193,10 +193,10 @@ impl DisplacementMap {
 
     /// Not within the lock: what samples in parallel may be lent to another piece of work that asks for the same.
     #[cold]
-    fn sampled_now(&self) -> &Detail {
+    fn sampled_now(&self) -> &TexelPyramids {
         let point = |n| self.recipe.as_ref().map_or(Vec4::ZERO, |r| finite(r.sample(Self::grid_point(self.size, n))));
         let samples: Vec<Vec4> = (0..self.size.iter().product::<usize>()).into_par_iter().map(point).collect();
-        let detail = Detail::of(self.size, stored(&samples, self.scale, self.storage));
+        let detail = TexelPyramids::of(self.size, stored(&samples, self.scale, self.storage));
         self.detail.get_or_init(|| detail)
     }
 
@@ -221,7 +221,7 @@ impl DisplacementMap {
     }
 
     /// Bounds of (D / scale, alpha) over a box in map coordinates.
-    pub fn bounds(&self, low: Vec3, high: Vec3) -> Range<4> {
+    pub fn bounds(&self, low: Vec3, high: Vec3) -> ChannelRange<4> {
         if is_all(low, high) {
             return self.whole.texels;
         }
@@ -245,13 +245,13 @@ impl DisplacementMap {
     }
 
     /// Whether D is anywhere but zero; a map that only cuts brings matter nowhere.
-    pub fn moves_matter(&self) -> bool {
+    pub fn has_displacement(&self) -> bool {
         let range = self.whole.texels;
         (0..3).any(|c| range.min[c] != 0.0 || range.max[c] != 0.0)
     }
 
     /// Whether the mask takes anything away.
-    pub fn cuts(&self) -> bool {
+    pub fn has_cuts(&self) -> bool {
         self.whole.texels.min[3] < 1.0
     }
 
@@ -282,7 +282,7 @@ impl DisplacementMap {
     }
 
     #[inline(always)]
-    fn fetch_fours<S: Simd>(&self, simd: S, x: Vec3x8<S>) -> Fours<S> {
+    fn fetch_fours<S: Simd>(&self, simd: S, x: Vec3x8<S>) -> Vec4x8<S> {
         let [nx, ny, nz] = self.size;
         if nx < 2 || ny < 2 || nz < 2 {
             let mut texels = [[0.0; 4]; LANES];
@@ -317,23 +317,23 @@ impl DisplacementMap {
     /// At eight points, of which those in `lanes` are wanted, stored (D / scale, alpha) and what it changes by along the three map axes, as
     /// [`Self::derivatives`].
     #[inline(always)]
-    pub fn derivatives_lanes<S: Simd>(&self, simd: S, x: Vec3x8<S>, lanes: mask32x8<S>) -> (Fours<S>, [Fours<S>; 3]) {
+    pub fn derivatives_lanes<S: Simd>(&self, simd: S, x: Vec3x8<S>, lanes: mask32x8<S>) -> (Vec4x8<S>, [Vec4x8<S>; 3]) {
         let zero = f32x8::splat(simd, 0.0);
         let (mut value, mut slopes) = ([zero; 4], [[zero; 4]; 3]);
-        let mut beside = lanes;
+        let mut near_face = lanes;
         if self.size[0] >= 4 && self.size[1] >= 4 && self.size[2] >= 4 {
             let top = self.top();
             let p = Vec3x8 { x: x.x * top.x, y: x.y * top.y, z: x.z * top.z };
-            beside = lanes & !(within(p.x, 1.0, top.x - 1.0) & within(p.y, 1.0, top.y - 1.0) & within(p.z, 1.0, top.z - 1.0));
+            near_face = lanes & !(within(p.x, 1.0, top.x - 1.0) & within(p.y, 1.0, top.y - 1.0) & within(p.z, 1.0, top.z - 1.0));
             let [inside, dx, dy, dz] = mix_with_differences(simd, self.texels(), self.size, &Cells::of(p, self.size, 1));
             // Over two texels.
             (value, slopes) = (inside, [scaled(dx, 0.5 * top.x), scaled(dy, 0.5 * top.y), scaled(dz, 0.5 * top.z)]);
         }
-        if beside.any_true() {
+        if near_face.any_true() {
             // No texel lies to each side.
-            value = selected(beside, self.fetch_fours(simd, x), value);
+            value = selected(near_face, self.fetch_fours(simd, x), value);
             for (axis, slope) in slopes.iter_mut().enumerate() {
-                *slope = selected(beside, self.slope_beside(simd, x, axis), *slope);
+                *slope = selected(near_face, self.slope_at_faces(simd, x, axis), *slope);
             }
         }
         (value, slopes)
@@ -341,7 +341,7 @@ impl DisplacementMap {
 
     /// What [`Self::derivatives`] takes beside the cube's faces: differences over one texel to each side, as far as there is one.
     #[inline(always)]
-    fn slope_beside<S: Simd>(&self, simd: S, x: Vec3x8<S>, axis: usize) -> Fours<S> {
+    fn slope_at_faces<S: Simd>(&self, simd: S, x: Vec3x8<S>, axis: usize) -> Vec4x8<S> {
         if self.size[axis] == 1 {
             return [f32x8::splat(simd, 0.0); 4];
         }
@@ -458,14 +458,14 @@ fn extremes(texels: &[Vec4]) -> (Vec4, Vec4) {
 
 /// The range of what stored D changes by per map unit from the points of a run along x to the next ones along each axis; from the last point of an
 /// axis, of what it changed by before.
-fn slopes_of(texels: &[Vec4], [nx, ny, nz]: [usize; 3], [first, last]: [usize; 2], [j, k]: [usize; 2]) -> Range<9> {
+fn slopes_of(texels: &[Vec4], [nx, ny, nz]: [usize; 3], [first, last]: [usize; 2], [j, k]: [usize; 2]) -> ChannelRange<9> {
     let row = |first: usize, last: usize, j: usize, k: usize| &texels[(k * ny + j) * nx..][first..=last];
     let between = |low: &[Vec4], high: &[Vec4], points: usize| {
         let scale = (points - 1) as f32;
         let changes = low.iter().zip(high).map(|(a, b)| (*b - *a) * scale);
         changes.fold((Vec4::INFINITY, Vec4::NEG_INFINITY), |(low, high), d| (low.min(d), high.max(d)))
     };
-    let mut range = Range { min: [0.0; 9], max: [0.0; 9] };
+    let mut range = ChannelRange { min: [0.0; 9], max: [0.0; 9] };
     let mut put = |axis: usize, (low, high): (Vec4, Vec4)| {
         range.min[3 * axis..3 * axis + 3].copy_from_slice(&low.to_array()[..3]);
         range.max[3 * axis..3 * axis + 3].copy_from_slice(&high.to_array()[..3]);
@@ -486,12 +486,12 @@ fn slopes_of(texels: &[Vec4], [nx, ny, nz]: [usize; 3], [first, last]: [usize; 2
 }
 
 #[inline(always)]
-fn selected<S: Simd>(mask: mask32x8<S>, [a, b, c, d]: Fours<S>, [e, f, g, h]: Fours<S>) -> Fours<S> {
+fn selected<S: Simd>(mask: mask32x8<S>, [a, b, c, d]: Vec4x8<S>, [e, f, g, h]: Vec4x8<S>) -> Vec4x8<S> {
     [mask.select(a, e), mask.select(b, f), mask.select(c, g), mask.select(d, h)]
 }
 
 #[inline(always)]
-fn scaled<S: Simd>([a, b, c, d]: Fours<S>, by: f32) -> Fours<S> {
+fn scaled<S: Simd>([a, b, c, d]: Vec4x8<S>, by: f32) -> Vec4x8<S> {
     [a * by, b * by, c * by, d * by]
 }
 

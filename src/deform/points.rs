@@ -16,7 +16,7 @@ use std::path::Path;
 
 /// A pair of points, mm.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pair {
+pub struct PointPair {
     /// Where matter is.
     pub from: DVec3,
     /// Where it goes.
@@ -47,40 +47,40 @@ pub struct Interpolant {
 }
 
 /// Closer than this two points count as one, mm.
-const SAME: f64 = 1e-3;
+const MIN_POINT_DISTANCE_MM: f64 = 1e-3;
 /// Most pairs: the systems are dense.
-const MOST_PAIRS: usize = 4000;
+const MAX_PAIRS: usize = 4000;
 
 impl Interpolant {
     /// Interpolates pairs. The second value says what had to be done differently, if anything.
     ///
     /// # Errors
     /// No pairs, or two that disagree about one place.
-    pub fn new(pairs: &[Pair], method: Method, width_mm: Option<f64>) -> Result<(Self, Option<String>)> {
-        let mut kept: Vec<Pair> = Vec::with_capacity(pairs.len());
+    pub fn new(pairs: &[PointPair], method: Method, width_mm: Option<f64>) -> Result<(Self, Option<String>)> {
+        let mut distinct: Vec<PointPair> = Vec::with_capacity(pairs.len());
         for (n, p) in pairs.iter().enumerate() {
             if !(p.from.is_finite() && p.to.is_finite()) {
                 return Err(Error::value("pairs", format!("pair {} is not finite", n + 1)));
             }
-            match kept.iter().find(|k| k.to.distance(p.to) < SAME) {
-                Some(k) if k.from.distance(p.from) < SAME => {}
+            match distinct.iter().find(|k| k.to.distance(p.to) < MIN_POINT_DISTANCE_MM) {
+                Some(k) if k.from.distance(p.from) < MIN_POINT_DISTANCE_MM => {}
                 Some(k) => {
                     return Err(Error::value(
                         "pairs",
                         format!("pair {} ends at {} as another one does, but they begin at {} and {}; remove one", n + 1, p.to, k.from, p.from),
                     ));
                 }
-                None if kept.len() == MOST_PAIRS => {
-                    return Err(Error::value("pairs", format!("are more than {MOST_PAIRS}, the most that can be interpolated")));
+                None if distinct.len() == MAX_PAIRS => {
+                    return Err(Error::value("pairs", format!("are more than {MAX_PAIRS}, the most that can be interpolated")));
                 }
-                None => kept.push(*p),
+                None => distinct.push(*p),
             }
         }
-        if kept.is_empty() {
+        if distinct.is_empty() {
             return Err(Error::value("pairs", "are missing; give at least one pair of points"));
         }
-        let points: Vec<DVec3> = kept.iter().map(|p| p.to).collect();
-        let values: Vec<DVec3> = kept.iter().map(|p| p.from - p.to).collect();
+        let points: Vec<DVec3> = distinct.iter().map(|p| p.to).collect();
+        let values: Vec<DVec3> = distinct.iter().map(|p| p.from - p.to).collect();
         let extent = points.iter().copied().reduce(DVec3::max).unwrap_or_default() - points.iter().copied().reduce(DVec3::min).unwrap_or_default();
         let apart = (extent.length() / (points.len() as f64).cbrt()).max(1.0);
         let plain = |method, scale, weights| Self { points: points.clone(), weights, affine: (DMat3::ZERO, DVec3::ZERO), method, scale };
@@ -213,11 +213,11 @@ fn solve(mut a: Vec<Vec<f64>>, mut b: Vec<DVec3>) -> Option<Vec<DVec3>> {
 ///
 /// # Errors
 /// A file that cannot be read, a line without six numbers.
-pub fn read_pairs(path: &Path) -> Result<Vec<Pair>> {
+pub fn read_pairs(path: &Path) -> Result<Vec<PointPair>> {
     let rows = table(path)?;
     rows.into_iter()
         .map(|(line, v)| match v[..] {
-            [a, b, c, d, e, f] => Ok(Pair { from: DVec3::new(a, b, c), to: DVec3::new(d, e, f) }),
+            [a, b, c, d, e, f] => Ok(PointPair { from: DVec3::new(a, b, c), to: DVec3::new(d, e, f) }),
             _ => Err(Error::file(path, format!("line {line} has {} numbers; a pair has six: from x,y,z and to x,y,z", v.len()))),
         })
         .collect()
@@ -315,13 +315,13 @@ fn read_markups(path: &Path) -> Result<Vec<DVec3>> {
 mod tests {
     use super::*;
 
-    fn pairs() -> Vec<Pair> {
+    fn pairs() -> Vec<PointPair> {
         [[0.0, 0.0, 0.0], [50.0, 0.0, 5.0], [0.0, 40.0, -8.0], [10.0, 20.0, 60.0], [-30.0, 5.0, 20.0], [25.0, 25.0, 25.0]]
             .into_iter()
             .enumerate()
             .map(|(n, p)| {
                 let to = DVec3::from(p);
-                Pair { from: to + DVec3::new((n as f64).sin() * 6.0, n as f64 - 2.0, 3.0), to }
+                PointPair { from: to + DVec3::new((n as f64).sin() * 6.0, n as f64 - 2.0, 3.0), to }
             })
             .collect()
     }
@@ -340,7 +340,7 @@ mod tests {
     #[test]
     fn a_thin_plate_spline_reproduces_affine_maps() {
         let m = DMat3::from_cols(DVec3::new(1.1, 0.1, 0.0), DVec3::new(-0.2, 0.9, 0.05), DVec3::new(0.0, 0.3, 1.2));
-        let affine: Vec<Pair> = pairs().into_iter().map(|p| Pair { from: m * p.to + DVec3::new(3.0, -4.0, 5.0), to: p.to }).collect();
+        let affine: Vec<PointPair> = pairs().into_iter().map(|p| PointPair { from: m * p.to + DVec3::new(3.0, -4.0, 5.0), to: p.to }).collect();
         let (i, _) = Interpolant::new(&affine, Method::ThinPlate, None).unwrap_or_else(|e| panic!("{e}"));
         let p = DVec3::new(70.0, -20.0, 33.0);
         assert!((p + i.displacement(p)).distance(m * p + DVec3::new(3.0, -4.0, 5.0)) < 1e-6);
@@ -352,10 +352,10 @@ mod tests {
         let (i, notice) = Interpolant::new(few, Method::ThinPlate, None).unwrap_or_else(|e| panic!("{e}"));
         assert!(notice.is_some_and(|n| n.contains("3 points are too few")));
         assert!((few[1].to + i.displacement(few[1].to)).distance(few[1].from) < 1e-6);
-        let flat: Vec<Pair> = pairs().into_iter().map(|p| Pair { to: p.to * DVec3::new(1.0, 1.0, 0.0), ..p }).collect();
+        let flat: Vec<PointPair> = pairs().into_iter().map(|p| PointPair { to: p.to * DVec3::new(1.0, 1.0, 0.0), ..p }).collect();
         assert!(Interpolant::new(&flat, Method::ThinPlate, None).is_ok_and(|(_, n)| n.is_some_and(|n| n.contains("plane"))));
         let mut twice = pairs();
-        twice.push(Pair { from: DVec3::ONE * 9.0, to: twice[0].to });
+        twice.push(PointPair { from: DVec3::ONE * 9.0, to: twice[0].to });
         assert!(Interpolant::new(&twice, Method::Gaussian, None).is_err_and(|e| e.to_string().contains("pair 7")));
         twice[6] = twice[0];
         assert!(Interpolant::new(&twice, Method::ThinPlate, None).is_ok());
@@ -372,7 +372,7 @@ mod tests {
         };
         let csv = write("a.csv", "from_x,from_y,from_z,to_x,to_y,to_z\n1,2,3,4,5,6\n# note\n7;8;9;10;11;12\n");
         let read = read_pairs(&csv).unwrap_or_else(|e| panic!("{e}"));
-        assert_eq!(read[1], Pair { from: DVec3::new(7.0, 8.0, 9.0), to: DVec3::new(10.0, 11.0, 12.0) });
+        assert_eq!(read[1], PointPair { from: DVec3::new(7.0, 8.0, 9.0), to: DVec3::new(10.0, 11.0, 12.0) });
         assert!(read_pairs(&write("b.csv", "1,2,3\n")).is_err_and(|e| e.to_string().contains("line 1")));
         assert!(read_pairs(&write("c.csv", "1,2,3,4,5,6\n1,2,x,4,5,6")).is_err_and(|e| e.to_string().contains("\"x\"")));
         let json = r#"{"markups":[{"type":"Fiducial","coordinateSystem":"RAS","controlPoints":[{"position":[1.0,2.0,3.0]}]}]}"#;

@@ -6,7 +6,7 @@
 use super::compose::{grid_of, placement_of};
 use super::{DisplacementMap, PlacedMap, Storage, TexelSample};
 use crate::volume::GridGeometry;
-use crate::volume::load::{self, Choice};
+use crate::volume::load::{self, ReadOptions};
 use crate::volume::save::{self, Content, Format};
 use crate::{Error, Result, Watch};
 use glam::{Mat3, Vec3};
@@ -18,7 +18,7 @@ use std::sync::Arc;
 /// # Errors
 /// A file that cannot be read or is no displacement map.
 pub fn read(path: &Path, storage: Storage, strength: f32) -> Result<PlacedMap> {
-    let image = load::image(path, &Choice::default(), &Watch::NONE)?;
+    let image = load::image(path, &ReadOptions::default(), &Watch::NONE)?;
     if !image.displacement || image.components != 4 {
         let problem = format!(
             "is no displacement map of this program (it has {} values per voxel); a displacement field of another program is a field: --deform field:path=...",
@@ -27,8 +27,8 @@ pub fn read(path: &Path, storage: Storage, strength: f32) -> Result<PlacedMap> {
         return Err(Error::file(path, problem));
     }
     let grid = GridGeometry { size: image.size, world_from_voxel: image.world_from_voxel };
-    if image.size.iter().product::<usize>() > super::compose::MOST_TEXELS {
-        return Err(Error::file(path, format!("has more than {} texels; make it with a lower resolution", super::compose::MOST_TEXELS)));
+    if image.size.iter().product::<usize>() > super::compose::MAX_TEXELS {
+        return Err(Error::file(path, format!("has more than {} texels; make it with a lower resolution", super::compose::MAX_TEXELS)));
     }
     let placement = placement_of(&grid)?;
     let map_from_world = Mat3::from(placement.map_from_world.matrix3);

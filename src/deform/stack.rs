@@ -4,7 +4,7 @@
 //! k's cube and p elsewhere. The Jacobian dp_0/dp' = J_1(p_1) ··· J_n(p_n) is gathered on the same walk, so normals (its transpose
 //! times the source gradient, \[DDM06\] eq 10) and mask gradients need no second one. `shaders/lib/stack.wgsl` says the same.
 //!
-//! A stack may carry a [`Shortcut`]: one map that stands for all of it wherever that is exact enough, and says where it is not.
+//! A stack may carry a [`PrecomposedMap`]: one map that stands for all of it wherever that is exact enough, and says where it is not.
 //!
 //! A map may be *added* to the one before it (\[DS07\] section 4: detail): both are evaluated at the same point and their displacements
 //! summed, G(p) = p + A_1 D_1(M_1⁻¹ p) + A_2 D_2(M_2⁻¹ p).
@@ -46,13 +46,13 @@ impl PartialEq for PlacedMap {
 #[derive(Clone, Default, PartialEq)]
 pub struct Stack {
     maps: Vec<PlacedMap>,
-    shortcut: Option<Shortcut>,
+    precomposed: Option<PrecomposedMap>,
 }
 
-/// One map that stands for a whole stack within a bound ([`super::compose::shortcut`]). Where it does not, at tears and cuts, its texels hold a mask
+/// One map that stands for a whole stack within a bound ([`super::compose::precomposed`]). Where it does not, at tears and cuts, its texels hold a mask
 /// above every valid one, which marks each sample that interpolates any of them: there the maps themselves are evaluated.
 #[derive(Clone, PartialEq)]
-pub struct Shortcut {
+pub struct PrecomposedMap {
     /// The map, over the cubes of all.
     pub map: PlacedMap,
     /// How far its sources may be from those of the stack, mm.
@@ -60,14 +60,14 @@ pub struct Shortcut {
 }
 
 /// The mask of marked texels, and the one from which a sample has a part of them. Half precision holds it.
-pub const MARK: f32 = 60_000.0;
-pub(super) const MARKED: f32 = 2.0;
+pub const MARKED_ALPHA: f32 = 60_000.0;
+pub(super) const MIN_MARKED_ALPHA: f32 = 2.0;
 /// A mask that changes by this much over a map is that of marked texels.
-const MARKED_SLOPE: f32 = 4096.0;
+const MIN_MARKED_SLOPE: f32 = 4096.0;
 
 /// The nearest cut to a point of the deformed scene, by the masks' first order.
 #[derive(Clone, Copy, Debug)]
-pub struct Cut {
+pub struct NearestCut {
     /// Distance from the cut, mm, positive where matter is; infinite where no mask varies.
     pub distance_mm: f32,
     /// Unit normal of the cut in the deformed scene, pointing out of the matter; zero where there is no cut.
@@ -75,13 +75,13 @@ pub struct Cut {
 }
 
 /// Texels of a map along a line of points, mixed across it once for all of them.
-pub struct Line {
+pub struct TexelLine {
     texels: Vec<Vec4>,
 }
 
 /// Eight points carried back through a stack.
 #[derive(Clone, Copy)]
-pub struct Walks<S: Simd> {
+pub struct SourceLanes<S: Simd> {
     /// Source points, mm.
     pub source: Vec3x8<S>,
     /// Smallest masks on the way.
@@ -92,11 +92,11 @@ pub struct Walks<S: Simd> {
 
 /// What shading needs to know of the deformation at eight points.
 #[derive(Clone, Copy)]
-pub struct Jets<S: Simd> {
+pub struct JetLanes<S: Simd> {
     /// Columns of d source / d deformed.
     pub columns: [Vec3x8<S>; 3],
     /// Distances of the nearest cuts, mm, to first order.
-    pub cut_mm: f32x8<S>,
+    pub cut_distance_mm: f32x8<S>,
 }
 
 /// Everything that shading needs to know of the deformation at a point.
@@ -107,19 +107,19 @@ pub struct Jet {
     /// d source / d deformed.
     pub d_source_d_deformed: Mat3,
     /// The nearest cut.
-    pub cut: Cut,
+    pub cut: NearestCut,
     /// Smallest mask value on the way.
     pub alpha: f32,
 }
 
-impl Cut {
+impl NearestCut {
     /// No cut anywhere near.
     pub const NONE: Self = Self { distance_mm: f32::INFINITY, normal: Vec3::ZERO };
 
     /// The nearer of this cut and the surface where `value` (positive inside) falls to zero with the given gradient in the deformed
     /// scene: at first order, the distance is value / |gradient|.
     #[inline(always)]
-    pub fn or_nearer(self, value: f32, gradient: Vec3) -> Self {
+    pub fn nearer_of(self, value: f32, gradient: Vec3) -> Self {
         let slope = gradient.length();
         if slope < 1e-12 || value >= self.distance_mm * slope {
             return self;
@@ -188,21 +188,21 @@ impl PlacedMap {
     }
 }
 
-impl Shortcut {
+impl PrecomposedMap {
     /// What shading needs to know at a point; none where the maps themselves are to be walked.
     fn jet(&self, deformed: Vec3) -> Option<Jet> {
         let (d, alpha) = self.map.displacement(deformed);
-        let unmoved = Jet { source: deformed, d_source_d_deformed: Mat3::IDENTITY, cut: Cut::NONE, alpha: 1.0 };
+        let unmoved = Jet { source: deformed, d_source_d_deformed: Mat3::IDENTITY, cut: NearestCut::NONE, alpha: 1.0 };
         let x = self.map.placement.map_from_world.transform_point3(deformed);
         if self.map.is_outside(x) {
             return Some(unmoved);
         }
         let (_, slope_in_map) = self.map.map.derivatives(x);
-        if alpha >= MARKED || slope_in_map.abs().max_element() >= MARKED_SLOPE {
+        if alpha >= MIN_MARKED_ALPHA || slope_in_map.abs().max_element() >= MIN_MARKED_SLOPE {
             return None;
         }
         let (j, slope) = self.map.derivatives(deformed)?;
-        Some(Jet { source: deformed + d, d_source_d_deformed: j, cut: Cut::NONE.or_nearer(alpha - 0.5, slope), alpha })
+        Some(Jet { source: deformed + d, d_source_d_deformed: j, cut: NearestCut::NONE.nearer_of(alpha - 0.5, slope), alpha })
     }
 }
 
@@ -218,23 +218,23 @@ impl Stack {
         if let Some(first) = maps.first_mut() {
             first.added = false;
         }
-        Self { maps, shortcut: None }
+        Self { maps, precomposed: None }
     }
 
     /// The same stack with one map that stands for it.
-    pub fn with_shortcut(mut self, shortcut: Shortcut) -> Self {
-        self.shortcut = Some(shortcut);
+    pub fn with_precomposed(mut self, precomposed: PrecomposedMap) -> Self {
+        self.precomposed = Some(precomposed);
         self
     }
 
     /// The map that stands for the stack, if there is one.
-    pub fn shortcut(&self) -> Option<&Shortcut> {
-        self.shortcut.as_ref()
+    pub fn precomposed(&self) -> Option<&PrecomposedMap> {
+        self.precomposed.as_ref()
     }
 
     /// The maps, first applied first, and the one that stands for them, if there is one.
     pub fn all_maps(&self) -> impl Iterator<Item = &PlacedMap> {
-        self.maps.iter().chain(self.shortcut.as_ref().map(|s| &s.map))
+        self.maps.iter().chain(self.precomposed.as_ref().map(|s| &s.map))
     }
 
     /// The maps, first applied first.
@@ -250,16 +250,16 @@ impl Stack {
     /// The source point of a deformed point, or none where it is cut away.
     #[inline(always)]
     pub fn source_from_deformed(&self, deformed: Vec3) -> Option<Vec3> {
-        let (source, alpha) = self.walk(deformed);
+        let (source, alpha) = self.source_and_alpha(deformed);
         (alpha >= 0.5).then_some(source)
     }
 
     /// The source point of a deformed point and the smallest mask value on the way; the walk ends where a mask cuts (below 1/2).
     #[inline(always)]
-    pub fn walk(&self, deformed: Vec3) -> (Vec3, f32) {
-        if let Some(shortcut) = &self.shortcut {
-            let (d, alpha) = shortcut.map.displacement(deformed);
-            if alpha < MARKED {
+    pub fn source_and_alpha(&self, deformed: Vec3) -> (Vec3, f32) {
+        if let Some(precomposed) = &self.precomposed {
+            let (d, alpha) = precomposed.map.displacement(deformed);
+            if alpha < MIN_MARKED_ALPHA {
                 return (deformed + d, alpha);
             }
         }
@@ -282,32 +282,32 @@ impl Stack {
     }
 
     /// The map that is met first along points `first` + t `step` of the deformed scene, if they lie along its x axis.
-    pub fn line(&self, first: Vec3, step: Vec3) -> Option<Line> {
-        let map = self.shortcut.as_ref().map(|s| &s.map).or(self.maps.last())?;
+    pub fn line(&self, first: Vec3, step: Vec3) -> Option<TexelLine> {
+        let map = self.precomposed.as_ref().map(|s| &s.map).or(self.maps.last())?;
         let across = map.placement.map_from_world.matrix3.x_axis;
         // Exactly, so that what is mixed across the line once is what each point would mix.
         if [step.y, step.z, across.y, across.z] != [0.0; 4] {
             return None;
         }
         let x = map.placement.map_from_world.transform_point3(first);
-        Some(Line { texels: map.map.line(x.y, x.z)? })
+        Some(TexelLine { texels: map.map.line(x.y, x.z)? })
     }
 
     /// [`Self::walk`] for eight points, of which those in `lanes` are wanted. Only points inside a map's cube cost a fetch.
     #[inline(always)]
-    pub fn walk_lanes<S: Simd>(&self, simd: S, deformed: Vec3x8<S>, lanes: mask32x8<S>) -> Walks<S> {
-        self.walk_line(simd, deformed, lanes, None)
+    pub fn source_and_alpha_lanes<S: Simd>(&self, simd: S, deformed: Vec3x8<S>, lanes: mask32x8<S>) -> SourceLanes<S> {
+        self.source_and_alpha_on_line(simd, deformed, lanes, None)
     }
 
-    /// As [`Self::walk_lanes`] for points of a line, if there is one.
+    /// As [`Self::source_and_alpha_lanes`] for points of a line, if there is one.
     #[inline(always)]
-    pub fn walk_line<S: Simd>(&self, simd: S, deformed: Vec3x8<S>, lanes: mask32x8<S>, line: Option<&Line>) -> Walks<S> {
+    pub fn source_and_alpha_on_line<S: Simd>(&self, simd: S, deformed: Vec3x8<S>, lanes: mask32x8<S>, line: Option<&TexelLine>) -> SourceLanes<S> {
         let nothing = mask32x8::splat(simd, false);
-        let mut walk = Walks { source: deformed, alpha: f32x8::splat(simd, 1.0), inside: nothing };
+        let mut walk = SourceLanes { source: deformed, alpha: f32x8::splat(simd, 1.0), inside: nothing };
         let mut at = deformed;
         let mut live = lanes;
         let mut line = line;
-        if let Some(Shortcut { map, .. }) = &self.shortcut {
+        if let Some(PrecomposedMap { map, .. }) = &self.precomposed {
             let x = at.transformed(&map.placement.map_from_world);
             let inside = live & map.holds_lanes(x);
             if !inside.any_true() {
@@ -317,7 +317,7 @@ impl Stack {
                 Some(line) => DisplacementMap::fetch_line(simd, &line.texels, x.x),
                 None => map.map.fetch_lanes(simd, x),
             };
-            let direct = inside & alpha.simd_lt(MARKED);
+            let direct = inside & alpha.simd_lt(MIN_MARKED_ALPHA);
             walk.alpha = direct.select(alpha, walk.alpha);
             walk.inside = direct;
             walk.source = Vec3x8::select(direct, walk.source + stored.mapped(&map.world_from_stored), walk.source);
@@ -352,14 +352,14 @@ impl Stack {
     }
 
     /// [`Self::walk`] for many points: source points and smallest masks.
-    pub fn walk_many(&self, deformed: &[Vec3]) -> Vec<(Vec3, f32)> {
+    pub fn sources_and_alphas(&self, deformed: &[Vec3]) -> Vec<(Vec3, f32)> {
         let mut found = Vec::with_capacity(deformed.len());
-        with_simd(WalkMany { stack: self, deformed, found: &mut found });
+        with_simd(SourcesKernel { stack: self, deformed, found: &mut found });
         found
     }
 
     /// As [`Self::walk`], but through every map whatever the masks say: the pseudo-inverse, continuous across cuts.
-    pub fn walk_through(&self, deformed: Vec3) -> (Vec3, f32) {
+    pub fn source_and_alpha_unclipped(&self, deformed: Vec3) -> (Vec3, f32) {
         let (mut p, mut at, mut smallest) = (deformed, deformed, 1.0f32);
         for map in self.maps.iter().rev() {
             let (d, alpha) = map.displacement(at);
@@ -374,15 +374,15 @@ impl Stack {
 
     /// The source point with its Jacobian and the nearest cut. Cut points get a jet too (`alpha` tells).
     pub fn jet(&self, deformed: Vec3) -> Jet {
-        if let Some(jet) = self.shortcut.as_ref().and_then(|s| s.jet(deformed)) {
+        if let Some(jet) = self.precomposed.as_ref().and_then(|s| s.jet(deformed)) {
             return jet;
         }
-        let mut jet = Jet { source: deformed, d_source_d_deformed: Mat3::IDENTITY, cut: Cut::NONE, alpha: 1.0 };
+        let mut jet = Jet { source: deformed, d_source_d_deformed: Mat3::IDENTITY, cut: NearestCut::NONE, alpha: 1.0 };
         let (mut at, mut d_at) = (deformed, Mat3::IDENTITY);
         for map in self.maps.iter().rev() {
             let (d, alpha) = map.displacement(at);
             if let Some((j, slope)) = map.derivatives(at) {
-                jet.cut = jet.cut.or_nearer(alpha - 0.5, d_at.transpose() * slope);
+                jet.cut = jet.cut.nearer_of(alpha - 0.5, d_at.transpose() * slope);
                 jet.d_source_d_deformed += (j - Mat3::IDENTITY) * d_at;
             }
             jet.alpha = jet.alpha.min(alpha);
@@ -396,24 +396,24 @@ impl Stack {
 
     /// [`Self::jet`] at eight points, of which those in `lanes` are wanted.
     #[inline(always)]
-    pub fn jets_lanes<S: Simd>(&self, simd: S, deformed: Vec3x8<S>, lanes: mask32x8<S>) -> Jets<S> {
-        let Some(Shortcut { map, .. }) = &self.shortcut else { return self.jets_by_maps(simd, deformed, lanes) };
+    pub fn jets_lanes<S: Simd>(&self, simd: S, deformed: Vec3x8<S>, lanes: mask32x8<S>) -> JetLanes<S> {
+        let Some(PrecomposedMap { map, .. }) = &self.precomposed else { return self.jets_by_maps(simd, deformed, lanes) };
         let x = deformed.transformed(&map.placement.map_from_world);
         let inside = lanes & map.holds_lanes(x);
         let unmoved = [Vec3x8::splat(simd, Vec3::X), Vec3x8::splat(simd, Vec3::Y), Vec3x8::splat(simd, Vec3::Z)];
-        let mut jets = Jets { columns: unmoved, cut_mm: f32x8::splat(simd, f32::INFINITY) };
+        let mut jets = JetLanes { columns: unmoved, cut_distance_mm: f32x8::splat(simd, f32::INFINITY) };
         if !inside.any_true() {
             return jets;
         }
         let ([.., alpha], [dx, dy, dz]) = map.map.derivatives_lanes(simd, x, inside);
-        let marked_slope = dx[3].abs().max(dy[3].abs()).max(dz[3].abs()).simd_ge(MARKED_SLOPE);
-        let direct = inside & alpha.simd_lt(MARKED) & !marked_slope;
+        let marked_slope = dx[3].abs().max(dy[3].abs()).max(dz[3].abs()).simd_ge(MIN_MARKED_SLOPE);
+        let direct = inside & alpha.simd_lt(MIN_MARKED_ALPHA) & !marked_slope;
         let d = [of_displacement(dx, map), of_displacement(dy, map), of_displacement(dz, map)];
         let slope = Vec3x8 { x: dx[3], y: dy[3], z: dz[3] };
         let map_from_world = Mat3::from(map.placement.map_from_world.matrix3);
         let across = unmoved.map(|axis| axis.mapped(&map_from_world));
         let gradient = Vec3x8 { x: slope.dot(across[0]), y: slope.dot(across[1]), z: slope.dot(across[2]) }.length();
-        jets.cut_mm = (direct & gradient.simd_ge(1e-12)).select((alpha - 0.5) / gradient, jets.cut_mm);
+        jets.cut_distance_mm = (direct & gradient.simd_ge(1e-12)).select((alpha - 0.5) / gradient, jets.cut_distance_mm);
         for (column, across) in jets.columns.iter_mut().zip(across) {
             *column = Vec3x8::select(direct, *column + along(d, across), *column);
         }
@@ -423,18 +423,18 @@ impl Stack {
             for (column, exact) in jets.columns.iter_mut().zip(by_maps.columns) {
                 *column = Vec3x8::select(rest, exact, *column);
             }
-            jets.cut_mm = rest.select(by_maps.cut_mm, jets.cut_mm);
+            jets.cut_distance_mm = rest.select(by_maps.cut_distance_mm, jets.cut_distance_mm);
         }
         jets
     }
 
     #[inline(always)]
-    fn jets_by_maps<S: Simd>(&self, simd: S, deformed: Vec3x8<S>, lanes: mask32x8<S>) -> Jets<S> {
+    fn jets_by_maps<S: Simd>(&self, simd: S, deformed: Vec3x8<S>, lanes: mask32x8<S>) -> JetLanes<S> {
         let [x, y, z] = [Vec3x8::splat(simd, Vec3::X), Vec3x8::splat(simd, Vec3::Y), Vec3x8::splat(simd, Vec3::Z)];
         let (mut jx, mut jy, mut jz) = (x, y, z);
         let (mut source, mut at) = (deformed, deformed);
         let (mut at_x, mut at_y, mut at_z) = (x, y, z);
-        let mut cut_mm = f32x8::splat(simd, f32::INFINITY);
+        let mut cut_distance_mm = f32x8::splat(simd, f32::INFINITY);
         for map in self.maps.iter().rev() {
             let x = at.transformed(&map.placement.map_from_world);
             let inside = lanes & map.holds_lanes(x);
@@ -446,8 +446,8 @@ impl Stack {
                 let map_from_world = Mat3::from(map.placement.map_from_world.matrix3);
                 let (mx, my, mz) = (at_x.mapped(&map_from_world), at_y.mapped(&map_from_world), at_z.mapped(&map_from_world));
                 let gradient = Vec3x8 { x: slope.dot(mx), y: slope.dot(my), z: slope.dot(mz) }.length();
-                let nearer = inside & gradient.simd_ge(1e-12) & (alpha - 0.5).simd_lt(cut_mm * gradient);
-                cut_mm = nearer.select((alpha - 0.5) / gradient, cut_mm);
+                let nearer = inside & gradient.simd_ge(1e-12) & (alpha - 0.5).simd_lt(cut_distance_mm * gradient);
+                cut_distance_mm = nearer.select((alpha - 0.5) / gradient, cut_distance_mm);
                 jx = Vec3x8::select(inside, jx + along(d, mx), jx);
                 jy = Vec3x8::select(inside, jy + along(d, my), jy);
                 jz = Vec3x8::select(inside, jz + along(d, mz), jz);
@@ -457,7 +457,7 @@ impl Stack {
                 (at, at_x, at_y, at_z) = (source, jx, jy, jz);
             }
         }
-        Jets { columns: [jx, jy, jz], cut_mm }
+        JetLanes { columns: [jx, jy, jz], cut_distance_mm }
     }
 }
 
@@ -477,13 +477,13 @@ fn along<S: Simd>([x, y, z]: [Vec3x8<S>; 3], v: Vec3x8<S>) -> Vec3x8<S> {
     }
 }
 
-struct WalkMany<'a> {
+struct SourcesKernel<'a> {
     stack: &'a Stack,
     deformed: &'a [Vec3],
     found: &'a mut Vec<(Vec3, f32)>,
 }
 
-impl OverSimd for WalkMany<'_> {
+impl SimdKernel for SourcesKernel<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -492,7 +492,7 @@ impl OverSimd for WalkMany<'_> {
         for eight in self.deformed.chunks(LANES) {
             let mut points = [Vec3::ZERO; LANES];
             points[..eight.len()].copy_from_slice(eight);
-            let walk = self.stack.walk_lanes(simd, Vec3x8::from_lanes(simd, &points), everyone);
+            let walk = self.stack.source_and_alpha_lanes(simd, Vec3x8::from_lanes(simd, &points), everyone);
             for n in 0..eight.len() {
                 self.found.push((walk.source.lane(n), walk.alpha[n]));
             }
@@ -555,12 +555,12 @@ pub(super) mod tests {
     /// Points of a line are walked as points are, to the bit; lines across the map's axes are none.
     #[test]
     fn lines_are_walked_as_points_are() {
-        struct OfLine<'a>(&'a Stack, [Vec3; LANES], Option<&'a Line>);
-        impl OverSimd for OfLine<'_> {
+        struct LineKernel<'a>(&'a Stack, [Vec3; LANES], Option<&'a TexelLine>);
+        impl SimdKernel for LineKernel<'_> {
             type Output = [(Vec3, f32); LANES];
             #[inline(always)]
             fn run<S: Simd>(self, simd: S) -> Self::Output {
-                let walk = self.0.walk_line(simd, Vec3x8::from_lanes(simd, &self.1), mask32x8::splat(simd, true), self.2);
+                let walk = self.0.source_and_alpha_on_line(simd, Vec3x8::from_lanes(simd, &self.1), mask32x8::splat(simd, true), self.2);
                 std::array::from_fn(|n| (walk.source.lane(n), walk.alpha[n]))
             }
         }
@@ -575,8 +575,8 @@ pub(super) mod tests {
             assert!(line.is_some());
             for eight in 0..6 {
                 let points: [Vec3; LANES] = std::array::from_fn(|n| first + Vec3::X * (1.3 * (eight * LANES + n) as f32));
-                let got = with_simd(OfLine(&s, points, line.as_ref()));
-                assert_eq!(got, with_simd(OfLine(&s, points, None)));
+                let got = with_simd(LineKernel(&s, points, line.as_ref()));
+                assert_eq!(got, with_simd(LineKernel(&s, points, None)));
                 moved += got.iter().zip(points).filter(|(w, p)| w.0.distance(*p) > 1.0).count();
             }
         }
@@ -590,11 +590,11 @@ pub(super) mod tests {
         for added in [false, true] {
             s.maps[1].added = added;
             let points: Vec<Vec3> = (0..5003).map(|n| Vec3::new((n % 23) as f32, (n / 23 % 19) as f32, (n / 437) as f32) * 4.3 - 45.0).collect();
-            let many = s.walk_many(&points);
+            let many = s.sources_and_alphas(&points);
             assert!(many.len() == points.len() && many.iter().any(|w| w.1 < 0.5));
             for (p, got) in points.iter().zip(many) {
-                assert_eq!(s.walk_many(&[*p]), [got], "{p}");
-                let want = s.walk(*p);
+                assert_eq!(s.sources_and_alphas(&[*p]), [got], "{p}");
+                let want = s.source_and_alpha(*p);
                 assert!(got.0.abs_diff_eq(want.0, 2e-5) && (got.1 - want.1).abs() < 1e-6, "{p}: {got:?} for {want:?}");
             }
         }
@@ -603,14 +603,14 @@ pub(super) mod tests {
     /// Jacobians and distances to cuts of eight points at once are those of each, beside the faces of maps and in maps of few texels too.
     #[test]
     fn eight_jets_are_single_jets() {
-        struct Eight<'a>(&'a Stack, [Vec3; LANES]);
-        impl OverSimd for Eight<'_> {
+        struct JetsKernel<'a>(&'a Stack, [Vec3; LANES]);
+        impl SimdKernel for JetsKernel<'_> {
             type Output = [(Mat3, f32); LANES];
             #[inline(always)]
             fn run<S: Simd>(self, simd: S) -> Self::Output {
                 let jets = self.0.jets_lanes(simd, Vec3x8::from_lanes(simd, &self.1), mask32x8::splat(simd, true));
                 let [x, y, z] = jets.columns;
-                std::array::from_fn(|n| (Mat3::from_cols(x.lane(n), y.lane(n), z.lane(n)), jets.cut_mm[n]))
+                std::array::from_fn(|n| (Mat3::from_cols(x.lane(n), y.lane(n), z.lane(n)), jets.cut_distance_mm[n]))
             }
         }
         let (mut added, mut few) = (stack(), stack());
@@ -624,15 +624,16 @@ pub(super) mod tests {
             let points: Vec<Vec3> = (0..5000).map(|n| Vec3::new((n % 23) as f32, (n / 23 % 19) as f32, (n / 437) as f32) * 4.3 - 45.0).collect();
             let (mut beside, mut turned, mut near) = (0, 0, 0);
             for eight in points.as_chunks::<LANES>().0 {
-                for (p, (j, cut_mm)) in eight.iter().zip(with_simd(Eight(&s, *eight))) {
+                for (p, (j, cut_distance_mm)) in eight.iter().zip(with_simd(JetsKernel(&s, *eight))) {
                     let want = s.jet(*p);
                     assert!(j.abs_diff_eq(want.d_source_d_deformed, 2e-4), "{p}: {j} for {}", want.d_source_d_deformed);
-                    let same = cut_mm == want.cut.distance_mm || (cut_mm - want.cut.distance_mm).abs() < 1e-3 * (1.0 + want.cut.distance_mm.abs());
-                    assert!(same, "{p}: {cut_mm} mm for {}", want.cut.distance_mm);
+                    let same = cut_distance_mm == want.cut.distance_mm
+                        || (cut_distance_mm - want.cut.distance_mm).abs() < 1e-3 * (1.0 + want.cut.distance_mm.abs());
+                    assert!(same, "{p}: {cut_distance_mm} mm for {}", want.cut.distance_mm);
                     let x = s.maps[1].placement.map_from_world.transform_point3(*p);
                     beside += u32::from(x.min_element() > 0.0 && x.max_element() < 1.0 && x.min_element().min(1.0 - x.max_element()) < 1.0 / 18.0);
                     turned += u32::from(!j.abs_diff_eq(Mat3::IDENTITY, 1e-3));
-                    near += u32::from(cut_mm.abs() < 5.0);
+                    near += u32::from(cut_distance_mm.abs() < 5.0);
                 }
             }
             assert!(beside > 50 && turned > 300 && near > 20, "{beside} {turned} {near}");
@@ -646,7 +647,7 @@ pub(super) mod tests {
         for p in [Vec3::new(-4.0, 3.0, 6.0), Vec3::new(8.0, -5.0, 2.0)] {
             let sum = s.maps()[0].backward(p).0 + s.maps()[1].backward(p).0 - p;
             let jet = s.jet(p);
-            assert!(jet.source.abs_diff_eq(sum, 1e-4) && s.walk(p).0.abs_diff_eq(sum, 1e-4) || jet.alpha < 0.5);
+            assert!(jet.source.abs_diff_eq(sum, 1e-4) && s.source_and_alpha(p).0.abs_diff_eq(sum, 1e-4) || jet.alpha < 0.5);
             let parts = s.maps().iter().filter_map(|m| m.derivatives(p)).map(|(j, _)| j - Mat3::IDENTITY);
             let want = parts.fold(Mat3::IDENTITY, |a, b| a + b);
             assert!(jet.d_source_d_deformed.abs_diff_eq(want, 1e-5));

@@ -31,7 +31,7 @@ const NAMES: [&str; 6] = ["push", "smooth", "cut", "restore", LASSO_CUT, LASSO_R
 
 /// What a stroke does along its line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Tool {
+pub enum StrokeTool {
     /// Drags matter along.
     Push,
     /// Evens out how far neighbours are moved.
@@ -42,7 +42,7 @@ pub enum Tool {
     Restore,
 }
 
-impl Tool {
+impl StrokeTool {
     /// All of them.
     pub const ALL: [Self; 4] = [Self::Push, Self::Smooth, Self::Cut, Self::Restore];
 
@@ -57,7 +57,7 @@ impl Tool {
     }
 
     /// The fewest points that it can do something with.
-    fn least_points(self) -> usize {
+    fn min_points(self) -> usize {
         if self == Self::Push { 2 } else { 1 }
     }
 }
@@ -68,7 +68,7 @@ pub enum Stroke {
     /// Along a line.
     Line {
         /// What it does.
-        tool: Tool,
+        tool: StrokeTool,
         /// Reach to every side of the line, mm.
         radius_mm: f32,
         /// 0 to 1.
@@ -144,7 +144,7 @@ pub fn parse(text: &str) -> Result<Stroke, String> {
         return Err(format!("\"{name}\" is no tool; {}", suggestion(name, NAMES)));
     }
     let numbers = words.map(|word| number(word, name)).collect::<Result<Vec<f32>, String>>()?;
-    match Tool::ALL.into_iter().find(|t| t.name() == name) {
+    match StrokeTool::ALL.into_iter().find(|t| t.name() == name) {
         Some(tool) => line(tool, &numbers),
         None => lasso(name, &numbers),
     }
@@ -156,7 +156,7 @@ fn number(word: &str, name: &str) -> Result<f32, String> {
     if v.abs() <= LARGEST_MM { Ok(v) } else { Err(format!("{name}: {word} is outside -{LARGEST_MM} to {LARGEST_MM}")) }
 }
 
-fn line(tool: Tool, numbers: &[f32]) -> Result<Stroke, String> {
+fn line(tool: StrokeTool, numbers: &[f32]) -> Result<Stroke, String> {
     let name = tool.name();
     let [radius_mm, strength, coordinates @ ..] = numbers else {
         return Err(format!("{name} has {} numbers; it needs a radius, a strength and the points' x y z", numbers.len()));
@@ -171,8 +171,8 @@ fn line(tool: Tool, numbers: &[f32]) -> Result<Stroke, String> {
     if !rest.is_empty() {
         return Err(format!("{name} has {} coordinates after radius and strength; a point is three, x y z", coordinates.len()));
     }
-    if points.len() < tool.least_points() {
-        return Err(format!("{name} has {} points; it needs at least {}", points.len(), tool.least_points()));
+    if points.len() < tool.min_points() {
+        return Err(format!("{name} has {} points; it needs at least {}", points.len(), tool.min_points()));
     }
     Ok(Stroke::Line { tool, radius_mm: *radius_mm, strength: *strength, points: points.iter().map(|p| Vec3::from_array(*p)).collect() })
 }
@@ -211,7 +211,7 @@ mod tests {
         #[test]
         fn what_is_written_is_read(tool in 0usize..4, radius_mm in 1e-3f32..1e3, strength in 0.0f32..=1.0,
                                    points in prop::collection::vec(prop::array::uniform3(-1e5f32..1e5), 2..9)) {
-            let stroke = Stroke::Line { tool: Tool::ALL[tool], radius_mm, strength, points: points.into_iter().map(Vec3::from).collect() };
+            let stroke = Stroke::Line { tool: StrokeTool::ALL[tool], radius_mm, strength, points: points.into_iter().map(Vec3::from).collect() };
             prop_assert_eq!(parse(&stroke.to_string()), Ok(stroke));
         }
 
@@ -235,13 +235,13 @@ mod tests {
     #[test]
     fn blanks_do_not_matter() {
         let stroke = parse("  cut 5\t1   1 2 3\n").unwrap();
-        assert_eq!(stroke, Stroke::Line { tool: Tool::Cut, radius_mm: 5.0, strength: 1.0, points: vec![Vec3::new(1.0, 2.0, 3.0)] });
+        assert_eq!(stroke, Stroke::Line { tool: StrokeTool::Cut, radius_mm: 5.0, strength: 1.0, points: vec![Vec3::new(1.0, 2.0, 3.0)] });
         assert_eq!(stroke.to_string(), "cut 5 1 1 2 3");
     }
 
     #[test]
     fn refusals_say_what_to_do() {
-        for (text, said) in [
+        for (text, expected) in [
             ("", "is empty; begin with one of push"),
             ("psuh 5 1 0 0 0 1 1 1", "did you mean \"push\"?"),
             ("push", "needs a radius"),
@@ -264,7 +264,7 @@ mod tests {
             ("lasso-restore 0 0 0 0 1 0 0 0 1 0 0 0 5 0", "needs 3"),
         ] {
             let problem = parse(text).unwrap_err();
-            assert!(problem.contains(said), "{text}: {problem}");
+            assert!(problem.contains(expected), "{text}: {problem}");
         }
     }
 

@@ -1,7 +1,7 @@
 //! A deformation as one thing: the maps, and the cuts that come after them.
 
 use super::Stack;
-use super::cut::Cuts;
+use super::cut::CutShapes;
 use glam::Vec3;
 
 /// The maps of a deformation and the cuts that come after them.
@@ -10,7 +10,7 @@ pub struct StackAndCuts<'a> {
     /// The maps.
     pub stack: &'a Stack,
     /// The cuts that come after them.
-    pub cuts: &'a Cuts,
+    pub cuts: &'a CutShapes,
 }
 
 impl StackAndCuts<'_> {
@@ -21,10 +21,10 @@ impl StackAndCuts<'_> {
 
     /// Where what is at a point of the deformed scene came from, mm; none where it is cut away.
     pub fn source(&self, deformed: Vec3) -> Option<Vec3> {
-        if self.cuts.kept(deformed) < 0.0 {
+        if self.cuts.signed_distance_mm(deformed) < 0.0 {
             return None;
         }
-        let (source, alpha) = self.stack.walk(deformed);
+        let (source, alpha) = self.stack.source_and_alpha(deformed);
         (alpha >= 0.5).then_some(source)
     }
 }

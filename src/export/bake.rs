@@ -1,7 +1,7 @@
 //! Baking: the deformed scene resampled into a volume, or the composed displacement into a field (\[RVD01\] section 5), slab by slab, so that
 //! nothing but the source and a few slabs is in memory.
 
-use super::rows::{Row, Rows};
+use super::rows::{BakeRow, BakeRows};
 use crate::deform::{Stack, StackAndCuts};
 use crate::math::Bounds;
 use crate::math::lanes::*;
@@ -85,7 +85,7 @@ struct Whole<'a> {
     fill: f32,
 }
 
-impl OverSimd for Whole<'_> {
+impl SimdKernel for Whole<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -119,12 +119,12 @@ impl OverSimd for Whole<'_> {
 }
 
 /// Stored values of a volume between its voxels; the outermost ones reach half a voxel out.
-struct Stored<'a> {
+struct StoredInterpolator<'a> {
     volume: &'a Volume,
     interpolation: Interpolation,
 }
 
-impl Stored<'_> {
+impl StoredInterpolator<'_> {
     fn at(&self, c: [i64; 3]) -> f64 {
         let [nx, ny, nz] = self.volume.size;
         let clamp = |v: i64, n: usize| v.clamp(0, n as i64 - 1) as usize;
@@ -150,7 +150,9 @@ impl Stored<'_> {
         Some(match self.interpolation {
             Interpolation::Nearest => self.at([p.x.round() as i64, p.y.round() as i64, p.z.round() as i64]),
             Interpolation::Linear => self.weighted(c, 0, &[[1.0 - f.x, f.x], [1.0 - f.y, f.y], [1.0 - f.z, f.z]]),
-            Interpolation::Cubic => self.weighted(c, -1, &[keys(f.x), keys(f.y), keys(f.z)]),
+            Interpolation::Cubic => {
+                self.weighted(c, -1, &[cubic_convolution_weights(f.x), cubic_convolution_weights(f.y), cubic_convolution_weights(f.z)])
+            }
         })
     }
 
@@ -161,11 +163,11 @@ impl Stored<'_> {
         if self.interpolation != Interpolation::Linear || size.iter().any(|&n| n < 2) {
             return None;
         }
-        let rows = Rows { size, deformation: *deformation, voxel_from_world: m, first, step, count, whole };
+        let rows = BakeRows { size, deformation: *deformation, voxel_from_world: m, first, step, count, whole };
         match &self.volume.voxels {
-            Voxels::U8(v) => Some(with_simd(Row { voxels: v, rows })),
-            Voxels::U16(v) => Some(with_simd(Row { voxels: v, rows })),
-            Voxels::I16(v) => Some(with_simd(Row { voxels: v, rows })),
+            Voxels::U8(v) => Some(with_simd(BakeRow { voxels: v, rows })),
+            Voxels::U16(v) => Some(with_simd(BakeRow { voxels: v, rows })),
+            Voxels::I16(v) => Some(with_simd(BakeRow { voxels: v, rows })),
             _ => None,
         }
     }
@@ -192,7 +194,7 @@ impl Stored<'_> {
     }
 }
 
-fn keys(t: f64) -> [f64; 4] {
+fn cubic_convolution_weights(t: f64) -> [f64; 4] {
     let (t2, t3) = (t * t, t * t * t);
     [-0.5 * t + t2 - 0.5 * t3, 1.0 - 2.5 * t2 + 1.5 * t3, 0.5 * t + 2.0 * t2 - 1.5 * t3, -0.5 * t2 + 0.5 * t3]
 }
@@ -278,7 +280,7 @@ pub fn volume(
     let content = if volume.declared_labels && written == Rescale::NONE { Content::Labels(scalar) } else { Content::Scalar(scalar, written) };
     let in_data = if written == volume.rescale { Rescale::NONE } else { volume.rescale };
     let mut writer = Writer::new(out, format, grid, content).map_err(fail)?;
-    let stored = Stored { volume, interpolation };
+    let stored = StoredInterpolator { volume, interpolation };
     let voxel_from_world = volume.world_from_voxel.inverse();
     let fill = (fill - volume.rescale.intercept) / volume.rescale.slope;
     let row = |j: usize, k: usize, bytes: &mut Vec<u8>| {
@@ -297,8 +299,8 @@ pub fn volume(
             return;
         }
         let deformed: Vec<Vec3> = (0..grid.size[0]).map(|i| at(i).as_vec3()).collect();
-        for (i, (source, alpha)) in deformation.stack.walk_many(&deformed).into_iter().enumerate() {
-            let seen = alpha >= 0.5 && deformation.cuts.kept(deformed[i]) >= 0.0;
+        for (i, (source, alpha)) in deformation.stack.sources_and_alphas(&deformed).into_iter().enumerate() {
+            let seen = alpha >= 0.5 && deformation.cuts.signed_distance_mm(deformed[i]) >= 0.0;
             let value = seen.then(|| {
                 // The walk gives the displacement in single precision; the point itself keeps its digits.
                 let exact = at(i) + (source - deformed[i]).as_dvec3();
@@ -321,8 +323,8 @@ pub fn field(deformation: &StackAndCuts, grid: &GridGeometry, format: Format, ou
     let cut = std::sync::atomic::AtomicUsize::new(0);
     let displacement = |i: usize, j: usize, k: usize| {
         let p = grid.world_from_voxel.transform_point3(DVec3::new(i as f64, j as f64, k as f64)).as_vec3();
-        let (source, alpha) = deformation.stack.walk_through(p);
-        (source - p, alpha >= 0.5 && deformation.cuts.kept(p) >= 0.0)
+        let (source, alpha) = deformation.stack.source_and_alpha_unclipped(p);
+        (source - p, alpha >= 0.5 && deformation.cuts.signed_distance_mm(p) >= 0.0)
     };
     // NIfTI wants whole components one after the other: the walk is done once for each rather than kept.
     let passes: &[Option<usize>] = if format.planar() { &[Some(0), Some(1), Some(2)] } else { &[None] };
@@ -385,13 +387,13 @@ mod tests {
         }
         let size = [256, 256, 100];
         let v = Volume::new(vec![1i16; 256 * 256 * 100].into(), size, Rescale::NONE, DAffine3::IDENTITY);
-        let (stack, cuts) = (Stack::default(), crate::deform::cut::Cuts::default());
+        let (stack, cuts) = (Stack::default(), crate::deform::cut::CutShapes::default());
         let deformation = StackAndCuts { stack: &stack, cuts: &cuts };
         let bake = |room: usize| volume(&v, &deformation, &v.geometry(), Interpolation::Linear, 0.0, Format::Nifti, &mut Full(room), &|_| ());
         let bytes = 352 + 2 * 256 * 256 * 100;
         for room in [1000, bytes / 2, bytes - 1] {
-            let told = bake(room).map_err(|e| e.to_string());
-            assert!(told.as_ref().is_err_and(|e| e.contains("no space left")), "{room}: {told:?}");
+            let result = bake(room).map_err(|e| e.to_string());
+            assert!(result.as_ref().is_err_and(|e| e.contains("no space left")), "{room}: {result:?}");
         }
         assert!(bake(bytes).is_ok());
     }
@@ -405,12 +407,12 @@ mod tests {
             })
             .collect();
         let v = Volume::new(voxels.into(), [7; 3], Rescale::NONE, DAffine3::IDENTITY);
-        let s = Stored { volume: &v, interpolation: Interpolation::Cubic };
+        let s = StoredInterpolator { volume: &v, interpolation: Interpolation::Cubic };
         let p = DVec3::new(2.3, 3.7, 3.1);
         assert!((s.sample(p).unwrap_or(f64::NAN) - (p.x * p.x - 2.0 * p.y)).abs() < 1e-9);
         assert_eq!(s.sample(DVec3::new(4.0, 2.0, 1.0)), Some(12.0));
         assert_eq!(s.sample(DVec3::new(-0.6, 0.0, 0.0)), None);
-        let linear = Stored { volume: &v, interpolation: Interpolation::Linear };
+        let linear = StoredInterpolator { volume: &v, interpolation: Interpolation::Linear };
         assert!((linear.sample(DVec3::new(2.5, 1.0, 0.0)).unwrap_or(f64::NAN) - 4.5).abs() < 1e-12);
     }
 }

@@ -20,9 +20,9 @@ use std::process::{ChildStdin, Command, Stdio};
 /// Fewest and most frames per second.
 const FRAMES_PER_SECOND: [f32; 2] = [0.1, 240.0];
 /// Viewers take a delay of less than two hundredths of a second for a mistake and show a tenth.
-const MOST_GIF_FRAMES_PER_SECOND: f64 = 50.0;
+const MAX_GIF_FRAMES_PER_SECOND: f64 = 50.0;
 /// Most frames of a clip.
-const MOST_FRAMES: usize = 100_000;
+const MAX_FRAMES: usize = 100_000;
 /// Effort of the search for a GIF's colours, from 1 (best) to 30 (fastest).
 const GIF_SPEED: i32 = 10;
 /// Longest part of ffmpeg's words that is repeated, characters.
@@ -87,8 +87,8 @@ pub fn write(
     if !(least..=most).contains(&frames_per_second) {
         return Err(Error::value("frames per second", format!("{frames_per_second} is outside {least} to {most}")));
     }
-    if !(1..=MOST_FRAMES).contains(&count) {
-        return Err(Error::value("frames", format!("a clip of {count} frames cannot be made; it has 1 to {MOST_FRAMES}")));
+    if !(1..=MAX_FRAMES).contains(&count) {
+        return Err(Error::value("frames", format!("a clip of {count} frames cannot be made; it has 1 to {MAX_FRAMES}")));
     }
     if size.contains(&0) {
         return Err(Error::value("size", format!("a clip of {} x {} pixels shows nothing", size[0], size[1])));
@@ -117,8 +117,8 @@ impl Clip<'_> {
     }
 
     fn gif(&mut self) -> Result<()> {
-        if self.frames_per_second > MOST_GIF_FRAMES_PER_SECOND {
-            let problem = format!("{} is too many for a GIF; use at most {MOST_GIF_FRAMES_PER_SECOND}, or .png", self.frames_per_second);
+        if self.frames_per_second > MAX_GIF_FRAMES_PER_SECOND {
+            let problem = format!("{} is too many for a GIF; use at most {MAX_GIF_FRAMES_PER_SECOND}, or .png", self.frames_per_second);
             return Err(Error::value("frames per second", problem));
         }
         let path = self.path;
@@ -196,7 +196,7 @@ impl Clip<'_> {
         let path = self.path;
         let writing = |e: std::io::Error| Error::io(path, "writing", e);
         // A pipe that nobody reads would fill and stop ffmpeg; a file takes what it says.
-        let mut said = tempfile::tempfile().map_err(writing)?;
+        let mut stderr_file = tempfile::tempfile().map_err(writing)?;
         let [width, height] = self.size;
         let size = format!("{width}x{height}");
         let rate = self.frames_per_second.to_string();
@@ -211,7 +211,7 @@ impl Clip<'_> {
             .arg(target)
             .stdin(Stdio::piped())
             .stdout(Stdio::null())
-            .stderr(Stdio::from(said.try_clone().map_err(writing)?))
+            .stderr(Stdio::from(stderr_file.try_clone().map_err(writing)?))
             .spawn()
             .map_err(|e| match e.kind() {
                 ErrorKind::NotFound => Error::file(path, "needs the program ffmpeg, which is not there; install it, or choose .gif or .png"),
@@ -228,7 +228,7 @@ impl Clip<'_> {
         let status = ffmpeg.wait().map_err(|e| Error::io(Path::new("ffmpeg"), "waiting for it", e))?;
         if !(fed? && status.success()) {
             let mut words = Vec::new();
-            said.rewind().and_then(|()| said.read_to_end(&mut words)).map_err(writing)?;
+            stderr_file.rewind().and_then(|()| stderr_file.read_to_end(&mut words)).map_err(writing)?;
             let words: String = String::from_utf8_lossy(&words).trim().chars().take(LONGEST_QUOTE).collect();
             return Err(Error::file(path, format!("ffmpeg could not make it ({status}): {words}; choose .gif or .png")).printable());
         }
@@ -373,20 +373,20 @@ mod tests {
             let path = folder.path().join(name);
             let stop = AtomicBool::new(false);
             let watch = Watch { progress: &|_| (), cancel: &stop };
-            let mut asked = 0;
+            let mut frame_count = 0;
             let stopped = write(
                 &path,
                 SIZE,
                 25.0,
                 3,
                 &mut |n| {
-                    asked += 1;
+                    frame_count += 1;
                     stop.store(n == 1, Ordering::Relaxed);
                     Ok(pixels(n))
                 },
                 &watch,
             );
-            assert!(matches!(stopped, Err(Error::Cancelled)) && asked == 2, "{name}: {stopped:?}");
+            assert!(matches!(stopped, Err(Error::Cancelled)) && frame_count == 2, "{name}: {stopped:?}");
             let frame = |n: usize| if n == 2 { Err(Error::value("frame", "none")) } else { Ok(pixels(n)) };
             assert!(write(&path, SIZE, 25.0, 3, &mut |n| frame(n), &Watch::NONE).is_err(), "{name}");
             assert!(write(&path, SIZE, 25.0, 3, &mut |_| Ok(vec![0; 7]), &Watch::NONE).is_err(), "{name}");

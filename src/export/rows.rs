@@ -11,7 +11,7 @@ use glam::{DAffine3, DVec3, Mat3};
 
 /// What is baked, and where.
 #[derive(Clone, Copy)]
-pub(super) struct Rows<'a> {
+pub(super) struct BakeRows<'a> {
     /// Extent of the source; at least two voxels along every axis.
     pub size: [usize; 3],
     pub deformation: StackAndCuts<'a>,
@@ -27,19 +27,19 @@ pub(super) struct Rows<'a> {
 }
 
 /// A row of them.
-pub(super) struct Row<'a, T> {
+pub(super) struct BakeRow<'a, T> {
     /// Stored voxels of the source.
     pub voxels: &'a [T],
-    pub rows: Rows<'a>,
+    pub rows: BakeRows<'a>,
 }
 
 /// Positions of eight voxels along an axis of the source, in 2^-32 voxels: they are added up, and must not gather errors.
-struct Along {
+struct FixedPointPositions {
     at: [i64; LANES],
     eight: i64,
 }
 
-impl Along {
+impl FixedPointPositions {
     #[inline(always)]
     fn new(start: f64, step: f64) -> Self {
         let fixed = |v: f64| (v * 4_294_967_296.0).round() as i64;
@@ -71,7 +71,7 @@ impl Along {
     }
 }
 
-impl<T: Voxel> OverSimd for Row<'_, T> {
+impl<T: Voxel> SimdKernel for BakeRow<'_, T> {
     /// Stored values, between voxels' too; NaN where nothing is.
     type Output = Vec<f32>;
 
@@ -84,7 +84,8 @@ impl<T: Voxel> OverSimd for Row<'_, T> {
         let voxels_per_mm: Mat3 = linear.as_mat3();
         let (start, along) = (rows.voxel_from_world.transform_point3(rows.first), linear * rows.step);
         let nothing = f32x8::splat(simd, f32::NAN);
-        let (mut along_x, mut along_y, mut along_z) = (Along::new(start.x, along.x), Along::new(start.y, along.y), Along::new(start.z, along.z));
+        let (mut along_x, mut along_y, mut along_z) =
+            (FixedPointPositions::new(start.x, along.x), FixedPointPositions::new(start.y, along.y), FixedPointPositions::new(start.z, along.z));
         let (origin, step) = (Vec3x8::splat(simd, rows.first.as_vec3()), Vec3x8::splat(simd, rows.step.as_vec3()));
         let line = rows.deformation.stack.line(rows.first.as_vec3(), rows.step.as_vec3());
         let mut number = [0.0; LANES];
@@ -96,7 +97,7 @@ impl<T: Voxel> OverSimd for Row<'_, T> {
         for _ in 0..rows.count.div_ceil(LANES) {
             let deformed = origin + step * number;
             number += 8.0;
-            let walk = rows.deformation.stack.walk_line(simd, deformed, everyone, line.as_ref());
+            let walk = rows.deformation.stack.source_and_alpha_on_line(simd, deformed, everyone, line.as_ref());
             let moved = (walk.source - deformed).mapped(&voxels_per_mm);
             let (i, x, inside_x) = along_x.next(simd, moved.x, nx);
             let (j, y, inside_y) = along_y.next(simd, moved.y, ny);
@@ -104,7 +105,7 @@ impl<T: Voxel> OverSimd for Row<'_, T> {
             let mut seen = walk.alpha.simd_ge(0.5) & inside_x & inside_y & inside_z;
             if !rows.deformation.cuts.is_empty() {
                 for n in lanes_of(seen.to_bitmask()) {
-                    seen.set(n, rows.deformation.cuts.kept(deformed.lane(n)) >= 0.0);
+                    seen.set(n, rows.deformation.cuts.signed_distance_mm(deformed.lane(n)) >= 0.0);
                 }
             }
             let near = flat(i, j, k, rows.size);

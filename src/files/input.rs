@@ -39,7 +39,7 @@ pub fn open(path: &Path) -> Result<(File, u64)> {
     let file = options.open(path).map_err(failed)?;
     let metadata = file.metadata().map_err(failed)?;
     ordinary(path, &metadata)?;
-    inputs::note(path, &metadata);
+    inputs::register(path, &metadata);
     Ok((file, metadata.len()))
 }
 

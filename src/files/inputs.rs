@@ -46,7 +46,7 @@ fn read() -> MutexGuard<'static, HashMap<FileId, PathBuf>> {
 }
 
 /// Notes that a file is read.
-pub fn note(path: &Path, metadata: &Metadata) {
+pub fn register(path: &Path, metadata: &Metadata) {
     if let Some(id) = FileId::with(path, metadata) {
         read().entry(id).or_insert_with(|| path.to_owned());
     }
@@ -55,17 +55,17 @@ pub fn note(path: &Path, metadata: &Metadata) {
 /// Notes that a library of others is about to read a file, or everything in a folder.
 pub fn note_path(path: &Path) {
     if let Ok(metadata) = std::fs::metadata(path) {
-        note(path, &metadata);
+        register(path, &metadata);
     }
 }
 
 /// The name under which a file was read that `path` leads to, or the folder in which it lies that was read as a whole; none if it is neither.
 pub fn name_of(path: &Path) -> Option<PathBuf> {
-    let known = read();
-    if known.is_empty() {
+    let registered = read();
+    if registered.is_empty() {
         return None;
     }
-    let file = FileId::of(path).and_then(|id| known.get(&id).cloned());
+    let file = FileId::of(path).and_then(|id| registered.get(&id).cloned());
     if file.is_some() {
         return file;
     }
@@ -75,7 +75,7 @@ pub fn name_of(path: &Path) -> Option<PathBuf> {
         parent.canonicalize().map(|p| p.join(path.file_name().unwrap_or_default()))
     });
     let absolute = absolute.ok()?;
-    absolute.ancestors().skip(1).find_map(|folder| FileId::of(folder).and_then(|id| known.get(&id).cloned()))
+    absolute.ancestors().skip(1).find_map(|folder| FileId::of(folder).and_then(|id| registered.get(&id).cloned()))
 }
 
 #[cfg(test)]

@@ -342,10 +342,10 @@ mod tests {
         std::fs::write(&path, "x").unwrap_or_else(|e| panic!("{e}"));
         let late = Output::create(&path).unwrap_or_else(|e| panic!("{e}"));
         super::super::input::text(&path, 10, "scene").unwrap_or_else(|e| panic!("{e}"));
-        let said = |r: Result<()>| r.err().map(|e| e.to_string()).unwrap_or_default();
-        assert!(said(late.finish(b"y")).contains("is an input"));
-        assert!(said(Output::create(&path).map(drop)).contains("is an input"));
-        assert_eq!(said(Output::replacing(&path).and_then(|o| o.finish(b"y"))), "");
+        let error_text = |r: Result<()>| r.err().map(|e| e.to_string()).unwrap_or_default();
+        assert!(error_text(late.finish(b"y")).contains("is an input"));
+        assert!(error_text(Output::create(&path).map(drop)).contains("is an input"));
+        assert_eq!(error_text(Output::replacing(&path).and_then(|o| o.finish(b"y"))), "");
         assert_eq!(std::fs::read(&path).ok().as_deref(), Some(&b"y"[..]));
     }
 
@@ -374,9 +374,9 @@ mod tests {
             let output = Output::create(&path).unwrap_or_else(|e| panic!("{e}"));
             make(&path);
             let before = std::fs::symlink_metadata(&path).map(|m| m.file_type()).ok();
-            let said = output.finish(b"new").err().map(|e| e.to_string());
-            assert_eq!(said.is_some(), refusal.is_some(), "{name}: {said:?}");
-            assert!(said.unwrap_or_default().contains(refusal.unwrap_or_default()), "{name}");
+            let error_text = output.finish(b"new").err().map(|e| e.to_string());
+            assert_eq!(error_text.is_some(), refusal.is_some(), "{name}: {error_text:?}");
+            assert!(error_text.unwrap_or_default().contains(refusal.unwrap_or_default()), "{name}");
             assert_eq!(std::fs::symlink_metadata(&path).map(|m| m.file_type()).ok(), before, "{name}");
         }
         assert_eq!(std::fs::read(folder.path().join("file")).ok().as_deref(), Some(&b"new"[..]));

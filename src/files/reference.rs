@@ -22,16 +22,16 @@ pub fn outside_is_allowed() -> bool {
 ///
 /// # Errors
 /// A name that leads out of that folder, by itself or by a link, unless that is allowed.
-pub fn beside(from: &Path, name: &str) -> Result<PathBuf> {
+pub fn sibling_file(from: &Path, name: &str) -> Result<PathBuf> {
     let folder = from.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    below(from, folder, name)
+    file_in_folder(from, folder, name)
 }
 
-/// As [`beside`], in a folder that is not the one of `from`.
+/// As [`sibling_file`], in a folder that is not the one of `from`.
 ///
 /// # Errors
-/// As [`beside`].
-pub fn below(from: &Path, folder: &Path, name: &str) -> Result<PathBuf> {
+/// As [`sibling_file`].
+pub fn file_in_folder(from: &Path, folder: &Path, name: &str) -> Result<PathBuf> {
     let file = if folder == Path::new(".") { PathBuf::from(name) } else { folder.join(name) };
     if !outside_is_allowed() && (climbs(Path::new(name)) || leads_out(folder, &file)) {
         let problem = format!("refers to the file {name}, which is outside its folder; move that file into the folder, or use --allow-outside");
@@ -81,12 +81,12 @@ mod tests {
     #[test]
     fn names_that_leave_their_folder() {
         for name in ["../a", "a/../../b", "/etc/passwd", "a/b/../../../c"] {
-            assert!(beside(Path::new("/x/head.nhdr"), name).is_err(), "{name}");
+            assert!(sibling_file(Path::new("/x/head.nhdr"), name).is_err(), "{name}");
         }
         for name in ["a", "a/b.raw", "./a", "a/../b", "..a", "a/.."] {
-            assert!(beside(Path::new("/x/head.nhdr"), name).is_ok(), "{name}");
+            assert!(sibling_file(Path::new("/x/head.nhdr"), name).is_ok(), "{name}");
         }
-        assert_eq!(beside(Path::new("head.nhdr"), "a.raw").ok(), Some(PathBuf::from("a.raw")));
+        assert_eq!(sibling_file(Path::new("head.nhdr"), "a.raw").ok(), Some(PathBuf::from("a.raw")));
     }
 
     #[cfg(unix)]
@@ -99,7 +99,7 @@ mod tests {
         for (target, link) in [("../elsewhere", "own/out"), ("data", "own/in")] {
             std::os::unix::fs::symlink(target, at(link)).unwrap_or_else(|e| panic!("{e}"));
         }
-        assert!(beside(&at("own/head.nhdr"), "out").is_err() && beside(&at("own/head.nhdr"), "in").is_ok());
+        assert!(sibling_file(&at("own/head.nhdr"), "out").is_err() && sibling_file(&at("own/head.nhdr"), "in").is_ok());
         assert!(is_link_out(&at("own"), &at("own/out")) && !is_link_out(&at("own"), &at("own/in")) && !is_link_out(&at("own"), &at("own/data")));
     }
 }

@@ -61,10 +61,10 @@ impl PartFile {
             builder.permissions(std::fs::Permissions::from_mode(0o666));
         }
         // Known before anyone can tell the process to end.
-        let mut known = unfinished();
+        let mut registered = unfinished();
         let file = builder.tempfile_in(folder)?;
         let path = file.path().to_owned();
-        known.insert(path.clone());
+        registered.insert(path.clone());
         Ok(Self { file: Some(file), path })
     }
 
@@ -114,10 +114,10 @@ impl PartFolder {
     pub fn in_folder(folder: &Path) -> std::io::Result<Self> {
         remove_stale(folder);
         let prefix = own_prefix();
-        let mut known = unfinished();
+        let mut registered = unfinished();
         let made = builder(&prefix).tempdir_in(folder)?;
         let path = made.path().to_owned();
-        known.insert(path.clone());
+        registered.insert(path.clone());
         Ok(Self { folder: Some(made), path })
     }
 
@@ -199,8 +199,8 @@ fn is_alive(process: u32) -> bool {
 /// Removes the unfinished files of this process, which is about to end.
 pub fn remove_all() {
     // Whoever holds it may be what fails.
-    if let Ok(known) = UNFINISHED.try_lock() {
-        known.iter().for_each(|path| remove(path));
+    if let Ok(registered) = UNFINISHED.try_lock() {
+        registered.iter().for_each(|path| remove(path));
     }
 }
 
@@ -216,8 +216,8 @@ pub fn remove_on_signals() {
         let waiting = std::thread::Builder::new().name("signals".into()).spawn(move || {
             if let Some(signal) = signals.forever().next() {
                 // Held to the end, so that nothing new is begun.
-                let known = unfinished();
-                known.iter().for_each(|path| remove(path));
+                let registered = unfinished();
+                registered.iter().for_each(|path| remove(path));
                 let _ended = signal_hook::low_level::emulate_default_handler(signal);
                 std::process::exit(128 + signal);
             }

@@ -8,7 +8,7 @@ use wgpu::{DeviceType, Features};
 
 /// Which adapters will do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Want {
+pub enum AdapterPreference {
     /// Only a hardware GPU.
     Hardware,
     /// Any adapter, hardware preferred.
@@ -39,10 +39,10 @@ impl Device {
     ///
     /// # Errors
     /// No such adapter, or one that cannot be opened.
-    pub fn open(want: Want) -> Result<Self> {
+    pub fn open(want: AdapterPreference) -> Result<Self> {
         let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
         let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
-        adapters.retain(|a| want == Want::Any || a.get_info().device_type != DeviceType::Cpu);
+        adapters.retain(|a| want == AdapterPreference::Any || a.get_info().device_type != DeviceType::Cpu);
         adapters.retain(|a| a.get_downlevel_capabilities().flags.contains(wgpu::DownlevelFlags::FRAGMENT_WRITABLE_STORAGE));
         // Surfaces leave their distances in such a texture.
         let draws = |a: &wgpu::Adapter, format| a.get_texture_format_features(format).allowed_usages.contains(wgpu::TextureUsages::RENDER_ATTACHMENT);
@@ -60,8 +60,8 @@ impl Device {
         });
         let adapter = adapters.into_iter().next().ok_or_else(|| {
             Error::Gpu(match want {
-                Want::Hardware => "no hardware GPU found".into(),
-                Want::Any => "no usable graphics driver found; install one (on Debian: mesa-vulkan-drivers) or use --backend cpu".into(),
+                AdapterPreference::Hardware => "no hardware GPU found".into(),
+                AdapterPreference::Any => "no usable graphics driver found; install one (on Debian: mesa-vulkan-drivers) or use --backend cpu".into(),
             })
         })?;
         let features = WISHES.into_iter().filter(|f| adapter.features().contains(*f)).fold(Features::empty(), |all, f| all | f);
@@ -75,8 +75,8 @@ impl Device {
         let (device, queue) =
             pollster::block_on(adapter.request_device(&descriptor)).map_err(|e| Error::Gpu(format!("{}: {e}", adapter.get_info().name)))?;
         let lost = Arc::new(AtomicBool::new(false));
-        let told = lost.clone();
-        device.set_device_lost_callback(move |_, _| told.store(true, Ordering::Relaxed));
+        let lost_flag = lost.clone();
+        device.set_device_lost_callback(move |_, _| lost_flag.store(true, Ordering::Relaxed));
         let computes = adapter.get_downlevel_capabilities().flags.contains(wgpu::DownlevelFlags::COMPUTE_SHADERS);
         Ok(Self { device, queue, adapter: adapter.get_info(), computes, lost })
     }

@@ -4,7 +4,7 @@ mod device;
 mod readback;
 pub mod shaders;
 
-pub use device::{Device, Want};
+pub use device::{AdapterPreference, Device};
 pub use readback::{read_buffer, read_r32f, read_rgba16f, texture_bytes};
 
 use crate::{Error, Result};

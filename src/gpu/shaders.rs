@@ -6,7 +6,7 @@ pub enum Program {
     /// Rays, by fragments.
     Raycast,
     /// Rays, by invocations of a compute shader.
-    Rays,
+    RaycastCompute,
     /// Slices.
     Slice,
     /// The second pass of a projection by slices.
@@ -14,7 +14,7 @@ pub enum Program {
     /// The mask of pixels that slices have made opaque.
     Opaque,
     /// Surfaces under slices.
-    Under,
+    SurfacesBehind,
     /// Shared functions at given points, for tests.
     Probe,
     /// A stack at given points, to compose it.
@@ -62,11 +62,11 @@ impl Program {
     /// All programs.
     pub const ALL: [Self; 14] = [
         Self::Raycast,
-        Self::Rays,
+        Self::RaycastCompute,
         Self::Slice,
         Self::Resolve,
         Self::Opaque,
-        Self::Under,
+        Self::SurfacesBehind,
         Self::Probe,
         Self::Compose,
         Self::Sample,
@@ -79,14 +79,14 @@ impl Program {
 
     /// The program's whole text; `counting` keeps the sample counts.
     pub fn source(self, counting: bool) -> String {
-        let count = if counting { piece!("lib/count.wgsl") } else { piece!("lib/count_nothing.wgsl") };
+        let count = if counting { piece!("lib/count.wgsl") } else { piece!("lib/count_disabled.wgsl") };
         let own: &[&str] = match self {
             Self::Raycast => &[MARCH, COMPOSITE, piece!("lib/projection.wgsl"), piece!("lib/ray.wgsl"), count, piece!("raycast.wgsl")],
-            Self::Rays => &[MARCH, COMPOSITE, piece!("lib/projection.wgsl"), piece!("lib/ray.wgsl"), count, piece!("rays.wgsl")],
+            Self::RaycastCompute => &[MARCH, COMPOSITE, piece!("lib/projection.wgsl"), piece!("lib/ray.wgsl"), count, piece!("raycast_compute.wgsl")],
             Self::Slice => &[MARCH, COMPOSITE, count, piece!("slice.wgsl")],
             Self::Resolve => &[piece!("lib/projection.wgsl"), piece!("resolve.wgsl")],
             Self::Opaque => &[piece!("opaque.wgsl")],
-            Self::Under => &[piece!("under.wgsl")],
+            Self::SurfacesBehind => &[piece!("surfaces_behind.wgsl")],
             Self::Probe => &[piece!("probe.wgsl")],
             Self::Compose => &[piece!("compose.wgsl")],
             Self::Sample => &[piece!("lib/shape.wgsl"), piece!("lib/kinds.wgsl"), piece!("sample.wgsl")],

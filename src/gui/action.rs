@@ -50,7 +50,7 @@ pub enum Action {
     SetMode(Mode),
     Compare,
     BeforeAfter,
-    Layout(super::layout::Preset),
+    Layout(super::layout::LayoutPreset),
     ToggleTheme,
     ScaleUp,
     ScaleDown,
@@ -70,7 +70,7 @@ pub enum Action {
 }
 
 /// An action as people find it.
-pub struct Entry {
+pub struct ActionEntry {
     /// What it is.
     pub action: Action,
     /// Its words.
@@ -87,11 +87,11 @@ const SHIFT: Modifiers = Modifiers::SHIFT;
 const NONE: Modifiers = Modifiers::NONE;
 
 /// All of them, in the order of menus.
-pub fn list() -> Vec<Entry> {
-    use super::layout::Preset as Layout;
+pub fn list() -> Vec<ActionEntry> {
+    use super::layout::LayoutPreset as Layout;
     let mut all = Vec::new();
     let mut add = |group: &'static str, action: Action, label: &str, key: Option<(Modifiers, Key)>| {
-        all.push(Entry { action, label: label.into(), group, key: key.map(|(m, k)| KeyboardShortcut::new(m, k)) });
+        all.push(ActionEntry { action, label: label.into(), group, key: key.map(|(m, k)| KeyboardShortcut::new(m, k)) });
     };
     add("File", Action::Open, "Open…", Some((CTRL, Key::O)));
     add("File", Action::OpenFolder, "Open folder (DICOM)…", Some((CTRL_SHIFT, Key::O)));

@@ -1,19 +1,19 @@
 //! The workstation's state, and what happens in each of its frames.
 
-use super::action::{self, Action, Entry};
+use super::action::{self, Action, ActionEntry};
 use super::document::{Document, Selection};
 use super::files::{Dialog, Files, Loading};
 use super::gizmos::{Drag, Mode as GizmoMode};
-use super::history::{Cameras, History};
-use super::layout::{Panel, Preset};
-use super::log::{Level, Log};
+use super::history::{CameraHistory, History};
+use super::layout::{LayoutPreset, Panel};
+use super::log::{Log, LogLevel};
 use super::panels::{self, Thumbnails, compare::ComparePanel, editor::Editor, inspector::Inspector, palette::Palette, transfer::TransferPanel};
 use super::session::Session;
 use super::tasks::Task;
 use super::tool::Tool;
 use super::views::slice_paint::Regions;
 use super::views::{slices::Slices, volume3d::View3d};
-use super::worker::{Answer, Measured, Output, Prober, Purpose, Target, What, Worker};
+use super::worker::{JobKind, JobOutput, JobTarget, MeasureResult, ProbePurpose, ProbeResult, Prober, Worker};
 use super::{history, theme};
 use crate::Error;
 use crate::engine::Backend;
@@ -110,7 +110,7 @@ impl Hover {
 
 /// A point that was clicked.
 #[derive(Clone, Copy, Debug)]
-pub struct Point {
+pub struct PickedPoint {
     /// Where it is seen, mm.
     pub deformed: Vec3,
     /// Where it came from, mm.
@@ -122,7 +122,7 @@ pub struct Workstation {
     /// The open scene.
     pub doc: Option<Document>,
     pub(super) history: History,
-    pub(super) cameras: Cameras,
+    pub(super) cameras: CameraHistory,
     pub(super) worker: Worker,
     pub(super) prober: Prober,
     /// The user's settings and automatic saves.
@@ -131,9 +131,9 @@ pub struct Workstation {
     pub log: Log,
     toasts: egui_notify::Toasts,
     pub(super) dock: DockState<Panel>,
-    pub(super) layout: Preset,
+    pub(super) layout: LayoutPreset,
     /// Panels to bring to the front, and whether to open those that are not there.
-    pub(super) wanted_panels: Vec<(Panel, bool)>,
+    pub(super) panels_to_show: Vec<(Panel, bool)>,
     /// The armed tool.
     pub tool: Tool,
     pub(super) gesture: Option<Gesture>,
@@ -149,9 +149,9 @@ pub struct Workstation {
     pub(super) editor: Editor,
     pub(super) thumbnails: Thumbnails,
     /// What is measured, with its numbers.
-    pub measured: Vec<Measured>,
+    pub measured: Vec<MeasureResult>,
     measured_of: Option<(Vec<Measure>, Arc<Scene>, usize)>,
-    pub(super) pending_points: Vec<Point>,
+    pub(super) pending_points: Vec<PickedPoint>,
     pub(super) stroke_points: Vec<Vec3>,
     pub(super) stroke_before: Option<Vec<String>>,
     /// The scene that a stroke is drawn on.
@@ -170,7 +170,7 @@ pub struct Workstation {
     pub(super) palette: Option<Palette>,
     pub(super) keys_open: Option<String>,
     /// All actions, with the user's keys.
-    pub entries: Vec<Entry>,
+    pub entries: Vec<ActionEntry>,
     pub(super) before: bool,
     space: bool,
     pub(super) serial: u64,
@@ -200,11 +200,11 @@ impl Workstation {
         let backend = options.backend.unwrap_or(session.settings.backend);
         ctx.set_theme(if session.settings.light { egui::Theme::Light } else { egui::Theme::Dark });
         ctx.set_zoom_factor(session.settings.scale.clamp(0.5, 3.0));
-        let layout = Preset::FourUp;
+        let layout = LayoutPreset::FourUp;
         let mut app = Self {
             doc: None,
             history: History::default(),
-            cameras: Cameras::default(),
+            cameras: CameraHistory::default(),
             worker: Worker::new(ctx, backend),
             prober: Prober::new(ctx),
             session,
@@ -212,7 +212,7 @@ impl Workstation {
             toasts: egui_notify::Toasts::default().with_anchor(egui_notify::Anchor::BottomRight).with_margin(egui::vec2(12.0, 40.0)),
             dock: layout.dock(),
             layout,
-            wanted_panels: Vec::new(),
+            panels_to_show: Vec::new(),
             tool: Tool::Navigate,
             gesture: None,
             view: View3d::default(),
@@ -252,7 +252,7 @@ impl Workstation {
         };
         app.apply_keys();
         for problem in problems {
-            app.say(Level::Warning, problem.to_string());
+            app.report(LogLevel::Warning, problem.to_string());
         }
         let left = app.session.left_behind();
         if let Some(file) = options.file {
@@ -275,31 +275,31 @@ impl Workstation {
     }
 
     /// Tells something: in the messages, and as a toast if it is new.
-    pub fn say(&mut self, level: Level, text: impl Into<String>) {
+    pub fn report(&mut self, level: LogLevel, text: impl Into<String>) {
         let text = text.into();
         if self.log.add(level, text.clone()) {
             let short: String = if text.chars().count() > 220 { text.chars().take(220).chain("… (see Log)".chars()).collect() } else { text };
             let wrapped = panels::wrapped(&short, 58);
-            let duration = Some(Duration::from_secs(if level == Level::Info { 4 } else { 9 }));
+            let duration = Some(Duration::from_secs(if level == LogLevel::Info { 4 } else { 9 }));
             let toast = match level {
-                Level::Info => self.toasts.info(wrapped),
-                Level::Warning => self.toasts.warning(wrapped),
-                Level::Error => self.toasts.error(wrapped),
+                LogLevel::Info => self.toasts.info(wrapped),
+                LogLevel::Warning => self.toasts.warning(wrapped),
+                LogLevel::Error => self.toasts.error(wrapped),
             };
             toast.duration(duration).closable(true);
         }
     }
 
     /// Tells what went wrong; a cancelled task is told as such.
-    pub fn fail(&mut self, error: &Error) {
+    pub fn report_error(&mut self, error: &Error) {
         match error {
-            Error::Cancelled => self.say(Level::Info, "Cancelled"),
-            other => self.say(Level::Error, other.to_string()),
+            Error::Cancelled => self.report(LogLevel::Info, "Cancelled"),
+            other => self.report(LogLevel::Error, other.to_string()),
         }
     }
 
     /// Whether the undeformed volume is shown.
-    pub fn is_before(&self) -> bool {
+    pub fn shows_undeformed(&self) -> bool {
         self.before != self.space
     }
 
@@ -319,8 +319,8 @@ impl Workstation {
     fn poll(&mut self, ctx: &Context) {
         self.poll_loading();
         self.poll_tasks(ctx);
-        while let Some((level, text)) = self.worker.said() {
-            self.say(level, text);
+        while let Some((level, text)) = self.worker.poll_message() {
+            self.report(level, text);
         }
         while let Some(done) = self.worker.poll() {
             match done.outcome {
@@ -328,14 +328,14 @@ impl Workstation {
                 Err(error) => {
                     let text = error.to_string();
                     match done.target {
-                        Target::Coarse | Target::Fine => self.view.failed(done.target, done.serial, &text),
-                        Target::Slice(n) => self.slices.failed(n, done.serial, &text),
-                        Target::Compare(side) => self.compare.failed(side, done.serial, &text),
-                        Target::Preset(_) | Target::Kind(_) | Target::Measures => continue,
+                        JobTarget::Coarse | JobTarget::Fine => self.view.failed(done.target, done.serial, &text),
+                        JobTarget::Slice(n) => self.slices.failed(n, done.serial, &text),
+                        JobTarget::Compare(side) => self.compare.failed(side, done.serial, &text),
+                        JobTarget::Preset(_) | JobTarget::Kind(_) | JobTarget::Measures => continue,
                     }
                     if self.failure.as_ref() != Some(&text) {
                         self.failure = Some(text.clone());
-                        self.say(Level::Error, text);
+                        self.report(LogLevel::Error, text);
                     }
                 }
             }
@@ -345,24 +345,24 @@ impl Workstation {
         }
     }
 
-    fn take(&mut self, ctx: &Context, target: Target, serial: u64, ms: f64, output: Output) {
-        if matches!(target, Target::Fine) {
+    fn take(&mut self, ctx: &Context, target: JobTarget, serial: u64, ms: f64, output: JobOutput) {
+        if matches!(target, JobTarget::Fine) {
             self.failure = None;
         }
         match (target, output) {
-            (Target::Coarse | Target::Fine, Output::Picture(shown)) => {
+            (JobTarget::Coarse | JobTarget::Fine, JobOutput::Picture(shown)) => {
                 self.view.arrived(ctx, target, serial, ms, *shown);
             }
-            (Target::Slice(n), Output::Slice(picture)) => self.slices.arrived(ctx, n, serial, *picture),
-            (Target::Compare(side), Output::Picture(shown)) => self.compare_arrived(ctx, side, serial, ms, *shown),
-            (Target::Preset(n), Output::Picture(shown)) => self.thumbnails.preset_arrived(ctx, n, shown.image),
-            (Target::Kind(n), Output::Picture(shown)) => self.thumbnails.kind_arrived(ctx, n, shown.image),
-            (Target::Measures, Output::Measures(measured)) => self.measured = measured,
+            (JobTarget::Slice(n), JobOutput::Slice(picture)) => self.slices.arrived(ctx, n, serial, *picture),
+            (JobTarget::Compare(side), JobOutput::Picture(shown)) => self.compare_arrived(ctx, side, serial, ms, *shown),
+            (JobTarget::Preset(n), JobOutput::Picture(shown)) => self.thumbnails.preset_arrived(ctx, n, shown.image),
+            (JobTarget::Kind(n), JobOutput::Picture(shown)) => self.thumbnails.kind_arrived(ctx, n, shown.image),
+            (JobTarget::Measures, JobOutput::Measures(measured)) => self.measured = measured,
             _ => {}
         }
     }
 
-    fn answered(&mut self, ctx: &Context, answer: Answer) {
+    fn answered(&mut self, ctx: &Context, answer: ProbeResult) {
         if self.doc.as_ref().is_none_or(|d| !Arc::ptr_eq(&d.assets, &answer.assets)) {
             // Asked of a scene that is gone.
             return;
@@ -370,17 +370,17 @@ impl Workstation {
         // What went wrong, the picture of the same scene has told already.
         let pick = answer.pick.unwrap_or_default();
         match answer.purpose {
-            Purpose::Hover => {
+            ProbePurpose::Hover => {
                 self.hover = pick.map(|p| Hover::new(&answer.assets, Some(p.deformed), p.source, p.value));
             }
-            Purpose::Center => {
+            ProbePurpose::Center => {
                 if let (Some(p), Some(doc)) = (pick, &mut self.doc) {
                     doc.scene.camera.target = Some(p.deformed.into());
                     self.slices.cursor = Some(p.deformed);
                 }
             }
-            Purpose::Tool => self.use_tool(ctx, pick),
-            Purpose::Brush { last } => {
+            ProbePurpose::Tool => self.use_tool(ctx, pick),
+            ProbePurpose::Brush { last } => {
                 if let Some(p) = pick {
                     self.extend_stroke(p.deformed);
                 }
@@ -484,15 +484,15 @@ impl Workstation {
 
     /// Notes what has changed: one step of undo for each gesture, cameras at rest, what has to be loaded or measured anew.
     fn settle(&mut self, ctx: &Context) {
-        if let Err(error) = self.session.keep_settings() {
-            self.fail(&error);
+        if let Err(error) = self.session.save_settings() {
+            self.report_error(&error);
         }
         let Some(doc) = &mut self.doc else { return };
         doc.check_selection();
         // A name that is typed is one step, as a drag is.
         let held = ctx.input(|i| i.pointer.any_down()) || self.gesture.is_some() || self.stroke_before.is_some() || ctx.text_edit_focused();
         if !held {
-            self.history.keep(&doc.scene);
+            self.history.take_snapshot(&doc.scene);
             self.cameras.settle(&doc.scene.camera);
         }
         let scene_changed = self.last_scene.as_deref().is_none_or(|s| *s != doc.scene);
@@ -532,7 +532,7 @@ impl Workstation {
         if !same {
             let (scene, loaded) = (Arc::new(plain), doc.assets.clone());
             self.measured_of = Some((measures.clone(), scene.clone(), assets));
-            self.submit(Target::Measures, scene, loaded, What::Measures(measures));
+            self.submit(JobTarget::Measures, scene, loaded, JobKind::Measures(measures));
         }
     }
 
@@ -546,12 +546,12 @@ impl Workstation {
             Ok(())
         };
         if let Err(error) = result {
-            self.fail(&error);
+            self.report_error(&error);
         }
     }
 
     /// The window is called as the scene is, with a mark if it has edits.
-    fn tell_title(&mut self, ctx: &Context) {
+    fn update_title(&mut self, ctx: &Context) {
         let title = if self.doc.is_some() { format!("incise · {}", self.title()) } else { "incise".to_owned() };
         if title != self.title {
             ctx.send_viewport_cmd(egui::ViewportCommand::Title(title.clone()));
@@ -569,7 +569,7 @@ impl Workstation {
             self.dialog = Some(Dialog::Running);
         } else if self.doc.as_ref().is_some_and(Document::is_changed) {
             ctx.send_viewport_cmd(egui::ViewportCommand::CancelClose);
-            self.dialog = Some(Dialog::Unsaved(super::files::After::Quit));
+            self.dialog = Some(Dialog::Unsaved(super::files::NextStep::Quit));
         } else {
             self.session.forget();
         }
@@ -606,7 +606,7 @@ impl Workstation {
         self.show_palette(&ctx);
         self.show_keys(&ctx);
         self.settle(&ctx);
-        self.tell_title(&ctx);
+        self.update_title(&ctx);
         self.refresh_view(&ctx);
         self.refresh_compare();
         self.refresh_thumbnails();
@@ -618,7 +618,7 @@ impl Workstation {
         }
         let ms = start.elapsed().as_secs_f32() * 1e3;
         if ms > SLOW_MS && self.frame_ms.len() > 30 {
-            self.log.add(Level::Info, format!("a frame of the interface took {ms:.0} ms"));
+            self.log.add(LogLevel::Info, format!("a frame of the interface took {ms:.0} ms"));
         }
         self.frame_ms.push_back(ms);
         if self.frame_ms.len() > FRAMES {
@@ -649,12 +649,12 @@ impl Workstation {
 
     /// Brings a panel to the front, opening it where needed.
     pub fn show_panel(&mut self, panel: Panel) {
-        self.wanted_panels.push((panel, true));
+        self.panels_to_show.push((panel, true));
     }
 
     /// Does what [`Self::show_panel`] was asked for: while panels are drawn, their arrangement is not at hand.
     fn arrange_panels(&mut self) {
-        for (panel, open) in std::mem::take(&mut self.wanted_panels) {
+        for (panel, open) in std::mem::take(&mut self.panels_to_show) {
             match self.dock.find_tab(&panel) {
                 Some(at) => {
                     let _there = self.dock.set_active_tab(at);

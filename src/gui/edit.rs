@@ -1,16 +1,16 @@
 //! Doing what actions and tools ask for.
 
 use super::action::Action;
-use super::app::{Gesture, Point, Workstation};
+use super::app::{Gesture, PickedPoint, Workstation};
 use super::document::Selection;
-use super::files::{After, ClipForm, Dialog, Travel};
+use super::files::{ClipForm, ClipMotion, Dialog, NextStep};
 use super::layout::Panel;
-use super::log::Level;
+use super::log::LogLevel;
 use super::tool::{Tool, dropped, words};
 use crate::cpu::pick::Pick;
-use crate::deform::health::Examined;
 use crate::deform::kinds::Kind;
-use crate::deform::kinds::brush::{Lasso, Stroke, Tool as BrushTool};
+use crate::deform::kinds::brush::{Lasso, Stroke, StrokeTool};
+use crate::deform::quality::CheckedField;
 use crate::deform::{Argument, PlacedMap};
 use crate::prepare::Deformed;
 use crate::scene::measure::{Measure, MeasureKind};
@@ -29,10 +29,10 @@ impl Workstation {
     /// Does an action. What makes no sense at the moment does nothing.
     pub fn perform(&mut self, ctx: &Context, action: Action) {
         match action {
-            Action::Open => self.ask_open(),
-            Action::OpenFolder => self.ask_open_folder(),
+            Action::Open => self.choose_file_to_open(),
+            Action::OpenFolder => self.choose_folder_to_open(),
             Action::OpenHead => self.open_bundled(ctx, "colin27-head-t1.nii.gz"),
-            Action::Quit => self.after(ctx, After::Quit),
+            Action::Quit => self.after(ctx, NextStep::Quit),
             Action::Palette => self.palette = if self.palette.is_some() { None } else { Some(Default::default()) },
             Action::Keys => self.keys_open = if self.keys_open.is_some() { None } else { Some(String::new()) },
             Action::Log => self.show_panel(Panel::Log),
@@ -54,8 +54,8 @@ impl Workstation {
             Action::Navigation => {
                 let blender = !self.session.settings.blender;
                 self.session.settings.blender = blender;
-                self.say(
-                    Level::Info,
+                self.report(
+                    LogLevel::Info,
                     if blender { "Navigation as in Blender: the middle button orbits" } else { "Navigation as in 3D Slicer: the left button orbits" },
                 );
             }
@@ -78,17 +78,17 @@ impl Workstation {
 
     fn perform_on_scene(&mut self, ctx: &Context, action: Action) {
         match action {
-            Action::Close => self.after(ctx, After::Close),
+            Action::Close => self.after(ctx, NextStep::Close),
             Action::Save => self.save(ctx, None),
-            Action::SaveAs => self.ask_save(None),
+            Action::SaveAs => self.choose_save_file(None),
             Action::ExportPicture => self.dialog = Some(Dialog::Picture(self.picture_form())),
             Action::ExportClip => self.dialog = Some(Dialog::Clip(self.clip_form())),
-            Action::ExportVolume => self.ask_bake(false),
-            Action::ExportField => self.ask_bake(true),
-            Action::ExportReport => self.ask_report(),
-            Action::ExportMeasures => self.ask_measures(),
-            Action::ExportTransfer => self.ask_export_transfer(),
-            Action::ImportTransfer => self.ask_import_transfer(),
+            Action::ExportVolume => self.choose_bake_file(false),
+            Action::ExportField => self.choose_bake_file(true),
+            Action::ExportReport => self.choose_report_folder(),
+            Action::ExportMeasures => self.choose_measures_file(),
+            Action::ExportTransfer => self.choose_transfer_export(),
+            Action::ImportTransfer => self.choose_transfer_import(),
             Action::CopyCommand => self.copy_command(ctx),
             Action::Arm(tool) => self.arm(tool),
             Action::Deselect => self.escape(),
@@ -96,7 +96,7 @@ impl Workstation {
             Action::ResetCamera => self.reset_camera(),
             Action::FrameSelection => self.frame_selection(),
             Action::Compare => {
-                self.layout = super::layout::Preset::Compare;
+                self.layout = super::layout::LayoutPreset::Compare;
                 self.dock = self.layout.dock();
                 self.view.forget();
             }
@@ -210,7 +210,7 @@ impl Workstation {
     pub fn open_bundled(&mut self, ctx: &Context, name: &str) {
         match self.session.bundled(name) {
             Ok(path) => self.open(ctx, &path),
-            Err(error) => self.fail(&error),
+            Err(error) => self.report_error(&error),
         }
     }
 
@@ -253,7 +253,7 @@ impl Workstation {
         let bounds = match doc.selected {
             Selection::Deformation(n) => doc.scene.deformation.get(n).and_then(|d| {
                 let kind = super::gizmos::kind_of(d)?;
-                Some(super::gizmos::Place::of(d, kind, &doc.bounds()).bounds())
+                Some(super::gizmos::BoxPlacement::of(d, kind, &doc.bounds()).bounds())
             }),
             Selection::Volume if doc.assets.has_volume => Some(doc.assets.volume.bounds_in_world()),
             Selection::Mesh(_) if !doc.assets.mesh_box.is_empty() => Some(doc.assets.mesh_box),
@@ -269,10 +269,10 @@ impl Workstation {
         // Even edges, as video wants them.
         let size = [w.min(1920) & !1, h.min(1080) & !1];
         let travel = match self.selected_deformation() {
-            Some(n) => Travel::Progress(n),
-            None => Travel::Orbit,
+            Some(n) => ClipMotion::Progress(n),
+            None => ClipMotion::Orbit,
         };
-        let back = travel != Travel::Orbit;
+        let back = travel != ClipMotion::Orbit;
         ClipForm { travel, range: [0.0, 1.0], back, frames: 48, rate: 24.0, size }
     }
 
@@ -282,7 +282,7 @@ impl Workstation {
             Tool::Place(kind) => self.place(kind.0, pick.map(|p| (p.deformed, p.normal))),
             Tool::Probe | Tool::Measure(_) => match pick {
                 Some(p) => self.take_point(p.deformed, p.source),
-                None => self.say(Level::Info, "Nothing is seen there"),
+                None => self.report(LogLevel::Info, "Nothing is seen there"),
             },
             Tool::Navigate => {
                 // A control point where the surface is.
@@ -306,8 +306,8 @@ impl Workstation {
                 Deformed::new(&scene, &assets)
             };
             // Before what comes after it; and where its own map takes that from.
-            let to = part(n + 1..scene.deformation.len())?.stack.walk_through(seen).0;
-            let from = part(n..n + 1)?.stack.walk_through(to).0;
+            let to = part(n + 1..scene.deformation.len())?.stack.source_and_alpha_unclipped(seen).0;
+            let from = part(n..n + 1)?.stack.source_and_alpha_unclipped(to).0;
             let pair = [super::tool::tidy(from), super::tool::tidy(to)].concat();
             let deformation = scene.deformation[n].clone();
             Ok(Box::new(move |app: &mut Workstation, _: &Context| {
@@ -338,7 +338,7 @@ impl Workstation {
     }
 
     fn show_panel_if_hidden(&mut self, panel: Panel) {
-        self.wanted_panels.push((panel, false));
+        self.panels_to_show.push((panel, false));
     }
 
     /// A point for a measurement.
@@ -348,7 +348,7 @@ impl Workstation {
             Tool::Measure(kind) => kind,
             _ => return,
         };
-        self.pending_points.push(Point { deformed, source });
+        self.pending_points.push(PickedPoint { deformed, source });
         if self.pending_points.len() < kind.points() {
             return;
         }
@@ -391,8 +391,8 @@ impl Workstation {
             return;
         }
         self.stroke_points.push(Vec3::from(super::tool::tidy(at)));
-        let Some(tool) = BrushTool::ALL.into_iter().find(|t| t.name() == tool) else { return };
-        if tool == BrushTool::Push && self.stroke_points.len() < 2 {
+        let Some(tool) = StrokeTool::ALL.into_iter().find(|t| t.name() == tool) else { return };
+        if tool == StrokeTool::Push && self.stroke_points.len() < 2 {
             return;
         }
         let stroke = Stroke::Line { tool, radius_mm: radius, strength: self.editor.strength, points: self.stroke_points.clone() };
@@ -447,20 +447,20 @@ impl Workstation {
             let mut report = Vec::new();
             for (n, map) in maps.iter().enumerate() {
                 watch.check()?;
-                let health = Examined::of_map(map).health(false);
+                let health = CheckedField::of_map(map).health(false);
                 report.push(super::panels::inspector::health_words(&health));
                 (watch.progress)((n + 1) as f32 / maps.len() as f32);
             }
             let (level, text) = match report.len() {
-                0 => (Level::Info, "There is no field to check".to_owned()),
+                0 => (LogLevel::Info, "There is no field to check".to_owned()),
                 _ => (
-                    if report.iter().any(|r| r.0) { Level::Warning } else { Level::Info },
+                    if report.iter().any(|r| r.0) { LogLevel::Warning } else { LogLevel::Info },
                     report.into_iter().map(|r| r.1).collect::<Vec<_>>().join("; "),
                 ),
             };
             Ok(Box::new(move |app: &mut Workstation, _: &Context| {
                 app.inspector.health = Some(text.clone());
-                app.say(level, text);
+                app.report(level, text);
             }))
         });
     }

@@ -2,9 +2,9 @@
 //! nothing that the scene reads is written over.
 
 use super::app::Workstation;
-use super::files::{ClipForm, LARGEST_PICTURE, PictureForm, Purpose, Travel, with_ending};
-use super::log::Level;
-use super::tasks::said;
+use super::files::{ClipForm, ClipMotion, FilePurpose, LARGEST_PICTURE, PictureForm, with_ending};
+use super::log::LogLevel;
+use super::tasks::report_when_done;
 use crate::compare::Report;
 use crate::deform::{Stack, saved};
 use crate::engine::{Backend, Engine, EngineOptions, RenderRequest};
@@ -36,8 +36,8 @@ impl Workstation {
     }
 
     /// Asks where a picture goes.
-    pub fn ask_picture(&mut self, form: PictureForm) {
-        self.files.ask(Purpose::Picture(form), "Export picture", Some("picture.png"), &[]);
+    pub fn choose_picture_file(&mut self, form: PictureForm) {
+        self.files.open_dialog(FilePurpose::Picture(form), "Export picture", Some("picture.png"), &[]);
     }
 
     /// Renders and writes a picture.
@@ -56,17 +56,17 @@ impl Workstation {
             let output = Output::create(&path)?;
             let picture = render(&scene, &assets, watch)?;
             output.finish(&png(&picture, scene.render.background)?)?;
-            Ok(said(format!("Exported {}", path.display())))
+            Ok(report_when_done(format!("Exported {}", path.display())))
         });
     }
 
     /// The scene as it is shown, if nothing of it would be overwritten by an export.
     fn export_scene(&mut self, path: &Path) -> Option<Scene> {
         let doc = self.doc.as_ref()?;
-        let scene = doc.shown(self.is_before());
+        let scene = doc.shown(self.shows_undeformed());
         let files: Vec<PathBuf> = doc.scene.files().into_iter().chain(doc.path.clone()).collect();
         if let Err(error) = protect("export", path, files.iter().map(PathBuf::as_path)) {
-            self.fail(&error);
+            self.report_error(&error);
             return None;
         }
         Some(scene)
@@ -89,8 +89,8 @@ impl Workstation {
     }
 
     /// Asks where a clip goes.
-    pub fn ask_clip(&mut self, form: ClipForm) {
-        self.files.ask(Purpose::Clip(form), "Export clip: .gif, .png (animated), .mp4, or a folder", Some("clip.gif"), &[]);
+    pub fn choose_clip_file(&mut self, form: ClipForm) {
+        self.files.open_dialog(FilePurpose::Clip(form), "Export clip: .gif, .png (animated), .mp4, or a folder", Some("clip.gif"), &[]);
     }
 
     /// Renders and writes a clip.
@@ -107,14 +107,14 @@ impl Workstation {
                 Ok(render(&scene, &assets, &quiet)?.over(scene.render.background))
             };
             clip::write(&path, form.size, form.rate, form.frames, &mut frame, watch)?;
-            Ok(said(format!("Exported {}", path.display())))
+            Ok(report_when_done(format!("Exported {}", path.display())))
         });
     }
 
     /// Asks where a baked volume or field goes.
-    pub fn ask_bake(&mut self, field: bool) {
+    pub fn choose_bake_file(&mut self, field: bool) {
         let (title, name) = if field { ("Bake the displacement field", "field.nii.gz") } else { ("Bake the deformed volume", "deformed.nii.gz") };
-        self.files.ask(Purpose::Bake { field }, title, Some(name), &[]);
+        self.files.open_dialog(FilePurpose::Bake { field }, title, Some(name), &[]);
     }
 
     /// Bakes and writes.
@@ -135,28 +135,28 @@ impl Workstation {
             let interpolation = if volume.labels().is_some() { bake::Interpolation::Nearest } else { bake::Interpolation::Linear };
             let progress = |share: f32| (watch.progress)(share);
             output.finish_with(|out| {
-                let mut out = Stoppable { out, watch };
+                let mut out = CancellableWriter { out, watch };
                 if field {
                     bake::field(&deformation, &grid, format, &mut out, &progress).map(drop)
                 } else {
                     bake::volume(volume, &deformation, &grid, interpolation, volume.range[0], format, &mut out, &progress)
                 }
-                .map_err(|e| if watch.stopped() { Error::Cancelled } else { e })
+                .map_err(|e| if watch.is_cancelled() { Error::Cancelled } else { e })
             })?;
-            Ok(said(format!("Baked {}", path.display())))
+            Ok(report_when_done(format!("Baked {}", path.display())))
         });
     }
 
     /// Asks for the folder of a report.
-    pub fn ask_report(&mut self) {
-        self.files.ask_folder(Purpose::Report, "Folder for the comparison report");
+    pub fn choose_report_folder(&mut self) {
+        self.files.open_folder_dialog(FilePurpose::Report, "Folder for the comparison report");
     }
 
     /// Renders both sides of the comparison at the scene's own size and writes the report.
     pub fn export_report(&mut self, ctx: &Context, folder: &Path) {
         let Some(doc) = &self.doc else { return };
         let assets = doc.assets.clone();
-        let scene = doc.shown(self.is_before());
+        let scene = doc.shown(self.shows_undeformed());
         let name = doc.name.clone();
         let sides = self.compare.sides;
         let size = self.view.size();
@@ -166,8 +166,8 @@ impl Workstation {
             for (n, side) in sides.iter().enumerate() {
                 let mut scene = side.scene(&scene);
                 scene.render.size = size;
-                let tell = |share: f32| (watch.progress)((n as f32 + share) / 2.0);
-                let part = Watch { progress: &tell, cancel: watch.cancel };
+                let report = |share: f32| (watch.progress)((n as f32 + share) / 2.0);
+                let part = Watch { progress: &report, cancel: watch.cancel };
                 let label = side.words();
                 let label = if runs.iter().any(|r| r.name == label) { format!("{label} again") } else { label };
                 let request = RenderRequest { watch: part, ..RenderRequest::default() };
@@ -175,13 +175,13 @@ impl Workstation {
             }
             let report = Report::new(name, scene.to_toml()?, scene.render.background, runs)?;
             report.write(&folder)?;
-            Ok(said(format!("Report written to {}", folder.join("index.html").display())))
+            Ok(report_when_done(format!("Report written to {}", folder.join("index.html").display())))
         });
     }
 
     /// Asks where the table of measurements goes.
-    pub fn ask_measures(&mut self) {
-        self.files.ask(Purpose::Measures, "Export measurements", Some("measurements.csv"), &[]);
+    pub fn choose_measures_file(&mut self) {
+        self.files.open_dialog(FilePurpose::Measures, "Export measurements", Some("measurements.csv"), &[]);
     }
 
     pub(super) fn export_measures(&mut self, path: &Path) {
@@ -189,7 +189,7 @@ impl Workstation {
         if self.measured.len() != all.len()
             || self.measured.iter().zip(all).any(|(m, now)| m.measure.points != now.points || m.measure.label != now.label)
         {
-            self.say(Level::Info, "The measurements are being worked out; export them again in a moment");
+            self.report(LogLevel::Info, "The measurements are being worked out; export them again in a moment");
             return;
         }
         // What could not be measured has a row all the same.
@@ -198,19 +198,24 @@ impl Workstation {
             self.measured.iter().zip(all).map(|(m, now)| (now.clone(), m.quantities.clone().unwrap_or_else(|_| vec![unknown.clone()]))).collect();
         let path = with_ending(path, "csv");
         match Output::create(&path).and_then(|o| o.finish(measure::csv(&rows).as_bytes())) {
-            Ok(()) => self.say(Level::Info, format!("Exported {}", path.display())),
-            Err(error) => self.fail(&error),
+            Ok(()) => self.report(LogLevel::Info, format!("Exported {}", path.display())),
+            Err(error) => self.report_error(&error),
         }
     }
 
     /// Asks for a transfer function.
-    pub fn ask_import_transfer(&mut self) {
-        self.files.ask(Purpose::ImportTransfer, "Import a transfer function (.toml)", None, &[("Transfer functions and scenes", &["toml"])]);
+    pub fn choose_transfer_import(&mut self) {
+        self.files.open_dialog(
+            FilePurpose::ImportTransfer,
+            "Import a transfer function (.toml)",
+            None,
+            &[("Transfer functions and scenes", &["toml"])],
+        );
     }
 
     /// Asks where the transfer function goes.
-    pub fn ask_export_transfer(&mut self) {
-        self.files.ask(Purpose::ExportTransfer, "Export the transfer function", Some("transfer.toml"), &[]);
+    pub fn choose_transfer_export(&mut self) {
+        self.files.open_dialog(FilePurpose::ExportTransfer, "Export the transfer function", Some("transfer.toml"), &[]);
     }
 
     /// Reads a transfer function: a file of its own, or that of a scene.
@@ -226,7 +231,7 @@ impl Workstation {
         let Some(doc) = &mut self.doc else { return };
         match read().and_then(|t| t.resolve(&doc.assets.volume, "grey").map(|_| t)) {
             Ok(transfer) => doc.scene.transfer = transfer,
-            Err(error) => self.fail(&error),
+            Err(error) => self.report_error(&error),
         }
     }
 
@@ -242,14 +247,14 @@ impl Workstation {
             Output::create(&path)?.finish(text.as_bytes())
         };
         match write() {
-            Ok(()) => self.say(Level::Info, format!("Exported {}", path.display())),
-            Err(error) => self.fail(&error),
+            Ok(()) => self.report(LogLevel::Info, format!("Exported {}", path.display())),
+            Err(error) => self.report_error(&error),
         }
     }
 
     /// Asks for a label map.
-    pub fn ask_labels(&mut self) {
-        self.files.ask(Purpose::Labels, "Open a label map over the volume", None, &[]);
+    pub fn choose_label_map(&mut self) {
+        self.files.open_dialog(FilePurpose::Labels, "Open a label map over the volume", None, &[]);
     }
 
     /// Puts a label map over the volume.
@@ -294,7 +299,7 @@ impl Workstation {
                 }
             };
             Output::create(&path)?.finish(&saved::encode(&placed)?)?;
-            Ok(said(format!("Saved to the library: {}{exactness}", path.file_stem().unwrap_or_default().to_string_lossy())))
+            Ok(report_when_done(format!("Saved to the library: {}{exactness}", path.file_stem().unwrap_or_default().to_string_lossy())))
         });
     }
 
@@ -302,8 +307,8 @@ impl Workstation {
     pub fn copy_command(&mut self, ctx: &Context) {
         let Some(doc) = &self.doc else { return };
         let Some(path) = doc.path.clone() else {
-            self.say(Level::Info, "Save the scene first: the command line names its file");
-            self.ask_save(None);
+            self.report(LogLevel::Info, "Save the scene first: the command line names its file");
+            self.choose_save_file(None);
             return;
         };
         let changed = doc.is_changed() || doc.saved.as_ref().is_none_or(|s| s.camera != doc.scene.camera);
@@ -314,7 +319,7 @@ impl Workstation {
         let mut scene = doc.scene.clone();
         scene.render.size = self.view.size();
         ctx.copy_text(crate::scene::command::render_command(&scene, &path, "picture.png"));
-        self.say(Level::Info, "Copied the command line of this view");
+        self.report(LogLevel::Info, "Copied the command line of this view");
     }
 }
 
@@ -335,17 +340,17 @@ impl ClipForm {
             if d < scene.deformation.len() { Ok(()) } else { Err(Error::value("clip", "the deformation is no longer there")) }
         };
         match &self.travel {
-            Travel::Orbit => {
+            ClipMotion::Orbit => {
                 // The last frame is followed by the first.
                 let turn = 360.0 * n as f32 / self.frames.max(1) as f32;
                 let azimuth = scene.camera.view.azimuth_deg + turn;
                 scene.camera.view.azimuth_deg = (azimuth + 180.0).rem_euclid(360.0) - 180.0;
             }
-            Travel::Progress(d) => {
+            ClipMotion::Progress(d) => {
                 of(&mut scene, *d)?;
                 scene.deformation[*d].progress = Some(value.clamp(0.0, 1.0));
             }
-            Travel::Parameter(d, name) => {
+            ClipMotion::Parameter(d, name) => {
                 of(&mut scene, *d)?;
                 scene.deformation[*d].parameters.insert(name.clone(), value);
             }
@@ -355,14 +360,14 @@ impl ClipForm {
 }
 
 /// A destination that refuses more once it is told to stop.
-struct Stoppable<'a> {
+struct CancellableWriter<'a> {
     out: &'a mut dyn std::io::Write,
     watch: &'a Watch<'a>,
 }
 
-impl std::io::Write for Stoppable<'_> {
+impl std::io::Write for CancellableWriter<'_> {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        if self.watch.stopped() {
+        if self.watch.is_cancelled() {
             return Err(std::io::Error::other("cancelled"));
         }
         self.out.write(bytes)
@@ -381,14 +386,14 @@ mod tests {
     fn an_orbit_comes_round_and_a_travel_goes_there_and_back() {
         let mut scene = Scene::of_volume("phantom:ball");
         scene.deformation.push(crate::scene::Deformation::new("peel"));
-        let mut form = ClipForm { travel: Travel::Orbit, range: [0.0, 1.0], back: true, frames: 8, rate: 25.0, size: [64, 64] };
+        let mut form = ClipForm { travel: ClipMotion::Orbit, range: [0.0, 1.0], back: true, frames: 8, rate: 25.0, size: [64, 64] };
         let azimuths: Vec<f32> = (0..8).map(|n| form.frame(&scene, n).unwrap().camera.view.azimuth_deg).collect();
         assert_eq!(azimuths, [0.0, 45.0, 90.0, 135.0, -180.0, -135.0, -90.0, -45.0]);
-        form.travel = Travel::Progress(0);
+        form.travel = ClipMotion::Progress(0);
         form.frames = 5;
         let progress: Vec<f32> = (0..5).map(|n| form.frame(&scene, n).unwrap().deformation[0].progress.unwrap()).collect();
         assert_eq!(progress, [0.0, 0.5, 1.0, 0.5, 0.0]);
-        form.travel = Travel::Progress(3);
+        form.travel = ClipMotion::Progress(3);
         assert!(form.frame(&scene, 0).is_err());
     }
 

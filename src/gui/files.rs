@@ -2,14 +2,14 @@
 
 use super::app::Workstation;
 use super::document::Document;
-use super::log::Level;
+use super::log::LogLevel;
 use super::session::Recovered;
 use crate::export::protect;
 use crate::files::Output;
 use crate::files::path_text::text_of;
 use crate::prepare::{AssetKey, Assets, LoadOptions, Prepared};
 use crate::scene::{Mode, Scene, VolumeSource};
-use crate::volume::load::Choice;
+use crate::volume::load::ReadOptions;
 use crate::{Error, Result, mesh};
 use eframe::egui::{self, Context};
 use egui_file_dialog::{DialogState, FileDialog};
@@ -24,7 +24,7 @@ pub const LARGEST_PICTURE: u32 = 16_384;
 
 /// What is done after a question.
 #[derive(Clone, Debug, PartialEq)]
-pub enum After {
+pub enum NextStep {
     /// Open a file.
     Open(PathBuf),
     /// Open an automatic save that a crash left behind.
@@ -39,7 +39,7 @@ pub enum After {
 #[derive(Clone, Debug)]
 pub enum Dialog {
     /// The scene has edits that are not saved.
-    Unsaved(After),
+    Unsaved(NextStep),
     /// Scenes that crashed windows left behind.
     Recover(Vec<Recovered>),
     /// A picture to export.
@@ -87,7 +87,7 @@ pub struct PictureForm {
 
 /// What moves in a clip.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Travel {
+pub enum ClipMotion {
     /// The camera, once around.
     Orbit,
     /// The progress of the selected deformation.
@@ -100,7 +100,7 @@ pub enum Travel {
 #[derive(Clone, Debug, PartialEq)]
 pub struct ClipForm {
     /// What moves.
-    pub travel: Travel,
+    pub travel: ClipMotion,
     /// From and to, for what is no orbit.
     pub range: [f32; 2],
     /// There and back again.
@@ -115,11 +115,11 @@ pub struct ClipForm {
 
 /// What a file is wanted for.
 #[derive(Clone, Debug)]
-pub enum Purpose {
+pub enum FilePurpose {
     /// To open.
     Open,
     /// To save the scene, and then go on.
-    Save(Option<After>),
+    Save(Option<NextStep>),
     /// To export a picture.
     Picture(PictureForm),
     /// To export a clip.
@@ -143,7 +143,7 @@ pub enum Purpose {
     Labels,
 }
 
-impl Purpose {
+impl FilePurpose {
     /// The ending of what is saved, where there is one alone, and its name.
     fn ending(&self) -> Option<(&'static str, &'static str)> {
         match self {
@@ -159,7 +159,7 @@ impl Purpose {
 /// The file dialog and what it is open for.
 pub struct Files {
     dialog: FileDialog,
-    purpose: Option<Purpose>,
+    purpose: Option<FilePurpose>,
     folder: Option<PathBuf>,
 }
 
@@ -175,7 +175,7 @@ impl Files {
     }
 
     /// Opens it.
-    pub(super) fn ask(&mut self, purpose: Purpose, title: &str, name: Option<&str>, filters: &[(&str, &'static [&'static str])]) {
+    pub(super) fn open_dialog(&mut self, purpose: FilePurpose, title: &str, name: Option<&str>, filters: &[(&str, &'static [&'static str])]) {
         let mut dialog =
             FileDialog::new().title(title).default_size([760.0, 460.0]).as_modal(true).anchor(egui::Align2::CENTER_CENTER, [0.0, 0.0]).movable(false);
         if let Some(folder) = &self.folder {
@@ -194,15 +194,15 @@ impl Files {
         let saves = name.is_some();
         self.dialog = dialog;
         match &purpose {
-            Purpose::Report => self.dialog.pick_directory(),
+            FilePurpose::Report => self.dialog.pick_directory(),
             _ if saves => self.dialog.save_file(),
             _ => self.dialog.pick_file(),
         }
         self.purpose = Some(purpose);
     }
 
-    pub(super) fn ask_folder(&mut self, purpose: Purpose, title: &str) {
-        self.ask(purpose, title, None, &[]);
+    pub(super) fn open_folder_dialog(&mut self, purpose: FilePurpose, title: &str) {
+        self.open_dialog(purpose, title, None, &[]);
         self.dialog.pick_directory();
     }
 }
@@ -256,11 +256,11 @@ fn missing(scene: &Scene) -> Option<PathBuf> {
 impl Workstation {
     /// Opens a file or folder, after a question if edits would be lost.
     pub fn open(&mut self, ctx: &Context, path: &Path) {
-        self.after(ctx, After::Open(path.to_owned()));
+        self.after(ctx, NextStep::Open(path.to_owned()));
     }
 
     /// Does something that gives up the open scene, after a question if edits would be lost.
-    pub fn after(&mut self, ctx: &Context, after: After) {
+    pub fn after(&mut self, ctx: &Context, after: NextStep) {
         if self.doc.as_ref().is_some_and(Document::is_changed) {
             self.autosave();
             self.dialog = Some(Dialog::Unsaved(after));
@@ -270,13 +270,13 @@ impl Workstation {
     }
 
     /// Does it.
-    pub fn proceed(&mut self, ctx: &Context, after: After) {
+    pub fn proceed(&mut self, ctx: &Context, after: NextStep) {
         self.dialog = None;
         match after {
-            After::Open(path) => self.load(ctx, &path),
-            After::Recover(file, original) => self.load_recovered(ctx, &file, original),
-            After::Close => self.close(),
-            After::Quit => self.quit(ctx),
+            NextStep::Open(path) => self.load(ctx, &path),
+            NextStep::Recover(file, original) => self.load_recovered(ctx, &file, original),
+            NextStep::Close => self.close(),
+            NextStep::Quit => self.quit(ctx),
         }
     }
 
@@ -319,7 +319,7 @@ impl Workstation {
                     self.session.opened(path);
                 }
             }
-            Err(error) => self.fail(&error),
+            Err(error) => self.report_error(&error),
         }
     }
 
@@ -330,14 +330,14 @@ impl Workstation {
                 if let Some(folder) = original.as_deref().and_then(Path::parent) {
                     match scene.moved_to(folder) {
                         Ok(moved) => scene = moved,
-                        Err(error) => self.fail(&error),
+                        Err(error) => self.report_error(&error),
                     }
                 }
                 let name = original.as_deref().and_then(Path::file_name).map_or_else(|| "recovered".into(), |n| n.to_string_lossy().into_owned());
                 let recovered = Recovered { file: file.to_owned(), original: original.clone(), saved: None };
                 self.start_loading(ctx, scene, original, name, false, Some(recovered));
             }
-            Err(error) => self.fail(&error),
+            Err(error) => self.report_error(&error),
         }
     }
 
@@ -348,7 +348,7 @@ impl Workstation {
         if let Some(gone) = missing(&scene).filter(|_| !same) {
             let problem = format!("{} is not there", gone.display());
             if path.is_none() && recovered.is_none() {
-                self.say(Level::Error, format!("{problem}; check the path"));
+                self.report(LogLevel::Error, format!("{problem}; check the path"));
                 return;
             }
             self.dialog = Some(Dialog::Locate { missing: gone, scene: Box::new(scene), path, name, problem });
@@ -358,10 +358,10 @@ impl Workstation {
         let cancel = Arc::new(AtomicBool::new(false));
         let (send, result) = channel();
         let before = self.doc.as_ref().map(|d| d.assets.clone());
-        let (told, stop, context) = (stage.clone(), cancel.clone(), ctx.clone());
+        let (shared_stage, stop, context) = (stage.clone(), cancel.clone(), ctx.clone());
         let key = Some(AssetKey::of(&scene));
         let spawned = std::thread::Builder::new().name("loading".into()).spawn(move || {
-            let progress = |what: &'static str, share: f32| *told.lock().unwrap_or_else(PoisonError::into_inner) = (what, share);
+            let progress = |what: &'static str, share: f32| *shared_stage.lock().unwrap_or_else(PoisonError::into_inner) = (what, share);
             let assets = Assets::load_with(&scene, &LoadOptions { progress: Some(&progress), cancel: Some(&stop), previous: before.as_deref() });
             // A scene that cannot be resolved is no better than a file that cannot be read.
             let loaded = assets.map(|assets| {
@@ -377,7 +377,7 @@ impl Workstation {
         });
         match spawned {
             Ok(_) => self.loading = Some(Loading { name, stage, cancel, result, key, path, same, recovered }),
-            Err(e) => self.say(Level::Error, format!("no thread could be started: {e}")),
+            Err(e) => self.report(LogLevel::Error, format!("no thread could be started: {e}")),
         }
     }
 
@@ -401,7 +401,7 @@ impl Workstation {
         let Some(loading) = self.loading.take() else { return };
         let stopped = loading.cancel.load(Ordering::Relaxed);
         match outcome {
-            Ok(_) if stopped => self.fail(&Error::Cancelled),
+            Ok(_) if stopped => self.report_error(&Error::Cancelled),
             Ok(loaded) if loading.same => {
                 if let Some(doc) = &mut self.doc {
                     doc.assets = Arc::new(loaded.assets);
@@ -415,7 +415,7 @@ impl Workstation {
             }
             Ok(loaded) => self.opened(loaded, loading),
             Err(error) => {
-                self.fail(&error);
+                self.report_error(&error);
                 if loading.same {
                     // The scene goes on with what it had.
                     self.failed_assets = loading.key;
@@ -427,31 +427,31 @@ impl Workstation {
     fn opened(&mut self, loaded: Loaded, loading: Loading) {
         let Loaded { scene, assets, problem } = loaded;
         if let Some(error) = problem {
-            self.say(Level::Warning, format!("{}: {error}", loading.name));
+            self.report(LogLevel::Warning, format!("{}: {error}", loading.name));
         }
         for warning in &assets.volume.warnings {
-            self.say(Level::Warning, format!("{}: {warning}", loading.name));
+            self.report(LogLevel::Warning, format!("{}: {warning}", loading.name));
         }
         for notice in assets.library.notices() {
-            self.say(Level::Info, notice);
+            self.report(LogLevel::Info, notice);
         }
         self.worker.drop_jobs(|_| true);
         self.forget_pictures();
         self.history.start(&scene);
-        self.cameras = super::history::Cameras::default();
+        self.cameras = super::history::CameraHistory::default();
         self.failed_assets = None;
         let mut doc = Document::new(scene, loading.path, loading.name, Arc::new(assets));
         let recovered = loading.recovered;
         if recovered.is_some() {
             doc.saved = None;
-            self.say(Level::Info, format!("{}: recovered; save it to keep it", doc.name));
+            self.report(LogLevel::Info, format!("{}: recovered; save it to keep it", doc.name));
         }
         self.doc = Some(doc);
         if let Some(recovered) = recovered.filter(|r| r.file.exists()) {
             // Its old automatic save goes once there is a new one.
             match self.doc.as_ref().map(|d| self.session.autosave(&d.scene, d.path.as_deref())) {
                 Some(Ok(())) => self.session.discard(&recovered),
-                Some(Err(error)) => self.fail(&error),
+                Some(Err(error)) => self.report_error(&error),
                 None => {}
             }
         }
@@ -485,7 +485,7 @@ impl Workstation {
             }
             _ if doc.assets.has_volume => self.dialog = Some(Dialog::Second(path.to_owned())),
             _ => {
-                doc.scene.volume = Some(VolumeSource { path: text, choice: Choice::default(), labels: None, inside: None });
+                doc.scene.volume = Some(VolumeSource { path: text, choice: ReadOptions::default(), labels: None, inside: None });
                 if doc.scene.render.mode == Mode::Surface {
                     doc.scene.render.mode = Mode::Raycast;
                 }
@@ -497,7 +497,7 @@ impl Workstation {
     pub fn add_surface_of(&mut self, ctx: &Context, path: &Path) {
         let path = path.to_owned();
         self.start(ctx, "Reading a volume", move |watch| {
-            let iso = crate::volume::load::volume(&path, &Choice::default(), watch)?.body_threshold();
+            let iso = crate::volume::load::volume(&path, &ReadOptions::default(), watch)?.body_threshold();
             Ok(Box::new(move |app: &mut Workstation, _: &Context| {
                 let Some(doc) = &mut app.doc else { return };
                 let name = path.file_name().map(|n| n.to_string_lossy().into_owned());
@@ -522,35 +522,40 @@ impl Workstation {
     }
 
     /// Asks for a file to open.
-    pub fn ask_open(&mut self) {
+    pub fn choose_file_to_open(&mut self) {
         const VOLUMES: &[&str] = &["gz", "nii", "nrrd", "nhdr", "mha", "mhd", "vti", "vtk", "tif", "tiff", "npy", "raw", "dcm", "zip", "hdr"];
         const MESHES: &[&str] = &["stl", "obj", "ply", "off", "gltf", "glb", "gii"];
-        self.files.ask(Purpose::Open, "Open a scene, a volume or a mesh", None, &[("Scenes", &["toml"]), ("Volumes", VOLUMES), ("Meshes", MESHES)]);
+        self.files.open_dialog(
+            FilePurpose::Open,
+            "Open a scene, a volume or a mesh",
+            None,
+            &[("Scenes", &["toml"]), ("Volumes", VOLUMES), ("Meshes", MESHES)],
+        );
     }
 
     /// Asks for a folder to open.
-    pub fn ask_open_folder(&mut self) {
-        self.files.ask_folder(Purpose::Open, "Open a folder of DICOM files, slices or a Zarr store");
+    pub fn choose_folder_to_open(&mut self) {
+        self.files.open_folder_dialog(FilePurpose::Open, "Open a folder of DICOM files, slices or a Zarr store");
     }
 
     /// Saves the scene where it belongs, or asks where.
-    pub fn save(&mut self, ctx: &Context, after: Option<After>) {
+    pub fn save(&mut self, ctx: &Context, after: Option<NextStep>) {
         match self.doc.as_ref().and_then(|d| d.path.clone()) {
             Some(path) => self.save_to(ctx, &path, after),
-            None => self.ask_save(after),
+            None => self.choose_save_file(after),
         }
     }
 
     /// Asks where to save the scene.
-    pub fn ask_save(&mut self, after: Option<After>) {
+    pub fn choose_save_file(&mut self, after: Option<NextStep>) {
         let Some(doc) = &self.doc else { return };
         let stem = doc.name.split('.').next().filter(|s| !s.is_empty()).unwrap_or("scene");
         let name = format!("{}.toml", stem.replace([':', '/'], "-"));
-        self.files.ask(Purpose::Save(after), "Save the scene", Some(&name), &[]);
+        self.files.open_dialog(FilePurpose::Save(after), "Save the scene", Some(&name), &[]);
     }
 
     /// Saves the scene into a file.
-    pub fn save_to(&mut self, ctx: &Context, path: &Path, after: Option<After>) {
+    pub fn save_to(&mut self, ctx: &Context, path: &Path, after: Option<NextStep>) {
         let path = with_ending(path, "toml");
         let Some(doc) = &mut self.doc else { return };
         let result = (|| {
@@ -568,15 +573,15 @@ impl Workstation {
                 doc.saved = Some(doc.scene.clone());
                 doc.name = path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
                 doc.path = Some(path.clone());
-                self.history.keep(&doc.scene);
+                self.history.take_snapshot(&doc.scene);
                 self.session.forget();
                 self.session.opened(&path);
-                self.say(Level::Info, format!("Saved {}", path.display()));
+                self.report(LogLevel::Info, format!("Saved {}", path.display()));
                 if let Some(after) = after {
                     self.proceed(ctx, after);
                 }
             }
-            Err(error) => self.fail(&error),
+            Err(error) => self.report_error(&error),
         }
     }
 
@@ -592,25 +597,25 @@ impl Workstation {
             let Some(purpose) = self.files.purpose.take() else { return };
             self.files.folder = path.parent().map(Path::to_owned);
             self.chosen(ctx, &path, purpose);
-        } else if closed && let Some(Purpose::Locate(dialog)) = self.files.purpose.take() {
+        } else if closed && let Some(FilePurpose::Locate(dialog)) = self.files.purpose.take() {
             self.dialog = Some(*dialog);
         }
     }
 
     /// Does what a file is wanted for.
-    pub fn chosen(&mut self, ctx: &Context, path: &Path, purpose: Purpose) {
+    pub fn chosen(&mut self, ctx: &Context, path: &Path, purpose: FilePurpose) {
         match purpose {
-            Purpose::Open => self.open(ctx, path),
-            Purpose::Save(after) => self.save_to(ctx, path, after),
-            Purpose::Picture(form) => self.export_picture(ctx, path, &form),
-            Purpose::Clip(form) => self.export_clip(ctx, path, &form),
-            Purpose::Bake { field } => self.export_baked(ctx, path, field),
-            Purpose::Report => self.export_report(ctx, path),
-            Purpose::Measures => self.export_measures(path),
-            Purpose::ImportTransfer => self.import_transfer(path),
-            Purpose::ExportTransfer => self.export_transfer(path),
-            Purpose::Labels => self.set_labels(path),
-            Purpose::Locate(dialog) => {
+            FilePurpose::Open => self.open(ctx, path),
+            FilePurpose::Save(after) => self.save_to(ctx, path, after),
+            FilePurpose::Picture(form) => self.export_picture(ctx, path, &form),
+            FilePurpose::Clip(form) => self.export_clip(ctx, path, &form),
+            FilePurpose::Bake { field } => self.export_baked(ctx, path, field),
+            FilePurpose::Report => self.export_report(ctx, path),
+            FilePurpose::Measures => self.export_measures(path),
+            FilePurpose::ImportTransfer => self.import_transfer(path),
+            FilePurpose::ExportTransfer => self.export_transfer(path),
+            FilePurpose::Labels => self.set_labels(path),
+            FilePurpose::Locate(dialog) => {
                 if let Dialog::Locate { missing, scene, path: file, name, .. } = *dialog {
                     let mut scene = *scene;
                     scene.relocate(&missing, path);
@@ -623,12 +628,12 @@ impl Workstation {
     }
 
     /// Asks where a missing file is.
-    pub fn ask_locate(&mut self, dialog: Dialog) {
+    pub fn choose_missing_file(&mut self, dialog: Dialog) {
         let title = match &dialog {
             Dialog::Locate { missing, .. } => format!("Where is {}?", missing.file_name().unwrap_or_default().to_string_lossy()),
             _ => "Locate".into(),
         };
-        self.files.ask(Purpose::Locate(Box::new(dialog)), &title, None, &[]);
+        self.files.open_dialog(FilePurpose::Locate(Box::new(dialog)), &title, None, &[]);
     }
 }
 

@@ -12,12 +12,12 @@ const CAMERAS: usize = 100;
 pub struct History {
     undoer: Undoer<Scene>,
     /// The scene as last kept.
-    kept: Option<Scene>,
+    last_snapshot: Option<Scene>,
 }
 
 impl Default for History {
     fn default() -> Self {
-        Self { undoer: Undoer::with_settings(Settings { max_undos: STEPS, ..Settings::default() }), kept: None }
+        Self { undoer: Undoer::with_settings(Settings { max_undos: STEPS, ..Settings::default() }), last_snapshot: None }
     }
 }
 
@@ -30,24 +30,24 @@ impl History {
     /// Begins anew at a scene.
     pub fn start(&mut self, scene: &Scene) {
         *self = Self::default();
-        self.keep(scene);
+        self.take_snapshot(scene);
     }
 
     /// Keeps a scene if it differs from the last one kept: one step.
-    pub fn keep(&mut self, scene: &Scene) {
-        if self.kept.as_ref().is_some_and(|k| same(k, scene)) {
+    pub fn take_snapshot(&mut self, scene: &Scene) {
+        if self.last_snapshot.as_ref().is_some_and(|k| same(k, scene)) {
             return;
         }
         let state = without_camera(scene);
         // Asked for a redo of something new, the undoer forgets what was undone before it: that branch is given up.
         let _none = self.undoer.redo(&state);
         self.undoer.add_undo(&state);
-        self.kept = Some(state);
+        self.last_snapshot = Some(state);
     }
 
     /// Whether the scene differs from the one last kept.
     pub fn changed(&self, scene: &Scene) -> bool {
-        self.kept.as_ref().is_none_or(|k| !same(k, scene))
+        self.last_snapshot.as_ref().is_none_or(|k| !same(k, scene))
     }
 
     /// Whether there is a step back.
@@ -62,7 +62,7 @@ impl History {
 
     /// One step back.
     pub fn undo(&mut self, scene: &mut Scene) -> bool {
-        self.keep(scene);
+        self.take_snapshot(scene);
         let to = self.undoer.undo(&without_camera(scene)).cloned();
         self.restore(scene, to)
     }
@@ -75,7 +75,7 @@ impl History {
 
     /// Back to the last kept scene: a drag that was called off.
     pub fn revert(&mut self, scene: &mut Scene) -> bool {
-        let to = self.kept.clone();
+        let to = self.last_snapshot.clone();
         self.restore(scene, to)
     }
 
@@ -83,34 +83,34 @@ impl History {
         let Some(to) = to else { return false };
         let camera = std::mem::take(&mut scene.camera);
         *scene = Scene { camera, ..to.clone() };
-        self.kept = Some(to);
+        self.last_snapshot = Some(to);
         true
     }
 }
 
 /// Equal but for the camera.
-pub fn same(kept: &Scene, scene: &Scene) -> bool {
-    kept.deformation == scene.deformation
-        && kept.transfer == scene.transfer
-        && kept.render == scene.render
-        && kept.light == scene.light
-        && kept.volume == scene.volume
-        && kept.mesh == scene.mesh
-        && kept.surface == scene.surface
-        && kept.measure == scene.measure
-        && kept.folder == scene.folder
+pub fn same(last_snapshot: &Scene, scene: &Scene) -> bool {
+    last_snapshot.deformation == scene.deformation
+        && last_snapshot.transfer == scene.transfer
+        && last_snapshot.render == scene.render
+        && last_snapshot.light == scene.light
+        && last_snapshot.volume == scene.volume
+        && last_snapshot.mesh == scene.mesh
+        && last_snapshot.surface == scene.surface
+        && last_snapshot.measure == scene.measure
+        && last_snapshot.folder == scene.folder
 }
 
 /// Where the camera has been.
 #[derive(Default)]
-pub struct Cameras {
+pub struct CameraHistory {
     before: Vec<Camera>,
     after: Vec<Camera>,
     /// The camera at rest.
     rest: Option<Camera>,
 }
 
-impl Cameras {
+impl CameraHistory {
     /// Notes a camera at rest.
     pub fn settle(&mut self, camera: &Camera) {
         match &self.rest {
@@ -162,7 +162,7 @@ mod tests {
         history.start(&scene);
         for n in 0..3 {
             scene.deformation.push(Deformation::new(["twist", "peel", "box"][n]));
-            history.keep(&scene);
+            history.take_snapshot(&scene);
         }
         scene.camera.zoom = 2.0;
         assert!(!history.changed(&scene));
@@ -172,7 +172,7 @@ mod tests {
         assert_eq!(scene.deformation.len(), 2);
         scene.deformation.clear();
         assert!(history.changed(&scene));
-        history.keep(&scene);
+        history.take_snapshot(&scene);
         assert!(!history.has_redo(&scene));
         assert!(history.undo(&mut scene));
         assert_eq!(scene.deformation.len(), 2);
@@ -180,7 +180,7 @@ mod tests {
 
     #[test]
     fn cameras_go_back_and_forth() {
-        let mut cameras = Cameras::default();
+        let mut cameras = CameraHistory::default();
         let mut camera = Camera::default();
         cameras.settle(&camera);
         camera.zoom = 2.0;

@@ -56,7 +56,7 @@ impl Panel {
 
 /// An arrangement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Preset {
+pub enum LayoutPreset {
     /// The 3D view with the inspector.
     Only3d,
     /// 3D over three slices, scene and inspector beside.
@@ -65,7 +65,7 @@ pub enum Preset {
     Compare,
 }
 
-impl Preset {
+impl LayoutPreset {
     /// The panels in their places.
     pub fn dock(self) -> DockState<Panel> {
         use Panel as P;
@@ -107,7 +107,7 @@ mod tests {
 
     #[test]
     fn every_arrangement_shows_a_picture_and_the_scene() {
-        for preset in [Preset::Only3d, Preset::FourUp, Preset::Compare] {
+        for preset in [LayoutPreset::Only3d, LayoutPreset::FourUp, LayoutPreset::Compare] {
             let dock = preset.dock();
             let shown: Vec<Panel> = dock.iter_all_tabs().map(|(_, p)| *p).collect();
             assert!(shown.contains(&Panel::Scene) && shown.contains(&Panel::Inspector) && shown.contains(&Panel::Transfer));

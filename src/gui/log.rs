@@ -4,7 +4,7 @@ use std::time::SystemTime;
 
 /// How much it matters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Level {
+pub enum LogLevel {
     /// Good to know.
     Info,
     /// Something was done otherwise than asked.
@@ -15,9 +15,9 @@ pub enum Level {
 
 /// One message.
 #[derive(Clone, Debug)]
-pub struct Entry {
+pub struct LogEntry {
     /// How much it matters.
-    pub level: Level,
+    pub level: LogLevel,
     /// What it says.
     pub text: String,
     /// When.
@@ -29,30 +29,30 @@ pub struct Entry {
 /// Messages, oldest first.
 #[derive(Default)]
 pub struct Log {
-    entries: Vec<Entry>,
+    entries: Vec<LogEntry>,
 }
 
 /// Messages that are kept.
-const KEPT: usize = 500;
+const MAX_MESSAGES: usize = 500;
 
 impl Log {
     /// Adds one; false if it is the last one over again.
-    pub fn add(&mut self, level: Level, text: impl Into<String>) -> bool {
+    pub fn add(&mut self, level: LogLevel, text: impl Into<String>) -> bool {
         let text = text.into();
         if let Some(last) = self.entries.last_mut().filter(|e| e.text == text && e.level == level) {
             last.times += 1;
             last.at = SystemTime::now();
             return false;
         }
-        self.entries.push(Entry { level, text, at: SystemTime::now(), times: 1 });
-        if self.entries.len() > KEPT {
+        self.entries.push(LogEntry { level, text, at: SystemTime::now(), times: 1 });
+        if self.entries.len() > MAX_MESSAGES {
             self.entries.remove(0);
         }
         true
     }
 
     /// All of them.
-    pub fn entries(&self) -> &[Entry] {
+    pub fn entries(&self) -> &[LogEntry] {
         &self.entries
     }
 

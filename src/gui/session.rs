@@ -139,7 +139,7 @@ impl Session {
     ///
     /// # Errors
     /// A folder that cannot be written.
-    pub fn keep_settings(&mut self) -> Result<()> {
+    pub fn save_settings(&mut self) -> Result<()> {
         if self.settings == self.written {
             return Ok(());
         }
@@ -265,7 +265,7 @@ fn is_held(path: &Path) -> bool {
 
 impl Drop for Session {
     fn drop(&mut self) {
-        let _told_already = self.keep_settings();
+        let _already_reported = self.save_settings();
         drop(self.lock.take());
         let _was_none = std::fs::remove_file(self.autosave_path().with_extension("lock"));
     }

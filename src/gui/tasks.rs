@@ -1,7 +1,7 @@
 //! Work in the background that ends in something: exports, baking, reports. Each has a thread, a progress bar and a button that cancels it.
 
 use super::app::Workstation;
-use super::log::Level;
+use super::log::LogLevel;
 use crate::{Error, Result, Watch};
 use eframe::egui::Context;
 use std::sync::Arc;
@@ -33,8 +33,8 @@ impl Task {
 }
 
 /// Ends by telling something.
-pub fn said(text: String) -> Finish {
-    Box::new(move |app, _| app.say(Level::Info, text))
+pub fn report_when_done(text: String) -> Finish {
+    Box::new(move |app, _| app.report(LogLevel::Info, text))
 }
 
 impl Workstation {
@@ -44,16 +44,16 @@ impl Workstation {
         self.autosave();
         let (progress, cancel) = (Arc::new(AtomicU32::new(0)), Arc::new(AtomicBool::new(false)));
         let (send, result) = channel();
-        let (told, stop, ctx) = (progress.clone(), cancel.clone(), ctx.clone());
+        let (shared_progress, stop, ctx) = (progress.clone(), cancel.clone(), ctx.clone());
         let spawned = std::thread::Builder::new().name(name.to_owned()).spawn(move || {
-            let tell = |share: f32| told.store((share.clamp(0.0, 1.0) * 1000.0) as u32, Ordering::Relaxed);
-            let outcome = work(&Watch { progress: &tell, cancel: &stop });
+            let report = |share: f32| shared_progress.store((share.clamp(0.0, 1.0) * 1000.0) as u32, Ordering::Relaxed);
+            let outcome = work(&Watch { progress: &report, cancel: &stop });
             let _window_closed = send.send(outcome);
             ctx.request_repaint();
         });
         match spawned {
             Ok(_) => self.tasks.push(Task { name: name.to_owned(), progress, cancel, result }),
-            Err(e) => self.say(Level::Error, format!("{name}: no thread could be started: {e}")),
+            Err(e) => self.report(LogLevel::Error, format!("{name}: no thread could be started: {e}")),
         }
     }
 
@@ -77,12 +77,12 @@ impl Workstation {
                     self.tasks.remove(n);
                     match outcome {
                         Ok(finish) => finish(self, ctx),
-                        Err(error) => self.fail(&error),
+                        Err(error) => self.report_error(&error),
                     }
                 }
                 Err(TryRecvError::Disconnected) => {
                     let task = self.tasks.remove(n);
-                    self.fail(&Error::value(task.name, "ended by a fault of the program; the scene is unharmed"));
+                    self.report_error(&Error::value(task.name, "ended by a fault of the program; the scene is unharmed"));
                 }
             }
         }

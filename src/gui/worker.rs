@@ -4,9 +4,9 @@
 //! is of full quality (a coarse one is let finish: it is what keeps a drag moving). A second thread answers what lies under the pointer, so
 //! that it never waits for a picture. Coarse pictures and slices leave one core to the interface.
 
-use super::log::Level;
+use super::log::LogLevel;
 use crate::cpu::pick::{self, Pick};
-use crate::cpu::section::{self, Plane, Section};
+use crate::cpu::section::{self, Section, SectionPlane};
 use crate::engine::{Backend, DeviceInfo, Engine, EngineOptions, Quality, RenderRequest, ScenePicture};
 use crate::picture::{Picture, RenderStats};
 use crate::prepare::measure::Quantity;
@@ -23,7 +23,7 @@ use std::time::Instant;
 
 /// What a picture is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Target {
+pub enum JobTarget {
     /// The 3D view while it moves.
     Coarse,
     /// The 3D view at rest.
@@ -40,7 +40,7 @@ pub enum Target {
     Measures,
 }
 
-impl Target {
+impl JobTarget {
     /// Lower goes first.
     fn urgency(self) -> u8 {
         match self {
@@ -90,18 +90,18 @@ pub struct SliceStyle {
 }
 
 /// What to do.
-pub enum What {
+pub enum JobKind {
     /// A picture of the scene.
     Picture {
         /// Count samples.
         counting: bool,
         /// Give back the picture's own numbers.
-        keep: bool,
+        with_pixels: bool,
         /// How good it is to be.
         quality: Quality,
     },
     /// A slice.
-    Slice(Plane, SliceStyle),
+    Slice(SectionPlane, SliceStyle),
     /// The measurements.
     Measures(Vec<Measure>),
 }
@@ -109,7 +109,7 @@ pub enum What {
 /// A job.
 pub struct Job {
     /// What it is for.
-    pub target: Target,
+    pub target: JobTarget,
     /// Told back with the result.
     pub serial: u64,
     /// The scene.
@@ -117,12 +117,12 @@ pub struct Job {
     /// Its assets.
     pub assets: Arc<Assets>,
     /// What to do.
-    pub what: What,
+    pub what: JobKind,
 }
 
 /// A measurement with what it comes to, and where its points are seen.
 #[derive(Clone)]
-pub struct Measured {
+pub struct MeasureResult {
     /// The measurement.
     pub measure: Measure,
     /// Numbers, or why there are none.
@@ -136,7 +136,7 @@ pub struct SlicePicture {
     /// Pixels.
     pub image: ColorImage,
     /// Its plane.
-    pub plane: Plane,
+    pub plane: SectionPlane,
     /// What was found.
     pub section: Section,
     /// How it is shown.
@@ -148,12 +148,12 @@ pub struct SlicePicture {
 impl SlicePicture {
     /// Where the matter at a point of it came from, mm.
     pub fn source(&self, point: Vec3) -> Vec3 {
-        self.deformed.as_ref().map_or(point, |d| d.stack.walk(point).0)
+        self.deformed.as_ref().map_or(point, |d| d.stack.source_and_alpha(point).0)
     }
 }
 
 /// A rendered picture.
-pub struct Shown {
+pub struct RenderedView {
     /// Pixels over the scene's background.
     pub image: ColorImage,
     /// The picture's own numbers, if they were asked for.
@@ -173,33 +173,33 @@ pub struct Shown {
     /// The camera it was made with.
     pub frame: ViewFrame,
     /// Of a picture of the 3D view: the scene's measurements that have points, by their place in the list.
-    pub measured: Vec<Option<Measured>>,
+    pub measured: Vec<Option<MeasureResult>>,
 }
 
 /// What came out.
-pub enum Output {
+pub enum JobOutput {
     /// A picture.
-    Picture(Box<Shown>),
+    Picture(Box<RenderedView>),
     /// A slice.
     Slice(Box<SlicePicture>),
     /// Measurements.
-    Measures(Vec<Measured>),
+    Measures(Vec<MeasureResult>),
 }
 
 /// A job that is done.
-pub struct Done {
+pub struct FinishedJob {
     /// What it was for.
-    pub target: Target,
+    pub target: JobTarget,
     /// The job's own number.
     pub serial: u64,
     /// The result.
-    pub outcome: Result<Output>,
+    pub outcome: Result<JobOutput>,
     /// How long it took.
     pub ms: f64,
 }
 
 struct Running {
-    target: Target,
+    target: JobTarget,
     cancel: Arc<AtomicBool>,
     /// Not to be taken up again.
     dropped: bool,
@@ -216,7 +216,7 @@ struct Queue {
 }
 
 #[derive(Default)]
-struct Shared {
+struct WorkerState {
     queue: Mutex<Queue>,
     wake: Condvar,
     /// Share of the running job that is done, in thousandths.
@@ -230,22 +230,22 @@ fn lock<T>(m: &Mutex<T>) -> MutexGuard<'_, T> {
 
 /// The thread that renders.
 pub struct Worker {
-    shared: Arc<Shared>,
-    done: Receiver<Done>,
-    said: Receiver<(Level, String)>,
+    shared: Arc<WorkerState>,
+    done: Receiver<FinishedJob>,
+    messages: Receiver<(LogLevel, String)>,
     thread: Option<std::thread::JoinHandle<()>>,
 }
 
 impl Worker {
     /// Starts it.
     pub fn new(ctx: &egui::Context, backend: Backend) -> Self {
-        let shared = Arc::new(Shared::default());
+        let shared = Arc::new(WorkerState::default());
         lock(&shared.queue).backend = backend;
         let (send, done) = channel();
-        let (say, said) = channel();
+        let (message_sender, messages) = channel();
         let (own, ctx) = (shared.clone(), ctx.clone());
-        let thread = std::thread::Builder::new().name("renderer".into()).spawn(move || run(&own, &send, &say, &ctx)).ok();
-        Self { shared, done, said, thread }
+        let thread = std::thread::Builder::new().name("renderer".into()).spawn(move || run(&own, &send, &message_sender, &ctx)).ok();
+        Self { shared, done, messages, thread }
     }
 
     /// Asks for something; a job of the same target that still waits is dropped.
@@ -254,7 +254,7 @@ impl Worker {
         let target = job.target;
         if let Some(running) = &queue.running {
             let more_urgent = target.urgency() < running.target.urgency();
-            let newer = running.target == target || (target == Target::Coarse && running.target == Target::Fine);
+            let newer = running.target == target || (target == JobTarget::Coarse && running.target == JobTarget::Fine);
             if running.target.stops() && (more_urgent || newer) {
                 running.cancel.store(true, Ordering::Relaxed);
             }
@@ -265,7 +265,7 @@ impl Worker {
     }
 
     /// Drops what waits, and stops what runs, of the targets.
-    pub fn drop_jobs(&self, which: impl Fn(Target) -> bool) {
+    pub fn drop_jobs(&self, which: impl Fn(JobTarget) -> bool) {
         let mut queue = lock(&self.shared.queue);
         queue.jobs.retain(|j| !which(j.target));
         if let Some(running) = queue.running.as_mut().filter(|r| which(r.target)) {
@@ -275,17 +275,17 @@ impl Worker {
     }
 
     /// What is done by now.
-    pub fn poll(&self) -> Option<Done> {
+    pub fn poll(&self) -> Option<FinishedJob> {
         self.done.try_recv().ok()
     }
 
     /// What it has to say.
-    pub fn said(&self) -> Option<(Level, String)> {
-        self.said.try_recv().ok()
+    pub fn poll_message(&self) -> Option<(LogLevel, String)> {
+        self.messages.try_recv().ok()
     }
 
     /// The running job's target, and the share that is done.
-    pub fn progress(&self) -> Option<(Target, f32)> {
+    pub fn progress(&self) -> Option<(JobTarget, f32)> {
         let target = lock(&self.shared.queue).running.as_ref().map(|r| r.target)?;
         Some((target, self.shared.progress.load(Ordering::Relaxed) as f32 / 1000.0))
     }
@@ -331,7 +331,7 @@ pub fn quiet_pool() -> Option<rayon::ThreadPool> {
     rayon::ThreadPoolBuilder::new().num_threads(cores.saturating_sub(1).max(1)).build().ok()
 }
 
-fn run(shared: &Shared, send: &Sender<Done>, log: &Sender<(Level, String)>, ctx: &egui::Context) {
+fn run(shared: &WorkerState, send: &Sender<FinishedJob>, log: &Sender<(LogLevel, String)>, ctx: &egui::Context) {
     let pool = quiet_pool();
     let mut renderer = Renderer { engine: None, log: log.clone() };
     loop {
@@ -356,15 +356,15 @@ fn run(shared: &Shared, send: &Sender<Done>, log: &Sender<(Level, String)>, ctx:
             engine.lose_device();
         }
         let start = Instant::now();
-        let tell = |share: f32| {
+        let report = |share: f32| {
             let now = (share * 1000.0) as u32;
             let before = shared.progress.swap(now, Ordering::Relaxed);
             if now / 50 != before / 50 && job.target.stops() {
                 ctx.request_repaint();
             }
         };
-        let watch = Watch { progress: &tell, cancel: &cancel };
-        let quiet = !matches!(job.target, Target::Fine | Target::Compare(_));
+        let watch = Watch { progress: &report, cancel: &cancel };
+        let quiet = !matches!(job.target, JobTarget::Fine | JobTarget::Compare(_));
         let mut work = || renderer.work(&job, backend, &watch);
         // A fault in one picture is told, and the next one is made.
         let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| match &pool {
@@ -375,14 +375,14 @@ fn run(shared: &Shared, send: &Sender<Done>, log: &Sender<(Level, String)>, ctx:
         let mut queue = lock(&shared.queue);
         let dropped = queue.running.take().is_some_and(|r| r.dropped);
         let stopped = dropped || matches!(outcome, Err(Error::Cancelled));
-        if stopped && !dropped && !queue.closed && !queue.jobs.iter().any(|j| j.target == job.target) && !matches!(job.target, Target::Fine) {
+        if stopped && !dropped && !queue.closed && !queue.jobs.iter().any(|j| j.target == job.target) && !matches!(job.target, JobTarget::Fine) {
             // It only made room for something more urgent.
             queue.jobs.push(job);
             continue;
         }
         drop(queue);
         if !stopped {
-            let done = Done { target: job.target, serial: job.serial, outcome, ms: start.elapsed().as_secs_f64() * 1e3 };
+            let done = FinishedJob { target: job.target, serial: job.serial, outcome, ms: start.elapsed().as_secs_f64() * 1e3 };
             if send.send(done).is_err() {
                 return;
             }
@@ -394,7 +394,7 @@ fn run(shared: &Shared, send: &Sender<Done>, log: &Sender<(Level, String)>, ctx:
 /// What computes pictures, and what it has to say.
 struct Renderer {
     engine: Option<Engine>,
-    log: Sender<(Level, String)>,
+    log: Sender<(LogLevel, String)>,
 }
 
 impl Renderer {
@@ -412,38 +412,38 @@ impl Renderer {
 
     fn warn(&self, text: String) {
         // Nobody listens once the window has closed.
-        let _gone = self.log.send((Level::Warning, text));
+        let _gone = self.log.send((LogLevel::Warning, text));
     }
 
-    fn work(&mut self, job: &Job, backend: Backend, watch: &Watch) -> Result<Output> {
+    fn work(&mut self, job: &Job, backend: Backend, watch: &Watch) -> Result<JobOutput> {
         match &job.what {
-            What::Picture { counting, keep, quality } => {
+            JobKind::Picture { counting, with_pixels, quality } => {
                 let request = RenderRequest { quality: *quality, count_samples: *counting, watch: *watch };
                 let engine = self.engine(backend)?;
                 let picture = engine.picture(&job.scene, &job.assets, &request);
                 let warnings = engine.take_warnings();
                 warnings.into_iter().for_each(|text| self.warn(text));
-                let mut picture = shown(picture?, *keep);
-                if matches!(job.target, Target::Coarse | Target::Fine) {
+                let mut picture = shown(picture?, *with_pixels);
+                if matches!(job.target, JobTarget::Coarse | JobTarget::Fine) {
                     picture.measured = measured_points(job, watch)?;
                 }
-                Ok(Output::Picture(Box::new(picture)))
+                Ok(JobOutput::Picture(Box::new(picture)))
             }
-            What::Slice(plane, style) => slice(job, *plane, *style, watch).map(|s| Output::Slice(Box::new(s))),
-            What::Measures(measures) => measured(job, measures, watch).map(Output::Measures),
+            JobKind::Slice(plane, style) => slice(job, *plane, *style, watch).map(|s| JobOutput::Slice(Box::new(s))),
+            JobKind::Measures(measures) => measured(job, measures, watch).map(JobOutput::Measures),
         }
     }
 }
 
-fn shown(picture: ScenePicture, keep: bool) -> Shown {
+fn shown(picture: ScenePicture, with_pixels: bool) -> RenderedView {
     let ScenePicture { prepared, rendered, device } = picture;
     let picture = rendered.picture;
     let bytes = picture.over(prepared.settings.background);
     let image = ColorImage::from_rgba_unmultiplied([picture.width as usize, picture.height as usize], &bytes);
     let stages = prepared.stages.0.iter().chain(&rendered.stages.0).map(|(name, ms)| ((*name).to_owned(), *ms)).collect();
-    Shown {
+    RenderedView {
         image,
-        picture: keep.then_some(picture),
+        picture: with_pixels.then_some(picture),
         stats: rendered.stats,
         stages,
         notices: rendered.notices,
@@ -455,7 +455,7 @@ fn shown(picture: ScenePicture, keep: bool) -> Shown {
     }
 }
 
-fn slice(job: &Job, plane: Plane, style: SliceStyle, watch: &Watch) -> Result<SlicePicture> {
+fn slice(job: &Job, plane: SectionPlane, style: SliceStyle, watch: &Watch) -> Result<SlicePicture> {
     let assets = &job.assets;
     let deformed = if style.source { None } else { Some(Deformed::watched(&job.scene, assets, watch)?) };
     let maps = deformed.as_ref().map(Deformed::stack_and_cuts);
@@ -466,13 +466,13 @@ fn slice(job: &Job, plane: Plane, style: SliceStyle, watch: &Watch) -> Result<Sl
     Ok(SlicePicture { image, plane, section, style, deformed })
 }
 
-fn measured(job: &Job, measures: &[Measure], watch: &Watch) -> Result<Vec<Measured>> {
+fn measured(job: &Job, measures: &[Measure], watch: &Watch) -> Result<Vec<MeasureResult>> {
     let deformed = Deformed::watched(&job.scene, &job.assets, watch)?;
     measures.iter().map(|m| watch.check().map(|()| measured_in(m, &job.assets, &deformed))).collect()
 }
 
 /// The measurements of a picture that lie in it.
-fn measured_points(job: &Job, watch: &Watch) -> Result<Vec<Option<Measured>>> {
+fn measured_points(job: &Job, watch: &Watch) -> Result<Vec<Option<MeasureResult>>> {
     let measures = &job.scene.measure;
     if measures.iter().all(|m| m.points.is_empty()) {
         return Ok(vec![None; measures.len()]);
@@ -485,8 +485,8 @@ fn measured_points(job: &Job, watch: &Watch) -> Result<Vec<Option<Measured>>> {
     measures.iter().map(of).collect()
 }
 
-fn measured_in(measure: &Measure, assets: &Assets, deformed: &Deformed) -> Measured {
-    Measured {
+fn measured_in(measure: &Measure, assets: &Assets, deformed: &Deformed) -> MeasureResult {
+    MeasureResult {
         quantities: measure.quantities(assets, deformed).map_err(|e| e.to_string()),
         seen: measure.points.iter().map(|p| deformed.forward(Vec3::from(*p))).collect(),
         measure: measure.clone(),
@@ -495,7 +495,7 @@ fn measured_in(measure: &Measure, assets: &Assets, deformed: &Deformed) -> Measu
 
 /// Why something under the pointer is asked for.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Purpose {
+pub enum ProbePurpose {
     /// To tell it in the status bar.
     Hover,
     /// To put it in the middle of the view.
@@ -510,7 +510,7 @@ pub enum Purpose {
 }
 
 /// A question about a point of the 3D view.
-pub struct Question {
+pub struct ProbeRequest {
     /// The scene at the view's size.
     pub scene: Arc<Scene>,
     /// Its assets.
@@ -518,15 +518,15 @@ pub struct Question {
     /// Picture coordinates in -1..1, v upwards.
     pub at: [f32; 2],
     /// What for.
-    pub purpose: Purpose,
+    pub purpose: ProbePurpose,
 }
 
 /// The answer.
-pub struct Answer {
+pub struct ProbeResult {
     /// Where.
     pub at: [f32; 2],
     /// What for.
-    pub purpose: Purpose,
+    pub purpose: ProbePurpose,
     /// What was found.
     pub pick: Result<Option<Pick>>,
     /// The assets that it was found in.
@@ -535,8 +535,8 @@ pub struct Answer {
 
 /// The thread that answers what lies under the pointer.
 pub struct Prober {
-    ask: Option<Sender<Question>>,
-    answers: Receiver<Answer>,
+    ask: Option<Sender<ProbeRequest>>,
+    answers: Receiver<ProbeResult>,
     thread: Option<std::thread::JoinHandle<()>>,
     /// Questions without an answer yet.
     pub open: usize,
@@ -545,7 +545,7 @@ pub struct Prober {
 impl Prober {
     /// Starts it.
     pub fn new(ctx: &egui::Context) -> Self {
-        let (ask, questions) = channel::<Question>();
+        let (ask, questions) = channel::<ProbeRequest>();
         let (answer, answers) = channel();
         let ctx = ctx.clone();
         let thread = std::thread::Builder::new().name("prober".into()).spawn(move || probe(&questions, &answer, &ctx)).ok();
@@ -553,14 +553,14 @@ impl Prober {
     }
 
     /// Asks.
-    pub fn ask(&mut self, question: Question) {
+    pub fn ask(&mut self, question: ProbeRequest) {
         if self.ask.as_ref().is_some_and(|a| a.send(question).is_ok()) {
             self.open += 1;
         }
     }
 
     /// What has been answered by now.
-    pub fn poll(&mut self) -> Option<Answer> {
+    pub fn poll(&mut self) -> Option<ProbeResult> {
         let answer = self.answers.try_recv().ok()?;
         self.open = self.open.saturating_sub(1);
         Some(answer)
@@ -576,9 +576,9 @@ impl Drop for Prober {
     }
 }
 
-fn probe(questions: &Receiver<Question>, answer: &Sender<Answer>, ctx: &egui::Context) {
+fn probe(questions: &Receiver<ProbeRequest>, answer: &Sender<ProbeResult>, ctx: &egui::Context) {
     let pool = quiet_pool();
-    let mut next: Option<Question> = None;
+    let mut next: Option<ProbeRequest> = None;
     while let Some(question) = next.take().or_else(|| questions.recv().ok()) {
         let (scene, assets) = (question.scene.clone(), question.assets.clone());
         let prepare = || Prepared::new(&scene, &assets);
@@ -588,8 +588,8 @@ fn probe(questions: &Receiver<Question>, answer: &Sender<Answer>, ctx: &egui::Co
             None => prepare(),
         }))
         .unwrap_or_else(|_| Err(fault()));
-        let reply = |question: Question, pick: Result<Option<Pick>>| {
-            let sent = answer.send(Answer { at: question.at, purpose: question.purpose, pick, assets: question.assets }).is_ok();
+        let reply = |question: ProbeRequest, pick: Result<Option<Pick>>| {
+            let sent = answer.send(ProbeResult { at: question.at, purpose: question.purpose, pick, assets: question.assets }).is_ok();
             ctx.request_repaint();
             sent
         };

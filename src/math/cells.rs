@@ -46,14 +46,14 @@ pub struct Strides {
 
 impl Strides {
     /// More points than a slice of any grid has.
-    const MOST: usize = usize::MAX >> 4;
+    const MAX_POINTS_PER_SLICE: usize = usize::MAX >> 4;
 
     /// Those of a grid of at least two points along every axis, x fastest. Masked, which changes nothing, and one as the other and more, so that the compiler
     /// knows that sums of them do not overflow and which are the larger: one check of a cell's length then covers all of its rows.
     #[inline(always)]
     pub fn of([nx, ny, _]: [usize; 3]) -> Self {
-        let up = nx & Self::MOST;
-        Self { up, on: up + ((nx * (ny - 1)) & Self::MOST) }
+        let up = nx & Self::MAX_POINTS_PER_SLICE;
+        Self { up, on: up + ((nx * (ny - 1)) & Self::MAX_POINTS_PER_SLICE) }
     }
 
     /// The points of a grid around a cell, from the one before its lowest corner along every axis to the one behind its highest.
@@ -114,7 +114,7 @@ pub fn mix_rows<S: Simd>([a, b, c, d]: [[f32x8<S>; 2]; 4], f: Vec3x8<S>) -> f32x
 }
 
 /// Four numbers at eight points.
-pub type Fours<S> = [f32x8<S>; 4];
+pub type Vec4x8<S> = [f32x8<S>; 4];
 
 /// Texels of four numbers.
 pub trait Texel: Copy {
@@ -156,7 +156,7 @@ impl Texel for Vec4 {
 /// The four numbers in eight cells of a grid of texels, x fastest.
 #[inline(always)]
 #[allow(clippy::needless_range_loop, reason = "lanes have numbers")]
-pub fn mix_texels<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3], cells: &Cells<S>) -> Fours<S> {
+pub fn mix_texels<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3], cells: &Cells<S>) -> Vec4x8<S> {
     let strides = Strides::of(size);
     let Strides { up, on } = strides;
     let mut mixed = [[0.0; 4]; LANES];
@@ -174,7 +174,7 @@ pub fn mix_texels<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3], ce
 /// As [`mix_texels`] from texels that are mixed along the second and third axis already ([`across`]), at eight points along the first.
 #[inline(always)]
 #[allow(clippy::needless_range_loop, reason = "lanes have numbers")]
-pub fn mix_line<S: Simd>(simd: S, line: &[Vec4], x: f32x8<S>) -> Fours<S> {
+pub fn mix_line<S: Simd>(simd: S, line: &[Vec4], x: f32x8<S>) -> Vec4x8<S> {
     let (cell, x) = along(x, line.len(), 0);
     let mut mixed = [[0.0; 4]; LANES];
     for n in 0..LANES {
@@ -208,7 +208,7 @@ struct Across<'a> {
     line: &'a mut [Vec4],
 }
 
-impl OverSimd for Across<'_> {
+impl SimdKernel for Across<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -255,7 +255,7 @@ pub fn mix_with_slopes<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3
 /// [`mix_texels`], and the central differences f(+1) - f(-1) along the three axes: those at the cells' corners, interpolated as the values are. All
 /// cells must have a texel to every side.
 #[inline(always)]
-pub fn mix_with_differences<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3], cells: &Cells<S>) -> [Fours<S>; 4] {
+pub fn mix_with_differences<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3], cells: &Cells<S>) -> [Vec4x8<S>; 4] {
     let strides = Strides::of(size);
     let Strides { up, on } = strides;
     let a = on + up + 1;

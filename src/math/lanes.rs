@@ -20,7 +20,7 @@ use std::ops::{Add, Mul, Neg, Sub};
 pub const LANES: usize = 8;
 
 /// A function over any registers.
-pub trait OverSimd {
+pub trait SimdKernel {
     /// What it gives.
     type Output;
     /// Runs it; to be `#[inline(always)]`.
@@ -28,7 +28,7 @@ pub trait OverSimd {
 }
 
 /// Runs a function on the best registers of this machine.
-pub fn with_simd<F: OverSimd>(f: F) -> F::Output {
+pub fn with_simd<F: SimdKernel>(f: F) -> F::Output {
     let level = Level::new();
     // Two kinds of machine, not the six that `dispatch!` knows: each is a copy of the renderer for each type of voxel. With the masks and the 32
     // registers of AVX-512 the same vectors of eight took a tenth longer than with AVX2.
@@ -53,15 +53,15 @@ pub fn with_simd<F: OverSimd>(f: F) -> F::Output {
 
 /// The lanes that a bit mask names.
 #[inline(always)]
-pub fn lanes_of(bits: u64) -> Lanes {
-    Lanes(bits)
+pub fn lanes_of(bits: u64) -> LaneIndices {
+    LaneIndices(bits)
 }
 
 /// See [`lanes_of`].
 #[derive(Clone, Copy, Debug)]
-pub struct Lanes(u64);
+pub struct LaneIndices(u64);
 
-impl Iterator for Lanes {
+impl Iterator for LaneIndices {
     type Item = usize;
 
     #[inline(always)]
@@ -270,7 +270,7 @@ mod tests {
 
     struct Functions([f32; LANES]);
 
-    impl OverSimd for Functions {
+    impl SimdKernel for Functions {
         type Output = ([f32; LANES], [f32; LANES]);
         #[inline(always)]
         fn run<S: Simd>(self, simd: S) -> Self::Output {
@@ -292,7 +292,7 @@ mod tests {
             }
         }
         struct Powers([f32; LANES], u32);
-        impl OverSimd for Powers {
+        impl SimdKernel for Powers {
             type Output = [f32; LANES];
             #[inline(always)]
             fn run<S: Simd>(self, simd: S) -> Self::Output {

@@ -9,24 +9,24 @@ pub struct MinMaxPyramid<const C: usize> {
     size: [usize; 3],
     /// log2 of the grid cells per node at level 0.
     shift: u32,
-    levels: Vec<Level<C>>,
+    levels: Vec<PyramidLevel<C>>,
 }
 
-struct Level<const C: usize> {
+struct PyramidLevel<const C: usize> {
     size: [usize; 3],
-    nodes: Vec<Range<C>>,
+    nodes: Vec<ChannelRange<C>>,
 }
 
 /// Lowest and highest value per channel.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Range<const C: usize> {
+pub struct ChannelRange<const C: usize> {
     /// Lowest.
     pub min: [f32; C],
     /// Highest.
     pub max: [f32; C],
 }
 
-impl<const C: usize> Range<C> {
+impl<const C: usize> ChannelRange<C> {
     /// The range of no value.
     pub const EMPTY: Self = Self { min: [f32::INFINITY; C], max: [f32::NEG_INFINITY; C] };
 
@@ -50,20 +50,20 @@ impl<const C: usize> MinMaxPyramid<C> {
     /// Builds the pyramid of a grid of `size` points by their values `value(i, j, k)`; `2^shift` cells per finest node.
     pub fn new(size: [usize; 3], shift: u32, value: impl Fn(usize, usize, usize) -> [f32; C] + Sync) -> Self {
         Self::from_runs(size, shift, |first, last, j, k| {
-            let mut range = Range::EMPTY;
+            let mut range = ChannelRange::EMPTY;
             (first..=last).for_each(|i| range.insert(value(i, j, k)));
             range
         })
     }
 
     /// As [`Self::new`], by the ranges of runs along the first axis: `run(first, last, j, k)`, both ends in it.
-    pub fn from_runs(size: [usize; 3], shift: u32, run: impl Fn(usize, usize, usize, usize) -> Range<C> + Sync) -> Self {
+    pub fn from_runs(size: [usize; 3], shift: u32, run: impl Fn(usize, usize, usize, usize) -> ChannelRange<C> + Sync) -> Self {
         use rayon::prelude::*;
         let edge = 1usize << shift;
         let nodes_along = |n: usize| (n.saturating_sub(1)).div_ceil(edge).max(1);
         let level_size = size.map(nodes_along);
         let [nx, ny, _] = level_size;
-        let mut nodes = vec![Range::EMPTY; level_size.iter().product()];
+        let mut nodes = vec![ChannelRange::EMPTY; level_size.iter().product()];
         nodes.par_chunks_mut(nx * ny).enumerate().for_each(|(layer, nodes)| {
             for k in layer * edge..=((layer + 1) * edge).min(size[2] - 1) {
                 for j in 0..size[1] {
@@ -80,10 +80,10 @@ impl<const C: usize> MinMaxPyramid<C> {
                 }
             }
         });
-        let mut levels = vec![Level { size: level_size, nodes }];
+        let mut levels = vec![PyramidLevel { size: level_size, nodes }];
         while let Some(last) = levels.last().filter(|l| l.size != [1; 3]) {
             let above = last.size.map(|n| n.div_ceil(2));
-            let mut nodes = vec![Range::EMPTY; above[0] * above[1] * above[2]];
+            let mut nodes = vec![ChannelRange::EMPTY; above[0] * above[1] * above[2]];
             for k in 0..last.size[2] {
                 for j in 0..last.size[1] {
                     for i in 0..last.size[0] {
@@ -92,14 +92,14 @@ impl<const C: usize> MinMaxPyramid<C> {
                     }
                 }
             }
-            levels.push(Level { size: above, nodes });
+            levels.push(PyramidLevel { size: above, nodes });
         }
         Self { size, shift, levels }
     }
 
     /// Bounds on every trilinear sample with grid coordinates inside `[low, high]`; coordinates outside the grid are clamped to it,
     /// as samples are.
-    pub fn query(&self, low: glam::Vec3, high: glam::Vec3) -> Range<C> {
+    pub fn query(&self, low: glam::Vec3, high: glam::Vec3) -> ChannelRange<C> {
         let mut first = [0usize; 3];
         let mut last = [0usize; 3];
         for axis in 0..3 {
@@ -115,7 +115,7 @@ impl<const C: usize> MinMaxPyramid<C> {
             level += 1;
         }
         let l = &self.levels[level];
-        let mut range = Range::EMPTY;
+        let mut range = ChannelRange::EMPTY;
         for k in first[2] >> level..=(last[2] >> level).min(l.size[2] - 1) {
             for j in first[1] >> level..=(last[1] >> level).min(l.size[1] - 1) {
                 for i in first[0] >> level..=(last[0] >> level).min(l.size[0] - 1) {
@@ -132,13 +132,13 @@ impl<const C: usize> MinMaxPyramid<C> {
     }
 
     /// Nodes along each axis and the nodes themselves, x fastest, of each level, the finest first.
-    pub fn levels(&self) -> impl Iterator<Item = ([usize; 3], &[Range<C>])> {
+    pub fn levels(&self) -> impl Iterator<Item = ([usize; 3], &[ChannelRange<C>])> {
         self.levels.iter().map(|l| (l.size, &*l.nodes))
     }
 
     /// The range of the whole grid.
-    pub fn whole(&self) -> Range<C> {
-        self.levels.last().and_then(|l| l.nodes.first()).copied().unwrap_or(Range::EMPTY)
+    pub fn whole(&self) -> ChannelRange<C> {
+        self.levels.last().and_then(|l| l.nodes.first()).copied().unwrap_or(ChannelRange::EMPTY)
     }
 }
 

@@ -10,7 +10,7 @@ pub fn redistance(values: &mut [f32], size: [usize; 3], spacing: [f32; 3], far: 
     assert!(values.len() == size.iter().product::<usize>(), "value count and size disagree");
     let stride = [1, size[0], size[0] * size[1]];
     let mut distance = vec![far; values.len()];
-    let mut beside = vec![false; values.len()];
+    let mut near_surface = vec![false; values.len()];
     let (mut low, mut high) = (size, [0; 3]);
     for k in 0..size[2] {
         for j in 0..size[1] {
@@ -26,7 +26,7 @@ pub fn redistance(values: &mut [f32], size: [usize; 3], spacing: [f32; 3], far: 
                 if steepness > 0.0 {
                     // The distance to the plane through the crossings.
                     distance[n] = steepness.sqrt().recip().min(far);
-                    beside[n] = true;
+                    near_surface[n] = true;
                     low = std::array::from_fn(|a| low[a].min(at[a]));
                     high = std::array::from_fn(|a| high[a].max(at[a]));
                 }
@@ -44,7 +44,7 @@ pub fn redistance(values: &mut [f32], size: [usize; 3], spacing: [f32; 3], far: 
                     for i in 0..count[0] {
                         let at = [along(0, i), along(1, j), along(2, k)];
                         let n = at[0] + at[1] * stride[1] + at[2] * stride[2];
-                        if beside[n] {
+                        if near_surface[n] {
                             continue;
                         }
                         let nearer: [f32; 3] = std::array::from_fn(|a| {

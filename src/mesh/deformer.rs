@@ -16,15 +16,15 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// The most deformers of one mesh.
-pub const MOST_DEFORMERS: usize = 4;
+pub const MAX_DEFORMERS: usize = 4;
 /// Control points of a lattice along each axis, at most.
 pub const LATTICE: usize = 4;
 /// Points beside the vertex lie this share of the box's size away.
-const BESIDE: f32 = 1e-3;
+const NUMERIC_STEP: f32 = 1e-3;
 
 /// What a deformer does.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Deform {
+pub enum DeformerKind {
     /// Turns about z by this many radians per mm of height.
     Twist(f32),
     /// Bends the z axis towards x, by this many radians per mm (Barr 1984, with the centre line kept).
@@ -45,7 +45,7 @@ pub enum Deform {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Deformer {
     /// What it does.
-    pub deform: Deform,
+    pub deform: DeformerKind,
     /// World to local; rigid.
     pub local_from_world: Affine3A,
     /// Half the box, mm: heights end at half.z, and a lattice spans all of it.
@@ -79,13 +79,13 @@ impl Deformer {
         // Whether the height still counts: its derivative.
         let dh = if p.z.abs() <= top { 1.0 } else { 0.0 };
         match &self.deform {
-            Deform::Twist(rate) => {
+            DeformerKind::Twist(rate) => {
                 let (s, c) = (rate * h).sin_cos();
                 let (x, y) = (c * p.x - s * p.y, s * p.x + c * p.y);
                 let j = Mat3::from_cols(Vec3::new(c, s, 0.0), Vec3::new(-s, c, 0.0), Vec3::new(-y * rate * dh, x * rate * dh, 1.0));
                 (Vec3::new(x, y, p.z), j)
             }
-            Deform::Bend(rate) => {
+            DeformerKind::Bend(rate) => {
                 if rate.abs() < 1e-9 {
                     return (p, Mat3::IDENTITY);
                 }
@@ -97,24 +97,24 @@ impl Deformer {
                 let along = Vec3::new(r * rate * s * dh + s * (1.0 - dh), 0.0, r * rate * c * dh + c * (1.0 - dh));
                 (q, Mat3::from_cols(Vec3::new(c, 0.0, -s), Vec3::Y, along))
             }
-            Deform::Taper(factor) => {
+            DeformerKind::Taper(factor) => {
                 let slope = (factor - 1.0) / (2.0 * top);
                 let k = 1.0 + slope * (h + top);
                 (Vec3::new(k * p.x, k * p.y, p.z), Mat3::from_cols(Vec3::X * k, Vec3::Y * k, Vec3::new(slope * dh * p.x, slope * dh * p.y, 1.0)))
             }
-            Deform::Shear(share) => (Vec3::new(p.x + share * h, p.y, p.z), Mat3::from_cols(Vec3::X, Vec3::Y, Vec3::new(share * dh, 0.0, 1.0))),
-            Deform::Bulge(amount, width) => {
+            DeformerKind::Shear(share) => (Vec3::new(p.x + share * h, p.y, p.z), Mat3::from_cols(Vec3::X, Vec3::Y, Vec3::new(share * dh, 0.0, 1.0))),
+            DeformerKind::Bulge(amount, width) => {
                 let g = amount * (-(p.z / width).powi(2)).exp();
                 let (k, dk) = (1.0 + g, -2.0 * p.z / (width * width) * g);
                 (Vec3::new(k * p.x, k * p.y, p.z), Mat3::from_cols(Vec3::X * k, Vec3::Y * k, Vec3::new(dk * p.x, dk * p.y, 1.0)))
             }
-            Deform::Wave(amplitude, frequency, phase) => {
+            DeformerKind::Wave(amplitude, frequency, phase) => {
                 let r = p.truncate().length();
                 let (s, c) = (frequency * r + phase).sin_cos();
                 let k = if r > 1e-12 { amplitude * frequency * c / r } else { 0.0 };
                 (Vec3::new(p.x, p.y, p.z + amplitude * s), Mat3::from_cols(Vec3::new(1.0, 0.0, k * p.x), Vec3::new(0.0, 1.0, k * p.y), Vec3::Z))
             }
-            Deform::Lattice(offsets) => {
+            DeformerKind::Lattice(offsets) => {
                 let t = ((p / self.half + 1.0) * 0.5).clamp(Vec3::ZERO, Vec3::ONE);
                 let inside = p.abs().cmple(self.half);
                 let ((bx, dx), (by, dy), (bz, dz)) = (bernstein(t.x), bernstein(t.y), bernstein(t.z));
@@ -158,8 +158,8 @@ pub fn tangents(normal: Vec3) -> (Vec3, Vec3) {
 }
 
 /// How far the points beside a vertex lie from it for [`NormalMethod::Numeric`], mm.
-pub fn beside_mm(chain: &[Deformer]) -> f32 {
-    BESIDE * chain.iter().map(|d| d.half.max_element()).fold(f32::INFINITY, f32::min).min(1e6)
+pub fn vertex_offset_mm(chain: &[Deformer]) -> f32 {
+    NUMERIC_STEP * chain.iter().map(|d| d.half.max_element()).fold(f32::INFINITY, f32::min).min(1e6)
 }
 
 /// A vertex and its unit normal under a chain of deformers. Where a deformer folds or flattens space there is no normal: the old one stays.
@@ -171,7 +171,7 @@ pub fn deform_vertex(chain: &[Deformer], world: Vec3, normal: Vec3, method: Norm
         NormalMethod::InverseTranspose => Mat3::from_cols(j.y_axis.cross(j.z_axis), j.z_axis.cross(j.x_axis), j.x_axis.cross(j.y_axis)) * normal,
         NormalMethod::Tangent => (j * t).cross(j * b),
         NormalMethod::Numeric => {
-            let beside = beside_mm(chain);
+            let beside = vertex_offset_mm(chain);
             (apply_all(chain, world + t * beside).0 - p).cross(apply_all(chain, world + b * beside).0 - p)
         }
     };
@@ -186,7 +186,7 @@ mod tests {
     /// The chapter's wave displaces y by the radius in x and z: our z is its y.
     fn wave() -> Deformer {
         let local_from_world = Affine3A::from_mat3(Mat3::from_cols(Vec3::X, Vec3::Z, Vec3::NEG_Y));
-        Deformer { deform: Deform::Wave(1.0, 2.0, 0.0), local_from_world, half: Vec3::splat(10.0) }
+        Deformer { deform: DeformerKind::Wave(1.0, 2.0, 0.0), local_from_world, half: Vec3::splat(10.0) }
     }
 
     /// \[GG42\] 42.5, and `model.md` section 4.
@@ -210,13 +210,13 @@ mod tests {
     fn all() -> Vec<Deformer> {
         let offsets = std::array::from_fn(|n| Vec3::new((n as f32).sin(), (n as f32 * 1.7).cos(), (n as f32 * 0.6).sin()) * 2.0);
         let kinds = [
-            Deform::Twist(0.05),
-            Deform::Bend(0.04),
-            Deform::Taper(0.4),
-            Deform::Shear(0.3),
-            Deform::Bulge(0.5, 6.0),
-            Deform::Wave(1.0, 0.5, 0.4),
-            Deform::Lattice(Box::new(offsets)),
+            DeformerKind::Twist(0.05),
+            DeformerKind::Bend(0.04),
+            DeformerKind::Taper(0.4),
+            DeformerKind::Shear(0.3),
+            DeformerKind::Bulge(0.5, 6.0),
+            DeformerKind::Wave(1.0, 0.5, 0.4),
+            DeformerKind::Lattice(Box::new(offsets)),
         ];
         let local_from_world =
             Affine3A::from_rotation_x(0.4) * Affine3A::from_rotation_z(1.1) * Affine3A::from_translation(Vec3::new(1.0, 2.0, -3.0));
@@ -230,8 +230,8 @@ mod tests {
             for d in all() {
                 // A wave has a cone on its axis, and a lattice ends at its faces: there they have no derivative.
                 let local = d.local_from_world.transform_point3(p);
-                let on_axis = matches!(d.deform, Deform::Wave(..)) && local.truncate().length() < 0.3;
-                let on_face = matches!(d.deform, Deform::Lattice(_)) && (local.abs() - d.half).abs().min_element() < 0.05;
+                let on_axis = matches!(d.deform, DeformerKind::Wave(..)) && local.truncate().length() < 0.3;
+                let on_face = matches!(d.deform, DeformerKind::Lattice(_)) && (local.abs() - d.half).abs().min_element() < 0.05;
                 if on_axis || on_face {
                     continue;
                 }

@@ -5,7 +5,7 @@
 //! positive. (The paper writes f = H - d, which is negative inside by its own convention of sign.) What no face sees, a concavity,
 //! is filled. f is no distance: its slope is unbounded where H jumps, so rays take even steps through it and skip nothing.
 
-use super::Tree;
+use super::TriangleBvh;
 use crate::math::Bounds;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -28,7 +28,7 @@ pub struct DepthMaps {
 
 impl DepthMaps {
     /// Looks at a mesh through the texels of the named faces.
-    pub fn new(tree: &Tree, bounds: Bounds, size: usize, faces: &[u32]) -> Self {
+    pub fn new(tree: &TriangleBvh, bounds: Bounds, size: usize, faces: &[u32]) -> Self {
         let depth_mm = faces
             .iter()
             .flat_map(|&face| {
@@ -111,7 +111,7 @@ mod tests {
     #[test]
     fn a_cube_of_maps_sees_a_ball_and_one_map_its_near_side() {
         let mesh = sphere(10.0, 48);
-        let (tree, bounds) = (Tree::new(&mesh), mesh.bounds().grown(2.0));
+        let (tree, bounds) = (TriangleBvh::new(&mesh), mesh.bounds().grown(2.0));
         let cube = DepthMaps::new(&tree, bounds, 129, &[0, 1, 2, 3, 4, 5]);
         for p in [Vec3::new(3.0, 2.0, 1.0), Vec3::new(0.0, 9.0, 0.0), Vec3::new(-5.0, 5.0, -5.0)] {
             assert!(cube.value(p) > 0.0 && cube.value(p.normalize() * 10.5) < 0.0, "{p}");

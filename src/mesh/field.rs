@@ -11,7 +11,7 @@
 //! *An iso-value*: the volume's own interpolation places the surface on each grid edge that it crosses; those points with the planes
 //! through them seed the same sweeps, and the sign is the value's.
 
-use super::{Mesh, Topology, Tree};
+use super::{Mesh, Topology, TriangleBvh};
 use crate::Watch;
 use crate::math::{Bounds, DistanceGrid, normalize_or, to_f32, trilinear};
 use crate::volume::Volume;
@@ -30,7 +30,7 @@ const DOUBT: f32 = 0.2;
 /// Times the foot of a point is slid along an interpolated surface.
 const SLIDES: usize = 3;
 /// Most points of a field.
-pub const MOST_POINTS: usize = 1 << 29;
+pub const MAX_POINTS: usize = 1 << 29;
 
 /// What is made of a mesh.
 #[derive(Clone, Copy, Debug)]
@@ -77,13 +77,13 @@ pub fn cell_of(bounds: &Bounds, resolution: usize) -> f32 {
 }
 
 /// The lattice of a field over a box.
-struct Lattice {
+struct FieldLattice {
     size: [usize; 3],
     origin: Vec3,
     cell: f32,
 }
 
-impl Lattice {
+impl FieldLattice {
     fn over(bounds: &Bounds, settings: &FieldSettings) -> Result<Self, String> {
         let cell = match settings.cell_mm {
             Some(cell) if cell.is_finite() && cell > 0.0 => cell,
@@ -99,7 +99,7 @@ impl Lattice {
         }
         let size = (part.size() / cell - 1e-3).ceil().max(Vec3::ONE).to_array().map(|n| (n as usize).saturating_add(1));
         let points = size.iter().try_fold(1usize, |p, &n| p.checked_mul(n)).unwrap_or(usize::MAX);
-        if points > MOST_POINTS {
+        if points > MAX_POINTS {
             return Err(format!("a field of {} x {} x {} points is too large; make its cells larger", size[0], size[1], size[2]));
         }
         // What the rounding added is shared by both sides.
@@ -128,7 +128,7 @@ impl MeshField {
     pub fn new(mesh: &Mesh, settings: &FieldSettings, watch: &Watch) -> Result<Self, String> {
         let topology = mesh.topology();
         let bounds = mesh.bounds();
-        let lattice = Lattice::over(&bounds, settings)?;
+        let lattice = FieldLattice::over(&bounds, settings)?;
         let turned_mesh;
         let (mesh, turned) = if topology.flipped_edges > 0 || topology.volume < 0.0 {
             let (m, n) = mesh.clone().oriented();
@@ -137,7 +137,7 @@ impl MeshField {
         } else {
             (mesh, 0)
         };
-        let tree = Tree::new(mesh);
+        let tree = TriangleBvh::new(mesh);
         // What a part is nearest to may lie outside of it, where no sweep comes from.
         let exact = settings.exact || settings.region.is_some();
         let (mut distance, mut nearest) = band(&tree, &lattice, exact, watch)?;
@@ -145,7 +145,7 @@ impl MeshField {
             sweep(&mut distance, &mut nearest, lattice.size, lattice.origin, Mat3::from_diagonal(Vec3::splat(lattice.cell)));
         }
         drop(nearest);
-        let seen = if settings.parity {
+        let counts = if settings.parity {
             parity(&tree, &lattice, &mut distance);
             [0; 2]
         } else {
@@ -155,14 +155,14 @@ impl MeshField {
         let eikonal = eikonal(&distance, &lattice);
         (watch.progress)(1.0);
         let grid = DistanceGrid::new(lattice.size, distance, lattice.world_from_grid());
-        Ok(Self { grid, topology, turned, windings: seen[0], doubtful: seen[1] as f64 / seen[0].max(1) as f64, inside, eikonal })
+        Ok(Self { grid, topology, turned, windings: counts[0], doubtful: counts[1] as f64 / counts[0].max(1) as f64, inside, eikonal })
     }
 }
 
 const CANCELLED: &str = "was cancelled";
 
 /// Exact distances and nearest points near the surface, or everywhere; infinite elsewhere.
-fn band(tree: &Tree, lattice: &Lattice, exact: bool, watch: &Watch) -> Result<(Vec<f32>, Vec<Vec3>), String> {
+fn band(tree: &TriangleBvh, lattice: &FieldLattice, exact: bool, watch: &Watch) -> Result<(Vec<f32>, Vec<Vec3>), String> {
     const EDGE: usize = 8;
     let [nx, ny, nz] = lattice.size;
     let reach = BAND * lattice.cell;
@@ -177,7 +177,7 @@ fn band(tree: &Tree, lattice: &Lattice, exact: bool, watch: &Watch) -> Result<(V
         let k0 = s * EDGE;
         let layers = distance.len() / (nx * ny);
         for j0 in (0..ny).step_by(EDGE) {
-            if watch.stopped() {
+            if watch.is_cancelled() {
                 return;
             }
             for i0 in (0..nx).step_by(EDGE) {
@@ -205,7 +205,7 @@ fn band(tree: &Tree, lattice: &Lattice, exact: bool, watch: &Watch) -> Result<(V
         }
         (watch.progress)(0.6 * (done.fetch_add(1, Ordering::Relaxed) + 1) as f32 / slabs as f32);
     });
-    if watch.stopped() { Err(CANCELLED.into()) } else { Ok((distance, nearest)) }
+    if watch.is_cancelled() { Err(CANCELLED.into()) } else { Ok((distance, nearest)) }
 }
 
 /// Passes nearest points on to neighbours in the eight orders of three axes.
@@ -246,32 +246,32 @@ fn sweep(distance: &mut [f32], nearest: &mut [Vec3], size: [usize; 3], origin: V
 }
 
 /// Gives the distances inside their sign, here positive; says how many winding numbers were taken and how many were doubtful.
-fn signs(tree: &Tree, lattice: &Lattice, watertight: bool, distance: &mut [f32], watch: &Watch) -> Result<[usize; 2], String> {
+fn signs(tree: &TriangleBvh, lattice: &FieldLattice, watertight: bool, distance: &mut [f32], watch: &Watch) -> Result<[usize; 2], String> {
     let [nx, ny, _] = lattice.size;
     let done = AtomicUsize::new(0);
     let slabs = lattice.size[2].div_ceil(BLOCK);
-    let seen = distance
+    let counts = distance
         .par_chunks_mut(nx * ny * BLOCK)
         .enumerate()
         .map(|(s, slab)| {
-            let mut signs = Signs { tree, lattice, watertight, k0: s * BLOCK, seen: [0; 2] };
+            let mut signs = Signs { tree, lattice, watertight, k0: s * BLOCK, counts: [0; 2] };
             let layers = slab.len() / (nx * ny);
             for j in (0..ny).step_by(BLOCK) {
                 for i in (0..nx).step_by(BLOCK) {
-                    if !watch.stopped() {
+                    if !watch.is_cancelled() {
                         signs.decide(slab, [i, j, s * BLOCK], [(i + BLOCK).min(nx), (j + BLOCK).min(ny), s * BLOCK + layers]);
                     }
                 }
             }
             (watch.progress)(0.6 + 0.4 * (done.fetch_add(1, Ordering::Relaxed) + 1) as f32 / slabs as f32);
-            signs.seen
+            signs.counts
         })
         .reduce(|| [0; 2], |a, b| [a[0] + b[0], a[1] + b[1]]);
-    if watch.stopped() { Err(CANCELLED.into()) } else { Ok(seen) }
+    if watch.is_cancelled() { Err(CANCELLED.into()) } else { Ok(counts) }
 }
 
 /// Gives the distances their sign by counting crossings along each row.
-fn parity(tree: &Tree, lattice: &Lattice, distance: &mut [f32]) {
+fn parity(tree: &TriangleBvh, lattice: &FieldLattice, distance: &mut [f32]) {
     let [nx, ny, _] = lattice.size;
     distance.par_chunks_mut(nx).enumerate().for_each(|(row, values)| {
         // A little aside: a line through an edge or a vertex meets two triangles there, or none.
@@ -289,12 +289,12 @@ fn parity(tree: &Tree, lattice: &Lattice, distance: &mut [f32]) {
 }
 
 struct Signs<'a> {
-    tree: &'a Tree,
-    lattice: &'a Lattice,
+    tree: &'a TriangleBvh,
+    lattice: &'a FieldLattice,
     watertight: bool,
     /// First layer of the slab.
     k0: usize,
-    seen: [usize; 2],
+    counts: [usize; 2],
 }
 
 impl Signs<'_> {
@@ -304,8 +304,8 @@ impl Signs<'_> {
 
     fn winding(&mut self, [i, j, k]: [usize; 3]) -> f32 {
         let w = self.tree.winding(self.lattice.point(i, j, k));
-        self.seen[0] += 1;
-        self.seen[1] += usize::from((w - 0.5).abs() < 0.25);
+        self.counts[0] += 1;
+        self.counts[1] += usize::from((w - 0.5).abs() < 0.25);
         w
     }
 
@@ -360,7 +360,7 @@ impl Signs<'_> {
 }
 
 /// Mean and 99th percentile of | |∇f| - 1 | at points in the band whose neighbours are all on their side of the surface.
-fn eikonal(distance: &[f32], lattice: &Lattice) -> [f64; 2] {
+fn eikonal(distance: &[f32], lattice: &FieldLattice) -> [f64; 2] {
     let [nx, ny, nz] = lattice.size;
     if nx < 3 || ny < 3 || nz < 3 {
         return [0.0; 2];
@@ -387,7 +387,7 @@ fn eikonal(distance: &[f32], lattice: &Lattice) -> [f64; 2] {
 /// voxel of a very large one). None if there is no such surface.
 pub fn of_iso_value(volume: &Volume, iso: f64) -> Option<DistanceGrid> {
     let mut stride = 1;
-    while volume.size.iter().map(|n| n.div_ceil(stride)).product::<usize>() > MOST_POINTS / 8 {
+    while volume.size.iter().map(|n| n.div_ceil(stride)).product::<usize>() > MAX_POINTS / 8 {
         stride *= 2;
     }
     let size = volume.size.map(|n| n.div_ceil(stride));

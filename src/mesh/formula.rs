@@ -9,7 +9,7 @@ use crate::math::Bounds;
 use glam::{Affine3A, Vec2, Vec3};
 
 /// The most solids of one object.
-pub const MOST_SOLIDS: usize = 16;
+pub const MAX_SOLIDS: usize = 16;
 
 /// A solid about its own centre.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,7 +28,7 @@ pub enum Solid {
 
 /// How a solid joins those before it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Join {
+pub enum CsgOperation {
     /// Inside either.
     #[default]
     Union,
@@ -44,7 +44,7 @@ pub struct PlacedSolid {
     /// The solid.
     pub solid: Solid,
     /// How it joins.
-    pub join: Join,
+    pub join: CsgOperation,
     /// World to the solid's own millimetres; rigid.
     pub local_from_world: Affine3A,
 }
@@ -108,9 +108,9 @@ impl Formula {
         for s in &self.0 {
             let d = s.solid.distance(s.local_from_world.transform_point3(world));
             all = match s.join {
-                Join::Union => all.max(d),
-                Join::Intersect => all.min(d),
-                Join::Subtract => all.min(-d),
+                CsgOperation::Union => all.max(d),
+                CsgOperation::Intersect => all.min(d),
+                CsgOperation::Subtract => all.min(-d),
             };
         }
         all
@@ -124,9 +124,9 @@ impl Formula {
             let b = Bounds::new(-half, half).transformed(&s.local_from_world.inverse());
             first.get_or_insert(b);
             all = match s.join {
-                Join::Union => all.union(&b),
-                Join::Intersect => all.intersection(&b),
-                Join::Subtract => all,
+                CsgOperation::Union => all.union(&b),
+                CsgOperation::Intersect => all.intersection(&b),
+                CsgOperation::Subtract => all,
             };
         }
         if all.is_empty() || all.size().min_element() <= 0.0 { first.unwrap_or(all) } else { all }
@@ -166,9 +166,9 @@ mod tests {
     fn solids_join() {
         let place = |solid, join, x: f32| PlacedSolid { solid, join, local_from_world: Affine3A::from_translation(Vec3::X * -x) };
         let f = Formula(vec![
-            place(Solid::Sphere(10.0), Join::Union, 0.0),
-            place(Solid::Sphere(10.0), Join::Union, 30.0),
-            place(Solid::Box(Vec3::splat(5.0)), Join::Subtract, 0.0),
+            place(Solid::Sphere(10.0), CsgOperation::Union, 0.0),
+            place(Solid::Sphere(10.0), CsgOperation::Union, 30.0),
+            place(Solid::Box(Vec3::splat(5.0)), CsgOperation::Subtract, 0.0),
         ]);
         assert_eq!(f.distance(Vec3::ZERO), -5.0);
         assert_eq!(f.distance(Vec3::X * 30.0), 10.0);

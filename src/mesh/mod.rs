@@ -7,6 +7,7 @@
 //! Coordinates are world millimetres, LPS. Mesh formats state no orientation, and what Slicer writes is LPS: they are taken as they are. GIfTI
 //! belongs to the NIfTI family and is RAS: its x and y are negated.
 
+mod bvh;
 pub mod contour;
 pub mod deformer;
 pub mod depth_map;
@@ -17,11 +18,10 @@ pub mod load;
 pub mod shapes;
 pub mod tessellate;
 mod topology;
-mod tree;
 
+pub use bvh::{MeshHit, Nearest, TriangleBvh};
 pub use implicit::Implicit;
 pub use topology::Topology;
-pub use tree::{MeshHit, Nearest, Tree};
 
 use crate::math::{Bounds, normalize_or};
 use glam::{Affine3A, Mat3, Vec3};
@@ -62,7 +62,7 @@ impl Mesh {
         }
         let cell = (bounds.size().length() * WELD).max(f32::MIN_POSITIVE);
         let mut index_of: HashMap<[i64; 3], u32> = HashMap::new();
-        let (mut kept, mut renamed) = (Vec::new(), vec![u32::MAX; positions.len()]);
+        let (mut unique_points, mut renamed) = (Vec::new(), vec![u32::MAX; positions.len()]);
         let mut referenced = 0;
         for &v in used.iter().flatten() {
             if renamed[v as usize] == u32::MAX {
@@ -70,23 +70,23 @@ impl Mesh {
                 let p = positions[v as usize];
                 let key = ((p - bounds.min) / cell).round().to_array().map(|c| c as i64);
                 renamed[v as usize] = *index_of.entry(key).or_insert_with(|| {
-                    kept.push(p);
-                    kept.len() as u32 - 1
+                    unique_points.push(p);
+                    unique_points.len() as u32 - 1
                 });
             }
         }
-        let welded = referenced - kept.len();
+        let welded = referenced - unique_points.len();
         let all = used.len();
         let triangles: Vec<[u32; 3]> = used
             .into_iter()
             .map(|t| t.map(|v| renamed[v as usize]))
             .filter(|t| {
-                let [a, b, c] = t.map(|v| kept[v as usize]);
+                let [a, b, c] = t.map(|v| unique_points[v as usize]);
                 t[0] != t[1] && t[1] != t[2] && t[2] != t[0] && (b - a).cross(c - a).length_squared() > 0.0
             })
             .collect();
         let degenerate = all - triangles.len();
-        Self { positions: kept, triangles, warnings, degenerate, welded }
+        Self { positions: unique_points, triangles, warnings, degenerate, welded }
     }
 
     /// The corners of a triangle.

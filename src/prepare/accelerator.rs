@@ -1,9 +1,9 @@
 //! What of preparing a scene a device may take over: sampling maps, finding empty space, evaluating stacks that are composed.
 
-use super::macrocells::{CellGrid, Contents, Flag};
-use crate::deform::compose::{self, Sources};
-use crate::deform::{DisplacementMap, Recipe, Stack};
-use crate::volume::Grid;
+use super::macrocells::{CellGrid, CellState, VisibilityCriteria};
+use crate::deform::compose::{self, SourcesAndAlphas};
+use crate::deform::{DisplacementMap, MapDefinition, Stack};
+use crate::volume::VoxelGrid;
 use crate::{Result, Watch};
 use glam::Vec3;
 use std::sync::Arc;
@@ -14,7 +14,7 @@ pub trait Accelerator {
     ///
     /// # Errors
     /// Whatever the device reports.
-    fn evaluate(&self, stack: &Stack, points: &[Vec3]) -> Result<Sources> {
+    fn evaluate(&self, stack: &Stack, points: &[Vec3]) -> Result<SourcesAndAlphas> {
         compose::evaluate(stack, points)
     }
 
@@ -22,12 +22,12 @@ pub trait Accelerator {
     ///
     /// # Errors
     /// Whatever the device reports; [`crate::Error::Cancelled`].
-    fn map(&self, recipe: Recipe, watch: &Watch) -> Result<Arc<DisplacementMap>> {
+    fn map(&self, recipe: MapDefinition, watch: &Watch) -> Result<Arc<DisplacementMap>> {
         recipe.map_until(watch).map(Arc::new)
     }
 
     /// Whether texels are wanted here, also of maps that a device has made before.
-    fn wants_texels(&self) -> bool {
+    fn needs_texels(&self) -> bool {
         true
     }
 
@@ -35,7 +35,7 @@ pub trait Accelerator {
     ///
     /// # Errors
     /// Whatever the device reports.
-    fn classify(&self, cells: &CellGrid, contents: &Contents, volume: &Grid) -> Result<Option<Vec<Flag>>> {
+    fn classify(&self, cells: &CellGrid, contents: &VisibilityCriteria, volume: &VoxelGrid) -> Result<Option<Vec<CellState>>> {
         let _ = (cells, contents, volume);
         Ok(None)
     }

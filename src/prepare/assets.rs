@@ -2,14 +2,14 @@
 
 use super::inside::InsideCache;
 use super::objects::ObjectCache;
-use super::sampled::Sampled;
+use super::sampled::SampledVolume;
 use crate::deform::Library;
 use crate::math::Bounds;
-use crate::picture::Stages;
+use crate::picture::StageTimes;
 use crate::scene::surface::{Appearance, MeshSource};
 use crate::scene::{Mode, Scene, VolumeSource};
-use crate::volume::load::Choice;
-use crate::volume::{Grid, Volume, load};
+use crate::volume::load::ReadOptions;
+use crate::volume::{Volume, VoxelGrid, load};
 use crate::{Error, Result, Watch};
 use glam::Vec3;
 use std::path::PathBuf;
@@ -60,25 +60,25 @@ pub struct Assets {
     /// The volume; an empty one if the scene has none.
     pub volume: Arc<Volume>,
     /// Its sampled form.
-    sampled: Arc<Sampled>,
+    sampled: Arc<SampledVolume>,
     /// What the volume was loaded from.
-    source: Option<(PathBuf, Choice)>,
+    source: Option<(PathBuf, ReadOptions)>,
     /// The label map that the scene names beside the volume, if it does.
     pub separate_labels: Option<Arc<Volume>>,
     /// A label map as colours, made when it is first shown so.
-    label_colors: OnceLock<Option<Sampled>>,
+    sampled_labels: OnceLock<Option<SampledVolume>>,
     /// What deformations read besides.
     pub library: Arc<Library>,
     /// Meshes and distance fields.
     pub(super) objects: ObjectCache,
     /// What a mesh that holds the volume makes of it.
-    pub(super) insides: InsideCache,
+    pub(super) inside_meshes: InsideCache,
     /// Whether there is a volume, or an empty one stands in its place.
     pub has_volume: bool,
     /// The box around all meshes, mm; empty without any.
     pub mesh_box: Bounds,
     /// Time that loading took.
-    pub stages: Stages,
+    pub stages: StageTimes,
 }
 
 impl Assets {
@@ -101,13 +101,13 @@ impl Assets {
         let report = |stage, share| options.progress.map_or((), |progress| progress(stage, share));
         let source = scene.volume_path().zip(scene.volume.as_ref().map(|v| v.choice.clone()));
         // The same file may be named from another folder.
-        let place = |s: &Option<(PathBuf, Choice)>| s.as_ref().map(|(path, choice)| (std::path::absolute(path).ok(), choice.clone()));
+        let place = |s: &Option<(PathBuf, ReadOptions)>| s.as_ref().map(|(path, choice)| (std::path::absolute(path).ok(), choice.clone()));
         let same_volume = options.previous.filter(|b| b.has_volume && source.is_some() && place(&b.source) == place(&source));
         let mut assets = match (same_volume, &source) {
             (Some(previous), _) => Self::with_volume_of(previous, scene.folder.clone()),
             (None, Some((path, choice))) => {
                 let reading = |share: f32| report("reading", share);
-                let mut stages = Stages::default();
+                let mut stages = StageTimes::default();
                 let volume = stages.time("load", || load::volume(path, choice, &Watch { progress: &reading, cancel }))?;
                 Self::in_folder(volume, scene.folder.clone(), stages)
             }
@@ -123,7 +123,7 @@ impl Assets {
         }
         if !assets.has_volume {
             let empty = Volume::empty_over(&assets.mesh_box);
-            assets.sampled = Arc::new(Sampled::new(Grid::new(&empty)));
+            assets.sampled = Arc::new(SampledVolume::new(VoxelGrid::new(&empty)));
             assets.volume = Arc::new(empty);
         }
         assets.stages = stages;
@@ -132,12 +132,12 @@ impl Assets {
 
     /// The assets of a scene that names nothing but a volume, which is in memory already.
     pub fn of_volume(volume: Volume) -> Self {
-        Self::in_folder(volume, PathBuf::new(), Stages::default())
+        Self::in_folder(volume, PathBuf::new(), StageTimes::default())
     }
 
-    fn in_folder(volume: Volume, folder: PathBuf, mut stages: Stages) -> Self {
-        let grid = stages.time("grid", || Grid::new(&volume));
-        let sampled = Arc::new(stages.time("bricks", || Sampled::new(grid)));
+    fn in_folder(volume: Volume, folder: PathBuf, mut stages: StageTimes) -> Self {
+        let grid = stages.time("grid", || VoxelGrid::new(&volume));
+        let sampled = Arc::new(stages.time("bricks", || SampledVolume::new(grid)));
         let volume = Arc::new(volume);
         let library = Arc::new(Library::new(volume.clone(), folder));
         Self { stages, ..Self::over(volume, sampled, library, true) }
@@ -146,7 +146,7 @@ impl Assets {
     /// An empty volume stands where there is none.
     fn without_volume(folder: PathBuf) -> Self {
         let volume = Volume::empty_over(&Bounds::UNIT);
-        let sampled = Arc::new(Sampled::new(Grid::new(&volume)));
+        let sampled = Arc::new(SampledVolume::new(VoxelGrid::new(&volume)));
         Self::over(Arc::new(volume), sampled, Arc::new(Library::without_volume(folder)), false)
     }
 
@@ -157,19 +157,19 @@ impl Assets {
         Self::over(previous.volume.clone(), previous.sampled.clone(), library, true)
     }
 
-    fn over(volume: Arc<Volume>, sampled: Arc<Sampled>, library: Arc<Library>, has_volume: bool) -> Self {
+    fn over(volume: Arc<Volume>, sampled: Arc<SampledVolume>, library: Arc<Library>, has_volume: bool) -> Self {
         Self {
             volume,
             sampled,
             source: None,
             separate_labels: None,
-            label_colors: OnceLock::new(),
+            sampled_labels: OnceLock::new(),
             library,
             objects: ObjectCache::default(),
-            insides: InsideCache::default(),
+            inside_meshes: InsideCache::default(),
             has_volume,
             mesh_box: Bounds::EMPTY,
-            stages: Stages::default(),
+            stages: StageTimes::default(),
         }
     }
 
@@ -191,23 +191,23 @@ impl Assets {
     pub fn label_map(&self) -> Result<&Arc<Volume>> {
         match &self.separate_labels {
             Some(map) => Ok(map),
-            None if self.has_volume && self.label_colors().is_some() => Ok(&self.volume),
+            None if self.has_volume && self.sampled_labels().is_some() => Ok(&self.volume),
             None => Err(Error::value("volume.labels", "there is no label map; open one over the volume")),
         }
     }
 
     /// The volume's voxels as they are sampled.
-    pub fn grid(&self) -> &Grid {
+    pub fn grid(&self) -> &VoxelGrid {
         &self.sampled.grid
     }
 
     /// The volume's voxels with what is derived from them.
-    pub(super) fn sampled(&self) -> &Sampled {
+    pub(super) fn sampled(&self) -> &SampledVolume {
         &self.sampled
     }
 
     /// The grid that a label map shows as colours; none if the volume is no label map.
-    pub(super) fn label_colors(&self) -> Option<&Sampled> {
-        self.label_colors.get_or_init(|| Grid::of_labels(&self.volume).map(Sampled::new)).as_ref()
+    pub(super) fn sampled_labels(&self) -> Option<&SampledVolume> {
+        self.sampled_labels.get_or_init(|| VoxelGrid::of_labels(&self.volume).map(SampledVolume::new)).as_ref()
     }
 }

@@ -6,7 +6,7 @@
 use super::prepared::Prepared;
 use crate::deform::StackAndCuts;
 use crate::math::Bounds;
-use crate::picture::{Picture, RenderStats, Rendered, Stages};
+use crate::picture::{Picture, RenderStats, Rendered, StageTimes};
 use crate::scene::{Mode, Projection};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -16,7 +16,7 @@ const POINTS: usize = 40;
 
 /// What is true of any point of the grid.
 #[derive(Clone, Copy, Default)]
-struct Found {
+struct PointVisibility {
     /// Something would be seen if nothing were deformed or cut.
     visible_before: bool,
     /// Matter is left by the deformations and cuts.
@@ -27,7 +27,7 @@ struct Found {
     in_view: bool,
 }
 
-impl Found {
+impl PointVisibility {
     fn or(self, o: Self) -> Self {
         Self {
             visible_before: self.visible_before || o.visible_before,
@@ -40,7 +40,7 @@ impl Found {
 
 impl Prepared<'_> {
     /// A picture of the scene with what a user should be told: what the renderer has to say, what resolving the scene has found, and why it is blank.
-    pub fn rendered(&self, picture: Picture, stats: Option<RenderStats>, stages: Stages, mut notices: Vec<String>) -> Rendered {
+    pub fn rendered(&self, picture: Picture, stats: Option<RenderStats>, stages: StageTimes, mut notices: Vec<String>) -> Rendered {
         let blank = self.why_blank(&picture);
         notices.extend(self.notices.iter().chain(&blank).cloned());
         Rendered { picture, stats, stages, notices, blank }
@@ -62,7 +62,7 @@ impl Prepared<'_> {
             return Some("the picture is empty: no voxel of the volume is a finite number; check the file".into());
         }
         let found = self.search(shows_volume);
-        let said = if !found.visible_before && shows_volume {
+        let reason = if !found.visible_before && shows_volume {
             self.why_invisible()
         } else if !found.left {
             "everything is cut away; make the cuts smaller, move them, or switch one off".to_owned()
@@ -79,7 +79,7 @@ impl Prepared<'_> {
         } else {
             "everything in view is too small to be seen; zoom in, or reduce render.step".to_owned()
         };
-        Some(format!("the picture is empty: {said}"))
+        Some(format!("the picture is empty: {reason}"))
     }
 
     /// Whether the volume is shown, rather than surfaces alone.
@@ -115,8 +115,8 @@ impl Prepared<'_> {
     }
 
     /// Asks the points of a grid.
-    fn search(&self, shows_volume: bool) -> Found {
-        let mut found = Found::default();
+    fn search(&self, shows_volume: bool) -> PointVisibility {
+        let mut found = PointVisibility::default();
         if shows_volume {
             let voxel_box = Bounds::new(Vec3::splat(-0.5), self.volume().grid_size - 0.5);
             let undeformed = voxel_box.transformed(&self.volume().voxel_from_world.inverse());
@@ -148,15 +148,15 @@ impl Prepared<'_> {
                 (None, None) => continue,
             };
             let more = if object.rigid || object.implicit.is_none() {
-                let all = points_over(&bounds).filter(|p| inside(*p) == Some(true)).map(|p| Found {
+                let all = points_over(&bounds).filter(|p| inside(*p) == Some(true)).map(|p| PointVisibility {
                     left: true,
                     visible: true,
                     in_view: self.is_in_view(p),
                     visible_before: true,
                 });
-                all.fold(Found::default(), Found::or)
+                all.fold(PointVisibility::default(), PointVisibility::or)
             } else {
-                Found { visible_before: true, ..self.of_points(&self.stack.deformed_bounds(&bounds), inside) }
+                PointVisibility { visible_before: true, ..self.of_points(&self.stack.deformed_bounds(&bounds), inside) }
             };
             found = found.or(more);
         }
@@ -164,15 +164,15 @@ impl Prepared<'_> {
     }
 
     /// What is true of the points of a box of the deformed scene; `shows` tells of a source point whether it shows something, none where nothing is.
-    fn of_points(&self, deformed: &Bounds, shows: impl Fn(Vec3) -> Option<bool> + Sync) -> Found {
+    fn of_points(&self, deformed: &Bounds, shows: impl Fn(Vec3) -> Option<bool> + Sync) -> PointVisibility {
         let points: Vec<Vec3> = points_over(deformed).collect();
         let deformation = StackAndCuts { stack: &self.stack, cuts: &self.cuts };
         let of_point = |p: &Vec3| {
             let shown = deformation.source(*p).and_then(&shows);
             let visible = shown == Some(true);
-            Found { visible_before: false, left: shown.is_some(), visible, in_view: visible && self.is_in_view(*p) }
+            PointVisibility { visible_before: false, left: shown.is_some(), visible, in_view: visible && self.is_in_view(*p) }
         };
-        points.par_iter().map(of_point).reduce(Found::default, Found::or)
+        points.par_iter().map(of_point).reduce(PointVisibility::default, PointVisibility::or)
     }
 
     /// Whether the transfer function shows any value that the volume has.

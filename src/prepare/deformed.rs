@@ -4,7 +4,7 @@ use super::accelerator::{Accelerator, CpuOnly};
 use super::assets::Assets;
 use super::stack::{self, Composition, StackInputs};
 use super::{PrepareOptions, blend_mm, inside};
-use crate::deform::cut::Cuts;
+use crate::deform::cut::CutShapes;
 use crate::deform::{Stack, StackAndCuts, Storage, invert};
 use crate::math::Bounds;
 use crate::mesh::Mesh;
@@ -18,7 +18,7 @@ pub struct Deformed {
     /// Maps, in order of application.
     pub stack: Stack,
     /// Cuts that come after every map.
-    pub cuts: Cuts,
+    pub cuts: CutShapes,
     /// What composing maps into one has cost in exactness, if any were.
     pub composition: Option<Composition>,
     /// The mesh that slices are cut from instead of a box.
@@ -86,7 +86,7 @@ impl Deformed {
     /// Where a point of the source is seen in the deformed scene, mm; none if it is cut away or no such point is found.
     pub fn forward(&self, source: Vec3) -> Option<Vec3> {
         let y = source.as_dvec3();
-        let backward = |p: DVec3| self.stack.walk_through(p.as_vec3()).0.as_dvec3();
+        let backward = |p: DVec3| self.stack.source_and_alpha_unclipped(p.as_vec3()).0.as_dvec3();
         let solution = invert::point(&backward, y, y + (y - backward(y)), 0.05, 5e-3);
         let deformed = solution.source.as_vec3();
         (solution.found && self.stack_and_cuts().source(deformed).is_some()).then_some(deformed)

@@ -30,10 +30,10 @@ const MASK: f32 = 192.0;
 const INVERSE: f32 = 80.0;
 
 /// Triangles that the deformed mesh is divided into, at most.
-const MOST_TRIANGLES: usize = 1_000_000;
+const MAX_TRIANGLES: usize = 1_000_000;
 
 /// What a mesh makes of the volume inside it.
-pub struct Inside {
+pub struct InsideMeshMaps {
     /// The mask, and the deformers' inverse if there are any; to be applied before everything else.
     pub maps: Vec<PlacedMap>,
     /// The mesh where it is seen, if slices may be cut from it.
@@ -43,40 +43,40 @@ pub struct Inside {
 /// What meshes that hold a volume made of it, kept by what it was made of, the last used last: distances and inverses take a second, and no camera changes
 /// them.
 #[derive(Default)]
-pub struct InsideCache(Mutex<Vec<(Made, Arc<Inside>)>>);
+pub struct InsideCache(Mutex<Vec<(InsideMeshKey, Arc<InsideMeshMaps>)>>);
 
-/// What an [`Inside`] was made of: the settings, the scene's box, the least ramp.
-type Made = (InsideMesh, Bounds, f32);
+/// What an [`InsideMeshMaps`] was made of: the settings, the scene's box, the least ramp.
+type InsideMeshKey = (InsideMesh, Bounds, f32);
 
 /// A coarse picture while something moves, and the full one after it.
-const KEPT: usize = 2;
+const MAX_CACHED_INSIDES: usize = 2;
 
 /// What the mesh that holds the scene's volume makes of it, if there is one.
 ///
 /// # Errors
 /// As [`resolve`].
-pub fn of_scene(scene: &Scene, assets: &Assets, scene_box: &Bounds, min_ramp_mm: f32) -> Result<Option<Arc<Inside>>> {
+pub fn of_scene(scene: &Scene, assets: &Assets, scene_box: &Bounds, min_ramp_mm: f32) -> Result<Option<Arc<InsideMeshMaps>>> {
     let Some(mesh) = scene.volume.as_ref().and_then(|v| v.inside.as_ref()) else { return Ok(None) };
-    let made = (mesh.clone(), *scene_box, min_ramp_mm);
-    let lock = || assets.insides.0.lock().unwrap_or_else(PoisonError::into_inner);
-    let known = {
-        let mut kept = lock();
+    let key = (mesh.clone(), *scene_box, min_ramp_mm);
+    let lock = || assets.inside_meshes.0.lock().unwrap_or_else(PoisonError::into_inner);
+    let cached = {
+        let mut entries = lock();
         // To the end: it is the one used last.
-        let at = kept.iter().position(|k| k.0 == made);
+        let at = entries.iter().position(|k| k.0 == key);
         at.and_then(|n| {
-            kept[n..].rotate_left(1);
-            kept.last().map(|k| k.1.clone())
+            entries[n..].rotate_left(1);
+            entries.last().map(|k| k.1.clone())
         })
     };
-    if known.is_some() {
-        return Ok(known);
+    if cached.is_some() {
+        return Ok(cached);
     }
     let inside = Arc::new(resolve(assets, mesh, scene_box, min_ramp_mm)?);
-    let mut kept = lock();
-    if kept.len() >= KEPT {
-        kept.remove(0);
+    let mut entries = lock();
+    if entries.len() >= MAX_CACHED_INSIDES {
+        entries.remove(0);
     }
-    kept.push((made, inside.clone()));
+    entries.push((key, inside.clone()));
     Ok(Some(inside))
 }
 
@@ -84,7 +84,7 @@ pub fn of_scene(scene: &Scene, assets: &Assets, scene_box: &Bounds, min_ramp_mm:
 ///
 /// # Errors
 /// A mesh that cannot be read or is not closed, a placement or deformer that cannot be used.
-pub fn resolve(assets: &Assets, inside: &InsideMesh, scene_box: &Bounds, min_ramp_mm: f32) -> Result<Inside> {
+pub fn resolve(assets: &Assets, inside: &InsideMesh, scene_box: &Bounds, min_ramp_mm: f32) -> Result<InsideMeshMaps> {
     let named = |e: Error| e.within("volume.inside");
     let path = assets.library.path(&inside.path);
     let mesh = load::mesh(&path)?;
@@ -105,7 +105,7 @@ pub fn resolve(assets: &Assets, inside: &InsideMesh, scene_box: &Bounds, min_ram
     let mut moved = mesh.clone();
     if !deformers.is_empty() {
         // A large triangle's edges stay straight, the volume inside does not.
-        moved = moved.tessellated(|p| apply_all(&deformers, p).0, 1e-4 * mesh.bounds().size().length(), MOST_TRIANGLES).0;
+        moved = moved.tessellated(|p| apply_all(&deformers, p).0, 1e-4 * mesh.bounds().size().length(), MAX_TRIANGLES).0;
         moved.positions.iter_mut().for_each(|p| *p = apply_all(&deformers, *p).0);
         let (map, missing) = inverse(&deformers, &mesh.bounds().union(&moved.bounds()))?;
         if missing > 0.01 {
@@ -116,7 +116,7 @@ pub fn resolve(assets: &Assets, inside: &InsideMesh, scene_box: &Bounds, min_ram
         }
         maps.push(map);
     }
-    Ok(Inside { maps, proxy: (!inside.invert).then(|| Arc::new(moved)) })
+    Ok(InsideMeshMaps { maps, proxy: (!inside.invert).then(|| Arc::new(moved)) })
 }
 
 /// The mesh's distance as a mask over the scene's box and the mesh's.

@@ -9,25 +9,25 @@
 //!
 //! What looks back a step for what it shows (samples beside cuts; all of them where segments or grey faces are shown) makes a cell occupied by what lies
 //! that far away; other cells are occupied by their own contents alone. Occupied cells also say whether any cut but the volume's own faces can
-//! matter in them ([`CLEAR`]): in most it cannot, and no sample there asks for one.
+//! matter in them ([`CUT_FREE`]): in most it cannot, and no sample there asks for one.
 
 use crate::deform::Stack;
-use crate::deform::cut::Cuts;
+use crate::deform::cut::CutShapes;
 use crate::math::lanes::*;
 use crate::math::{Bounds, MinMaxPyramid};
-use crate::transfer::{Blend, Table};
+use crate::transfer::{Blend, TransferTable};
 use glam::{Affine3A, UVec3, Vec3};
 use rayon::prelude::*;
 use std::sync::OnceLock;
 
 /// Most cells along an axis.
-const MOST_CELLS: f32 = 64.0;
+const MAX_CELLS: f32 = 64.0;
 
 /// Cells along the edge of the blocks that are asked first.
 const BLOCK: u32 = 8;
 
 /// An occupied cell for whose samples no mask varies and no shape is near: of cuts, only the volume's own faces can matter to them.
-pub const CLEAR: u8 = 255;
+pub const CUT_FREE: u8 = 255;
 
 /// The grid.
 pub struct Macrocells {
@@ -37,7 +37,7 @@ pub struct Macrocells {
     pub cell_mm: Vec3,
     /// Cells along each axis.
     pub size: UVec3,
-    /// Chessboard distance to the nearest occupied cell, x fastest; 0 is occupied, and so is 255 (`CLEAR`).
+    /// Chessboard distance to the nearest occupied cell, x fastest; 0 is occupied, and so is 255 (`CUT_FREE`).
     pub distance: Vec<u8>,
     /// The box of the occupied cells, mm; empty if there is none.
     pub occupied: Bounds,
@@ -47,22 +47,22 @@ pub struct Macrocells {
 }
 
 /// See [`Macrocells::blocks`].
-const IN_CLEAR: u8 = 128;
+const CUT_FREE_FLAG: u8 = 128;
 
 /// What decides whether a cell shows anything.
-pub struct Contents<'a> {
+pub struct VisibilityCriteria<'a> {
     /// The deformation.
     pub stack: &'a Stack,
     /// The cuts after it.
-    pub cuts: &'a Cuts,
+    pub cuts: &'a CutShapes,
     /// Normalised value of the surface that is shown instead of the volume.
     pub iso: Option<f32>,
     /// Whether the faces of cuts show whatever they cut.
     pub grey_faces: bool,
     /// How far every sample looks back, mm, for what it shows itself.
-    pub looks_back_mm: f32,
+    pub lookback_mm: f32,
     /// How far a sample beside a cut does.
-    pub beside_cuts_mm: f32,
+    pub cut_lookback_mm: f32,
     /// How near a shape matters to a sample, mm.
     pub cut_margin_mm: f32,
     /// World to voxel.
@@ -70,125 +70,127 @@ pub struct Contents<'a> {
     /// Extent of the volume in voxels: its box is -1/2 .. n - 1/2.
     pub voxel_box: Bounds,
     /// Normalised values.
-    pub pyramid: &'a MinMaxPyramid<1>,
+    pub value_pyramid: &'a MinMaxPyramid<1>,
     /// Opacity by value.
-    pub table: &'a Table,
+    pub table: &'a TransferTable,
     /// Composite pictures need opacity; projections need any matter.
     pub blend: Blend,
 }
 
 /// What a grid was classified by. What the voxels say is not among it: one is kept with each grid of voxels.
 #[derive(PartialEq)]
-pub struct Inputs {
+pub struct MacrocellKey {
     bounds: Bounds,
     voxel_mm: f32,
-    looks_back_mm: f32,
-    beside_cuts_mm: f32,
+    lookback_mm: f32,
+    cut_lookback_mm: f32,
     cut_margin_mm: f32,
     stack: Stack,
-    cuts: Cuts,
+    cuts: CutShapes,
     iso: Option<f32>,
     grey_faces: bool,
     blend: Blend,
     depths: Vec<f32>,
-    of_values: [f32; 2],
+    table_mapping: [f32; 2],
 }
 
-impl Inputs {
+impl MacrocellKey {
     /// Of a call of [`Macrocells::new`].
-    pub fn of(bounds: Bounds, voxel_mm: f32, contents: &Contents) -> Self {
-        let Contents { stack, cuts, iso, grey_faces, looks_back_mm, beside_cuts_mm, cut_margin_mm, table, blend, .. } = *contents;
+    pub fn of(bounds: Bounds, voxel_mm: f32, contents: &VisibilityCriteria) -> Self {
+        let VisibilityCriteria { stack, cuts, iso, grey_faces, lookback_mm, cut_lookback_mm, cut_margin_mm, table, blend, .. } = *contents;
         let (stack, cuts) = (stack.clone(), cuts.clone());
-        let (depths, of_values) = (table.entries.iter().map(|e| e[3]).collect(), [table.scale, table.offset]);
-        Self { bounds, voxel_mm, looks_back_mm, beside_cuts_mm, cut_margin_mm, stack, cuts, iso, grey_faces, blend, depths, of_values }
+        let (depths, table_mapping) = (table.entries.iter().map(|e| e[3]).collect(), [table.scale, table.offset]);
+        Self { bounds, voxel_mm, lookback_mm, cut_lookback_mm, cut_margin_mm, stack, cuts, iso, grey_faces, blend, depths, table_mapping }
     }
 }
 
 /// What a box of the deformed scene shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Seen {
+pub enum BoxVisibility {
     /// Nothing, anywhere in it.
-    Nothing,
+    Invisible,
     /// Something, perhaps.
-    Perhaps,
+    MaybeVisible,
     /// Something in every part of it, as far as these bounds can tell.
-    Throughout,
+    VisibleEverywhere,
 }
 
-impl Contents<'_> {
+impl VisibilityCriteria<'_> {
     /// How far beyond a box there may be something that samples in it show, mm.
     pub fn reach_mm(&self) -> f32 {
-        let cuts = self.stack.cuts() || !self.cuts.is_empty();
-        if cuts { self.beside_cuts_mm.max(self.looks_back_mm) } else { self.looks_back_mm }
+        let cuts = self.stack.has_cuts() || !self.cuts.is_empty();
+        if cuts { self.cut_lookback_mm.max(self.lookback_mm) } else { self.lookback_mm }
     }
 
     /// What samples in a box of the deformed scene can see.
-    fn seen(&self, deformed: &Bounds) -> Seen {
-        let (seen, beside_a_cut) = self.contained(&deformed.grown(self.looks_back_mm));
-        if seen == Seen::Nothing && self.beside_cuts_mm > self.looks_back_mm && (beside_a_cut || self.beside_a_shape(deformed)) {
-            return self.contained(&deformed.grown(self.beside_cuts_mm)).0;
+    fn visibility(&self, deformed: &Bounds) -> BoxVisibility {
+        let (visibility, is_near_cut) = self.box_visibility(&deformed.grown(self.lookback_mm));
+        if visibility == BoxVisibility::Invisible && self.cut_lookback_mm > self.lookback_mm && (is_near_cut || self.is_near_cut_shape(deformed)) {
+            return self.box_visibility(&deformed.grown(self.cut_lookback_mm)).0;
         }
-        seen
+        visibility
     }
 
     /// Whether a shape that cuts is within the reach of samples in a box.
-    fn beside_a_shape(&self, deformed: &Bounds) -> bool {
+    fn is_near_cut_shape(&self, deformed: &Bounds) -> bool {
         !self.cuts.is_empty() && {
-            let [least, most] = self.cuts.bounds(&deformed.grown(self.beside_cuts_mm));
+            let [least, most] = self.cuts.bounds(&deformed.grown(self.cut_lookback_mm));
             least < 0.0 && most >= 0.0
         }
     }
 
     /// Whether masks or shapes matter to samples in a box or to where their rays enter matter, at most a step in front of them.
     fn near_cuts(&self, deformed: &Bounds) -> bool {
-        let reached = deformed.grown(self.beside_cuts_mm);
+        let reached = deformed.grown(self.cut_lookback_mm);
         self.stack.mask_varies(&reached) || (!self.cuts.is_empty() && self.cuts.bounds(&reached)[0] < self.cut_margin_mm)
     }
 
     /// What can be seen in a box of the deformed scene, and whether a mask varies there.
-    fn contained(&self, deformed: &Bounds) -> (Seen, bool) {
-        let [least_kept, most_kept] = self.cuts.bounds(deformed);
-        if most_kept < 0.0 {
-            return (Seen::Nothing, false);
+    fn box_visibility(&self, deformed: &Bounds) -> (BoxVisibility, bool) {
+        let [min_distance, max_distance] = self.cuts.bounds(deformed);
+        if max_distance < 0.0 {
+            return (BoxVisibility::Invisible, false);
         }
-        let (mut nothing, mut throughout, mut beside_a_cut) = (true, true, false);
-        self.stack.source_parts(deformed, &mut |source, [least_alpha, most_alpha]| {
-            let seen = self.seen_in_source(source, least_kept >= 0.0 && least_alpha >= 0.5, most_alpha);
-            nothing &= seen == Seen::Nothing;
-            throughout &= seen == Seen::Throughout;
-            beside_a_cut |= least_alpha < 1.0;
+        let (mut nothing, mut throughout, mut is_near_cut) = (true, true, false);
+        self.stack.source_parts(deformed, &mut |source, [min_alpha, max_alpha]| {
+            let visibility = self.source_visibility(source, min_distance >= 0.0 && min_alpha >= 0.5, max_alpha);
+            nothing &= visibility == BoxVisibility::Invisible;
+            throughout &= visibility == BoxVisibility::VisibleEverywhere;
+            is_near_cut |= min_alpha < 1.0;
         });
-        let seen = match (nothing, throughout) {
-            (true, _) => Seen::Nothing,
-            (_, true) => Seen::Throughout,
-            _ => Seen::Perhaps,
+        let visibility = match (nothing, throughout) {
+            (true, _) => BoxVisibility::Invisible,
+            (_, true) => BoxVisibility::VisibleEverywhere,
+            _ => BoxVisibility::MaybeVisible,
         };
-        (seen, beside_a_cut)
+        (visibility, is_near_cut)
     }
 
     /// What can be seen of a box of the source, `whole` if nothing of it is cut away.
-    fn seen_in_source(&self, source: &Bounds, whole: bool, most_alpha: f32) -> Seen {
-        if most_alpha < 0.5 {
-            return Seen::Nothing;
+    fn source_visibility(&self, source: &Bounds, whole: bool, max_alpha: f32) -> BoxVisibility {
+        if max_alpha < 0.5 {
+            return BoxVisibility::Invisible;
         }
         let in_voxel = source.transformed(self.voxel_from_world).grown(0.01);
         let inside = in_voxel.intersection(&self.voxel_box);
         if inside.is_empty() {
-            return Seen::Nothing;
+            return BoxVisibility::Invisible;
         }
-        let throughout = |all: bool| if all && whole && self.voxel_box.contains(&in_voxel) { Seen::Throughout } else { Seen::Perhaps };
+        let throughout = |all: bool| {
+            if all && whole && self.voxel_box.contains(&in_voxel) { BoxVisibility::VisibleEverywhere } else { BoxVisibility::MaybeVisible }
+        };
         if self.blend != Blend::Composite {
             return throughout(true);
         }
         if self.grey_faces && !whole {
-            return Seen::Perhaps;
+            return BoxVisibility::MaybeVisible;
         }
-        let values = self.pyramid.query(inside.min, inside.max);
+        let values = self.value_pyramid.query(inside.min, inside.max);
         let ([low], [high]) = (values.min, values.max);
         if let Some(iso) = self.iso {
-            return if high < iso { Seen::Nothing } else { throughout(low >= iso) };
+            return if high < iso { BoxVisibility::Invisible } else { throughout(low >= iso) };
         }
-        if self.table.max_depth(low, high) <= 0.0 { Seen::Nothing } else { throughout(self.table.is_visible_throughout(low, high)) }
+        if self.table.max_depth(low, high) <= 0.0 { BoxVisibility::Invisible } else { throughout(self.table.is_visible_throughout(low, high)) }
     }
 }
 
@@ -207,13 +209,13 @@ pub struct CellGrid {
 
 /// What a cell shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Flag {
+pub enum CellState {
     /// Nothing.
     Empty,
     /// Something, perhaps.
     Occupied,
     /// Something, perhaps, and no cut but the volume's own faces can matter to it.
-    Clear,
+    CutFree,
 }
 
 impl CellGrid {
@@ -227,7 +229,7 @@ impl CellGrid {
 
     /// Cells for a volume of voxels of `voxel_mm`: not much smaller than a few of those, and not too many.
     pub fn over(bounds: Bounds, voxel_mm: f32) -> Self {
-        Self::new(bounds, (bounds.size().max_element() / MOST_CELLS).max(3.0 * voxel_mm))
+        Self::new(bounds, (bounds.size().max_element() / MAX_CELLS).max(3.0 * voxel_mm))
     }
 
     /// The box between two corners of cells, with the margin.
@@ -247,7 +249,7 @@ impl Macrocells {
         Self { origin, cell_mm, size, distance, occupied, blocks: OnceLock::new(), cells_per_mm: cell_mm.recip() }
     }
 
-    /// What renderers ask: as `distance`, but for clear cells `IN_CLEAR` (128) more than their chessboard distance to the nearest cell that is not clear.
+    /// What renderers ask: as `distance`, but for clear cells `CUT_FREE_FLAG` (128) more than their chessboard distance to the nearest cell that is not clear.
     /// Found when first asked for.
     #[inline(always)]
     pub fn blocks(&self) -> &[u8] {
@@ -260,22 +262,22 @@ impl Macrocells {
     #[cold]
     fn find_blocks(&self) -> &[u8] {
         self.blocks.get_or_init(|| {
-            let other: Vec<bool> = self.distance.iter().map(|d| *d != CLEAR).collect();
+            let other: Vec<bool> = self.distance.iter().map(|d| *d != CUT_FREE).collect();
             let blocks = self.distance.iter().zip(chessboard_distance(&other, self.size));
-            blocks.map(|(&d, inside)| if d == CLEAR { IN_CLEAR + inside.min(IN_CLEAR - 1) } else { d.min(IN_CLEAR - 1) }).collect()
+            blocks.map(|(&d, inside)| if d == CUT_FREE { CUT_FREE_FLAG + inside.min(CUT_FREE_FLAG - 1) } else { d.min(CUT_FREE_FLAG - 1) }).collect()
         })
     }
 
     /// Classifies a grid over `bounds`, the box of the deformed scene. What a sample sees by looking back counts as seen where the sample is.
-    pub fn new(bounds: Bounds, voxel_mm: f32, contents: &Contents) -> Self {
+    pub fn new(bounds: Bounds, voxel_mm: f32, contents: &VisibilityCriteria) -> Self {
         contents.stack.fetch_texels();
-        Self::classified(CellGrid::over(bounds, voxel_mm), |b| contents.seen(b), |b| contents.near_cuts(b))
+        Self::classified(CellGrid::over(bounds, voxel_mm), |b| contents.visibility(b), |b| contents.near_cuts(b))
     }
 
     /// Cells of a grid, those occupied in whose box anything is seen, and of those clear that are not `near_cuts`.
     ///
     /// Blocks of cells are asked before their cells: what shows nothing, or something throughout, is not asked again.
-    pub fn classified(grid: CellGrid, seen: impl Fn(&Bounds) -> Seen + Sync, near_cuts: impl Fn(&Bounds) -> bool + Sync) -> Self {
+    pub fn classified(grid: CellGrid, visibility: impl Fn(&Bounds) -> BoxVisibility + Sync, near_cuts: impl Fn(&Bounds) -> bool + Sync) -> Self {
         let size = grid.size;
         let blocks = UVec3::from(size.to_array().map(|n| n.div_ceil(BLOCK)));
         let between = |low: UVec3, high: UVec3| grid.between(low, high);
@@ -285,29 +287,34 @@ impl Macrocells {
                 let low = UVec3::new(index % blocks.x, index / blocks.x % blocks.y, index / blocks.x / blocks.y) * BLOCK;
                 let high = size.min(low + BLOCK);
                 let (mut cells, mut near) = (Vec::new(), Vec::new());
-                occupied_cells(&|low, high| seen(&between(low, high)), low, high, &mut cells);
+                occupied_cells(&|low, high| visibility(&between(low, high)), low, high, &mut cells);
                 if !cells.is_empty() {
-                    occupied_cells(&|low, high| if near_cuts(&between(low, high)) { Seen::Perhaps } else { Seen::Nothing }, low, high, &mut near);
+                    occupied_cells(
+                        &|low, high| if near_cuts(&between(low, high)) { BoxVisibility::MaybeVisible } else { BoxVisibility::Invisible },
+                        low,
+                        high,
+                        &mut near,
+                    );
                 }
                 [cells, near]
             })
             .collect();
-        let mut flags = vec![Flag::Empty; size.element_product() as usize];
+        let mut flags = vec![CellState::Empty; size.element_product() as usize];
         let index = |cell: UVec3| ((cell.z * size.y + cell.y) * size.x + cell.x) as usize;
         for &cell in found.iter().flat_map(|[cells, _]| cells) {
-            flags[index(cell)] = Flag::Clear;
+            flags[index(cell)] = CellState::CutFree;
         }
         for &cell in found.iter().flat_map(|[_, near]| near) {
             let at = &mut flags[index(cell)];
-            *at = if *at == Flag::Clear { Flag::Occupied } else { *at };
+            *at = if *at == CellState::CutFree { CellState::Occupied } else { *at };
         }
         Self::of_flags(&grid, &flags)
     }
 
     /// Cells of a grid by what they show, x fastest.
-    pub fn of_flags(grid: &CellGrid, flags: &[Flag]) -> Self {
+    pub fn of_flags(grid: &CellGrid, flags: &[CellState]) -> Self {
         let CellGrid { bounds, size, cell_mm, .. } = *grid;
-        let occupied: Vec<bool> = flags.iter().map(|f| *f != Flag::Empty).collect();
+        let occupied: Vec<bool> = flags.iter().map(|f| *f != CellState::Empty).collect();
         let mut all: Option<(UVec3, UVec3)> = None;
         for (n, row) in occupied.chunks(size.x as usize).enumerate() {
             if let (Some(first), Some(last)) = (row.iter().position(|o| *o), row.iter().rposition(|o| *o)) {
@@ -317,7 +324,7 @@ impl Macrocells {
             }
         }
         let mut distance = chessboard_distance(&occupied, size);
-        distance.iter_mut().zip(flags).filter(|(_, f)| **f == Flag::Clear).for_each(|(d, _)| *d = CLEAR);
+        distance.iter_mut().zip(flags).filter(|(_, f)| **f == CellState::CutFree).for_each(|(d, _)| *d = CUT_FREE);
         let of_cells =
             |(low, high): (UVec3, UVec3)| Bounds::new(bounds.min + low.as_vec3() * cell_mm, bounds.min + high.as_vec3() * cell_mm + cell_mm);
         Self::of_distances(bounds.min, cell_mm, size, distance, all.map_or(Bounds::EMPTY, of_cells))
@@ -325,7 +332,7 @@ impl Macrocells {
 
     /// Whether a cell, by its flat index, may show anything.
     pub fn is_occupied(&self, index: usize) -> bool {
-        matches!(self.distance[index], 0 | CLEAR)
+        matches!(self.distance[index], 0 | CUT_FREE)
     }
 
     /// The box of a cell by its flat index.
@@ -398,9 +405,9 @@ impl Macrocells {
             blocks[n] = i32::from(of_cells[index[n] as usize]);
         }
         let blocks = i32x8::load_array(simd, blocks);
-        let clear = blocks.simd_ge(i32::from(IN_CLEAR));
+        let clear = blocks.simd_ge(i32::from(CUT_FREE_FLAG));
         let empty = blocks.simd_gt(0) & !clear;
-        let reach = (blocks & i32::from(IN_CLEAR - 1)).to_float::<f32x8<S>>();
+        let reach = (blocks & i32::from(CUT_FREE_FLAG - 1)).to_float::<f32x8<S>>();
         let x = self.leaves(x, reach, origin.x, inverse_direction.x, 0);
         let y = self.leaves(y, reach, origin.y, inverse_direction.y, 1);
         let z = self.leaves(z, reach, origin.z, inverse_direction.z, 2);
@@ -409,17 +416,17 @@ impl Macrocells {
 }
 
 /// The occupied cells from `low` up to, not including, `high`, by what is seen between the corners of cells.
-fn occupied_cells(seen: &impl Fn(UVec3, UVec3) -> Seen, low: UVec3, high: UVec3, cells: &mut Vec<UVec3>) {
+fn occupied_cells(visibility: &impl Fn(UVec3, UVec3) -> BoxVisibility, low: UVec3, high: UVec3, cells: &mut Vec<UVec3>) {
     let extent = high - low;
-    match seen(low, high) {
-        Seen::Nothing => {}
-        Seen::Perhaps if extent.max_element() > 1 => {
+    match visibility(low, high) {
+        BoxVisibility::Invisible => {}
+        BoxVisibility::MaybeVisible if extent.max_element() > 1 => {
             let middle = low + UVec3::from(extent.to_array().map(|n| n.div_ceil(2)));
             for octant in 0..8u32 {
                 let upper = UVec3::new(octant & 1, octant >> 1 & 1, octant >> 2);
                 let (from, to) = (low + upper * (middle - low), middle + upper * (high - middle));
                 if from.cmplt(to).all() {
-                    occupied_cells(seen, from, to, cells);
+                    occupied_cells(visibility, from, to, cells);
                 }
             }
         }
@@ -442,7 +449,7 @@ fn cell_box(bounds: &Bounds, size: UVec3, cell_mm: Vec3, index: u32) -> Bounds {
 /// Chessboard distance of each cell to the nearest occupied one, at most 254: two passes over the rows, forwards and backwards, each of which takes
 /// the least of the neighbours that it has been to, plus one (Rosenfeld and Pfaltz 1968: exact for this metric).
 fn chessboard_distance(occupied: &[bool], size: UVec3) -> Vec<u8> {
-    const FAR: u8 = CLEAR - 1;
+    const FAR: u8 = CUT_FREE - 1;
     let [nx, ny, nz] = size.to_array().map(|n| n as usize);
     let mut distance: Vec<u8> = occupied.iter().map(|&o| if o { 0 } else { FAR }).collect();
     // The least of the rows around one, with a cell more at both ends.
@@ -500,8 +507,8 @@ mod tests {
     /// Eight points are told of empty cells what one is; and of clear cells where the ray leaves them, up to which every point lies in a clear cell.
     #[test]
     fn blocks_are_those_of_cells() {
-        struct Eight<'a>(&'a Macrocells, [Vec3; LANES], [Vec3; LANES]);
-        impl OverSimd for Eight<'_> {
+        struct BlocksKernel<'a>(&'a Macrocells, [Vec3; LANES], [Vec3; LANES]);
+        impl SimdKernel for BlocksKernel<'_> {
             type Output = [(bool, bool, f32); LANES];
             #[inline(always)]
             fn run<S: Simd>(self, simd: S) -> Self::Output {
@@ -514,15 +521,16 @@ mod tests {
         }
         let bounds = Bounds::new(Vec3::new(-3.0, 1.0, 2.0), Vec3::new(37.0, 31.0, 34.0));
         let ball = |b: &Bounds, radius: f32| (b.center() - bounds.center()).length() < radius;
-        let seen = |b: &Bounds| if b.size().max_element() > 3.0 || ball(b, 13.0) { Seen::Perhaps } else { Seen::Nothing };
-        let cells = Macrocells::classified(CellGrid::new(bounds, 2.0), seen, |b| b.size().max_element() > 3.0 || !ball(b, 10.0));
-        let clear_at = |p: Vec3| cells.distance[cells.index(p)] == CLEAR;
+        let visibility =
+            |b: &Bounds| if b.size().max_element() > 3.0 || ball(b, 13.0) { BoxVisibility::MaybeVisible } else { BoxVisibility::Invisible };
+        let cells = Macrocells::classified(CellGrid::new(bounds, 2.0), visibility, |b| b.size().max_element() > 3.0 || !ball(b, 10.0));
+        let clear_at = |p: Vec3| cells.distance[cells.index(p)] == CUT_FREE;
         let (mut empties, mut clears, mut others, mut longest) = (0, 0, 0, 0.0f32);
         for n in 0..600 {
             let at = |m: usize| bounds.min + bounds.size() * Vec3::from([7919, 104_729, 1_299_709].map(|p| (m * p % 10_007) as f32 / 10_007.0));
             let points: [Vec3; LANES] = std::array::from_fn(|lane| at(n * 8 + lane + 1));
             let directions = std::array::from_fn(|lane| (at(n * 8 + lane + 77) - points[lane]).normalize());
-            for (lane, (empty, clear, exit)) in with_simd(Eight(&cells, points, directions)).into_iter().enumerate() {
+            for (lane, (empty, clear, exit)) in with_simd(BlocksKernel(&cells, points, directions)).into_iter().enumerate() {
                 let (p, d) = (points[lane], directions[lane]);
                 let single = cells.empty_until(p, p, d.recip());
                 assert_eq!((empty, clear), (single.is_some(), clear_at(p)), "{p}");

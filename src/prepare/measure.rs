@@ -1,7 +1,7 @@
 //! Measurements of a scene worked out: a length as it is in the patient and as it is in the picture.
 
 use super::{Assets, Deformed};
-use crate::deform::distance::{Region, of_region};
+use crate::deform::distance::{RegionSource, of_region};
 use crate::scene::measure::{Measure, MeasureKind};
 use crate::volume::Volume;
 use crate::{Error, Result};
@@ -113,7 +113,7 @@ fn label_quantities(labels: &Volume, label: u32, deformed: &Deformed) -> Result<
 
 /// The area of a label's smoothed surface: the integral of |∇f| δ(f) with a cosine for δ, two voxels wide (coarea formula).
 fn surface_mm2(labels: &Volume, label: u32) -> Option<f64> {
-    let field = of_region(labels, &Region::Labels(&[label as usize]), true)?;
+    let field = of_region(labels, &RegionSource::Labels(&[label as usize]), true)?;
     let [nx, ny, nz] = labels.size;
     let spacing = labels.spacing_mm();
     let width = 2.0 * spacing.max_element();
@@ -190,7 +190,7 @@ mod tests {
         let (p, q) = (b.center() + b.size() * Vec3::new(0.1, 0.0, -0.3), b.center() + b.size() * Vec3::new(0.1, 0.0, 0.3));
         let found = measure(MeasureKind::Distance, &[p.into(), q.into()]).quantities(&assets, &deformed).unwrap();
         let seen = (deformed.forward(q).unwrap() - deformed.forward(p).unwrap()).length();
-        assert!((deformed.stack.walk(deformed.forward(q).unwrap()).0 - q).length() < 0.01);
+        assert!((deformed.stack.source_and_alpha(deformed.forward(q).unwrap()).0 - q).length() < 0.01);
         assert!((found[0].value.unwrap() - f64::from((q - p).length())).abs() < 1e-3);
         assert!((found[1].value.unwrap() - f64::from(seen)).abs() < 1e-3 && f64::from(seen) > found[0].value.unwrap() + 0.1);
     }

@@ -21,7 +21,7 @@ mod volume;
 pub use accelerator::{Accelerator, CpuOnly};
 pub use assets::{AssetKey, Assets, LoadOptions};
 pub use deformed::Deformed;
-pub use macrocells::{CellGrid, Contents, Flag, Macrocells};
+pub use macrocells::{CellGrid, CellState, Macrocells, VisibilityCriteria};
 pub use prepared::{Frame, Prepared, Steps};
 pub use volume::VolumeObject;
 

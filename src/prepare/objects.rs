@@ -2,19 +2,19 @@
 //! triangles, or both.
 
 use super::Assets;
-use super::surface_cells::{Casting, KeptCells, SurfaceCells};
+use super::surface_cells::{SurfaceCells, SurfaceCellsCache, SurfaceCellsInputs};
 use crate::Watch;
-use crate::deform::cut::Cuts;
-use crate::deform::distance::{Region, of_region};
-use crate::deform::slope::Slopes;
+use crate::deform::cut::CutShapes;
+use crate::deform::distance::{RegionSource, of_region};
+use crate::deform::lipschitz::LipschitzBounds;
 use crate::deform::{Placement, Stack};
 use crate::error::suggestion;
 use crate::math::{Bounds, DistanceGrid};
-use crate::mesh::deformer::{Deform, Deformer, LATTICE, MOST_DEFORMERS, NormalMethod, apply_all, deform_vertex};
+use crate::mesh::deformer::{Deformer, DeformerKind, LATTICE, MAX_DEFORMERS, NormalMethod, apply_all, deform_vertex};
 use crate::mesh::depth_map::{DepthMaps, FACES};
 use crate::mesh::field::{FieldSettings, MARGIN, MeshField, cell_of, of_iso_value};
-use crate::mesh::formula::{Formula, Join, MOST_SOLIDS, PlacedSolid, Solid};
-use crate::mesh::{Implicit, Mesh, Tree, load};
+use crate::mesh::formula::{CsgOperation, Formula, MAX_SOLIDS, PlacedSolid, Solid};
+use crate::mesh::{Implicit, Mesh, TriangleBvh, load};
 use crate::scene::surface::{CutModel, DeformerSource, Look, MeshPlace, MeshSource, Representation, ShapeSource, Steps, SurfaceSettings};
 use crate::scene::{Mode, Scene, Size};
 use crate::{Error, Result};
@@ -23,18 +23,18 @@ use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 /// Triangles that tessellation stops at.
-const MOST_TESSELLATED: usize = 4_000_000;
+const MAX_TESSELLATED_TRIANGLES: usize = 4_000_000;
 /// Most objects of a scene.
-const MOST_OBJECTS: usize = 64;
+const MAX_OBJECTS: usize = 64;
 
 /// Bytes of fields that are kept though nothing shows them: a hand that drags an iso-value leaves one for each.
-const KEPT_FIELD_BYTES: usize = 512 << 20;
+const MAX_CACHED_FIELD_BYTES: usize = 512 << 20;
 
 /// Computed fields by what decides them, the most recently used last.
 #[derive(Default)]
-struct KeptFields(Vec<(String, Arc<DistanceGrid>)>);
+struct FieldCache(Vec<(String, Arc<DistanceGrid>)>);
 
-impl KeptFields {
+impl FieldCache {
     fn get(&mut self, key: &str) -> Option<Arc<DistanceGrid>> {
         let at = self.0.iter().position(|(of, _)| of == key)?;
         self.0[at..].rotate_left(1);
@@ -42,13 +42,13 @@ impl KeptFields {
     }
 
     /// Keeps a field, and lets go of those that were used longest ago where they are too many.
-    fn insert(&mut self, key: String, field: Arc<DistanceGrid>, most_bytes: usize) {
+    fn insert(&mut self, key: String, field: Arc<DistanceGrid>, max_bytes: usize) {
         self.0.retain(|(of, _)| *of != key);
         self.0.push((key, field));
         let bytes_of = |field: &DistanceGrid| size_of_val(&*field.distance_mm);
         let mut bytes: usize = self.0.iter().map(|(_, field)| bytes_of(field)).sum();
         self.0.retain(|(_, field)| {
-            let goes = bytes > most_bytes && Arc::strong_count(field) == 1;
+            let goes = bytes > max_bytes && Arc::strong_count(field) == 1;
             bytes -= if goes { bytes_of(field) } else { 0 };
             !goes
         });
@@ -59,10 +59,10 @@ impl KeptFields {
 #[derive(Default)]
 pub struct ObjectCache {
     meshes: Mutex<HashMap<String, Arc<Mesh>>>,
-    fields: Mutex<KeptFields>,
+    fields: Mutex<FieldCache>,
     triangles: Mutex<HashMap<String, Arc<Triangles>>>,
     depths: Mutex<HashMap<String, Arc<DepthMaps>>>,
-    cells: KeptCells,
+    cells: SurfaceCellsCache,
 }
 
 fn lock<T>(m: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -77,7 +77,7 @@ pub struct Triangles {
     /// Its normals, per corner.
     pub normals: Vec<[Vec3; 3]>,
     /// Its triangles by place.
-    pub tree: Tree,
+    pub tree: TriangleBvh,
     /// Before its deformers: positions and normals, per corner.
     pub undeformed: Vec<[(Vec3, Vec3); 3]>,
 }
@@ -195,7 +195,7 @@ impl ObjectCache {
         let deformers = deformers(&source.deformer, &placed.bounds())?;
         let mut mesh = (*placed).clone();
         if let (Some(tolerance), false) = (source.tessellate, deformers.is_empty()) {
-            let (finer, reached) = mesh.tessellated(|p| apply_all(&deformers, p).0, tolerance, MOST_TESSELLATED);
+            let (finer, reached) = mesh.tessellated(|p| apply_all(&deformers, p).0, tolerance, MAX_TESSELLATED_TRIANGLES);
             if !reached {
                 assets.library.notice(format!(
                     "{}: tessellation stopped at {} triangles, before {tolerance} mm",
@@ -221,7 +221,7 @@ impl ObjectCache {
             mesh.positions.iter_mut().for_each(|p| *p = apply_all(&deformers, *p).0);
             turned
         };
-        let t = Arc::new(Triangles { tree: Tree::new(&mesh), mesh, normals, undeformed });
+        let t = Arc::new(Triangles { tree: TriangleBvh::new(&mesh), mesh, normals, undeformed });
         lock(&self.triangles).insert(key, t.clone());
         Ok(t)
     }
@@ -280,7 +280,7 @@ impl ObjectCache {
                     ));
                 }
                 let grid = Arc::new(field.grid);
-                lock(&self.fields).insert(key, grid.clone(), KEPT_FIELD_BYTES);
+                lock(&self.fields).insert(key, grid.clone(), MAX_CACHED_FIELD_BYTES);
                 Ok(Implicit::Grid(grid))
             }
         }
@@ -313,7 +313,7 @@ impl ObjectCache {
                     return Ok(Arc::new(nothing_within(&volume.bounds_in_world())));
                 }
             },
-            None => of_region(&volume, &Region::Labels(&source.label), true)
+            None => of_region(&volume, &RegionSource::Labels(&source.label), true)
                 .ok_or_else(|| Error::value("label", format!("no surface has the labels {:?}: no voxel has them, or all do", source.label))),
         }?;
         let grid = grid.closed_at_faces();
@@ -321,15 +321,15 @@ impl ObjectCache {
             return Err(Error::value("iso, label", "what they name is too thin to have an inside"));
         }
         let grid = Arc::new(grid);
-        lock(&self.fields).insert(key, grid.clone(), KEPT_FIELD_BYTES);
+        lock(&self.fields).insert(key, grid.clone(), MAX_CACHED_FIELD_BYTES);
         Ok(grid)
     }
 }
 
 /// The deformers of a mesh that lies in `bounds`.
 pub(super) fn deformers(sources: &[DeformerSource], bounds: &Bounds) -> Result<Vec<Deformer>> {
-    if sources.len() > MOST_DEFORMERS {
-        return Err(Error::value("deformer", format!("a mesh has at most {MOST_DEFORMERS}")));
+    if sources.len() > MAX_DEFORMERS {
+        return Err(Error::value("deformer", format!("a mesh has at most {MAX_DEFORMERS}")));
     }
     sources.iter().map(|d| deformer(d, bounds)).collect()
 }
@@ -344,14 +344,17 @@ fn deformer(d: &DeformerSource, bounds: &Bounds) -> Result<Deformer> {
         ("wave", &["amplitude", "length", "phase"]),
         ("lattice", &[]),
     ];
-    let Some((kind, known)) = KINDS.iter().find(|k| k.0 == d.kind) else {
+    let Some((kind, valid_names)) = KINDS.iter().find(|k| k.0 == d.kind) else {
         return Err(Error::value(
             format!("deformer \"{}\"", d.kind),
             format!("there is no such deformer; {}", suggestion(&d.kind, KINDS.iter().map(|k| k.0))),
         ));
     };
-    if let Some(name) = d.numbers.keys().find(|n| !known.contains(&n.as_str())) {
-        return Err(Error::value(format!("{kind}: {name}"), format!("there is no such parameter; {}", suggestion(name, known.iter().copied()))));
+    if let Some(name) = d.numbers.keys().find(|n| !valid_names.contains(&n.as_str())) {
+        return Err(Error::value(
+            format!("{kind}: {name}"),
+            format!("there is no such parameter; {}", suggestion(name, valid_names.iter().copied())),
+        ));
     }
     if let Some((name, value)) = d.numbers.iter().find(|(_, v)| !v.is_finite()) {
         return Err(Error::value(format!("{kind}: {name}"), format!("{value} is not finite")));
@@ -373,14 +376,18 @@ fn deformer(d: &DeformerSource, bounds: &Bounds) -> Result<Deformer> {
         v => Err(Error::value(format!("{kind}: {name}"), format!("{v} is not positive"))),
     };
     let deform = match *kind {
-        "twist" => Deform::Twist(progress * number("angle", 90.0).to_radians() / size.z),
-        "bend" => Deform::Bend(progress * number("angle", 60.0).to_radians() / size.z),
-        "taper" => Deform::Taper(1.0 + progress * (positive("factor", 0.4)? - 1.0)),
-        "shear" => Deform::Shear(progress * number("amount", 0.4)),
-        "bulge" => Deform::Bulge(progress * number("amount", 0.4), positive("width", 0.25 * size.z)?),
+        "twist" => DeformerKind::Twist(progress * number("angle", 90.0).to_radians() / size.z),
+        "bend" => DeformerKind::Bend(progress * number("angle", 60.0).to_radians() / size.z),
+        "taper" => DeformerKind::Taper(1.0 + progress * (positive("factor", 0.4)? - 1.0)),
+        "shear" => DeformerKind::Shear(progress * number("amount", 0.4)),
+        "bulge" => DeformerKind::Bulge(progress * number("amount", 0.4), positive("width", 0.25 * size.z)?),
         "wave" => {
             let length = positive("length", 0.4 * size.x.max(size.y))?;
-            Deform::Wave(progress * number("amplitude", 0.05 * size.max_element()), std::f32::consts::TAU / length, number("phase", 0.0).to_radians())
+            DeformerKind::Wave(
+                progress * number("amplitude", 0.05 * size.max_element()),
+                std::f32::consts::TAU / length,
+                number("phase", 0.0).to_radians(),
+            )
         }
         _ => {
             let mut offsets = [Vec3::ZERO; LATTICE * LATTICE * LATTICE];
@@ -392,15 +399,15 @@ fn deformer(d: &DeformerSource, bounds: &Bounds) -> Result<Deformer> {
                 let n = (index[2] as usize * LATTICE + index[1] as usize) * LATTICE + index[0] as usize;
                 offsets[n] = Vec3::new(p[3], p[4], p[5]) * progress;
             }
-            Deform::Lattice(Box::new(offsets))
+            DeformerKind::Lattice(Box::new(offsets))
         }
     };
     Ok(Deformer { deform, local_from_world, half })
 }
 
 fn formula(shapes: &[ShapeSource]) -> Result<Formula> {
-    if shapes.len() > MOST_SOLIDS {
-        return Err(Error::value("shape", format!("at most {MOST_SOLIDS} solids are joined")));
+    if shapes.len() > MAX_SOLIDS {
+        return Err(Error::value("shape", format!("at most {MAX_SOLIDS} solids are joined")));
     }
     let solids = shapes.iter().enumerate().map(|(n, s)| {
         let of = |name: &str| format!("shape {}: {name}", n + 1);
@@ -419,14 +426,14 @@ fn formula(shapes: &[ShapeSource]) -> Result<Formula> {
             "cylinder" => Solid::Cylinder(length("radius", s.radius, 30.0)?, 0.5 * length("length", s.length, 100.0)?),
             "gyroid" => Solid::Gyroid(length("period", s.period, 30.0)?, length("wall", s.wall, 3.0)?, size * 0.5),
             other => {
-                let known = ["sphere", "box", "torus", "cylinder", "gyroid"];
-                return Err(Error::value(of(&format!("kind \"{other}\"")), format!("there is no such solid; {}", suggestion(other, known))));
+                let valid_names = ["sphere", "box", "torus", "cylinder", "gyroid"];
+                return Err(Error::value(of(&format!("kind \"{other}\"")), format!("there is no such solid; {}", suggestion(other, valid_names))));
             }
         };
         let join = match s.join.as_deref() {
-            None | Some("union") => Join::Union,
-            Some("intersect") => Join::Intersect,
-            Some("subtract") => Join::Subtract,
+            None | Some("union") => CsgOperation::Union,
+            Some("intersect") => CsgOperation::Intersect,
+            Some("subtract") => CsgOperation::Subtract,
             Some(other) => return Err(Error::value(of(&format!("join \"{other}\"")), "is one of union, intersect, subtract")),
         };
         let world_from_local = Affine3A::from_mat3_translation(rotation(s.rotate)?, s.center.map_or(Vec3::ZERO, Vec3::from));
@@ -452,8 +459,8 @@ impl Assets {
     /// Files that cannot be read, settings that cannot be used.
     pub(super) fn load_objects(&self, scene: &Scene, progress: &(dyn Fn(f32) + Sync)) -> Result<Bounds> {
         scene.surface.check()?;
-        if scene.mesh.len() > MOST_OBJECTS {
-            return Err(Error::value("mesh", format!("a scene has at most {MOST_OBJECTS}")));
+        if scene.mesh.len() > MAX_OBJECTS {
+            return Err(Error::value("mesh", format!("a scene has at most {MAX_OBJECTS}")));
         }
         let watch = Watch::reporting(progress);
         let mut all = Bounds::EMPTY;
@@ -490,7 +497,7 @@ impl Assets {
     ///
     /// # Errors
     /// As [`Self::load_objects`].
-    pub(super) fn surfaces(&self, scene: &Scene, stack: &Stack, cuts: &Cuts) -> Result<Surfaces> {
+    pub(super) fn surfaces(&self, scene: &Scene, stack: &Stack, cuts: &CutShapes) -> Result<Surfaces> {
         let general = &scene.surface;
         general.check()?;
         let shown = self.shown_surfaces(scene);
@@ -511,8 +518,8 @@ impl Assets {
         source: &MeshSource,
         n: usize,
         stack: &'a Stack,
-        cuts: &'a Cuts,
-        slopes: &'a OnceLock<Slopes<'a>>,
+        cuts: &'a CutShapes,
+        slopes: &'a OnceLock<LipschitzBounds<'a>>,
     ) -> Result<SurfaceObject> {
         let general = &scene.surface;
         let look = source.appearance.resolve(&general.appearance)?;
@@ -544,7 +551,7 @@ impl Assets {
             (Some(_), true) => Stage::Both(general.seam * cell_mm),
             (Some(_), false) => Stage::Rays,
         };
-        let casting = Casting {
+        let casting = SurfaceCellsInputs {
             implicit: implicit.clone(),
             bounds,
             stack: if source.rigid { None } else { Some(stack) },
@@ -552,7 +559,7 @@ impl Assets {
             model: look.model,
             thickness_mm,
             skip_cuts: general.cut_skipping,
-            only_boxes: matches!(stage, Stage::Both(_)),
+            boxes_only: matches!(stage, Stage::Both(_)),
             cell_mm,
             skipping: scene.render.empty_space_skipping,
         };
@@ -583,13 +590,13 @@ mod tests {
     #[test]
     fn fields_are_kept_as_far_as_there_is_room() {
         let field = || Arc::new(DistanceGrid::new([2; 3], vec![0.0; 8], Affine3A::IDENTITY));
-        let (mut kept, shown) = (KeptFields::default(), field());
-        kept.insert("shown".into(), shown.clone(), 4 * 32);
+        let (mut entries, shown) = (FieldCache::default(), field());
+        entries.insert("shown".into(), shown.clone(), 4 * 32);
         for name in ["a", "b", "c", "d", "e"] {
-            kept.insert(name.into(), field(), 4 * 32);
-            assert!(kept.get(name).is_some());
+            entries.insert(name.into(), field(), 4 * 32);
+            assert!(entries.get(name).is_some());
         }
-        assert!(kept.get("a").is_none() && kept.get("b").is_none() && kept.get("c").is_some(), "{}", kept.0.len());
-        assert!(Arc::ptr_eq(&shown, &kept.get("shown").unwrap_or_else(field)));
+        assert!(entries.get("a").is_none() && entries.get("b").is_none() && entries.get("c").is_some(), "{}", entries.0.len());
+        assert!(Arc::ptr_eq(&shown, &entries.get("shown").unwrap_or_else(field)));
     }
 }

@@ -8,10 +8,10 @@ use super::stack::Composition;
 use super::volume::{Classifier, VolumeObject};
 use crate::Result;
 use crate::deform::Stack;
-use crate::deform::cut::Cuts;
+use crate::deform::cut::CutShapes;
 use crate::math::{Bounds, normalize_or};
 use crate::mesh::Mesh;
-use crate::picture::Stages;
+use crate::picture::StageTimes;
 use crate::scene::{CutFaces, Light, Mode, Normals, RenderSettings, Scene, ViewFrame};
 use crate::transfer::Blend;
 use crate::volume::{GradientFilter, GradientVolume};
@@ -67,7 +67,7 @@ pub struct Prepared<'a> {
     /// The deformation.
     pub stack: Stack,
     /// Cuts that come after every map.
-    pub cuts: Cuts,
+    pub cuts: CutShapes,
     /// The mesh that slices are cut from instead of a box.
     pub proxy_mesh: Option<Arc<Mesh>>,
     /// What composing maps into one has cost in exactness, if any were.
@@ -83,7 +83,7 @@ pub struct Prepared<'a> {
     /// What a user should know of how it was resolved, one sentence each.
     pub notices: Vec<String>,
     /// Time that preparing took.
-    pub stages: Stages,
+    pub stages: StageTimes,
 }
 
 impl<'a> Prepared<'a> {
@@ -101,7 +101,7 @@ impl<'a> Prepared<'a> {
     /// As [`Self::new`]; whatever the accelerator reports; [`Error::Cancelled`](crate::Error::Cancelled).
     pub fn with(scene: &Scene, assets: &'a Assets, options: &PrepareOptions) -> Result<Self> {
         scene.check()?;
-        let mut stages = Stages::default();
+        let mut stages = StageTimes::default();
         let settings = scene.render.clone();
         let classifier = stages.time("transfer", || Classifier::new(scene, assets))?;
         let scene_box = assets.scene_box();
@@ -110,7 +110,7 @@ impl<'a> Prepared<'a> {
         let steps = Steps { step_mm: settings.step * reference_mm, reference_mm, blend_mm: blend_mm(settings.step, reference_mm) };
         let deformed = stages.time("maps", || -> Result<_> {
             let deformed = Deformed::in_view(scene, assets, &view, options)?;
-            if options.accelerator.wants_texels() {
+            if options.accelerator.needs_texels() {
                 deformed.stack.fetch_texels();
             }
             Ok(deformed)
@@ -175,14 +175,14 @@ impl<'a> Prepared<'a> {
     }
 
     /// The same for the volume's faces, in voxels along each axis.
-    pub fn voxels_beside_faces(&self) -> Vec3 {
+    pub fn face_margin_voxels(&self) -> Vec3 {
         let world_from_covector = glam::Mat3::from(self.volume().voxel_from_world.matrix3).transpose();
         Vec3::from([0, 1, 2].map(|a| self.cut_margin_mm() * (world_from_covector * Vec3::AXES[a]).length()))
     }
 
     /// The same wherever the deformation has brought the faces.
-    pub fn voxels_beside_deformed_faces(&self) -> Vec3 {
-        self.voxels_beside_faces() * self.stack.steepest()
+    pub fn deformed_face_margin_voxels(&self) -> Vec3 {
+        self.face_margin_voxels() * self.stack.lipschitz_bound()
     }
 
     /// The gradients of all voxels for one more picture, if it uses them: they are computed for the second picture of a volume, and kept, since

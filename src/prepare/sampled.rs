@@ -1,34 +1,34 @@
 //! A grid, and what is derived from its voxels and kept between pictures.
 
 use super::accelerator::Accelerator;
-use super::macrocells::{CellGrid, Contents, Inputs, Macrocells};
+use super::macrocells::{CellGrid, MacrocellKey, Macrocells, VisibilityCriteria};
 use crate::Result;
-use crate::math::pyramid::Range;
+use crate::math::pyramid::ChannelRange;
 use crate::math::{Bounds, MinMaxPyramid};
-use crate::volume::{GradientVolume, Grid, GridVoxels, Voxel};
+use crate::volume::{GradientVolume, Voxel, VoxelGrid, VoxelGridValues};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 /// A grid ready for rendering.
-pub struct Sampled {
+pub struct SampledVolume {
     /// The voxels.
-    pub grid: Grid,
+    pub grid: VoxelGrid,
     /// Bounds of their normalised values.
     pub bounds: MinMaxPyramid<1>,
     gradients: OnceLock<Option<GradientVolume>>,
     /// Pictures that could use the gradients.
     pictures: AtomicUsize,
     /// The most recently used last.
-    macrocells: Mutex<Vec<(Inputs, Arc<Macrocells>)>>,
+    macrocells: Mutex<Vec<(MacrocellKey, Arc<Macrocells>)>>,
 }
 
 /// Macrocells that are kept: a window shows one scene in several views.
-const KEPT_MACROCELLS: usize = 4;
+const MAX_CACHED_MACROCELLS: usize = 4;
 
-impl Sampled {
+impl SampledVolume {
     /// Derives what every picture needs.
-    pub fn new(grid: Grid) -> Self {
-        let bounds = bounds_of(&grid);
+    pub fn new(grid: VoxelGrid) -> Self {
+        let bounds = value_pyramid_of(&grid);
         Self { grid, bounds, gradients: OnceLock::new(), pictures: AtomicUsize::new(0), macrocells: Mutex::default() }
     }
 
@@ -36,16 +36,16 @@ impl Sampled {
     ///
     /// # Errors
     /// Whatever a device reports that finds them.
-    pub fn macrocells(&self, bounds: Bounds, voxel_mm: f32, contents: &Contents, device: &dyn Accelerator) -> Result<Arc<Macrocells>> {
-        let inputs = Inputs::of(bounds, voxel_mm, contents);
+    pub fn macrocells(&self, bounds: Bounds, voxel_mm: f32, contents: &VisibilityCriteria, device: &dyn Accelerator) -> Result<Arc<Macrocells>> {
+        let inputs = MacrocellKey::of(bounds, voxel_mm, contents);
         // Entries are only ever added whole.
         let lock = || self.macrocells.lock().unwrap_or_else(PoisonError::into_inner);
         let found = {
-            let mut kept = lock();
-            kept.iter().position(|(of, _)| *of == inputs).map(|at| {
-                let entry = kept.remove(at);
+            let mut entries = lock();
+            entries.iter().position(|(of, _)| *of == inputs).map(|at| {
+                let entry = entries.remove(at);
                 let cells = entry.1.clone();
-                kept.push(entry);
+                entries.push(entry);
                 cells
             })
         };
@@ -57,11 +57,11 @@ impl Sampled {
             Some(flags) => Macrocells::of_flags(&grid, &flags),
             None => Macrocells::new(bounds, voxel_mm, contents),
         });
-        let mut kept = lock();
-        if kept.len() == KEPT_MACROCELLS {
-            kept.remove(0);
+        let mut entries = lock();
+        if entries.len() == MAX_CACHED_MACROCELLS {
+            entries.remove(0);
         }
-        kept.push((inputs, cells.clone()));
+        entries.push((inputs, cells.clone()));
         Ok(cells)
     }
 
@@ -82,16 +82,16 @@ impl Sampled {
 }
 
 /// Bounds of the values of a grid.
-fn bounds_of(grid: &Grid) -> MinMaxPyramid<1> {
+fn value_pyramid_of(grid: &VoxelGrid) -> MinMaxPyramid<1> {
     match &grid.voxels {
-        GridVoxels::U8(v) => bounds_of_voxels(grid, v),
-        GridVoxels::U16(v) => bounds_of_voxels(grid, v),
-        GridVoxels::I16(v) => bounds_of_voxels(grid, v),
-        GridVoxels::F32(v) => bounds_of_voxels(grid, v),
+        VoxelGridValues::U8(v) => value_pyramid_of_voxels(grid, v),
+        VoxelGridValues::U16(v) => value_pyramid_of_voxels(grid, v),
+        VoxelGridValues::I16(v) => value_pyramid_of_voxels(grid, v),
+        VoxelGridValues::F32(v) => value_pyramid_of_voxels(grid, v),
     }
 }
 
-fn bounds_of_voxels<T: Voxel>(grid: &Grid, voxels: &[T]) -> MinMaxPyramid<1> {
+fn value_pyramid_of_voxels<T: Voxel>(grid: &VoxelGrid, voxels: &[T]) -> MinMaxPyramid<1> {
     let [nx, ny, _] = grid.size;
     MinMaxPyramid::from_runs(grid.size, 2, |first, last, j, k| {
         let row = (k * ny + j) * nx;
@@ -102,6 +102,6 @@ fn bounds_of_voxels<T: Voxel>(grid: &Grid, voxels: &[T]) -> MinMaxPyramid<1> {
         }
         let (a, b) = (low * grid.scale + grid.offset, high * grid.scale + grid.offset);
         // A negative slope turns the range around.
-        Range { min: [a.min(b)], max: [a.max(b)] }
+        ChannelRange { min: [a.min(b)], max: [a.max(b)] }
     })
 }

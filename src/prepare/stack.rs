@@ -1,10 +1,10 @@
 //! A scene's deformations as a stack of maps.
 
 use super::accelerator::Accelerator;
-use crate::deform::compose::{self, Exactness};
-use crate::deform::cut::{Cuts, MAX_CUTS, Primitive};
+use crate::deform::compose::{self, PrecomposeError};
+use crate::deform::cut::{CutShape, CutShapes, MAX_CUTS};
 use crate::deform::file_kinds::FILE_KINDS;
-use crate::deform::kinds::{self, DefaultSize, Inputs, Kind, Sampling};
+use crate::deform::kinds::{self, DefaultSize, FieldInputs, Kind, Sampling};
 use crate::deform::{Arguments, DisplacementMap, Library, PlacedMap, Placement, Stack, Storage, saved};
 use crate::error::suggestion;
 use crate::math::Bounds;
@@ -48,17 +48,17 @@ pub struct Composition {
     /// 99th percentile of the error, mm.
     pub p99_mm: f32,
     /// Share of the space with matter in it where the maps themselves are walked.
-    pub by_maps: f32,
+    pub fallback_share: f32,
 }
 
 impl Composition {
     /// What a user should know: that composing did not help.
     pub fn notice(&self) -> Option<String> {
-        let Self { bound_mm, maps, composed, by_maps, .. } = self;
+        let Self { bound_mm, maps, composed, fallback_share, .. } = self;
         (!composed).then(|| {
             format!(
                 "the {maps} deformations were not precomposed: in {:.0} % of the space one map would be off by more than {bound_mm} mm (tears, cuts, or too small a bound); they are evaluated one by one, which is exact but slower",
-                100.0 * by_maps
+                100.0 * fallback_share
             )
         })
     }
@@ -68,7 +68,7 @@ impl Composition {
 ///
 /// # Errors
 /// Any parameter that cannot be used, by name.
-pub fn stack(deformations: &[Deformation], inputs: &StackInputs, first: Vec<PlacedMap>, more: Vec<PlacedMap>) -> Result<(Stack, Cuts)> {
+pub fn stack(deformations: &[Deformation], inputs: &StackInputs, first: Vec<PlacedMap>, more: Vec<PlacedMap>) -> Result<(Stack, CutShapes)> {
     let enabled: Vec<&Deformation> = deformations.iter().filter(|d| d.enabled).collect();
     let mut first_cut = enabled.len();
     if inputs.exact_cuts && more.is_empty() {
@@ -112,49 +112,49 @@ fn is_exact(deformation: &Deformation) -> bool {
 }
 
 /// Removals as shapes, the members of each group together.
-fn cuts(deformations: &[&Deformation], inputs: &StackInputs) -> Result<Cuts> {
-    let mut named: Vec<(Option<String>, Primitive)> = Vec::new();
+fn cuts(deformations: &[&Deformation], inputs: &StackInputs) -> Result<CutShapes> {
+    let mut named: Vec<(Option<String>, CutShape)> = Vec::new();
     // Members without strength: empty shapes, with which an intersection is empty.
     let mut vanished: Vec<(String, bool)> = Vec::new();
     for d in deformations {
         let kind = kinds::kind(&d.kind)?;
-        let (group, and, primitive) = primitive(d, kind, inputs).map_err(|e| in_kind(e, kind.name))?;
+        let (group, intersects, primitive) = primitive(d, kind, inputs).map_err(|e| in_kind(e, kind.name))?;
         let Some(primitive) = primitive else {
-            vanished.extend(group.map(|g| (g, and)));
+            vanished.extend(group.map(|g| (g, intersects)));
             continue;
         };
         // After the last member of its group, if it has one.
         let at = named.iter().rposition(|(g, _)| g.is_some() && *g == group).map_or(named.len(), |n| n + 1);
         named.insert(at, (group, primitive));
     }
-    let says_and = |g: &str| vanished.iter().any(|(v, a)| v == g && *a) || named.iter().any(|(n, p)| n.as_deref() == Some(g) && p.and);
+    let says_and = |g: &str| vanished.iter().any(|(v, a)| v == g && *a) || named.iter().any(|(n, p)| n.as_deref() == Some(g) && p.intersects);
     let gone: Vec<String> = vanished.iter().map(|(g, _)| g.clone()).filter(|g| says_and(g)).collect();
     named.retain(|(g, _)| g.as_ref().is_none_or(|g| !gone.contains(g)));
     for n in 1..named.len() {
-        named[n].1.joined = named[n].0.is_some() && named[n].0 == named[n - 1].0;
+        named[n].1.joins_previous = named[n].0.is_some() && named[n].0 == named[n - 1].0;
     }
     // A group is an intersection if any member says so.
     for n in 0..named.len() {
-        let and = named.iter().any(|(g, p)| g.is_some() && *g == named[n].0 && p.and);
-        named[n].1.and = and;
+        let intersects = named.iter().any(|(g, p)| g.is_some() && *g == named[n].0 && p.intersects);
+        named[n].1.intersects = intersects;
     }
-    Ok(Cuts::new(named.into_iter().map(|(_, p)| p).collect()))
+    Ok(CutShapes::new(named.into_iter().map(|(_, p)| p).collect()))
 }
 
 /// A removal's group, whether that is an intersection, and its shape; no shape if its strength is 0.
-fn primitive(d: &Deformation, kind: &Kind, inputs: &StackInputs) -> Result<(Option<String>, bool, Option<Primitive>)> {
+fn primitive(d: &Deformation, kind: &Kind, inputs: &StackInputs) -> Result<(Option<String>, bool, Option<CutShape>)> {
     let placement = kind_placement(d, kind, inputs)?;
     let size_mm = placement.size_mm();
     let progress = progress(d)?;
     let (values, settings) = kind.resolve(&d.parameters, size_mm)?;
     let group = settings.text("group")?.map(str::to_owned);
-    let and = settings.choice("combine", &["or", "and"])? == "and";
+    let intersects = settings.choice("combine", &["or", "and"])? == "and";
     let inverted = settings.flag("invert")?;
     let shape = kinds::shape_of(kind, &values, progress, size_mm).map(|(shape, half, half_angle)| {
         let local_from_map = Affine3A::from_scale(size_mm) * Affine3A::from_translation(Vec3::splat(-0.5));
-        Primitive { shape, local_from_world: local_from_map * placement.map_from_world, half, half_angle, inverted, joined: false, and }
+        CutShape { shape, local_from_world: local_from_map * placement.map_from_world, half, half_angle, inverted, joins_previous: false, intersects }
     });
-    Ok((group, and, shape))
+    Ok((group, intersects, shape))
 }
 
 /// Where a kind's box lies.
@@ -172,14 +172,14 @@ fn kind_placement(d: &Deformation, kind: &Kind, inputs: &StackInputs) -> Result<
 pub fn composed(stack: Stack, inputs: &StackInputs, bound_mm: Option<f32>) -> Result<(Stack, Option<Composition>)> {
     let Some(bound_mm) = bound_mm.filter(|_| stack.maps().len() > 1) else { return Ok((stack, None)) };
     let evaluate = |stack: &Stack, points: &[Vec3]| inputs.accelerator.evaluate(stack, points);
-    let (shortcut, exactness) = inputs
+    let (precomposed, precompose_error) = inputs
         .library
-        .shortcut(&stack, &inputs.scene_box, bound_mm, || compose::shortcut(&stack, &inputs.scene_box, bound_mm, &evaluate, inputs.watch))?;
-    let Exactness { worst_mm, p99_mm, by_maps } = exactness;
-    let composition = Composition { bound_mm, maps: stack.maps().len(), composed: shortcut.is_some(), worst_mm, p99_mm, by_maps };
+        .precomposed(&stack, &inputs.scene_box, bound_mm, || compose::precompose(&stack, &inputs.scene_box, bound_mm, &evaluate, inputs.watch))?;
+    let PrecomposeError { worst_mm, p99_mm, fallback_share } = precompose_error;
+    let composition = Composition { bound_mm, maps: stack.maps().len(), composed: precomposed.is_some(), worst_mm, p99_mm, fallback_share };
     Ok((
-        match shortcut {
-            Some(shortcut) => stack.with_shortcut(shortcut),
+        match precomposed {
+            Some(precomposed) => stack.with_precomposed(precomposed),
             None => stack,
         },
         Some(composition),
@@ -257,19 +257,19 @@ fn place_kind(deformation: &Deformation, inputs: &StackInputs) -> Result<PlacedM
     let sampling = Sampling { resolution: deformation.resolution, storage, min_ramp_mm: inputs.min_ramp_mm };
     // The box's own millimetres: from its centre, along its axes.
     let world_from_local = placement.world_from_map * Affine3A::from_translation(Vec3::splat(0.5)) * Affine3A::from_scale(size_mm.recip());
-    let kind_inputs = Inputs { settings: &settings, world_from_local, library: inputs.library };
+    let kind_inputs = FieldInputs { settings: &settings, world_from_local, library: inputs.library };
     // A formula has the same map wherever its box lies: one that is moved or turned is not sampled, and not uploaded, again.
     let lies = (!kind.is_the_same_anywhere(&deformation.parameters)).then_some(world_from_local);
     let key = format!("{} {:?} {progress} {size_mm:?} {sampling:?} {lies:?}", kind.name, deformation.parameters);
     let map = inputs.library.map(key, || inputs.accelerator.map(kind.recipe(&values, progress, size_mm, &sampling, &kind_inputs)?, inputs.watch))?;
-    Ok(PlacedMap::new(map, placement.scaled(Vec3::splat(kind.inflate))?))
+    Ok(PlacedMap::new(map, placement.scaled(Vec3::splat(kind.cube_scale))?))
 }
 
 /// Only the settings of a file kind may be given.
 fn check_settings(arguments: &Arguments, kind: &str) -> Result<()> {
-    let known: Vec<&str> = FILE_KINDS.iter().filter(|k| k.name == kind).flat_map(|k| k.settings.iter().map(|s| s.name)).collect();
-    match arguments.0.keys().find(|name| !known.contains(&name.as_str())) {
-        Some(name) => Err(Error::value(name, format!("there is no such parameter; {}", suggestion(name, known.iter().copied())))),
+    let valid_names: Vec<&str> = FILE_KINDS.iter().filter(|k| k.name == kind).flat_map(|k| k.settings.iter().map(|s| s.name)).collect();
+    match arguments.0.keys().find(|name| !valid_names.contains(&name.as_str())) {
+        Some(name) => Err(Error::value(name, format!("there is no such parameter; {}", suggestion(name, valid_names.iter().copied())))),
         None => Ok(()),
     }
 }

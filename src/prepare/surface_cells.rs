@@ -3,10 +3,10 @@
 //! Neither depends on the camera: cells are kept until the deformation, a cut or the object changes. Made for every picture they took 170 ms of a twisted
 //! frame's 286 on a software GPU (512 x 512, a map of 64^3); an edited peel of 128^3 spends 35 ms on them, 600 before slopes were bounded eight cells at once.
 
-use super::macrocells::{CellGrid, Macrocells, Seen};
+use super::macrocells::{BoxVisibility, CellGrid, Macrocells};
 use crate::deform::Stack;
-use crate::deform::cut::Cuts;
-use crate::deform::slope::Slopes;
+use crate::deform::cut::CutShapes;
+use crate::deform::lipschitz::LipschitzBounds;
 use crate::math::{Bounds, DistanceGrid};
 use crate::mesh::Implicit;
 use crate::mesh::depth_map::DepthMaps;
@@ -18,8 +18,8 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 /// Cells along an object's longest edge.
 const CELLS: f32 = 64.0;
 /// Cells that are kept at most, and of how many deformations: each keeps its maps.
-const KEPT: usize = 64;
-const KEPT_STACKS: usize = 4;
+const MAX_CACHED_CELLS: usize = 64;
+const MAX_CACHED_STACKS: usize = 4;
 
 /// Empty space around an object, and how fast the deformation changes, per cell.
 pub struct SurfaceCells {
@@ -30,24 +30,24 @@ pub struct SurfaceCells {
 }
 
 /// What decides where a ray can meet an object.
-pub(super) struct Casting<'a> {
+pub(super) struct SurfaceCellsInputs<'a> {
     pub implicit: Option<Implicit>,
     /// Of the undeformed object.
     pub bounds: Bounds,
     /// None for an object that deformations pass by.
     pub stack: Option<&'a Stack>,
-    pub cuts: &'a Cuts,
+    pub cuts: &'a CutShapes,
     pub model: CutModel,
     pub thickness_mm: f32,
     pub skip_cuts: bool,
-    pub only_boxes: bool,
+    pub boxes_only: bool,
     pub cell_mm: f32,
     /// Whether empty space is skipped at all.
     pub skipping: bool,
 }
 
 /// Which solid it was, without keeping its field in memory: nothing else takes its address while it is remembered.
-pub enum Solid {
+pub enum SolidIdentity {
     /// The very same field.
     Grid(Weak<DistanceGrid>),
     /// The same solids.
@@ -56,7 +56,7 @@ pub enum Solid {
     Depth(Weak<DepthMaps>),
 }
 
-impl From<&Implicit> for Solid {
+impl From<&Implicit> for SolidIdentity {
     fn from(implicit: &Implicit) -> Self {
         match implicit {
             Implicit::Grid(g) => Self::Grid(Arc::downgrade(g)),
@@ -66,7 +66,7 @@ impl From<&Implicit> for Solid {
     }
 }
 
-impl PartialEq for Solid {
+impl PartialEq for SolidIdentity {
     fn eq(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Grid(a), Self::Grid(b)) => a.ptr_eq(b),
@@ -77,82 +77,82 @@ impl PartialEq for Solid {
     }
 }
 
-/// A [`Casting`] with what it borrows: cells of equal ones are equal.
+/// A [`SurfaceCellsInputs`] with what it borrows: cells of equal ones are equal.
 #[derive(PartialEq)]
-struct Inputs {
-    solid: Option<Solid>,
+struct SurfaceCellsKey {
+    solid: Option<SolidIdentity>,
     bounds: Bounds,
     stack: Option<Stack>,
-    cuts: Cuts,
+    cuts: CutShapes,
     model: CutModel,
     thickness_mm: f32,
     skip_cuts: bool,
-    only_boxes: bool,
+    boxes_only: bool,
     cell_mm: f32,
     skipping: bool,
 }
 
 /// Cells of objects, the most recently used last.
 #[derive(Default)]
-pub(super) struct KeptCells(Mutex<Vec<(Inputs, Arc<SurfaceCells>)>>);
+pub(super) struct SurfaceCellsCache(Mutex<Vec<(SurfaceCellsKey, Arc<SurfaceCells>)>>);
 
-impl KeptCells {
+impl SurfaceCellsCache {
     /// The cells of an object. `slopes` are those of the scene's stack, once something has asked for them.
-    pub fn of<'a>(&self, casting: &Casting<'a>, slopes: &OnceLock<Slopes<'a>>) -> Arc<SurfaceCells> {
-        let inputs = casting.inputs();
+    pub fn of<'a>(&self, cells_inputs: &SurfaceCellsInputs<'a>, slopes: &OnceLock<LipschitzBounds<'a>>) -> Arc<SurfaceCells> {
+        let inputs = cells_inputs.inputs();
         // Entries are only ever added whole.
         let lock = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut kept = lock();
-        if let Some(at) = kept.iter().position(|(of, _)| *of == inputs) {
-            kept[at..].rotate_left(1);
-            return kept[kept.len() - 1].1.clone();
+        let mut entries = lock();
+        if let Some(at) = entries.iter().position(|(of, _)| *of == inputs) {
+            entries[at..].rotate_left(1);
+            return entries[entries.len() - 1].1.clone();
         }
-        drop(kept);
-        let cells = Arc::new(casting.cells(slopes));
-        let mut kept = lock();
-        if kept.len() == KEPT {
-            kept.remove(0);
+        drop(entries);
+        let cells = Arc::new(cells_inputs.cells(slopes));
+        let mut entries = lock();
+        if entries.len() == MAX_CACHED_CELLS {
+            entries.remove(0);
         }
-        kept.push((inputs, cells.clone()));
-        let mut recent: Vec<Option<Stack>> = Vec::with_capacity(KEPT_STACKS);
-        for (of, _) in kept.iter().rev() {
-            if recent.len() < KEPT_STACKS && !recent.contains(&of.stack) {
+        entries.push((inputs, cells.clone()));
+        let mut recent: Vec<Option<Stack>> = Vec::with_capacity(MAX_CACHED_STACKS);
+        for (of, _) in entries.iter().rev() {
+            if recent.len() < MAX_CACHED_STACKS && !recent.contains(&of.stack) {
                 recent.push(of.stack.clone());
             }
         }
-        kept.retain(|(of, _)| recent.contains(&of.stack));
+        entries.retain(|(of, _)| recent.contains(&of.stack));
         cells
     }
 }
 
-impl<'a> Casting<'a> {
-    fn inputs(&self) -> Inputs {
-        let Self { bounds, stack, cuts, model, thickness_mm, skip_cuts, only_boxes, cell_mm, skipping, .. } = *self;
-        let solid = self.implicit.as_ref().map(Solid::from);
+impl<'a> SurfaceCellsInputs<'a> {
+    fn inputs(&self) -> SurfaceCellsKey {
+        let Self { bounds, stack, cuts, model, thickness_mm, skip_cuts, boxes_only, cell_mm, skipping, .. } = *self;
+        let solid = self.implicit.as_ref().map(SolidIdentity::from);
         // Where no ray is cast nothing else matters.
         let (stack, cuts) = if solid.is_some() { (stack.cloned(), cuts.clone()) } else { Default::default() };
-        Inputs { solid, bounds, stack, cuts, model, thickness_mm, skip_cuts, only_boxes, cell_mm, skipping }
+        SurfaceCellsKey { solid, bounds, stack, cuts, model, thickness_mm, skip_cuts, boxes_only, cell_mm, skipping }
     }
 
-    fn cells(&self, slopes: &OnceLock<Slopes<'a>>) -> SurfaceCells {
+    fn cells(&self, slopes: &OnceLock<LipschitzBounds<'a>>) -> SurfaceCells {
         let deformed = self.stack.map_or(self.bounds, |s| s.deformed_bounds(&self.bounds)).grown(0.5 * self.cell_mm);
         if deformed.is_empty() || self.implicit.is_none() {
             return SurfaceCells { grid: Macrocells::solid(Bounds::EMPTY), slope: vec![1.0] };
         }
         let edge = (deformed.size().max_element() / CELLS).max(self.cell_mm);
         // Without skipping every cell counts as occupied; their slopes are needed all the same.
-        let seen = |b: &Bounds| {
+        let visibility = |b: &Bounds| {
             // Fields have no bound that says that a surface is everywhere.
             if !self.skipping {
-                Seen::Throughout
+                BoxVisibility::VisibleEverywhere
             } else if self.visible(b) {
-                Seen::Perhaps
+                BoxVisibility::MaybeVisible
             } else {
-                Seen::Nothing
+                BoxVisibility::Invisible
             }
         };
-        let grid = Macrocells::classified(CellGrid::new(deformed, edge), seen, |_| true);
-        let slopes = self.stack.map(|stack| slopes.get_or_init(|| Slopes::new(stack)));
+        let grid = Macrocells::classified(CellGrid::new(deformed, edge), visibility, |_| true);
+        let slopes = self.stack.map(|stack| slopes.get_or_init(|| LipschitzBounds::new(stack)));
         let slope = (0..grid.distance.len())
             .into_par_iter()
             .map(|n| match slopes {
@@ -167,17 +167,17 @@ impl<'a> Casting<'a> {
     fn visible(&self, deformed: &Bounds) -> bool {
         let Some(implicit) = &self.implicit else { return false };
         let Some(stack) = self.stack else { return self.visible_in_source(implicit, deformed, true) };
-        let [least_kept, most_kept] = self.cuts.bounds(deformed);
-        if self.skip_cuts && most_kept < 0.0 {
+        let [min_distance, max_distance] = self.cuts.bounds(deformed);
+        if self.skip_cuts && max_distance < 0.0 {
             return false;
         }
-        if self.only_boxes && self.cuts.is_empty() && !stack.maps().iter().any(|m| !m.bounds_in_world().intersection(deformed).is_empty()) {
+        if self.boxes_only && self.cuts.is_empty() && !stack.maps().iter().any(|m| !m.bounds_in_world().intersection(deformed).is_empty()) {
             return false;
         }
         let mut visible = false;
         stack.source_parts(deformed, &mut |source, [least, most]| {
             let gone = self.skip_cuts && most < 0.5;
-            visible |= !gone && self.visible_in_source(implicit, source, least_kept >= 0.0 && least >= 0.5);
+            visible |= !gone && self.visible_in_source(implicit, source, min_distance >= 0.0 && least >= 0.5);
         });
         visible
     }
@@ -218,9 +218,9 @@ mod tests {
             let placement = Placement::new(Vec3::X * x, Vec3::splat(30.0), Vec3::ZERO).unwrap_or_else(|e| panic!("{e}"));
             Stack::new(vec![PlacedMap::new(maps[n].clone(), placement)])
         };
-        let (kept, cuts) = (KeptCells::default(), Cuts::default());
+        let (entries, cuts) = (SurfaceCellsCache::default(), CutShapes::default());
         let cells_of = |stack: &Stack, thickness_mm: f32| {
-            let casting = Casting {
+            let cells_inputs = SurfaceCellsInputs {
                 implicit: Some(Implicit::Formula(Formula::default())),
                 bounds: Bounds::new(Vec3::ZERO, Vec3::splat(20.0)),
                 stack: Some(stack),
@@ -228,11 +228,11 @@ mod tests {
                 model: CutModel::Thick,
                 thickness_mm,
                 skip_cuts: true,
-                only_boxes: false,
+                boxes_only: false,
                 cell_mm: 1.0,
                 skipping: true,
             };
-            kept.of(&casting, &OnceLock::new())
+            entries.of(&cells_inputs, &OnceLock::new())
         };
         let first = cells_of(&stack(0, 0.0), 1.0);
         assert!(Arc::ptr_eq(&first, &cells_of(&stack(0, 0.0), 1.0)));

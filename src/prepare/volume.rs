@@ -3,13 +3,13 @@
 use super::PrepareOptions;
 use super::assets::Assets;
 use super::deformed::Deformed;
-use super::macrocells::{Contents, Macrocells};
-use super::sampled::Sampled;
+use super::macrocells::{Macrocells, VisibilityCriteria};
+use super::sampled::SampledVolume;
 use super::{Steps, cut_margin_mm};
 use crate::math::{Bounds, to_f32};
 use crate::scene::{CutFaces, Mode, Scene};
-use crate::transfer::{Blend, OWN_COLORS, Table, TransferFunction};
-use crate::volume::{Colors, Grid, Volume};
+use crate::transfer::{Blend, OWN_COLORS, TransferFunction, TransferTable};
+use crate::volume::{Colors, Volume, VoxelGrid};
 use crate::{Error, Result};
 use glam::{Affine3A, Vec3};
 use std::sync::Arc;
@@ -17,9 +17,9 @@ use std::sync::Arc;
 /// A volume that a scene shows, or the empty one of a scene without any.
 pub struct VolumeObject<'a> {
     /// What is sampled.
-    pub grid: &'a Grid,
+    pub grid: &'a VoxelGrid,
     /// The same with what is derived from it.
-    pub(super) sampled: &'a Sampled,
+    pub(super) sampled: &'a SampledVolume,
     /// The voxels' own colours, which take the place of the table's.
     pub colors: Option<&'a Colors>,
     /// World to voxel.
@@ -27,7 +27,7 @@ pub struct VolumeObject<'a> {
     /// Extent of the grid, voxels.
     pub grid_size: Vec3,
     /// Baked transfer function.
-    pub table: Table,
+    pub table: TransferTable,
     /// How samples blend.
     pub blend: Blend,
     /// Normalised value of the surface that is shown instead of the volume, if one is.
@@ -46,10 +46,10 @@ pub struct VolumeObject<'a> {
 
 /// How the values of a volume become colours.
 pub(super) struct Classifier<'a> {
-    sampled: &'a Sampled,
+    sampled: &'a SampledVolume,
     colors: Option<&'a Colors>,
     function: TransferFunction,
-    table: Table,
+    table: TransferTable,
 }
 
 impl<'a> Classifier<'a> {
@@ -67,12 +67,12 @@ impl<'a> Classifier<'a> {
             && transfer.preset.as_deref().unwrap_or(fallback) == "labels"
             && scene.render.iso.is_none()
             && scene.render.cut_faces == CutFaces::Lit;
-        if let Some(sampled) = by_label.then(|| assets.label_colors()).flatten() {
+        if let Some(sampled) = by_label.then(|| assets.sampled_labels()).flatten() {
             let function = function.of_presence();
-            let table = Table::new(&function, [0.0, 1.0]);
+            let table = TransferTable::new(&function, [0.0, 1.0]);
             return Ok(Self { sampled, colors: sampled.grid.colors.as_ref(), function, table });
         }
-        let table = Table::new(&function, volume.range);
+        let table = TransferTable::new(&function, volume.range);
         let own = transfer.own_colors.unwrap_or(transfer.preset.as_deref().is_none_or(|p| p == OWN_COLORS));
         let sampled = assets.sampled();
         Ok(Self { sampled, colors: sampled.grid.colors.as_ref().filter(|_| own), function, table })
@@ -131,17 +131,17 @@ impl<'a> VolumeObject<'a> {
         let slant = scene.camera.slant(settings.size);
         let step_back_mm = 1.01 * steps.step_mm * slant;
         let grey_faces = settings.cut_faces == CutFaces::Grey;
-        let contents = Contents {
+        let contents = VisibilityCriteria {
             stack: &deformed.stack,
             cuts: &deformed.cuts,
             iso: self.iso,
             grey_faces,
-            looks_back_mm: if self.iso.is_some() || grey_faces || settings.preintegrated { step_back_mm } else { 0.0 },
-            beside_cuts_mm: step_back_mm,
+            lookback_mm: if self.iso.is_some() || grey_faces || settings.preintegrated { step_back_mm } else { 0.0 },
+            cut_lookback_mm: step_back_mm,
             cut_margin_mm: cut_margin_mm(steps.blend_mm, steps.step_mm, slant),
             voxel_from_world: &self.voxel_from_world,
             voxel_box: Bounds::new(Vec3::splat(-0.5), self.grid_size - 0.5),
-            pyramid: &self.sampled.bounds,
+            value_pyramid: &self.sampled.bounds,
             table: &self.table,
             blend: self.blend,
         };

@@ -5,7 +5,7 @@
 //! do not have. What is in an atlas stays there until a map of its size needs its place or a larger texture is made; maps have textures of their own, from
 //! which they are copied, so that a hand that goes back and forth between two states uploads nothing.
 
-use super::kept::Target;
+use super::cache::RenderTexture;
 use super::{Renderer, extent};
 use crate::deform::{DisplacementMap, PlacedMap, Stack, Storage};
 use crate::{Error, Result};
@@ -14,7 +14,7 @@ use wgpu::{Features, TextureFormat, TextureUsages};
 
 /// Where a map lies, texels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Place {
+pub(super) struct AtlasSlot {
     pub origin: [u32; 3],
     /// In the atlas of single precision.
     pub single: bool,
@@ -22,12 +22,12 @@ pub(super) struct Place {
 
 /// A box of texels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Region {
+struct TexelBox {
     origin: [u32; 3],
     size: [u32; 3],
 }
 
-impl Region {
+impl TexelBox {
     fn texels(&self) -> u64 {
         self.size.iter().map(|n| u64::from(*n)).product()
     }
@@ -52,12 +52,12 @@ impl Region {
 
 /// Boxes in a box that grows.
 #[derive(Default)]
-struct Packing {
+struct AtlasPacking {
     size: [u32; 3],
-    free: Vec<Region>,
+    free: Vec<TexelBox>,
 }
 
-impl Packing {
+impl AtlasPacking {
     /// Takes a place out of what is free, the one that is filled best.
     fn take(&mut self, size: [u32; 3]) -> Option<[u32; 3]> {
         let best = self.free.iter().enumerate().filter(|(_, r)| r.holds(size)).min_by_key(|(_, r)| r.texels()).map(|(n, _)| n)?;
@@ -75,7 +75,7 @@ impl Packing {
         let to = grown(along);
         // What is new lies beside what there was, in one slab for each axis: the one that holds the box is the last, and so reaches over all else.
         for axis in [(along + 1) % 3, (along + 2) % 3, along] {
-            let slab = Region {
+            let slab = TexelBox {
                 origin: std::array::from_fn(|a| if a == axis { self.size[a] } else { 0 }),
                 size: std::array::from_fn(|a| if a == axis { to[a] - self.size[a] } else { self.size[a] }),
             };
@@ -89,19 +89,19 @@ impl Packing {
 }
 
 /// A map in an atlas.
-struct Entry {
+struct AtlasEntry {
     /// Kept, so that nothing else can take its address.
     map: Arc<DisplacementMap>,
-    region: Region,
+    region: TexelBox,
 }
 
 /// One texture of maps.
 #[derive(Default)]
 pub(super) struct Atlas {
-    target: Option<Target>,
-    packing: Packing,
+    target: Option<RenderTexture>,
+    packing: AtlasPacking,
     /// The most recently used last.
-    entries: Vec<Entry>,
+    entries: Vec<AtlasEntry>,
 }
 
 fn texels_of(map: &DisplacementMap) -> [u32; 3] {
@@ -114,21 +114,21 @@ impl Atlas {
     }
 
     /// A place for a map, if there is one without growing: what is free, or that of an unused map of the same size.
-    fn place(&mut self, map: &Arc<DisplacementMap>, in_use: &[Arc<DisplacementMap>]) -> Option<Region> {
+    fn place(&mut self, map: &Arc<DisplacementMap>, in_use: &[Arc<DisplacementMap>]) -> Option<TexelBox> {
         let size = texels_of(map);
-        let unused = |e: &Entry| e.region.size == size && !in_use.iter().any(|m| Arc::ptr_eq(m, &e.map));
+        let unused = |e: &AtlasEntry| e.region.size == size && !in_use.iter().any(|m| Arc::ptr_eq(m, &e.map));
         if let Some(n) = self.entries.iter().position(unused) {
             return Some(self.entries.remove(n).region);
         }
-        self.packing.take(size).map(|origin| Region { origin, size })
+        self.packing.take(size).map(|origin| TexelBox { origin, size })
     }
 
     /// A packing of maps alone, and their places by order.
-    fn packed(maps: &[Arc<DisplacementMap>], most: u32) -> Option<(Packing, Vec<Region>)> {
-        let mut packing = Packing::default();
+    fn packed(maps: &[Arc<DisplacementMap>], most: u32) -> Option<(AtlasPacking, Vec<TexelBox>)> {
+        let mut packing = AtlasPacking::default();
         let mut order: Vec<usize> = (0..maps.len()).collect();
         order.sort_by_key(|n| std::cmp::Reverse(maps[*n].size.iter().product::<usize>()));
-        let mut regions = vec![Region { origin: [0; 3], size: [0; 3] }; maps.len()];
+        let mut regions = vec![TexelBox { origin: [0; 3], size: [0; 3] }; maps.len()];
         for n in order {
             let size = texels_of(&maps[n]);
             let origin = match packing.take(size) {
@@ -136,7 +136,7 @@ impl Atlas {
                 None if packing.grow_for(size, most) => packing.take(size)?,
                 None => return None,
             };
-            regions[n] = Region { origin, size };
+            regions[n] = TexelBox { origin, size };
         }
         Some((packing, regions))
     }
@@ -151,10 +151,10 @@ impl Renderer {
     }
 
     /// Puts the maps of a stack into their atlases: both textures, the place of each map, and whether a texture was replaced.
-    pub(super) fn place_maps(&self, stack: &Stack) -> Result<([wgpu::TextureView; 2], Vec<Place>, bool)> {
+    pub(super) fn place_maps(&self, stack: &Stack) -> Result<([wgpu::TextureView; 2], Vec<AtlasSlot>, bool)> {
         let all: Vec<&PlacedMap> = stack.all_maps().collect();
-        let mut atlases = self.kept.atlases();
-        let mut places = vec![Place::default(); all.len()];
+        let mut atlases = self.cache.atlases();
+        let mut places = vec![AtlasSlot::default(); all.len()];
         let (mut views, mut replaced) = (Vec::with_capacity(2), false);
         for (atlas, single) in atlases.iter_mut().zip([false, true]) {
             let of_atlas = |n: &usize| self.format_of(&all[*n].map).0 == single;
@@ -170,7 +170,7 @@ impl Renderer {
             replaced |= self.fill(atlas, &maps, format)?;
             for n in members {
                 let entry = atlas.find(&all[n].map).map(|e| atlas.entries[e].region.origin);
-                places[n] = Place { origin: entry.unwrap_or_default(), single };
+                places[n] = AtlasSlot { origin: entry.unwrap_or_default(), single };
             }
             views.push(self.view_of(atlas, format)?);
         }
@@ -185,7 +185,7 @@ impl Renderer {
         }
         let filterable = format == TextureFormat::Rgba16Float || self.device.device.features().contains(Features::FLOAT32_FILTERABLE);
         let format = if filterable { format } else { TextureFormat::Rgba16Float };
-        let target = Target::new(self.texture_3d("no displacement maps", [1; 3], format)?);
+        let target = RenderTexture::new(self.texture_3d("no displacement maps", [1; 3], format)?);
         Ok(atlas.target.insert(target).view.clone())
     }
 
@@ -224,12 +224,12 @@ impl Renderer {
         })?;
         let usage = TextureUsages::COPY_DST;
         let texture = self.texture_3d_for("displacement maps", packing.size.map(|n| n as usize), format, usage)?;
-        *atlas = Atlas { target: Some(Target::new(texture)), packing, entries: Vec::new() };
+        *atlas = Atlas { target: Some(RenderTexture::new(texture)), packing, entries: Vec::new() };
         self.copy_into(atlas, maps.iter().cloned().zip(regions).collect())?;
         Ok(true)
     }
 
-    fn copy_into(&self, atlas: &mut Atlas, found: Vec<(Arc<DisplacementMap>, Region)>) -> Result<()> {
+    fn copy_into(&self, atlas: &mut Atlas, found: Vec<(Arc<DisplacementMap>, TexelBox)>) -> Result<()> {
         let Some(target) = atlas.target.clone() else { return Ok(()) };
         let mut encoder = self.device.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         for (map, region) in &found {
@@ -240,7 +240,7 @@ impl Renderer {
             encoder.copy_texture_to_texture(texture.as_image_copy(), to, extent(map.size));
         }
         self.device.queue.submit([encoder.finish()]);
-        atlas.entries.extend(found.into_iter().map(|(map, region)| Entry { map, region }));
+        atlas.entries.extend(found.into_iter().map(|(map, region)| AtlasEntry { map, region }));
         Ok(())
     }
 }
@@ -249,7 +249,7 @@ impl Renderer {
 mod tests {
     use super::*;
 
-    fn overlap(a: &Region, b: &Region) -> bool {
+    fn overlap(a: &TexelBox, b: &TexelBox) -> bool {
         (0..3).all(|n| a.origin[n] < b.origin[n] + b.size[n] && b.origin[n] < a.origin[n] + a.size[n])
     }
 
@@ -262,23 +262,23 @@ mod tests {
             1 + (random >> 16) % most
         };
         for round in 0..200 {
-            let mut packing = Packing::default();
-            let mut taken: Vec<Region> = Vec::new();
+            let mut packing = AtlasPacking::default();
+            let mut taken: Vec<TexelBox> = Vec::new();
             for _ in 0..1 + round % 40 {
                 let size = if round % 3 == 0 { [64; 3] } else { [next(200), next(200), if round % 5 == 0 { 1 } else { next(200) }] };
                 let origin = packing.take(size).or_else(|| packing.grow_for(size, 2048).then(|| packing.take(size))?);
                 let Some(origin) = origin else { panic!("no place for {size:?} in {:?}", packing.size) };
-                let region = Region { origin, size };
+                let region = TexelBox { origin, size };
                 assert!(taken.iter().all(|t| !overlap(t, &region)), "{region:?}");
                 assert!((0..3).all(|a| origin[a] + size[a] <= packing.size[a]));
                 taken.push(region);
             }
-            let used: u64 = taken.iter().map(Region::texels).sum();
+            let used: u64 = taken.iter().map(TexelBox::texels).sum();
             let all: u64 = packing.size.iter().map(|n| u64::from(*n)).product();
             assert!(used <= all && (round % 3 != 0 || all <= 2 * used), "{used} of {all}");
-            let free: u64 = packing.free.iter().map(Region::texels).sum();
+            let free: u64 = packing.free.iter().map(TexelBox::texels).sum();
             assert_eq!(used + free, all);
         }
-        assert!(!Packing::default().grow_for([3000, 1, 1], 2048));
+        assert!(!AtlasPacking::default().grow_for([3000, 1, 1], 2048));
     }
 }

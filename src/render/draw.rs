@@ -1,10 +1,10 @@
 //! Submissions: bands of rays, slabs of slices. Two are under way at a time, so that the device need not wait for the next one to be recorded.
 
-use super::clock::Clock;
-use super::kept::Target;
+use super::cache::RenderTexture;
+use super::pass_timer::PassTimer;
 use super::slices::{self, SLICES_PER_SLAB};
 use super::surfaces::Layer;
-use super::{Counter, GATHERED, Renderer, Variant, overrides};
+use super::{Counter, PROJECTION_FORMAT, Renderer, Variant, overrides};
 use crate::gpu::shaders::Program;
 use crate::gpu::{wait, wait_for};
 use crate::prepare::Prepared;
@@ -29,10 +29,10 @@ pub(super) struct Draw<'a> {
     pub bindings: &'a wgpu::BindGroup,
     pub behind: Option<&'a Layer>,
     pub counter: Option<&'a Counter>,
-    pub target: &'a Target,
+    pub target: &'a RenderTexture,
     pub watch: &'a Watch<'a>,
     /// What times the passes, if anything does.
-    pub clock: Option<&'a Clock>,
+    pub clock: Option<&'a PassTimer>,
 }
 
 impl Draw<'_> {
@@ -60,7 +60,7 @@ impl<'a> Canvas<'a> {
         Self { color: Some((color, load)), depth: None }
     }
 
-    fn pass(&self, clock: Option<&Clock>, encoder: &mut wgpu::CommandEncoder, record: impl FnOnce(&mut wgpu::RenderPass)) {
+    fn pass(&self, clock: Option<&PassTimer>, encoder: &mut wgpu::CommandEncoder, record: impl FnOnce(&mut wgpu::RenderPass)) {
         let color = self.color.map(|(view, load)| wgpu::RenderPassColorAttachment {
             view,
             depth_slice: None,
@@ -76,7 +76,7 @@ impl<'a> Canvas<'a> {
             label: None,
             color_attachments: if color.is_some() { std::slice::from_ref(&color) } else { &[] },
             depth_stencil_attachment: depth,
-            timestamp_writes: clock.and_then(Clock::next),
+            timestamp_writes: clock.and_then(PassTimer::next),
             occlusion_query_set: None,
             multiview_mask: None,
         });
@@ -92,14 +92,14 @@ struct Bands {
 
 /// Submissions that are under way, the oldest first.
 #[derive(Default)]
-struct UnderWay(VecDeque<(wgpu::SubmissionIndex, f32)>);
+struct PendingSubmissions(VecDeque<(wgpu::SubmissionIndex, f32)>);
 
 impl Renderer {
     /// Submits; waits for the submission before it, tells how far that was, and stops if told to.
-    fn submit(&self, encoder: wgpu::CommandEncoder, share: f32, under_way: &mut UnderWay, watch: &Watch) -> Result<()> {
-        under_way.0.push_back((self.device.queue.submit([encoder.finish()]), share));
-        if under_way.0.len() > 1
-            && let Some((index, share)) = under_way.0.pop_front()
+    fn submit(&self, encoder: wgpu::CommandEncoder, share: f32, pending: &mut PendingSubmissions, watch: &Watch) -> Result<()> {
+        pending.0.push_back((self.device.queue.submit([encoder.finish()]), share));
+        if pending.0.len() > 1
+            && let Some((index, share)) = pending.0.pop_front()
         {
             wait_for(&self.device.device, index)?;
             (watch.progress)(share);
@@ -116,11 +116,11 @@ impl Renderer {
         let [width, height] = draw.scene.frame.size;
         let program = self.strategy.rays();
         let variant = draw.variant(self, program);
-        let bands = (program == Program::Rays).then(|| self.bands(draw));
+        let bands = (program == Program::RaycastCompute).then(|| self.bands(draw));
         let pixels = PIXELS_PER_BAND[usize::from(self.device.is_software())];
         // Whole workgroups: what one band does is not done, and counted, by the next one as well.
         let rows = (pixels / width).clamp(1, height).next_multiple_of(RAYS_ACROSS);
-        let mut under_way = UnderWay::default();
+        let mut pending = PendingSubmissions::default();
         for top in (0..height).step_by(rows as usize) {
             let count = rows.min(height - top);
             let mut encoder = self.encoder();
@@ -129,7 +129,7 @@ impl Renderer {
                 self.device.queue.write_buffer(&bands.first_row, 0, bytemuck::bytes_of(&[top, 0, 0, 0]));
                 let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
                     label: Some("rays"),
-                    timestamp_writes: draw.clock.and_then(Clock::next_computing),
+                    timestamp_writes: draw.clock.and_then(PassTimer::next_computing),
                 });
                 pass.set_pipeline(&self.ray_pipelines[&variant]);
                 pass.set_bind_group(0, draw.bindings, &[]);
@@ -144,7 +144,7 @@ impl Renderer {
                     pass.draw(0..3, 0..1);
                 });
             }
-            self.submit(encoder, (top + count) as f32 / height as f32, &mut under_way, draw.watch)?;
+            self.submit(encoder, (top + count) as f32 / height as f32, &mut pending, draw.watch)?;
         }
         wait(&self.device.device)
     }
@@ -156,7 +156,7 @@ impl Renderer {
         let mut others = vec![(2, first_row.as_entire_binding())];
         others.extend(draw.counter.map(|c| (0, c.buffer.as_entire_binding())));
         let purpose = if draw.counter.is_some() { "rays, counted" } else { "rays" };
-        let group = self.kept_group(purpose, &layout, vec![(1, draw.target.view.clone())], &others);
+        let group = self.cached_bind_group(purpose, &layout, vec![(1, draw.target.view.clone())], &others);
         Bands { first_row, group }
     }
 
@@ -188,9 +188,9 @@ impl Renderer {
         let scene = draw.scene;
         let [width, height] = scene.frame.size;
         let composite = scene.volume().blend == Blend::Composite;
-        let gathered = (!composite).then(|| self.target("gathered", width, height, GATHERED));
+        let projection_values = (!composite).then(|| self.target("gathered", width, height, PROJECTION_FORMAT));
         let mask = composite.then(|| self.target("opaque pixels", width, height, MASK));
-        let canvas = gathered.as_ref().map_or(&draw.target.view, |t| &t.view);
+        let canvas = projection_values.as_ref().map_or(&draw.target.view, |t| &t.view);
         let empty = match scene.volume().blend {
             Blend::Composite | Blend::Average => wgpu::Color::TRANSPARENT,
             // Below every value; green stays 0 where nothing was drawn.
@@ -200,7 +200,7 @@ impl Renderer {
         let vertices = self.slice_vertices(bytemuck::cast_slice(&polygons.corners));
         let seen = mask.as_ref().filter(|_| scene.settings.early_termination).map(|_| self.gathered_group(&draw.target.view));
         let pipeline = &self.pipelines[&draw.variant(self, Program::Slice)];
-        let mut under_way = UnderWay::default();
+        let mut pending = PendingSubmissions::default();
         let mut encoder = self.encoder();
         let depth = |load| mask.as_ref().map(|m| (&m.view, load));
         Canvas { color: Some((canvas, wgpu::LoadOp::Clear(empty))), depth: depth(wgpu::LoadOp::Clear(1.0)) }.pass(draw.clock, &mut encoder, |_| {});
@@ -229,14 +229,14 @@ impl Renderer {
             samples += samples_per_slab * slabs;
             if samples >= SAMPLES_PER_BATCH {
                 let share = ((n + 1) * slabs_at_once).min(count) as f32 / count as f32;
-                self.submit(std::mem::replace(&mut encoder, self.encoder()), share, &mut under_way, draw.watch)?;
+                self.submit(std::mem::replace(&mut encoder, self.encoder()), share, &mut pending, draw.watch)?;
                 samples = 0;
             }
         }
         if composite {
             if draw.behind.is_some() {
                 Canvas::of(canvas, wgpu::LoadOp::Load).pass(draw.clock, &mut encoder, |pass| {
-                    pass.set_pipeline(&self.pipelines[&draw.variant(self, Program::Under)]);
+                    pass.set_pipeline(&self.pipelines[&draw.variant(self, Program::SurfacesBehind)]);
                     pass.set_bind_group(0, draw.bindings, &[]);
                     pass.draw(0..3, 0..1);
                 });
@@ -250,12 +250,12 @@ impl Renderer {
                 pass.draw(0..3, 0..1);
             });
         }
-        self.submit(encoder, 1.0, &mut under_way, draw.watch)?;
+        self.submit(encoder, 1.0, &mut pending, draw.watch)?;
         wait(&self.device.device)
     }
 
     fn gathered_group(&mut self, view: &wgpu::TextureView) -> wgpu::BindGroup {
         let layout = super::gathered_layout(&self.device.device);
-        self.kept_group("gathered", &layout, vec![(1, view.clone())], &[])
+        self.cached_bind_group("gathered", &layout, vec![(1, view.clone())], &[])
     }
 }

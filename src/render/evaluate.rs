@@ -1,10 +1,10 @@
 //! The shaders' functions at many points: numbers for tests, and stacks composed on the device.
 
 use super::uniforms::{CutShapeUniform, PlacedMapUniform};
-use super::work::Made;
+use super::work::ResourceKind;
 use super::{Renderer, overrides};
-use crate::deform::compose::Sources;
-use crate::deform::cut::{Cuts, MAX_CUTS};
+use crate::deform::compose::SourcesAndAlphas;
+use crate::deform::cut::{CutShapes, MAX_CUTS};
 use crate::deform::{MAX_MAPS, Stack};
 use crate::gpu::shaders::Program;
 use crate::gpu::{checked, read_buffer};
@@ -37,7 +37,7 @@ impl Renderer {
     ///
     /// # Errors
     /// More maps than a pass binds; whatever the device reports.
-    pub(super) fn evaluate_stack(&self, stack: &Stack, points: &[Vec3]) -> Result<Sources> {
+    pub(super) fn evaluate_stack(&self, stack: &Stack, points: &[Vec3]) -> Result<SourcesAndAlphas> {
         let device = &self.device.device;
         let mut results = points.iter().map(|p| (*p, 1.0f32)).collect::<Vec<_>>();
         // The last maps act first; a map that is added to the one before it stays with it.
@@ -53,7 +53,7 @@ impl Renderer {
             let part = Stack::new(stack.maps()[first..end].to_vec());
             let positions: Vec<[f32; 3]> = results.iter().map(|(p, _)| p.to_array()).collect();
             let moved: Vec<[f32; 4]> = checked(device, || {
-                let bindings = self.bind_stack(&part, &Cuts::default())?;
+                let bindings = self.bind_stack(&part, &CutShapes::default())?;
                 let pipeline = self.compute_pipeline(
                     Program::Compose,
                     false,
@@ -85,7 +85,7 @@ impl Renderer {
     }
 
     /// The maps of a stack and shapes that cut, with nothing of the scene.
-    pub(super) fn bind_stack(&self, stack: &Stack, cuts: &Cuts) -> Result<wgpu::BindGroup> {
+    pub(super) fn bind_stack(&self, stack: &Stack, cuts: &CutShapes) -> Result<wgpu::BindGroup> {
         let (views, placed, _) = self.upload_maps(stack)?;
         let mut shapes = [bytemuck::Zeroable::zeroed(); MAX_CUTS];
         for (shape, cut) in shapes.iter_mut().zip(cuts.primitives()) {
@@ -137,7 +137,7 @@ impl Renderer {
         layouts: &[&wgpu::BindGroupLayout],
         constants: &[(&str, f64)],
     ) -> wgpu::ComputePipeline {
-        self.tally.count(Made::Pipeline);
+        self.tally.count(ResourceKind::Pipeline);
         let device = &self.device.device;
         let layouts: Vec<_> = layouts.iter().copied().map(Some).collect();
         let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor { label: None, bind_group_layouts: &layouts, immediate_size: 0 });

@@ -36,10 +36,10 @@
 //! not take a long one for it. The next submission is recorded while one is under way.
 
 mod atlas;
-mod clock;
+mod cache;
 mod draw;
 mod evaluate;
-mod kept;
+mod pass_timer;
 mod prepare;
 mod slices;
 mod strategy;
@@ -53,23 +53,23 @@ pub use work::Work;
 
 use crate::gpu::shaders::Program;
 use crate::gpu::{Device, checked, read_buffer, read_rgba16f, texture_bytes, wait};
-use crate::picture::{Picture, RenderStats, Rendered, Stages};
+use crate::picture::{Picture, RenderStats, Rendered, StageTimes};
 use crate::prepare::Prepared;
 use crate::scene::{IsoLight, Mode, Normals};
 use crate::transfer::Blend;
 use crate::volume::GradientFilter;
 use crate::{Error, Result, Watch};
-use clock::Clock;
+use cache::SceneCache;
 use draw::Draw;
-use kept::Kept;
+use pass_timer::PassTimer;
 use std::collections::HashMap;
 use std::sync::Arc;
 use volume::VolumeTexture;
 use wgpu::{BufferUsages, Features, TextureFormat};
-use work::{Made, Tally};
+use work::{ResourceKind, WorkCounters};
 
 /// What projections by slices are gathered in: sums of hundreds of samples need more than 16 bits.
-const GATHERED: TextureFormat = TextureFormat::Rgba32Float;
+const PROJECTION_FORMAT: TextureFormat = TextureFormat::Rgba32Float;
 /// Counters of `shaders/lib/count.wgsl`.
 const COUNTERS: usize = 3 * 1024;
 
@@ -79,7 +79,7 @@ struct Variant {
     program: Program,
     counting: bool,
     maps: usize,
-    shortcut: bool,
+    precomposed: bool,
     normals: Normals,
     blend: u32,
     gradient: GradientFilter,
@@ -102,11 +102,11 @@ pub struct Renderer {
     pipelines: HashMap<Variant, wgpu::RenderPipeline>,
     ray_pipelines: HashMap<Variant, wgpu::ComputePipeline>,
     volume: Option<VolumeTexture>,
-    kept: Kept,
-    preparing: prepare::Kept,
+    cache: SceneCache,
+    prepare_cache: prepare::PrepareCache,
     counter: Option<Counter>,
-    clock: Option<Arc<Clock>>,
-    tally: Tally,
+    clock: Option<Arc<PassTimer>>,
+    tally: WorkCounters,
     /// Smaller limits on the volume than the device's: voxels along an axis, and bytes.
     most: Option<(usize, u64)>,
 }
@@ -129,11 +129,11 @@ impl Renderer {
             pipelines: HashMap::new(),
             ray_pipelines: HashMap::new(),
             volume: None,
-            kept: Kept::default(),
-            preparing: prepare::Kept::default(),
+            cache: SceneCache::default(),
+            prepare_cache: prepare::PrepareCache::default(),
             counter: None,
             clock: None,
-            tally: Tally::default(),
+            tally: WorkCounters::default(),
             most: None,
         }
     }
@@ -155,7 +155,7 @@ impl Renderer {
 
     /// Whether pictures tell how long the GPU drew, by its own clock, where it has one: as a stage of its own, taken out of the one that draws.
     pub fn time_passes(&mut self, on: bool) {
-        self.clock = if on { Clock::new(&self.device.device, &self.tally).map(Arc::new) } else { None };
+        self.clock = if on { PassTimer::new(&self.device.device, &self.tally).map(Arc::new) } else { None };
     }
 
     fn restart_clock(&self) {
@@ -184,7 +184,7 @@ impl Renderer {
     }
 
     fn render_unchecked(&mut self, scene: &Prepared, counting: bool, watch: &Watch) -> Result<Rendered> {
-        let mut stages = Stages::default();
+        let mut stages = StageTimes::default();
         let [width, height] = scene.frame.size;
         let limits = self.device.device.limits();
         if width.max(height) > limits.max_texture_dimension_2d {
@@ -270,13 +270,13 @@ impl Renderer {
     }
 
     fn variant(&self, scene: &Prepared, program: Program, counting: bool) -> Variant {
-        let march = matches!(program, Program::Raycast | Program::Rays | Program::Slice);
+        let march = matches!(program, Program::Raycast | Program::RaycastCompute | Program::Slice);
         Variant {
             program,
             exact: self.strategy.exact_filter,
             counting: counting && (march || program == Program::Surface),
             maps: scene.stack.maps().len(),
-            shortcut: scene.stack.shortcut().is_some(),
+            precomposed: scene.stack.precomposed().is_some(),
             normals: if scene.is_lit() { scene.settings.normals } else { Normals::None },
             blend: match scene.volume().blend {
                 Blend::Composite => 0,
@@ -296,7 +296,7 @@ impl Renderer {
             },
             colors: scene.volume().colors.is_some(),
             preintegrated: scene.preintegrated() && march,
-            behind: (march || matches!(program, Program::Resolve | Program::Under)) && !scene.surfaces.objects.is_empty(),
+            behind: (march || matches!(program, Program::Resolve | Program::SurfacesBehind)) && !scene.surfaces.objects.is_empty(),
         }
     }
 
@@ -308,11 +308,11 @@ impl Renderer {
             (Mode::Slice, _) => vec![Program::Slice, Program::Resolve],
         };
         if scene.settings.mode == Mode::Slice && scene.volume().blend == Blend::Composite && !scene.surfaces.objects.is_empty() {
-            programs.push(Program::Under);
+            programs.push(Program::SurfacesBehind);
         }
         for program in programs {
             let variant = self.variant(scene, program, counting);
-            if program == Program::Rays {
+            if program == Program::RaycastCompute {
                 if !self.ray_pipelines.contains_key(&variant) {
                     let pipeline = self.ray_pipeline(variant);
                     self.ray_pipelines.insert(variant, pipeline);
@@ -325,7 +325,7 @@ impl Renderer {
     }
 
     fn pipeline(&self, variant: Variant) -> wgpu::RenderPipeline {
-        self.tally.count(Made::Pipeline);
+        self.tally.count(ResourceKind::Pipeline);
         let device = &self.device.device;
         let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some(&format!("{:?}", variant.program)),
@@ -345,9 +345,9 @@ impl Renderer {
             wgpu::BlendState { color: component, alpha: component }
         };
         let (format, blend) = match (variant.program, variant.blend) {
-            (Program::Slice | Program::Under, 0) => (TextureFormat::Rgba16Float, Some(under)),
-            (Program::Slice, 3) => (GATHERED, Some(gather(wgpu::BlendOperation::Add))),
-            (Program::Slice, _) => (GATHERED, Some(gather(wgpu::BlendOperation::Max))),
+            (Program::Slice | Program::SurfacesBehind, 0) => (TextureFormat::Rgba16Float, Some(under)),
+            (Program::Slice, 3) => (PROJECTION_FORMAT, Some(gather(wgpu::BlendOperation::Add))),
+            (Program::Slice, _) => (PROJECTION_FORMAT, Some(gather(wgpu::BlendOperation::Max))),
             _ => (TextureFormat::Rgba16Float, None),
         };
         let masked = matches!((variant.program, variant.blend), (Program::Slice, 0) | (Program::Opaque, _));
@@ -422,7 +422,7 @@ fn overrides(variant: &Variant) -> [(&'static str, f64); 13] {
     let gradient = if variant.gradient == GradientFilter::Sobel { 1.0 } else { 0.0 };
     [
         ("MAPS", variant.maps as f64),
-        ("SHORTCUT", f64::from(u8::from(variant.shortcut))),
+        ("PRECOMPOSED", f64::from(u8::from(variant.precomposed))),
         ("NORMALS", normals),
         ("BLEND", f64::from(variant.blend)),
         ("GRADIENT", gradient),

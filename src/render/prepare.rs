@@ -1,21 +1,21 @@
 //! What the device takes over of preparing a scene: maps sampled from their formulas, with bounds on boxes of their texels, and the cells of the
 //! empty-space grid by those bounds.
 //!
-//! *Theory*: the shaders `sample`, `encode`, `bounds` and `classify` state what `src/deform/kinds`, `src/deform/map.rs`, `src/math/pyramid.rs` and
+//! *Theory*: the shaders `sample`, `encode`, `bounds` and `classify` state what `src/deform/kinds`, `src/deform/map.rs`, `src/math/value_pyramid.rs` and
 //! `src/scene/macrocells.rs` state. A map stays on the device: of its texels the CPU gets to know their scale and what all of them lie within, which the
 //! deformed scene's box and the grid's place depend on; and of the grid what each cell shows. Where something asks a map for more (a picker, the CPU
 //! renderer), it is sampled there too.
 
 use super::Renderer;
-use super::uniforms::{ClassificationUniform, LevelUniform, MAP_LEVELS, NodeBounds, RecipeUniform, VALUE_LEVELS};
-use crate::deform::compose::Sources;
-use crate::deform::{DisplacementMap, Extent, Formula, MAX_MAPS, Recipe, Stack, Storage};
+use super::uniforms::{ClassificationUniform, LevelUniform, MAP_LEVELS, MapDefinitionUniform, NodeBounds, VALUE_LEVELS};
+use crate::deform::compose::SourcesAndAlphas;
+use crate::deform::{DisplacementMap, Formula, MAX_MAPS, MapDefinition, Stack, Storage, TexelRange};
 use crate::gpu::shaders::Program;
 use crate::gpu::{checked, read_buffer};
-use crate::math::pyramid::Range;
-use crate::prepare::{Accelerator, CellGrid, Contents, Flag};
+use crate::math::pyramid::ChannelRange;
+use crate::prepare::{Accelerator, CellGrid, CellState, VisibilityCriteria};
 use crate::transfer::TABLE_ENTRIES;
-use crate::volume::{Grid, GridVoxels};
+use crate::volume::{VoxelGrid, VoxelGridValues};
 use crate::{Error, Result, Watch};
 use glam::Vec3;
 use std::collections::HashMap;
@@ -27,14 +27,17 @@ const GROUP: u32 = 4;
 /// Cells of a map's grid along the edge of a finest box, as in `shaders/bounds.wgsl`.
 const CELLS_PER_NODE: usize = 4;
 /// Bytes of samples that are kept room for: those of a map of 128^3 points, and some more.
-const KEPT_SAMPLES: u64 = 64 << 20;
+const MAX_CACHED_SAMPLE_BYTES: u64 = 64 << 20;
 /// Distance between uniforms that are chosen by an offset.
 const STRIDE: u64 = 256;
 
 impl NodeBounds {
-    fn extent(&self) -> Extent {
+    fn extent(&self) -> TexelRange {
         let nine = |columns: &[[f32; 4]; 3]| std::array::from_fn(|n| columns[n / 3][n % 3]);
-        Extent { texels: Range { min: self.low, max: self.high }, slopes: Range { min: nine(&self.slope_low), max: nine(&self.slope_high) } }
+        TexelRange {
+            texels: ChannelRange { min: self.low, max: self.high },
+            slopes: ChannelRange { min: nine(&self.slope_low), max: nine(&self.slope_high) },
+        }
     }
 }
 
@@ -58,20 +61,20 @@ pub(super) struct SampledMap {
     pub texture: wgpu::Texture,
     pub bounds: MapBounds,
     scale: f32,
-    whole: Extent,
+    whole: TexelRange,
 }
 
 /// Bounds on the values of a volume, on the device.
 struct ValueBounds {
     /// Keeps the address that it is found by.
-    voxels: GridVoxels,
+    voxels: VoxelGridValues,
     nodes: wgpu::Buffer,
     levels: Vec<[u32; 4]>,
 }
 
 /// What is kept for the next map and the next grid.
 #[derive(Default)]
-pub(super) struct Kept {
+pub(super) struct PrepareCache {
     maps: OnceLock<MapPipelines>,
     /// By the numbers of maps and of shapes, and by who mixes texels.
     cells: Mutex<HashMap<(usize, usize, bool), wgpu::ComputePipeline>>,
@@ -79,16 +82,16 @@ pub(super) struct Kept {
 }
 
 /// A pipeline with the layout of what it binds.
-struct Step {
+struct ComputeStep {
     pipeline: wgpu::ComputePipeline,
     layout: wgpu::BindGroupLayout,
 }
 
 struct MapPipelines {
-    sample: Step,
-    encode: Step,
+    sample: ComputeStep,
+    encode: ComputeStep,
     /// The layout of both.
-    leaves: Step,
+    leaves: ComputeStep,
     halve: wgpu::ComputePipeline,
 }
 
@@ -138,13 +141,13 @@ impl Renderer {
         self.bind_group(label, layout, &entries)
     }
 
-    fn step(&self, program: Program, entry: &str, types: &[wgpu::BindingType]) -> Step {
+    fn step(&self, program: Program, entry: &str, types: &[wgpu::BindingType]) -> ComputeStep {
         let layout = self.layout_of(entry, types);
-        Step { pipeline: self.compute_pipeline_at(program, entry, false, &[&layout], &[]), layout }
+        ComputeStep { pipeline: self.compute_pipeline_at(program, entry, false, &[&layout], &[]), layout }
     }
 
     fn map_pipelines(&self) -> &MapPipelines {
-        self.preparing.maps.get_or_init(|| {
+        self.prepare_cache.maps.get_or_init(|| {
             let texels = wgpu::BindingType::StorageTexture {
                 access: wgpu::StorageTextureAccess::WriteOnly,
                 format: TextureFormat::Rgba16Float,
@@ -202,18 +205,23 @@ impl Renderer {
     }
 
     /// Samples a formula into a map.
-    pub(super) fn sampled_map(&self, recipe: &Recipe, formula: &Formula) -> Result<SampledMap> {
+    pub(super) fn sampled_map(&self, recipe: &MapDefinition, formula: &Formula) -> Result<SampledMap> {
         let pipelines = self.map_pipelines();
         let size = recipe.size.map(|n| n as u32);
         let points = recipe.size.iter().product::<usize>() as u64;
         let usage = wgpu::TextureUsages::STORAGE_BINDING | wgpu::TextureUsages::COPY_SRC;
         let texture = self.texture_3d_for("displacement map", recipe.size, TextureFormat::Rgba16Float, usage)?;
         let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
-        let own =
-            RecipeUniform { cube_mm: recipe.cube_mm.into(), ramp_mm: recipe.ramp_mm, size, kind: formula.kind as u32, numbers: formula.numbers };
+        let own = MapDefinitionUniform {
+            cube_mm: recipe.cube_mm.into(),
+            ramp_mm: recipe.ramp_mm,
+            size,
+            kind: formula.kind as u32,
+            numbers: formula.numbers,
+        };
         let own = self.scratch("recipe", bytemuck::bytes_of(&own), BufferUsages::UNIFORM);
         let edge = self.scratch("size of a map", bytemuck::bytes_of(&[size[0], size[1], size[2], 0]), BufferUsages::UNIFORM);
-        let samples = if points * 16 <= KEPT_SAMPLES {
+        let samples = if points * 16 <= MAX_CACHED_SAMPLE_BYTES {
             self.scratch_of("samples", points * 16, BufferUsages::STORAGE)
         } else {
             self.buffer("samples", points * 16, BufferUsages::STORAGE)
@@ -246,20 +254,20 @@ impl Renderer {
     }
 
     /// Whether the device can hold what sampling a map needs.
-    fn samples(&self, recipe: &Recipe) -> bool {
+    fn samples(&self, recipe: &MapDefinition) -> bool {
         let limits = self.device.device.limits();
         let bytes = recipe.size.iter().product::<usize>() as u64 * 16;
         recipe.storage == Storage::F16 && bytes <= limits.max_storage_buffer_binding_size.min(limits.max_buffer_size)
     }
 
     /// The nodes of a volume's bounds, and their levels.
-    fn value_bounds(&self, contents: &Contents, volume: &Grid) -> (wgpu::Buffer, Vec<[u32; 4]>) {
-        let mut kept = self.preparing.values.lock().unwrap_or_else(PoisonError::into_inner);
+    fn value_bounds(&self, contents: &VisibilityCriteria, volume: &VoxelGrid) -> (wgpu::Buffer, Vec<[u32; 4]>) {
+        let mut kept = self.prepare_cache.values.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(found) = kept.as_ref().filter(|v| v.voxels.identity() == volume.voxels.identity()) {
             return (found.nodes.clone(), found.levels.clone());
         }
         let (mut levels, mut nodes) = (Vec::new(), Vec::new());
-        for (size, of_level) in contents.pyramid.levels() {
+        for (size, of_level) in contents.value_pyramid.levels() {
             let [x, y, z] = size.map(|n| n as u32);
             levels.push([x, y, z, nodes.len() as u32]);
             nodes.extend(of_level.iter().map(|r| [r.min[0], r.max[0]]));
@@ -269,7 +277,7 @@ impl Renderer {
         (buffer, levels)
     }
 
-    fn classified(&self, cells: &CellGrid, contents: &Contents, volume: &Grid) -> Result<Option<Vec<Flag>>> {
+    fn classified(&self, cells: &CellGrid, contents: &VisibilityCriteria, volume: &VoxelGrid) -> Result<Option<Vec<CellState>>> {
         let stack = contents.stack;
         let (values, value_levels) = self.value_bounds(contents, volume);
         if stack.maps().len() > MAX_MAPS || value_levels.len() > VALUE_LEVELS {
@@ -287,7 +295,7 @@ impl Renderer {
             self.scratch_of("bounds of all maps", all.max(size_of::<NodeBounds>() as u64), BufferUsages::STORAGE | BufferUsages::COPY_DST);
         let mut at = 0;
         for (k, b) in bounds.iter().enumerate() {
-            uniform.set_map(k, &b.levels, (at / size_of::<NodeBounds>() as u64) as u32, stack.maps()[k].map.cuts());
+            uniform.set_map(k, &b.levels, (at / size_of::<NodeBounds>() as u64) as u32, stack.maps()[k].map.has_cuts());
             encoder.copy_buffer_to_buffer(&b.nodes, 0, &map_nodes, at, b.nodes.size());
             at += b.nodes.size();
         }
@@ -306,7 +314,7 @@ impl Renderer {
         let group = self.bind_in_order("classification", &layout, &resources);
         let key = (stack.maps().len(), contents.cuts.primitives().len(), self.strategy.exact_filter);
         let pipeline = {
-            let mut kept = self.preparing.cells.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut kept = self.prepare_cache.cells.lock().unwrap_or_else(PoisonError::into_inner);
             let make = || {
                 let constants = [("MAPS", key.0 as f64), ("CUTS", key.1 as f64), ("EXACT", f64::from(u8::from(key.2)))];
                 self.compute_pipeline_at(Program::Classify, "classify", false, &[&self.stack_layout(), &layout], &constants)
@@ -326,34 +334,34 @@ impl Renderer {
         let read = read_buffer(&self.device.device, &back)?;
         let numbers: &[u32] = bytemuck::try_cast_slice(&read).map_err(|e| Error::Gpu(format!("reading back failed: {e}")))?;
         let flag = |n: &u32| match n {
-            0 => Flag::Empty,
-            1 => Flag::Occupied,
-            _ => Flag::Clear,
+            0 => CellState::Empty,
+            1 => CellState::Occupied,
+            _ => CellState::CutFree,
         };
         Ok(Some(numbers.iter().take(cells.size.element_product() as usize).map(flag).collect()))
     }
 }
 
 impl Accelerator for Renderer {
-    fn evaluate(&self, stack: &Stack, points: &[Vec3]) -> Result<Sources> {
+    fn evaluate(&self, stack: &Stack, points: &[Vec3]) -> Result<SourcesAndAlphas> {
         self.evaluate_stack(stack, points)
     }
 
-    fn map(&self, recipe: Recipe, watch: &Watch) -> Result<Arc<DisplacementMap>> {
+    fn map(&self, recipe: MapDefinition, watch: &Watch) -> Result<Arc<DisplacementMap>> {
         let Some(formula) = recipe.formula().filter(|_| self.strategy.prepare && self.samples(&recipe)) else {
             return recipe.map_until(watch).map(Arc::new);
         };
         let made = checked(&self.device.device, || self.sampled_map(&recipe, &formula))?;
-        let map = Arc::new(DisplacementMap::made_elsewhere(recipe, made.scale, made.whole));
-        self.keep_map(&map, made);
+        let map = Arc::new(DisplacementMap::from_device(recipe, made.scale, made.whole));
+        self.cache_map(&map, made);
         Ok(map)
     }
 
-    fn wants_texels(&self) -> bool {
+    fn needs_texels(&self) -> bool {
         !self.strategy.prepare
     }
 
-    fn classify(&self, cells: &CellGrid, contents: &Contents, volume: &Grid) -> Result<Option<Vec<Flag>>> {
+    fn classify(&self, cells: &CellGrid, contents: &VisibilityCriteria, volume: &VoxelGrid) -> Result<Option<Vec<CellState>>> {
         if !self.strategy.prepare {
             return Ok(None);
         }

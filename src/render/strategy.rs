@@ -26,6 +26,6 @@ impl Strategy {
     }
 
     pub(super) fn rays(self) -> Program {
-        if self.compute_rays { Program::Rays } else { Program::Raycast }
+        if self.compute_rays { Program::RaycastCompute } else { Program::Raycast }
     }
 }

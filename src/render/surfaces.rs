@@ -5,18 +5,18 @@
 //! their number.
 //! An object in two stages has its triangles drawn into a layer beside, which its rays read and blend with.
 
-use super::clock::Clock;
-use super::kept::{Shared, Target};
+use super::cache::{RenderTexture, SceneBindings};
+use super::pass_timer::PassTimer;
 use super::uniforms::{DeformerUniform, PlacedSolidUniform, SurfaceObjectUniform};
-use super::work::Made;
+use super::work::ResourceKind;
 use super::{Counter, Renderer, Variant, extent, overrides};
 use crate::gpu::shaders::Program;
 use crate::mesh::Implicit;
-use crate::mesh::deformer::MOST_DEFORMERS;
-use crate::mesh::formula::MOST_SOLIDS;
+use crate::mesh::deformer::MAX_DEFORMERS;
+use crate::mesh::formula::MAX_SOLIDS;
 use crate::prepare::Prepared;
 use crate::prepare::objects::{Stage, SurfaceObject, Triangles};
-use crate::prepare::surface_cells::{Solid, SurfaceCells};
+use crate::prepare::surface_cells::{SolidIdentity, SurfaceCells};
 use crate::{Result, Watch};
 use half::f16;
 use rayon::prelude::*;
@@ -28,7 +28,7 @@ const DEPTH: TextureFormat = TextureFormat::Depth32Float;
 /// No surface; as in `shaders/bindings.wgsl`.
 const FAR_AWAY: f64 = 1e30;
 /// Bytes of fields that are kept while none is drawn.
-const KEPT_FIELD_BYTES: u64 = 256 << 20;
+const MAX_CACHED_FIELD_BYTES: u64 = 256 << 20;
 /// Rows of a picture per submission of rays.
 const ROWS_AT_ONCE: u32 = 128;
 
@@ -61,14 +61,14 @@ struct Corners {
 }
 
 /// What the device has of an object, by its place in the scene.
-pub(super) struct KeptObject {
+pub(super) struct CachedObject {
     /// The object's own, its solids and its deformers.
     uniforms: [wgpu::Buffer; 3],
     /// What the field's texture holds; none of formulas.
-    sampled: Option<Solid>,
-    field: Target,
+    sampled: Option<SolidIdentity>,
+    field: RenderTexture,
     of_cells: Arc<SurfaceCells>,
-    cells: Target,
+    cells: RenderTexture,
     corners: Option<Corners>,
     group: wgpu::BindGroup,
 }
@@ -83,7 +83,7 @@ impl Renderer {
     }
 
     /// Draws all surfaces of a scene.
-    pub(super) fn draw_surfaces(&mut self, scene: &Prepared, shared: &Shared, counter: Option<&Counter>, watch: &Watch) -> Result<Layer> {
+    pub(super) fn draw_surfaces(&mut self, scene: &Prepared, shared: &SceneBindings, counter: Option<&Counter>, watch: &Watch) -> Result<Layer> {
         let [width, height] = scene.frame.size;
         let layer = self.layer(["surfaces: colour", "surfaces: distance", "surfaces: depth"], width, height);
         self.clear(&layer);
@@ -105,7 +105,7 @@ impl Renderer {
             (watch.progress)((n + 1) as f32 / count as f32);
             watch.check()?;
         }
-        self.kept.objects.truncate(count);
+        self.cache.objects.truncate(count);
         Ok(layer)
     }
 
@@ -138,7 +138,7 @@ impl Renderer {
                     }),
                     stencil_ops: None,
                 }),
-                timestamp_writes: self.clock.as_deref().and_then(Clock::next),
+                timestamp_writes: self.clock.as_deref().and_then(PassTimer::next),
                 occlusion_query_set: None,
                 multiview_mask: None,
             });
@@ -199,41 +199,41 @@ impl Renderer {
 
     /// Field, empty space, formulas, deformers and triangles of one object: what the device has of it is kept, and what has changed is written.
     fn bind_object(&mut self, n: usize, scene: &Prepared, object: &SurfaceObject) -> Result<(wgpu::BindGroup, Option<Corners>)> {
-        if self.kept.objects.len() <= n {
-            self.kept.objects.resize_with(n + 1, || None);
+        if self.cache.objects.len() <= n {
+            self.cache.objects.resize_with(n + 1, || None);
         }
-        let before = self.kept.objects[n].take();
+        let before = self.cache.objects[n].take();
         let own = SurfaceObjectUniform::new(scene, object);
-        let mut solids: [PlacedSolidUniform; MOST_SOLIDS] = [bytemuck::Zeroable::zeroed(); MOST_SOLIDS];
+        let mut solids: [PlacedSolidUniform; MAX_SOLIDS] = [bytemuck::Zeroable::zeroed(); MAX_SOLIDS];
         if let Some(Implicit::Formula(f)) = &object.implicit {
             solids.iter_mut().zip(&f.0).for_each(|(u, s)| *u = PlacedSolidUniform::new(s));
         }
-        let mut deformers: [DeformerUniform; MOST_DEFORMERS] = [bytemuck::Zeroable::zeroed(); MOST_DEFORMERS];
+        let mut deformers: [DeformerUniform; MAX_DEFORMERS] = [bytemuck::Zeroable::zeroed(); MAX_DEFORMERS];
         deformers.iter_mut().zip(&object.deformers).for_each(|(u, d)| *u = DeformerUniform::new(d));
         let contents: [&[u8]; 3] = [bytemuck::bytes_of(&own), bytemuck::cast_slice(&solids), bytemuck::cast_slice(&deformers)];
         let uniforms = match &before {
-            Some(kept) => {
-                kept.uniforms.iter().zip(contents).for_each(|(buffer, bytes)| self.device.queue.write_buffer(buffer, 0, bytes));
-                kept.uniforms.clone()
+            Some(cached) => {
+                cached.uniforms.iter().zip(contents).for_each(|(buffer, bytes)| self.device.queue.write_buffer(buffer, 0, bytes));
+                cached.uniforms.clone()
             }
             None => contents.map(|bytes| self.buffer_of("object", bytes, wgpu::BufferUsages::UNIFORM)),
         };
         let implicit = object.implicit.as_ref().filter(|i| !matches!(i, Implicit::Formula(_)));
-        let sampled = implicit.map(Solid::from);
+        let sampled = implicit.map(SolidIdentity::from);
         let field = match &before {
-            Some(kept) if kept.sampled == sampled => kept.field.clone(),
+            Some(cached) if cached.sampled == sampled => cached.field.clone(),
             _ => self.upload_field(implicit)?,
         };
         let cells = match &before {
-            Some(kept) if Arc::ptr_eq(&kept.of_cells, &object.cells) => kept.cells.clone(),
-            _ => self.upload_cells(&object.cells, before.as_ref().map(|kept| &kept.cells))?,
+            Some(cached) if Arc::ptr_eq(&cached.of_cells, &object.cells) => cached.cells.clone(),
+            _ => self.upload_cells(&object.cells, before.as_ref().map(|cached| &cached.cells))?,
         };
-        let corners = object.triangles.as_ref().map(|t| match before.as_ref().and_then(|kept| kept.corners.as_ref()) {
+        let corners = object.triangles.as_ref().map(|t| match before.as_ref().and_then(|cached| cached.corners.as_ref()) {
             Some(corners) if Arc::ptr_eq(&corners.of, t) => corners.clone(),
             _ => self.upload_corners(t),
         });
         let group = match &before {
-            Some(kept) if (&kept.field, &kept.cells) == (&field, &cells) => kept.group.clone(),
+            Some(cached) if (&cached.field, &cached.cells) == (&field, &cells) => cached.group.clone(),
             _ => self.bind_group(
                 "object",
                 &self.object_layout(),
@@ -247,15 +247,15 @@ impl Renderer {
             ),
         };
         let bound = (group.clone(), corners.clone());
-        self.kept.objects[n] = Some(KeptObject { uniforms, sampled, field, of_cells: object.cells.clone(), cells, corners, group });
+        self.cache.objects[n] = Some(CachedObject { uniforms, sampled, field, of_cells: object.cells.clone(), cells, corners, group });
         Ok(bound)
     }
 
     /// Lets go of large fields where no surface is drawn; small ones wait for the next picture that shows them.
     pub(super) fn forget_large_fields(&mut self) {
-        let bytes: u64 = self.kept.objects.iter().flatten().map(|kept| crate::gpu::texture_bytes(&kept.field.texture)).sum();
-        if bytes > KEPT_FIELD_BYTES {
-            self.kept.objects.clear();
+        let bytes: u64 = self.cache.objects.iter().flatten().map(|cached| crate::gpu::texture_bytes(&cached.field.texture)).sum();
+        if bytes > MAX_CACHED_FIELD_BYTES {
+            self.cache.objects.clear();
         }
     }
 
@@ -267,20 +267,20 @@ impl Renderer {
     }
 
     /// The cells around an object, into the texture that there is if they fit.
-    fn upload_cells(&self, cells: &SurfaceCells, before: Option<&Target>) -> Result<Target> {
+    fn upload_cells(&self, cells: &SurfaceCells, before: Option<&RenderTexture>) -> Result<RenderTexture> {
         let size = cells.grid.size.to_array().map(|n| n as usize);
         let target = match before {
             Some(target) if target.texture.size() == extent(size) => target.clone(),
-            _ => Target::new(self.texture_3d("cells of a surface", size, TextureFormat::Rg32Float)?),
+            _ => RenderTexture::new(self.texture_3d("cells of a surface", size, TextureFormat::Rg32Float)?),
         };
-        self.tally.count(Made::Cells);
+        self.tally.count(ResourceKind::Cells);
         let texels: Vec<[f32; 2]> = cells.grid.distance.iter().zip(&cells.slope).map(|(d, s)| [f32::from(*d), *s]).collect();
         self.write_layers(&target.texture, 0, bytemuck::cast_slice(&texels), size);
         Ok(target)
     }
 
     /// A field in half precision, whose steps are finest where it matters, at the surface.
-    fn upload_field(&self, implicit: Option<&Implicit>) -> Result<Target> {
+    fn upload_field(&self, implicit: Option<&Implicit>) -> Result<RenderTexture> {
         let (size, values): ([usize; 3], &[f32]) = match implicit {
             Some(Implicit::Grid(g)) => (g.size, &g.distance_mm),
             Some(Implicit::Depth(d)) => ([d.size, d.size, d.faces.len()], &d.depth_mm),
@@ -293,7 +293,7 @@ impl Renderer {
         };
         let texture = self.texture_3d("distance field", size, format)?;
         if implicit.is_some() {
-            self.tally.count(Made::Field);
+            self.tally.count(ResourceKind::Field);
         }
         let layer = size[0] * size[1];
         let layers_at_once = ((16 << 20) / (layer * 4)).max(1);
@@ -307,14 +307,14 @@ impl Renderer {
             }
         }
         debug_assert_eq!(texture.size(), extent(size));
-        Ok(Target::new(texture))
+        Ok(RenderTexture::new(texture))
     }
 
     fn compile_surface(&mut self, variant: Variant) {
         if self.pipelines.contains_key(&variant) {
             return;
         }
-        self.tally.count(Made::Pipeline);
+        self.tally.count(ResourceKind::Pipeline);
         let device = &self.device.device;
         let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some(&format!("{:?}", variant.program)),

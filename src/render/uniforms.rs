@@ -1,12 +1,12 @@
 //! What the shaders read besides textures: `shaders/types/frame.wgsl` in Rust. A test compares names, offsets and sizes.
 
-use crate::deform::cut::Primitive;
+use crate::deform::cut::CutShape;
 use crate::deform::{FORMULA_NUMBERS, MAX_MAPS, PlacedMap};
 use crate::mesh::Implicit;
-use crate::mesh::deformer::{Deform, Deformer, NormalMethod};
-use crate::mesh::formula::{Join, PlacedSolid, Solid};
+use crate::mesh::deformer::{Deformer, DeformerKind, NormalMethod};
+use crate::mesh::formula::{CsgOperation, PlacedSolid, Solid};
 use crate::prepare::objects::{Stage, SurfaceObject};
-use crate::prepare::{CellGrid, Contents, Prepared};
+use crate::prepare::{CellGrid, Prepared, VisibilityCriteria};
 use crate::scene::Projection;
 use crate::scene::surface::{CutModel, Steps};
 use bytemuck::{Pod, Zeroable};
@@ -75,21 +75,21 @@ pub struct CutShapeUniform {
     pub shape: u32,
     pub half_angle: f32,
     pub sense: f32,
-    pub joined: u32,
-    pub and_group: u32,
+    pub joins_previous: u32,
+    pub intersects_group: u32,
 }
 
 impl CutShapeUniform {
     /// One cut.
-    pub fn new(p: &Primitive) -> Self {
+    pub fn new(p: &CutShape) -> Self {
         Self {
             local_from_world: affine(&p.local_from_world),
             half: p.half.into(),
             shape: p.shape as u32,
             half_angle: p.half_angle,
             sense: if p.inverted { -1.0 } else { 1.0 },
-            joined: u32::from(p.joined),
-            and_group: u32::from(p.and),
+            joins_previous: u32::from(p.joins_previous),
+            intersects_group: u32::from(p.intersects),
         }
     }
 }
@@ -163,7 +163,7 @@ impl FrameUniform {
             jitter: u32::from(scene.settings.jitter),
             texture_size,
             gradient_scale,
-            face: scene.voxels_beside_deformed_faces().into(),
+            face: scene.deformed_face_margin_voxels().into(),
             stored_offset: scene.volume().grid.offset,
             per_texture_size: texture_size.map(f32::recip),
             padding: 0.0,
@@ -224,7 +224,7 @@ pub struct SurfaceObjectUniform {
     pub both: u32,
     pub deformers: u32,
     pub normal_method: u32,
-    pub beside_mm: f32,
+    pub vertex_offset_mm: f32,
     pub padding: [f32; 2],
 }
 
@@ -265,7 +265,7 @@ impl SurfaceObjectUniform {
                 NormalMethod::Tangent => 1,
                 NormalMethod::Numeric => 2,
             },
-            beside_mm: crate::mesh::deformer::beside_mm(&object.deformers),
+            vertex_offset_mm: crate::mesh::deformer::vertex_offset_mm(&object.deformers),
             ..Self::zeroed()
         };
         match &object.implicit {
@@ -310,9 +310,9 @@ impl PlacedSolidUniform {
             Solid::Gyroid(period, wall, half) => (4, half.extend(0.0).to_array(), period, wall),
         };
         let join = match s.join {
-            Join::Union => 0,
-            Join::Intersect => 1,
-            Join::Subtract => 2,
+            CsgOperation::Union => 0,
+            CsgOperation::Intersect => 1,
+            CsgOperation::Subtract => 2,
         };
         Self { local_from_world: affine(&s.local_from_world), numbers, solid, join, period, wall }
     }
@@ -336,13 +336,13 @@ impl DeformerUniform {
         let mut u = Self { local_from_world: affine(&d.local_from_world), half: d.half.into(), ..Self::zeroed() };
         let three = |a: f32, b: f32, c: f32| [a, b, c, 0.0];
         (u.kind, u.numbers) = match &d.deform {
-            Deform::Twist(rate) => (0, three(*rate, 0.0, 0.0)),
-            Deform::Bend(rate) => (1, three(*rate, 0.0, 0.0)),
-            Deform::Taper(factor) => (2, three(*factor, 0.0, 0.0)),
-            Deform::Shear(share) => (3, three(*share, 0.0, 0.0)),
-            Deform::Bulge(amount, width) => (4, three(*amount, *width, 0.0)),
-            Deform::Wave(amplitude, frequency, phase) => (5, three(*amplitude, *frequency, *phase)),
-            Deform::Lattice(offsets) => {
+            DeformerKind::Twist(rate) => (0, three(*rate, 0.0, 0.0)),
+            DeformerKind::Bend(rate) => (1, three(*rate, 0.0, 0.0)),
+            DeformerKind::Taper(factor) => (2, three(*factor, 0.0, 0.0)),
+            DeformerKind::Shear(share) => (3, three(*share, 0.0, 0.0)),
+            DeformerKind::Bulge(amount, width) => (4, three(*amount, *width, 0.0)),
+            DeformerKind::Wave(amplitude, frequency, phase) => (5, three(*amplitude, *frequency, *phase)),
+            DeformerKind::Lattice(offsets) => {
                 u.offsets.iter_mut().zip(offsets.iter()).for_each(|(u, o)| *u = o.extend(0.0).to_array());
                 (6, [0.0; 4])
             }
@@ -362,11 +362,11 @@ pub struct NodeBounds {
     pub slope_high: [[f32; 4]; 3],
 }
 
-/// `Recipe` of `shaders/sample.wgsl`.
+/// `MapDefinition` of `shaders/sample.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 #[allow(missing_docs, reason = "documented in the shader")]
-pub struct RecipeUniform {
+pub struct MapDefinitionUniform {
     pub cube_mm: [f32; 3],
     pub ramp_mm: f32,
     pub size: [u32; 3],
@@ -392,9 +392,9 @@ pub struct LevelUniform {
 pub struct ClassificationUniform {
     pub voxel_from_world: [f32; 16],
     pub origin: [f32; 3],
-    pub looks_back_mm: f32,
+    pub lookback_mm: f32,
     pub cell_mm: [f32; 3],
-    pub beside_cuts_mm: f32,
+    pub cut_lookback_mm: f32,
     pub size: [u32; 3],
     pub cut_margin_mm: f32,
     pub voxel_low: [f32; 3],
@@ -406,11 +406,11 @@ pub struct ClassificationUniform {
     pub has_iso: u32,
     pub grey_faces: u32,
     pub composite: u32,
-    pub stack_cuts: u32,
+    pub stack_has_cuts: u32,
     pub value_shift: u32,
     pub value_levels: u32,
     pub value_size: [u32; 3],
-    pub beside_mm: f32,
+    pub precompose_error_mm: f32,
     pub values: [[u32; 4]; VALUE_LEVELS],
     pub maps: [[u32; 4]; MAX_MAPS],
     pub levels: [[u32; 4]; MAX_MAPS * MAP_LEVELS],
@@ -418,16 +418,16 @@ pub struct ClassificationUniform {
 
 impl ClassificationUniform {
     /// A grid and what decides about its cells; of the bounds on values, nodes along each axis and the first node of each level.
-    pub fn new(cells: &CellGrid, contents: &Contents, value_levels: &[[u32; 4]]) -> Self {
-        let (value_size, value_shift) = contents.pyramid.grid();
+    pub fn new(cells: &CellGrid, contents: &VisibilityCriteria, value_levels: &[[u32; 4]]) -> Self {
+        let (value_size, value_shift) = contents.value_pyramid.grid();
         let mut values = [[0; 4]; VALUE_LEVELS];
         values.iter_mut().zip(value_levels).for_each(|(to, from)| *to = *from);
         Self {
             voxel_from_world: affine(contents.voxel_from_world),
             origin: cells.bounds.min.into(),
-            looks_back_mm: contents.looks_back_mm,
+            lookback_mm: contents.lookback_mm,
             cell_mm: cells.cell_mm.into(),
-            beside_cuts_mm: contents.beside_cuts_mm,
+            cut_lookback_mm: contents.cut_lookback_mm,
             size: cells.size.into(),
             cut_margin_mm: contents.cut_margin_mm,
             voxel_low: contents.voxel_box.min.into(),
@@ -439,11 +439,11 @@ impl ClassificationUniform {
             has_iso: u32::from(contents.iso.is_some()),
             grey_faces: u32::from(contents.grey_faces),
             composite: u32::from(contents.blend == crate::transfer::Blend::Composite),
-            stack_cuts: u32::from(contents.stack.cuts()),
+            stack_has_cuts: u32::from(contents.stack.has_cuts()),
             value_shift,
             value_levels: value_levels.len() as u32,
             value_size: value_size.map(|n| n as u32),
-            beside_mm: contents.stack.beside_mm(),
+            precompose_error_mm: contents.stack.precompose_error_mm(),
             values,
             maps: Zeroable::zeroed(),
             levels: Zeroable::zeroed(),

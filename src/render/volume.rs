@@ -3,11 +3,11 @@
 //! A volume beyond the device's limits is reduced by whole factors, each texel being the mean of a block of voxels, and the user is told. The
 //! whole of it stays on the CPU, whose renderer shows every voxel.
 
-use super::work::Made;
+use super::work::ResourceKind;
 use super::{Renderer, extent};
 use crate::gpu::wait;
 use crate::prepare::Prepared;
-use crate::volume::{Colors, Grid, GridVoxels};
+use crate::volume::{Colors, VoxelGrid, VoxelGridValues};
 use crate::{Error, Result};
 use half::f16;
 use rayon::prelude::*;
@@ -16,7 +16,7 @@ use wgpu::{Features, TextureFormat};
 
 /// Bytes of a gradient volume on a GPU of its own memory, which cannot be asked how much there is: a picture must not fail for what it can do
 /// without.
-const MOST_GRADIENT_BYTES: u64 = 512 << 20;
+const MAX_GRADIENT_BYTES: u64 = 512 << 20;
 /// Bytes that are copied at once.
 const PIECE: usize = 16 << 20;
 
@@ -24,7 +24,7 @@ const PIECE: usize = 16 << 20;
 pub(super) struct VolumeTexture {
     /// Identity of the voxels: the pointer is kept alive by `_voxels`.
     identity: (usize, bool),
-    _voxels: GridVoxels,
+    _voxels: VoxelGridValues,
     pub view: wgpu::TextureView,
     pub colors: Option<wgpu::TextureView>,
     /// Central differences of stored values, as shares of 32767.
@@ -32,7 +32,7 @@ pub(super) struct VolumeTexture {
     pub scale: f32,
     pub offset: f32,
     /// Voxels that the texture spans.
-    pub spanned: [f32; 3],
+    pub texture_span_voxels: [f32; 3],
     /// What the user should be told.
     pub notice: Option<String>,
 }
@@ -44,7 +44,7 @@ impl VolumeTexture {
     }
 }
 
-impl GridVoxels {
+impl VoxelGridValues {
     /// The address of the voxels, theirs alone as long as they are kept.
     pub(super) fn identity(&self) -> usize {
         match self {
@@ -57,11 +57,11 @@ impl GridVoxels {
 }
 
 /// By how much a grid has to be reduced along each axis to fit: whole factors, the longest axes first.
-fn factors(size: [usize; 3], bytes_per_voxel: u64, most_voxels: usize, most_bytes: u64) -> [usize; 3] {
-    let mut factors = size.map(|n| n.div_ceil(most_voxels.max(1)));
+fn factors(size: [usize; 3], bytes_per_voxel: u64, max_voxels: usize, max_bytes: u64) -> [usize; 3] {
+    let mut factors = size.map(|n| n.div_ceil(max_voxels.max(1)));
     loop {
         let bytes = (0..3).map(|a| size[a].div_ceil(factors[a]) as u64).product::<u64>() * bytes_per_voxel;
-        if bytes <= most_bytes {
+        if bytes <= max_bytes {
             return factors;
         }
         // The axis that has the most texels left.
@@ -75,28 +75,28 @@ fn factors(size: [usize; 3], bytes_per_voxel: u64, most_voxels: usize, most_byte
 
 impl Renderer {
     /// Holds volumes to smaller limits than the device's: voxels along an axis, and bytes of a texture. What is larger is reduced.
-    pub fn limit_volume(&mut self, most_voxels: usize, most_bytes: u64) {
-        self.most = Some((most_voxels, most_bytes));
+    pub fn limit_volume(&mut self, max_voxels: usize, max_bytes: u64) {
+        self.most = Some((max_voxels, max_bytes));
         self.volume = None;
-        self.kept.forget_groups();
+        self.cache.forget_groups();
     }
 
     /// Puts the volume on the GPU unless it is there already.
-    pub(super) fn upload_volume(&mut self, grid: &Grid, colors: Option<&Colors>) -> Result<()> {
+    pub(super) fn upload_volume(&mut self, grid: &VoxelGrid, colors: Option<&Colors>) -> Result<()> {
         let identity = (grid.voxels.identity(), colors.is_some());
         if self.volume.as_ref().is_some_and(|v| v.identity == identity) {
             return Ok(());
         }
         self.volume = None;
-        self.kept.forget_groups();
-        self.tally.count(Made::Volume);
+        self.cache.forget_groups();
+        self.tally.count(ResourceKind::Volume);
         let limits = self.device.device.limits();
-        let (most_voxels, most_bytes) = self.most.unwrap_or((usize::MAX, u64::MAX));
-        let most_voxels = most_voxels.min(limits.max_texture_dimension_3d as usize);
-        let most_bytes = most_bytes.min(limits.max_buffer_size);
+        let (max_voxels, max_bytes) = self.most.unwrap_or((usize::MAX, u64::MAX));
+        let max_voxels = max_voxels.min(limits.max_texture_dimension_3d as usize);
+        let max_bytes = max_bytes.min(limits.max_buffer_size);
         let format = self.volume_format(grid);
         let texel = u64::from(format.block_copy_size(None).unwrap_or(4)).max(if colors.is_some() { 4 } else { 1 });
-        let factors = factors(grid.size, texel, most_voxels, most_bytes);
+        let factors = factors(grid.size, texel, max_voxels, max_bytes);
         let reduced = (factors != [1; 3]).then(|| grid.reduced(factors));
         let shown = reduced.as_ref().unwrap_or(grid);
         let notice = reduced.as_ref().map(|r| {
@@ -115,14 +115,15 @@ impl Renderer {
         };
         let (scale, offset) = match (&shown.voxels, format) {
             (_, TextureFormat::R16Float) => (1.0, 0.0),
-            (GridVoxels::U8(_), _) => (255.0 * shown.scale, shown.offset),
-            (GridVoxels::U16(_), _) => (65535.0 * shown.scale, shown.offset),
-            (GridVoxels::I16(_), _) => (65535.0 * shown.scale, shown.offset - 32768.0 * shown.scale),
-            (GridVoxels::F32(_), _) => (shown.scale, shown.offset),
+            (VoxelGridValues::U8(_), _) => (255.0 * shown.scale, shown.offset),
+            (VoxelGridValues::U16(_), _) => (65535.0 * shown.scale, shown.offset),
+            (VoxelGridValues::I16(_), _) => (65535.0 * shown.scale, shown.offset - 32768.0 * shown.scale),
+            (VoxelGridValues::F32(_), _) => (shown.scale, shown.offset),
         };
         let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
-        let spanned = std::array::from_fn(|a| (shown.size[a] * factors[a]) as f32);
-        self.volume = Some(VolumeTexture { identity, _voxels: grid.voxels.clone(), view, colors, gradients: None, scale, offset, spanned, notice });
+        let texture_span_voxels = std::array::from_fn(|a| (shown.size[a] * factors[a]) as f32);
+        self.volume =
+            Some(VolumeTexture { identity, _voxels: grid.voxels.clone(), view, colors, gradients: None, scale, offset, texture_span_voxels, notice });
         Ok(())
     }
 
@@ -145,46 +146,46 @@ impl Renderer {
         if !self.volume.as_ref().is_some_and(fits)
             || !self.device.device.features().contains(Features::TEXTURE_FORMAT_16BIT_NORM)
             || bytes > self.most.map_or(u64::MAX, |(_, bytes)| bytes).min(limits.max_buffer_size)
-            || (bytes > MOST_GRADIENT_BYTES && !self.device.is_software())
+            || (bytes > MAX_GRADIENT_BYTES && !self.device.is_software())
         {
             return Ok(());
         }
         let Some(gradients) = scene.gradients_for_picture() else { return Ok(()) };
         let texture = self.texture_3d("gradient volume", size, TextureFormat::Rgba16Snorm)?;
         self.in_pieces(&texture, size, |range| bytemuck::cast_slice(&gradients.texels[range]).to_vec())?;
-        self.tally.count(Made::Volume);
-        self.kept.forget_groups();
+        self.tally.count(ResourceKind::Volume);
+        self.cache.forget_groups();
         if let Some(volume) = &mut self.volume {
             volume.gradients = Some(texture.create_view(&wgpu::TextureViewDescriptor::default()));
         }
         Ok(())
     }
 
-    fn volume_format(&self, grid: &Grid) -> TextureFormat {
+    fn volume_format(&self, grid: &VoxelGrid) -> TextureFormat {
         let features = self.device.device.features();
         let (unorm16, float32) = (features.contains(Features::TEXTURE_FORMAT_16BIT_NORM), features.contains(Features::FLOAT32_FILTERABLE));
         // Software drivers filter 8-bit textures in 8-bit arithmetic, which shows as steps: they get 16 bits.
         match &grid.voxels {
-            GridVoxels::U8(_) if !(self.device.is_software() && unorm16) => TextureFormat::R8Unorm,
-            GridVoxels::F32(_) if float32 => TextureFormat::R32Float,
-            GridVoxels::F32(_) => TextureFormat::R16Float,
+            VoxelGridValues::U8(_) if !(self.device.is_software() && unorm16) => TextureFormat::R8Unorm,
+            VoxelGridValues::F32(_) if float32 => TextureFormat::R32Float,
+            VoxelGridValues::F32(_) => TextureFormat::R16Float,
             _ if unorm16 => TextureFormat::R16Unorm,
             _ => TextureFormat::R16Float,
         }
     }
 
-    fn write_voxels(&self, texture: &wgpu::Texture, grid: &Grid, format: TextureFormat) -> Result<()> {
+    fn write_voxels(&self, texture: &wgpu::Texture, grid: &VoxelGrid, format: TextureFormat) -> Result<()> {
         let normalise = |v: f32| f16::from_f32(v * grid.scale + grid.offset).to_bits();
         self.in_pieces(texture, grid.size, |range| match (&grid.voxels, format) {
-            (GridVoxels::U8(v), TextureFormat::R8Unorm) => v[range].to_vec(),
-            (GridVoxels::U8(v), TextureFormat::R16Unorm) => to_bytes(&v[range], |v| u16::from(v) * 257),
-            (GridVoxels::U16(v), TextureFormat::R16Unorm) => to_bytes(&v[range], |v| v),
-            (GridVoxels::I16(v), TextureFormat::R16Unorm) => to_bytes(&v[range], |v| (i32::from(v) + 32768) as u16),
-            (GridVoxels::F32(v), TextureFormat::R32Float) => bytemuck::cast_slice(&v[range]).to_vec(),
-            (GridVoxels::U8(v), _) => to_bytes(&v[range], |v| normalise(f32::from(v))),
-            (GridVoxels::U16(v), _) => to_bytes(&v[range], |v| normalise(f32::from(v))),
-            (GridVoxels::I16(v), _) => to_bytes(&v[range], |v| normalise(f32::from(v))),
-            (GridVoxels::F32(v), _) => to_bytes(&v[range], normalise),
+            (VoxelGridValues::U8(v), TextureFormat::R8Unorm) => v[range].to_vec(),
+            (VoxelGridValues::U8(v), TextureFormat::R16Unorm) => to_bytes(&v[range], |v| u16::from(v) * 257),
+            (VoxelGridValues::U16(v), TextureFormat::R16Unorm) => to_bytes(&v[range], |v| v),
+            (VoxelGridValues::I16(v), TextureFormat::R16Unorm) => to_bytes(&v[range], |v| (i32::from(v) + 32768) as u16),
+            (VoxelGridValues::F32(v), TextureFormat::R32Float) => bytemuck::cast_slice(&v[range]).to_vec(),
+            (VoxelGridValues::U8(v), _) => to_bytes(&v[range], |v| normalise(f32::from(v))),
+            (VoxelGridValues::U16(v), _) => to_bytes(&v[range], |v| normalise(f32::from(v))),
+            (VoxelGridValues::I16(v), _) => to_bytes(&v[range], |v| normalise(f32::from(v))),
+            (VoxelGridValues::F32(v), _) => to_bytes(&v[range], normalise),
         })
     }
 

@@ -44,39 +44,39 @@ impl Work {
 
 /// One of the things that are counted, by the order of [`Work`]'s fields.
 #[derive(Clone, Copy)]
-pub(super) enum Made {
+pub(super) enum ResourceKind {
     Pipeline,
     Texture,
     Buffer,
     BindGroup,
     Volume,
     Map,
-    Table,
+    TransferTable,
     Cells,
     Field,
 }
 
 /// The counters. Atomic because a device evaluates stacks for those who only borrow the renderer.
 #[derive(Default)]
-pub(super) struct Tally([AtomicU32; 9]);
+pub(super) struct WorkCounters([AtomicU32; 9]);
 
-impl Tally {
-    pub(super) fn count(&self, made: Made) {
+impl WorkCounters {
+    pub(super) fn count(&self, made: ResourceKind) {
         self.0[made as usize].fetch_add(1, Ordering::Relaxed);
     }
 
     pub(super) fn work(&self) -> Work {
-        let n = |made: Made| self.0[made as usize].load(Ordering::Relaxed);
+        let n = |made: ResourceKind| self.0[made as usize].load(Ordering::Relaxed);
         Work {
-            pipelines_compiled: n(Made::Pipeline),
-            textures_created: n(Made::Texture),
-            buffers_created: n(Made::Buffer),
-            bind_groups_created: n(Made::BindGroup),
-            volume_uploads: n(Made::Volume),
-            map_uploads: n(Made::Map),
-            table_uploads: n(Made::Table),
-            cell_uploads: n(Made::Cells),
-            field_uploads: n(Made::Field),
+            pipelines_compiled: n(ResourceKind::Pipeline),
+            textures_created: n(ResourceKind::Texture),
+            buffers_created: n(ResourceKind::Buffer),
+            bind_groups_created: n(ResourceKind::BindGroup),
+            volume_uploads: n(ResourceKind::Volume),
+            map_uploads: n(ResourceKind::Map),
+            table_uploads: n(ResourceKind::TransferTable),
+            cell_uploads: n(ResourceKind::Cells),
+            field_uploads: n(ResourceKind::Field),
         }
     }
 }

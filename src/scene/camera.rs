@@ -304,8 +304,8 @@ mod tests {
     /// Eight rays at once, and where they meet a box, are single ones to the bit; along an axis, beside the box and of an empty box too.
     #[test]
     fn eight_rays_are_single_rays() {
-        struct Eight<'a>(&'a ViewFrame, &'a Bounds, [f32; LANES], [f32; LANES]);
-        impl OverSimd for Eight<'_> {
+        struct RaysKernel<'a>(&'a ViewFrame, &'a Bounds, [f32; LANES], [f32; LANES]);
+        impl SimdKernel for RaysKernel<'_> {
             type Output = [(Vec3, Vec3, f32, f32); LANES];
             #[inline(always)]
             fn run<S: Simd>(self, simd: S) -> Self::Output {
@@ -324,7 +324,7 @@ mod tests {
             for (n, b) in (0..400).flat_map(|n| boxes.iter().map(move |b| (n, b))) {
                 let u: [f32; LANES] = std::array::from_fn(|lane| (n % 20) as f32 * 0.1 - 1.0 + lane as f32 * 0.01);
                 let v: [f32; LANES] = std::array::from_fn(|lane| (n / 20) as f32 * 0.1 - 1.0 + lane as f32 * 0.013);
-                for (lane, (origin, direction, near, far)) in with_simd(Eight(&f, b, u, v)).into_iter().enumerate() {
+                for (lane, (origin, direction, near, far)) in with_simd(RaysKernel(&f, b, u, v)).into_iter().enumerate() {
                     assert_eq!((origin, direction), f.ray(u[lane], v[lane]));
                     let single = b.intersect_ray(origin, direction);
                     assert_eq!((near <= far).then_some((near, far)), single, "{origin} {direction} {b:?}");

@@ -6,13 +6,13 @@ use crate::math::Bounds;
 use glam::Vec3;
 
 /// Where a kind shows best: centre and size in shares of the volume's extent from its middle; rotation in degrees.
-type Place = ([f32; 3], [f32; 3], [f32; 3]);
+type ExamplePlacement = ([f32; 3], [f32; 3], [f32; 3]);
 
 /// On top, somewhat to the front and left, where the camera looks.
-const ON_TOP: Place = ([0.05, -0.05, 0.38], [0.75, 0.6, 0.5], [0.0, 0.0, 0.0]);
-const CORNER: Place = ([0.25, -0.28, 0.28], [0.5, 0.5, 0.5], [0.0, 0.0, 0.0]);
+const ON_TOP: ExamplePlacement = ([0.05, -0.05, 0.38], [0.75, 0.6, 0.5], [0.0, 0.0, 0.0]);
+const CORNER: ExamplePlacement = ([0.25, -0.28, 0.28], [0.5, 0.5, 0.5], [0.0, 0.0, 0.0]);
 
-fn place(kind: &str) -> Option<Place> {
+fn place(kind: &str) -> Option<ExamplePlacement> {
     Some(match kind {
         "pull" | "spline-pull" => ([0.0, 0.0, 0.25], [0.7, 0.7, 0.7], [0.0; 3]),
         "peel" => ON_TOP,

@@ -96,7 +96,7 @@ impl<'a> Checker<'a> {
                 self.value(of_key, entry, &within(key))?;
                 continue;
             }
-            let mut known: Vec<&str> = properties.keys().map(String::as_str).collect();
+            let mut valid_names: Vec<&str> = properties.keys().map(String::as_str).collect();
             if path.contains(".deformer") {
                 // Numbers of a deformer are checked by its kind when it is made.
                 match entry {
@@ -114,9 +114,9 @@ impl<'a> Checker<'a> {
                     argument(entry, &within(key))?;
                     continue;
                 }
-                known.extend(own);
+                valid_names.extend(own);
             }
-            return Err(format!("has the unknown key \"{}\"; {}", within(key), suggestion(key, known)));
+            return Err(format!("has the unknown key \"{}\"; {}", within(key), suggestion(key, valid_names)));
         }
         let required = schema.get("required").and_then(Schema::as_array).into_iter().flatten().filter_map(Schema::as_str);
         match required.into_iter().find(|key| !entries.contains_key(*key)) {

@@ -18,7 +18,7 @@ pub use camera::{Camera, Projection, View, ViewFrame};
 use crate::deform::{Arguments, Storage};
 use crate::files::path_text::path_of;
 use crate::transfer::{TransferSettings, default_preset};
-use crate::volume::load::Choice;
+use crate::volume::load::ReadOptions;
 use crate::volume::{GradientFilter, Volume, phantom};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -76,7 +76,7 @@ pub struct VolumeSource {
     pub path: String,
     /// Which part of it, and what it does not say of itself.
     #[serde(flatten)]
-    pub choice: Choice,
+    pub choice: ReadOptions,
     /// A label map of the same patient, relative to the scene file: it names what is pointed at, and colours slices.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub labels: Option<String>,
@@ -333,7 +333,7 @@ impl Scene {
     pub fn of_volume(path: impl Into<String>) -> Self {
         Self {
             incise: FORMAT_VERSION,
-            volume: Some(VolumeSource { path: path.into(), choice: Choice::default(), labels: None, inside: None }),
+            volume: Some(VolumeSource { path: path.into(), choice: ReadOptions::default(), labels: None, inside: None }),
             mesh: Vec::new(),
             surface: surface::SurfaceSettings::default(),
             transfer: TransferSettings::default(),

@@ -247,7 +247,7 @@ pub struct MeshSource {
 }
 
 /// Names of the looks.
-pub fn looks() -> impl Iterator<Item = &'static str> {
+pub fn look_names() -> impl Iterator<Item = &'static str> {
     LOOKS.iter().map(|l| l.0)
 }
 
@@ -280,14 +280,14 @@ pub const DEFORMERS: [(&str, &str, &str); 7] = [
 ];
 
 /// Name, what it is for, and the look.
-type Preset = (&'static str, &'static str, Look);
+type LookPreset = (&'static str, &'static str, Look);
 
 const fn look(color: [f32; 3], inside: [f32; 3], cut: [f32; 3], highlight: [f32; 2], model: CutModel) -> Look {
     Look { color, inside, cut, highlight, model, thickness: None }
 }
 
 /// The presets.
-pub const LOOKS: [Preset; 9] = [
+pub const LOOKS: [LookPreset; 9] = [
     ("clay", "matt grey-brown, solid", look([0.78, 0.70, 0.62], [0.55, 0.42, 0.36], [0.72, 0.45, 0.35], [0.10, 16.0], CutModel::Solid)),
     ("skin", "skin with red flesh under it, thick", look([0.87, 0.68, 0.57], [0.62, 0.25, 0.22], [0.75, 0.27, 0.25], [0.18, 24.0], CutModel::Thick)),
     ("bone", "ivory, spongy inside, solid", look([0.93, 0.89, 0.78], [0.72, 0.58, 0.46], [0.84, 0.68, 0.53], [0.20, 32.0], CutModel::Solid)),

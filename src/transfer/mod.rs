@@ -10,7 +10,7 @@ mod table;
 
 pub use preintegrated::{PREINTEGRATED_SIZE, Preintegrated};
 pub use presets::{OWN_COLORS, Preset, Scale, list, preset};
-pub use table::{GRADIENT_ENTRIES, TABLE_ENTRIES, Table};
+pub use table::{GRADIENT_ENTRIES, TABLE_ENTRIES, TransferTable};
 
 use crate::volume::Volume;
 use crate::{Error, Result, error::suggestion};

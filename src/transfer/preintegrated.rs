@@ -5,7 +5,7 @@
 //! how much of it passes through the part of the segment in front of it. A feature of the curve that lies between two samples is thus seen,
 //! where a table of single values steps over it.
 //!
-//! *What is different*: the colour is kept without its opacity and the depth per reference length, as in [`Table`], so that light, own colours and
+//! *What is different*: the colour is kept without its opacity and the depth per reference length, as in [`TransferTable`], so that light, own colours and
 //! gradient opacity apply to a segment as they do to a sample. The weights inside a segment are those of the step that the table is made for;
 //! its opacity is right for any.
 //!
@@ -15,7 +15,7 @@
 //! *How to call it*: [`Preintegrated::new`] with the length of a step; anew when the curve or the step changes. Integrals over the curve's own
 //! entries make it exact for τ, and a segment's colour is the sum of at most [`PARTS`] parts.
 
-use super::{TABLE_ENTRIES, Table};
+use super::{TABLE_ENTRIES, TransferTable};
 use rayon::prelude::*;
 
 /// Values along each side of the table: 1 MiB in single precision.
@@ -35,7 +35,7 @@ pub struct Preintegrated {
 struct Integrals(Vec<[f64; 7]>);
 
 impl Integrals {
-    fn new(table: &Table) -> Self {
+    fn new(table: &TransferTable) -> Self {
         let at = |e: &[f32; 4]| {
             let [r, g, b, depth] = e.map(f64::from);
             [depth, depth * r, depth * g, depth * b, r, g, b]
@@ -72,7 +72,7 @@ impl Integrals {
 
 impl Preintegrated {
     /// Integrates a curve for segments of `length` reference lengths.
-    pub fn new(table: &Table, length: f32) -> Self {
+    pub fn new(table: &TransferTable, length: f32) -> Self {
         let integrals = Integrals::new(table);
         let position = |n: usize| n as f64 * (TABLE_ENTRIES - 1) as f64 / (PREINTEGRATED_SIZE - 1) as f64;
         let entries = (0..PREINTEGRATED_SIZE * PREINTEGRATED_SIZE)
@@ -147,9 +147,9 @@ mod tests {
     use super::super::{Blend, ControlPoint, TransferFunction};
     use super::*;
 
-    fn table(points: &[(f64, [f32; 3], f32)]) -> Table {
+    fn table(points: &[(f64, [f32; 3], f32)]) -> TransferTable {
         let points = points.iter().map(|&(value, color, opacity)| ControlPoint { value, color, opacity }).collect();
-        Table::new(&TransferFunction { points, gradient_opacity: Vec::new(), blend: Blend::Composite }, [0.0, 1.0])
+        TransferTable::new(&TransferFunction { points, gradient_opacity: Vec::new(), blend: Blend::Composite }, [0.0, 1.0])
     }
 
     #[test]

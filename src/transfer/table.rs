@@ -21,7 +21,7 @@ const LEVEL: f32 = 1.0 - 1e-5;
 const MAX_DEPTH: f32 = 16.0;
 
 /// Colour (not premultiplied) and optical depth by table coordinate, which runs from 0 to 1 over the curve's domain.
-pub struct Table {
+pub struct TransferTable {
     /// Red, green, blue and τ = -log₂(1 - opacity) per Δ₀.
     pub entries: Vec<[f32; 4]>,
     /// Factor on τ by gradient magnitude; empty for none.
@@ -40,7 +40,7 @@ pub struct Table {
     transparent: Vec<u32>,
 }
 
-impl Table {
+impl TransferTable {
     /// Bakes a function for values normalised over `range` (data units).
     pub fn new(function: &TransferFunction, range: [f64; 2]) -> Self {
         let [mut low, mut high] = function.domain();
@@ -169,7 +169,7 @@ impl Table {
     }
 
     /// 1 where opacity rises with the value, -1 where it falls: the side of a surface on which its matter lies.
-    pub fn falling_side(&self, value: f32) -> f32 {
+    pub fn opacity_slope_sign(&self, value: f32) -> f32 {
         let step = SLOPE_STEP / self.scale;
         if self.lookup(value + step)[3] < LEVEL * self.lookup(value - step)[3] { -1.0 } else { 1.0 }
     }
@@ -220,7 +220,7 @@ mod tests {
 
     #[test]
     fn opacity_comes_back_out() {
-        let t = Table::new(&function(&[(-100.0, 0.0), (100.0, 0.8), (300.0, 0.1)]), [-1000.0, 3000.0]);
+        let t = TransferTable::new(&function(&[(-100.0, 0.0), (100.0, 0.8), (300.0, 0.1)]), [-1000.0, 3000.0]);
         for (value, want) in [(-500.0, 0.0), (0.0, 0.4), (100.0, 0.8), (200.0, 0.45), (2000.0, 0.1)] {
             let [r, _, b, depth] = t.lookup((value + 1000.0) / 4000.0);
             assert!((1.0 - (-depth).exp2() - want).abs() < 2e-3, "{value}: {depth}");
@@ -230,23 +230,23 @@ mod tests {
 
     #[test]
     fn steps_and_single_points_are_allowed() {
-        let t = Table::new(&function(&[(5.0, 0.0), (5.0, 1.0)]), [0.0, 10.0]);
+        let t = TransferTable::new(&function(&[(5.0, 0.0), (5.0, 1.0)]), [0.0, 10.0]);
         assert_eq!(t.lookup(0.49)[3], 0.0);
         assert_eq!(t.lookup(0.51)[3], MAX_DEPTH);
-        assert_eq!(Table::new(&function(&[(5.0, 0.5)]), [0.0, 10.0]).lookup(0.1)[3], 1.0);
+        assert_eq!(TransferTable::new(&function(&[(5.0, 0.5)]), [0.0, 10.0]).lookup(0.1)[3], 1.0);
     }
 
     proptest! {
         #[test]
         fn maximum_bounds_every_lookup(a in -0.5f32..1.5, width in 0.0f32..1.0, at in 0.0f32..1.0) {
-            let t = Table::new(&function(&[(0.0, 0.0), (2.0, 0.9), (3.0, 0.0), (7.0, 0.0), (7.0, 0.6), (10.0, 0.2)]), [0.0, 10.0]);
+            let t = TransferTable::new(&function(&[(0.0, 0.0), (2.0, 0.9), (3.0, 0.0), (7.0, 0.0), (7.0, 0.6), (10.0, 0.2)]), [0.0, 10.0]);
             prop_assert!(t.lookup(a + width * at)[3] <= t.max_depth(a, a + width) + 1e-6);
         }
     }
 
     #[test]
     fn maximum_of_an_empty_range_is_nothing() {
-        let t = Table::new(&function(&[(0.0, 0.0), (4.0, 0.0), (5.0, 1.0)]), [0.0, 10.0]);
+        let t = TransferTable::new(&function(&[(0.0, 0.0), (4.0, 0.0), (5.0, 1.0)]), [0.0, 10.0]);
         assert_eq!(t.max_depth(0.0, 0.39), 0.0);
         assert!(t.max_depth(0.0, 0.6) > 10.0);
     }

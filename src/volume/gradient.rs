@@ -5,8 +5,8 @@
 //! voxel apart equals the trilinear interpolation of the central differences at the voxels: those may be kept ([`GradientVolume`]), and
 //! where there is no room for them they are taken as they are needed.
 
-use super::pages::Pages;
-use super::{Grid, GridVoxels, Sampler, Voxel};
+use super::pages::MappedArray;
+use super::{VolumeSampler, Voxel, VoxelGrid, VoxelGridValues};
 use crate::files::memory::available_bytes;
 use crate::math::lanes::*;
 use glam::Vec3;
@@ -25,7 +25,7 @@ pub enum GradientFilter {
     Sobel,
 }
 
-impl<T: Voxel> Sampler<'_, T> {
+impl<T: Voxel> VolumeSampler<'_, T> {
     /// Gradient of the normalised value per voxel along i, j, k.
     #[inline(always)]
     pub fn gradient(&self, p: Vec3, filter: GradientFilter) -> Vec3 {
@@ -62,66 +62,66 @@ impl<T: Voxel> Sampler<'_, T> {
 }
 
 /// Most bytes that a [`GradientVolume`] may take; and of the free memory one part in so many.
-const MOST_BYTES: usize = 1 << 30;
+const MAX_BYTES: usize = 1 << 30;
 const OF_FREE_MEMORY: usize = 4;
 
 /// The central differences of a volume of integers at all voxels, kept beside their values: what would be gathered from 32 voxels for each
 /// sample is then gathered from 8. Exact: 16 bits hold every difference.
 pub struct GradientVolume {
     /// For each voxel, i fastest: its stored value, and f(+1) - f(-1) along i, j, k; at the grid's faces f(0) stands for what lies beyond them.
-    pub texels: Pages<[i16; 4]>,
+    pub texels: MappedArray<[i16; 4]>,
 }
 
 impl GradientVolume {
     /// Takes the differences; none for floating-point voxels, for integers that 16 bits with a sign do not hold or whose range needs more than 15,
     /// and where more than 1 GiB or a quarter of the free memory would be needed.
-    pub fn new(grid: &Grid) -> Option<Self> {
+    pub fn new(grid: &VoxelGrid) -> Option<Self> {
         let bytes = grid.size.iter().product::<usize>().saturating_mul(size_of::<[i16; 4]>());
-        if bytes > available_bytes().map_or(MOST_BYTES, |free| MOST_BYTES.min(free as usize / OF_FREE_MEMORY)) {
+        if bytes > available_bytes().map_or(MAX_BYTES, |free| MAX_BYTES.min(free as usize / OF_FREE_MEMORY)) {
             return None;
         }
         match &grid.voxels {
-            GridVoxels::U8(v) => Self::of(grid, v),
-            GridVoxels::U16(v) => (span(v)?.1 <= i16::MAX as u16).then(|| Self::of(grid, v))?,
-            GridVoxels::I16(v) => span(v).is_some_and(|(low, high)| high.checked_sub(low).is_some()).then(|| Self::of(grid, v))?,
-            GridVoxels::F32(_) => None,
+            VoxelGridValues::U8(v) => Self::of(grid, v),
+            VoxelGridValues::U16(v) => (span(v)?.1 <= i16::MAX as u16).then(|| Self::of(grid, v))?,
+            VoxelGridValues::I16(v) => span(v).is_some_and(|(low, high)| high.checked_sub(low).is_some()).then(|| Self::of(grid, v))?,
+            VoxelGridValues::F32(_) => None,
         }
     }
 
-    fn of<T: Short>(grid: &Grid, voxels: &[T]) -> Option<Self> {
+    fn of<T: FitsI16>(grid: &VoxelGrid, voxels: &[T]) -> Option<Self> {
         let [nx, ny, nz] = grid.size;
-        let mut texels = Pages::zeroed(voxels.len())?;
+        let mut texels = MappedArray::zeroed(voxels.len())?;
         texels.par_chunks_mut(nx).enumerate().for_each(|(row, out)| {
             let (j, k) = (row % ny, row / ny);
             let of = |j: usize, k: usize| &voxels[(k * ny + j) * nx..][..nx];
             let (own, below, above) = (of(j, k), of(j.saturating_sub(1), k), of((j + 1).min(ny - 1), k));
             let (front, behind) = (of(j, k.saturating_sub(1)), of(j, (k + 1).min(nz - 1)));
-            with_simd(Row { own, below, above, front, behind, out });
+            with_simd(GradientRow { own, below, above, front, behind, out });
         });
         Some(Self { texels })
     }
 }
 
 /// Integers that 16 bits with a sign hold.
-trait Short: Copy + Sync {
+trait FitsI16: Copy + Sync {
     fn short(self) -> i16;
 }
 
-impl Short for u8 {
+impl FitsI16 for u8 {
     #[inline(always)]
     fn short(self) -> i16 {
         i16::from(self)
     }
 }
 
-impl Short for u16 {
+impl FitsI16 for u16 {
     #[inline(always)]
     fn short(self) -> i16 {
         self as i16
     }
 }
 
-impl Short for i16 {
+impl FitsI16 for i16 {
     #[inline(always)]
     fn short(self) -> i16 {
         self
@@ -129,7 +129,7 @@ impl Short for i16 {
 }
 
 /// A row of voxels, the rows around it, and its texels.
-struct Row<'a, T> {
+struct GradientRow<'a, T> {
     own: &'a [T],
     below: &'a [T],
     above: &'a [T],
@@ -138,7 +138,7 @@ struct Row<'a, T> {
     out: &'a mut [[i16; 4]],
 }
 
-impl<T: Short> OverSimd for Row<'_, T> {
+impl<T: FitsI16> SimdKernel for GradientRow<'_, T> {
     type Output = ();
 
     #[inline(always)]
@@ -171,7 +171,7 @@ impl<T: Short> OverSimd for Row<'_, T> {
 }
 
 #[inline(always)]
-fn eight<S: Simd, T: Short>(simd: S, voxels: &[T]) -> i16x8<S> {
+fn eight<S: Simd, T: FitsI16>(simd: S, voxels: &[T]) -> i16x8<S> {
     let voxels = &voxels[..LANES];
     let mut shorts = [0; LANES];
     for n in 0..LANES {
@@ -203,9 +203,9 @@ mod tests {
     fn both_filters_are_exact_on_a_linear_field() {
         let voxels: Vec<f32> = (0..125).map(|n| (n % 5) as f32 * 2.0 + (n / 5 % 5) as f32 - 3.0 * (n / 25) as f32).collect();
         let volume = Volume::new(voxels.into(), [5, 5, 5], Rescale::NONE, DAffine3::IDENTITY);
-        let grid = Grid::new(&volume);
-        let GridVoxels::F32(v) = &grid.voxels else { panic!() };
-        let s = Sampler::new(&grid, v);
+        let grid = VoxelGrid::new(&volume);
+        let VoxelGridValues::F32(v) = &grid.voxels else { panic!() };
+        let s = VolumeSampler::new(&grid, v);
         let want = Vec3::new(2.0, 1.0, -3.0) / 24.0;
         for filter in [GradientFilter::Central, GradientFilter::Sobel] {
             let got = s.gradient(Vec3::new(2.2, 1.9, 2.0), filter);
@@ -217,8 +217,8 @@ mod tests {
     /// the faces, eight samples at once are those of one, and those with a gradient volume are those without, to the bit.
     #[test]
     fn gradients_are_the_samplers() {
-        struct Lanes<'a, T>(&'a Sampler<'a, T>, [Vec3; LANES]);
-        impl<T: Voxel> OverSimd for Lanes<'_, T> {
+        struct GradientKernel<'a, T>(&'a VolumeSampler<'a, T>, [Vec3; LANES]);
+        impl<T: Voxel> SimdKernel for GradientKernel<'_, T> {
             type Output = ([f32; LANES], [Vec3; LANES]);
             #[inline(always)]
             fn run<S: Simd>(self, simd: S) -> Self::Output {
@@ -232,11 +232,11 @@ mod tests {
                 (value.to_array(), std::array::from_fn(|n| g.lane(n)))
             }
         }
-        fn check<T: Voxel>(grid: &Grid, voxels: &[T], note: &str) {
-            let s = Sampler::new(grid, voxels);
+        fn check<T: Voxel>(grid: &VoxelGrid, voxels: &[T], note: &str) {
+            let s = VolumeSampler::new(grid, voxels);
             let kept = GradientVolume::new(grid);
             assert_eq!(kept.is_none(), note == "none", "{note}");
-            let with = Sampler::new(grid, voxels).with_gradients(kept.as_ref());
+            let with = VolumeSampler::new(grid, voxels).with_gradients(kept.as_ref());
             let size = grid.size;
             for (n, voxel) in voxels.iter().enumerate() {
                 let at = Vec3::new((n % size[0]) as f32, (n / size[0] % size[1]) as f32, (n / (size[0] * size[1])) as f32);
@@ -247,8 +247,8 @@ mod tests {
                     assert!(got.abs_diff_eq(want, 1e-6), "{note} {size:?} {n}: {got} for {want}");
                 }
                 let points = std::array::from_fn(|lane| at + Vec3::new(0.31, -0.47, 0.83) * (lane as f32 - 3.0) * 0.7);
-                let (values, gradients) = with_simd(Lanes(&s, points));
-                assert_eq!(with_simd(Lanes(&with, points)), (values, gradients), "{note} {size:?} {n}");
+                let (values, gradients) = with_simd(GradientKernel(&s, points));
+                assert_eq!(with_simd(GradientKernel(&with, points)), (values, gradients), "{note} {size:?} {n}");
                 for (lane, p) in points.into_iter().enumerate() {
                     let (want, got) = (s.gradient(p, GradientFilter::Central), gradients[lane]);
                     assert!((values[lane] - s.sample(p)).abs() < 2e-6 && got.abs_diff_eq(want, 4e-6), "{note} {size:?} {p}: {got} for {want}");
@@ -257,7 +257,7 @@ mod tests {
         }
         for size in [[5, 4, 6], [1, 4, 3], [2, 2, 2], [7, 1, 1], [4, 9, 4], [10, 2, 3], [27, 3, 2]] {
             let hashes: Vec<usize> = (0..size.iter().product::<usize>()).map(|n| n * n * 7919 % 32_749).collect();
-            let grid = |voxels: crate::volume::Voxels| Grid::new(&Volume::new(voxels, size, Rescale::NONE, DAffine3::IDENTITY));
+            let grid = |voxels: crate::volume::Voxels| VoxelGrid::new(&Volume::new(voxels, size, Rescale::NONE, DAffine3::IDENTITY));
             let u8s: Vec<u8> = hashes.iter().map(|h| *h as u8).collect();
             check(&grid(u8s.clone().into()), &u8s, "u8");
             let u16s: Vec<u16> = hashes.iter().map(|h| *h as u16).collect();

@@ -18,7 +18,7 @@ const PADDING_BELOW: f64 = 1e-3;
 /// Typed voxels shared with the [`Volume`] where the type allows.
 #[derive(Clone, Debug)]
 #[allow(missing_docs, reason = "the variants are the Rust types")]
-pub enum GridVoxels {
+pub enum VoxelGridValues {
     U8(Arc<Vec<u8>>),
     U16(Arc<Vec<u16>>),
     I16(Arc<Vec<i16>>),
@@ -27,9 +27,9 @@ pub enum GridVoxels {
 
 /// A grid ready for rendering.
 #[derive(Clone, Debug)]
-pub struct Grid {
+pub struct VoxelGrid {
     /// The voxels.
-    pub voxels: GridVoxels,
+    pub voxels: VoxelGridValues,
     /// Extent along i, j, k.
     pub size: [usize; 3],
     /// Normalised value = `scale` · voxel + `offset`.
@@ -51,20 +51,20 @@ pub trait Voxel: Copy + Send + Sync + 'static {
     fn cells<S: Simd>(simd: S, voxels: &[Self], base: &[usize; LANES], strides: Strides) -> [[f32x8<S>; 2]; 4];
 
     /// The rows of and around eight cells by their lowest corners; all must have a voxel to every side.
-    fn around<S: Simd>(simd: S, voxels: &[Self], base: &[usize; LANES], strides: Strides) -> Around<S>;
+    fn around<S: Simd>(simd: S, voxels: &[Self], base: &[usize; LANES], strides: Strides) -> Neighborhood<S>;
 }
 
 /// Voxels of and around eight cells, whose rows come in the order of [`mix_rows`](crate::math::cells::mix_rows).
-pub struct Around<S: Simd> {
+pub struct Neighborhood<S: Simd> {
     /// The cells' rows, from one voxel before the cell to one behind it.
     pub rows: [[f32x8<S>; 4]; 4],
     /// Along the second axis the rows below and above the near face's, and those of the far face's.
-    pub beside_y: [[f32x8<S>; 2]; 4],
+    pub neighbors_y: [[f32x8<S>; 2]; 4],
     /// Along the third axis the low and the high row in front of the cell, and those behind it.
-    pub beside_z: [[f32x8<S>; 2]; 4],
+    pub neighbors_z: [[f32x8<S>; 2]; 4],
 }
 
-impl Grid {
+impl VoxelGrid {
     /// The grid of a volume. Shares the voxels of u8, i16, u16 and ordinary f32 volumes; i8 becomes i16, everything else normalised f32.
     pub fn new(volume: &Volume) -> Self {
         let Rescale { slope, intercept } = volume.rescale;
@@ -86,15 +86,15 @@ impl Grid {
         };
         let shared = match &volume.voxels {
             _ if volume.padded > 0 && !padding_below => None,
-            Voxels::U8(v) => direct(GridVoxels::U8(v.clone())),
-            Voxels::U16(v) => direct(GridVoxels::U16(v.clone())),
-            Voxels::I16(v) => direct(GridVoxels::I16(v.clone())),
-            Voxels::F32(v) if volume.non_finite == 0 => direct(GridVoxels::F32(v.clone())),
-            Voxels::I8(v) => direct(GridVoxels::I16(Arc::new(v.iter().map(|&x| i16::from(x)).collect()))),
+            Voxels::U8(v) => direct(VoxelGridValues::U8(v.clone())),
+            Voxels::U16(v) => direct(VoxelGridValues::U16(v.clone())),
+            Voxels::I16(v) => direct(VoxelGridValues::I16(v.clone())),
+            Voxels::F32(v) if volume.non_finite == 0 => direct(VoxelGridValues::F32(v.clone())),
+            Voxels::I8(v) => direct(VoxelGridValues::I16(Arc::new(v.iter().map(|&x| i16::from(x)).collect()))),
             _ => None,
         };
         shared.unwrap_or_else(|| Self {
-            voxels: GridVoxels::F32(Arc::new(volume.voxels.map(normalise))),
+            voxels: VoxelGridValues::F32(Arc::new(volume.voxels.map(normalise))),
             size: volume.size,
             scale: 1.0,
             offset: 0.0,
@@ -109,7 +109,14 @@ impl Grid {
         volume.labels()?;
         let colors = Colors::of_labels(volume.voxels.clone(), volume.range[1] as usize, &volume.label_table);
         let occupied = volume.voxels.map(|label| u8::from(label >= 1.0));
-        Some(Self { voxels: GridVoxels::U8(Arc::new(occupied)), size: volume.size, scale: 1.0, offset: 0.0, has_holes: false, colors: Some(colors) })
+        Some(Self {
+            voxels: VoxelGridValues::U8(Arc::new(occupied)),
+            size: volume.size,
+            scale: 1.0,
+            offset: 0.0,
+            has_holes: false,
+            colors: Some(colors),
+        })
     }
 
     /// The grid with blocks of voxels averaged, the last ones of an axis being smaller; a block without any but holes is one. Colours are left
@@ -118,10 +125,10 @@ impl Grid {
         let size: [usize; 3] = std::array::from_fn(|a| self.size[a].div_ceil(factors[a]));
         let hole = |v: f32| v * self.scale + self.offset <= 0.5 * HOLE;
         let voxels = match &self.voxels {
-            GridVoxels::U8(v) => GridVoxels::U8(Arc::new(means(v, self.size, factors, |_| false, |m| m.round() as u8))),
-            GridVoxels::U16(v) => GridVoxels::U16(Arc::new(means(v, self.size, factors, |_| false, |m| m.round() as u16))),
-            GridVoxels::I16(v) => GridVoxels::I16(Arc::new(means(v, self.size, factors, |_| false, |m| m.round() as i16))),
-            GridVoxels::F32(v) => GridVoxels::F32(Arc::new(means(v, self.size, factors, hole, |m| if m.is_nan() { HOLE } else { m }))),
+            VoxelGridValues::U8(v) => VoxelGridValues::U8(Arc::new(means(v, self.size, factors, |_| false, |m| m.round() as u8))),
+            VoxelGridValues::U16(v) => VoxelGridValues::U16(Arc::new(means(v, self.size, factors, |_| false, |m| m.round() as u16))),
+            VoxelGridValues::I16(v) => VoxelGridValues::I16(Arc::new(means(v, self.size, factors, |_| false, |m| m.round() as i16))),
+            VoxelGridValues::F32(v) => VoxelGridValues::F32(Arc::new(means(v, self.size, factors, hole, |m| if m.is_nan() { HOLE } else { m }))),
         };
         Self { voxels, size, scale: self.scale, offset: self.offset, has_holes: self.has_holes, colors: None }
     }
@@ -130,10 +137,10 @@ impl Grid {
     pub fn value(&self, i: usize, j: usize, k: usize) -> f32 {
         let index = (k * self.size[1] + j) * self.size[0] + i;
         let stored = match &self.voxels {
-            GridVoxels::U8(v) => v[index].to_f32(),
-            GridVoxels::U16(v) => v[index].to_f32(),
-            GridVoxels::I16(v) => v[index].to_f32(),
-            GridVoxels::F32(v) => v[index].to_f32(),
+            VoxelGridValues::U8(v) => v[index].to_f32(),
+            VoxelGridValues::U16(v) => v[index].to_f32(),
+            VoxelGridValues::I16(v) => v[index].to_f32(),
+            VoxelGridValues::F32(v) => v[index].to_f32(),
         };
         stored * self.scale + self.offset
     }
@@ -168,7 +175,7 @@ fn means<T: Voxel, U: Send>(
 }
 
 /// Trilinear sampling of one typed grid.
-pub struct Sampler<'a, T> {
+pub struct VolumeSampler<'a, T> {
     pub(super) voxels: &'a [T],
     pub(super) size: [usize; 3],
     /// Highest sample coordinate per axis, voxels.
@@ -179,9 +186,9 @@ pub struct Sampler<'a, T> {
     pub(super) texels: Option<&'a [[i16; 4]]>,
 }
 
-impl<'a, T: Voxel> Sampler<'a, T> {
+impl<'a, T: Voxel> VolumeSampler<'a, T> {
     /// A sampler over the voxels of `grid`, which must be `grid`'s own.
-    pub fn new(grid: &Grid, voxels: &'a [T]) -> Self {
+    pub fn new(grid: &VoxelGrid, voxels: &'a [T]) -> Self {
         assert_eq!(voxels.len(), grid.size.iter().product::<usize>());
         let top = Vec3::from(grid.size.map(|n| (n - 1) as f32));
         Self { voxels, size: grid.size, top, scale: grid.scale, offset: grid.offset, texels: None }
@@ -243,7 +250,7 @@ mod tests {
         ];
         for voxels in volumes {
             let name = voxels.type_name();
-            let grid = Grid::new(&Volume::new(voxels, [2, 2, 2], rescale, DAffine3::IDENTITY));
+            let grid = VoxelGrid::new(&Volume::new(voxels, [2, 2, 2], rescale, DAffine3::IDENTITY));
             for (n, v) in values.iter().enumerate() {
                 let got = grid.value(n % 2, n / 2 % 2, n / 4);
                 let want = (f32::from(*v) - 3.0) / 44.0;
@@ -255,7 +262,7 @@ mod tests {
     #[test]
     fn blocks_are_averaged() {
         let voxels: Vec<f32> = vec![1.0, 3.0, 5.0, f32::NAN, 7.0, f32::NAN];
-        let grid = Grid::new(&Volume::new(voxels.into(), [3, 2, 1], Rescale::NONE, DAffine3::IDENTITY)).reduced([2, 2, 1]);
+        let grid = VoxelGrid::new(&Volume::new(voxels.into(), [3, 2, 1], Rescale::NONE, DAffine3::IDENTITY)).reduced([2, 2, 1]);
         assert_eq!(grid.size, [2, 1, 1]);
         // Means of 1, 3, 7 and of 5 alone, normalised over 1 to 7.
         assert!((grid.value(0, 0, 0) - (11.0 / 3.0 - 1.0) / 6.0).abs() < 1e-6 && (grid.value(1, 0, 0) - 4.0 / 6.0).abs() < 1e-6);
@@ -264,9 +271,9 @@ mod tests {
     #[test]
     fn samples_beside_a_hole_are_holes_or_honest() {
         let volume = Volume::new(vec![1.0f32, f32::NAN, 3.0].into(), [3, 1, 1], Rescale::NONE, DAffine3::IDENTITY);
-        let grid = Grid::new(&volume);
-        let GridVoxels::F32(v) = &grid.voxels else { panic!() };
-        let s = Sampler::new(&grid, v);
+        let grid = VoxelGrid::new(&volume);
+        let VoxelGridValues::F32(v) = &grid.voxels else { panic!() };
+        let s = VolumeSampler::new(&grid, v);
         assert!(grid.has_holes);
         assert!(s.sample(Vec3::new(1.0, 0.0, 0.0)) < 0.0);
         assert!(s.sample(Vec3::new(0.1, 0.0, 0.0)) < 0.0);
@@ -277,9 +284,9 @@ mod tests {
     fn linear_functions_are_sampled_exactly() {
         let voxels: Vec<f32> = (0..60).map(|n| (n % 3) as f32 + 10.0 * (n / 3 % 4) as f32 - 4.0 * (n / 12) as f32).collect();
         let volume = Volume::new(voxels.into(), [3, 4, 5], Rescale::NONE, DAffine3::IDENTITY);
-        let grid = Grid::new(&volume);
-        let GridVoxels::F32(v) = &grid.voxels else { panic!() };
-        let s = Sampler::new(&grid, v);
+        let grid = VoxelGrid::new(&volume);
+        let VoxelGridValues::F32(v) = &grid.voxels else { panic!() };
+        let s = VolumeSampler::new(&grid, v);
         let p = Vec3::new(1.25, 2.5, 3.125);
         let want = (p.x + 10.0 * p.y - 4.0 * p.z + 16.0) / 48.0;
         assert!((s.sample(p) - want).abs() < 1e-6);

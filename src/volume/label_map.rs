@@ -78,7 +78,7 @@ impl Volume {
             (self.voxels, self.range, self.rescale, self.padding, self.padded, self.non_finite) = (voxels, range, Rescale::NONE, None, 0, 0);
         }
         self.declared_labels = true;
-        self.known = super::Known::default();
+        self.statistics = super::VolumeStatistics::default();
         Ok(self)
     }
 
@@ -86,7 +86,7 @@ impl Volume {
     /// be one, or that looks like one (at most 1000 labels; at least 90 % of all voxels, and 75 % of those with a label, equal their neighbour
     /// along i).
     pub fn labels(&self) -> Option<usize> {
-        *self.known.labels.get_or_init(|| self.count_labels())
+        *self.statistics.labels.get_or_init(|| self.count_labels())
     }
 
     fn count_labels(&self) -> Option<usize> {

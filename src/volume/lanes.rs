@@ -5,15 +5,15 @@
 //! Where differences are kept ([`GradientVolume`](super::GradientVolume)) it needs 8 of them. Each lane checks once that its cell lies in the volume, not each
 //! of its rows ([`Strides`]).
 //!
-//! *How to call it*: as [`Sampler::sample`] and [`Sampler::gradient`], whose values these are to rounding.
+//! *How to call it*: as [`VolumeSampler::sample`] and [`VolumeSampler::gradient`], whose values these are to rounding.
 
-use super::grid::Around;
-use super::{GradientFilter, Sampler, Voxel};
+use super::grid::Neighborhood;
+use super::{GradientFilter, VolumeSampler, Voxel};
 use crate::math::cells::{Cells, Strides, mix_rows, mix_texels};
 use crate::math::lanes::*;
 use prefetch_index::prefetch_index;
 
-impl<T: Voxel> Sampler<'_, T> {
+impl<T: Voxel> VolumeSampler<'_, T> {
     /// Whether every axis has at least `n` voxels.
     #[inline(always)]
     fn is_at_least(&self, n: usize) -> bool {
@@ -93,14 +93,14 @@ impl<T: Voxel> Sampler<'_, T> {
     /// exact, and then interpolated: by the same operations as differences that are kept.
     #[inline(always)]
     fn differences_between<S: Simd>(&self, simd: S, cells: &Cells<S>) -> Vec3x8<S> {
-        let Around { rows: [a, b, c, d], beside_y, beside_z } = T::around(simd, self.voxels, &cells.base, Strides::of(self.size));
+        let Neighborhood { rows: [a, b, c, d], neighbors_y, neighbors_z } = T::around(simd, self.voxels, &cells.base, Strides::of(self.size));
         let x = mix_rows([across(a), across(b), across(c), across(d)], cells.f);
-        let [below, above, below_on, above_on] = beside_y;
+        let [below, above, below_on, above_on] = neighbors_y;
         let y = mix_rows(
             [between(below, [b[1], b[2]]), between([a[1], a[2]], above), between(below_on, [d[1], d[2]]), between([c[1], c[2]], above_on)],
             cells.f,
         );
-        let [front, front_up, behind, behind_up] = beside_z;
+        let [front, front_up, behind, behind_up] = neighbors_z;
         let z = mix_rows(
             [between(front, [c[1], c[2]]), between(front_up, [d[1], d[2]]), between([a[1], a[2]], behind), between([b[1], b[2]], behind_up)],
             cells.f,
@@ -136,7 +136,7 @@ fn halves<S: Simd>(words: i32x8<S>, signed: bool) -> [f32x8<S>; 2] {
 }
 
 /// Integers of which two neighbours are one word.
-trait Halves: Voxel {
+trait I16Pairs: Voxel {
     /// Two neighbours.
     fn word(pair: [Self; 2]) -> i32;
 
@@ -146,7 +146,7 @@ trait Halves: Voxel {
 
 /// A voxel and the next one.
 #[inline(always)]
-fn word_at<T: Halves>(voxels: &[T], at: usize) -> i32 {
+fn word_at<T: I16Pairs>(voxels: &[T], at: usize) -> i32 {
     // One check, and one load of both.
     let pair = &voxels[at..at + 2];
     T::word([pair[0], pair[1]])
@@ -154,10 +154,10 @@ fn word_at<T: Halves>(voxels: &[T], at: usize) -> i32 {
 
 /// [`Voxel::around`].
 #[inline(always)]
-fn around_of_words<S: Simd, T: Halves>(simd: S, voxels: &[T], base: &[usize; LANES], strides: Strides) -> Around<S> {
+fn around_of_words<S: Simd, T: I16Pairs>(simd: S, voxels: &[T], base: &[usize; LANES], strides: Strides) -> Neighborhood<S> {
     let [own, along_y, along_z] = strides.rows_around();
     let (mut front, mut back) = ([[0; LANES]; 4], [[0; LANES]; 4]);
-    let (mut beside_y, mut beside_z) = ([[0; LANES]; 4], [[0; LANES]; 4]);
+    let (mut neighbors_y, mut neighbors_z) = ([[0; LANES]; 4], [[0; LANES]; 4]);
     for n in 0..LANES {
         let v = strides.around(voxels, base[n]);
         for (row, at) in own.into_iter().enumerate() {
@@ -166,32 +166,32 @@ fn around_of_words<S: Simd, T: Halves>(simd: S, voxels: &[T], base: &[usize; LAN
             back[row][n] = T::word([four[2], four[3]]);
         }
         for (row, at) in along_y.into_iter().enumerate() {
-            beside_y[row][n] = word_at(v, at);
+            neighbors_y[row][n] = word_at(v, at);
         }
         for (row, at) in along_z.into_iter().enumerate() {
-            beside_z[row][n] = word_at(v, at);
+            neighbors_z[row][n] = word_at(v, at);
         }
     }
-    Around {
+    Neighborhood {
         rows: [
             quads::<S, T>(simd, front[0], back[0]),
             quads::<S, T>(simd, front[1], back[1]),
             quads::<S, T>(simd, front[2], back[2]),
             quads::<S, T>(simd, front[3], back[3]),
         ],
-        beside_y: four_pairs::<S, T>(simd, beside_y),
-        beside_z: four_pairs::<S, T>(simd, beside_z),
+        neighbors_y: four_pairs::<S, T>(simd, neighbors_y),
+        neighbors_z: four_pairs::<S, T>(simd, neighbors_z),
     }
 }
 
 #[inline(always)]
-fn quads<S: Simd, T: Halves>(simd: S, front: [i32; LANES], back: [i32; LANES]) -> [f32x8<S>; 4] {
+fn quads<S: Simd, T: I16Pairs>(simd: S, front: [i32; LANES], back: [i32; LANES]) -> [f32x8<S>; 4] {
     let ([a, b], [c, d]) = (T::halves(i32x8::load_array(simd, front)), T::halves(i32x8::load_array(simd, back)));
     [a, b, c, d]
 }
 
 #[inline(always)]
-fn four_pairs<S: Simd, T: Halves>(simd: S, [a, b, c, d]: [[i32; LANES]; 4]) -> [[f32x8<S>; 2]; 4] {
+fn four_pairs<S: Simd, T: I16Pairs>(simd: S, [a, b, c, d]: [[i32; LANES]; 4]) -> [[f32x8<S>; 2]; 4] {
     [
         T::halves(i32x8::load_array(simd, a)),
         T::halves(i32x8::load_array(simd, b)),
@@ -202,7 +202,7 @@ fn four_pairs<S: Simd, T: Halves>(simd: S, [a, b, c, d]: [[i32; LANES]; 4]) -> [
 
 /// [`Voxel::cells`].
 #[inline(always)]
-fn cells_of_words<S: Simd, T: Halves>(simd: S, voxels: &[T], base: &[usize; LANES], strides: Strides) -> [[f32x8<S>; 2]; 4] {
+fn cells_of_words<S: Simd, T: I16Pairs>(simd: S, voxels: &[T], base: &[usize; LANES], strides: Strides) -> [[f32x8<S>; 2]; 4] {
     let Strides { up, on } = strides;
     let mut words = [[0; LANES]; 4];
     for n in 0..LANES {
@@ -215,7 +215,7 @@ fn cells_of_words<S: Simd, T: Halves>(simd: S, voxels: &[T], base: &[usize; LANE
     four_pairs::<S, T>(simd, words)
 }
 
-impl Halves for u8 {
+impl I16Pairs for u8 {
     #[inline(always)]
     fn word(pair: [Self; 2]) -> i32 {
         i32::from(u16::from_le_bytes(pair))
@@ -239,14 +239,14 @@ impl Voxel for u8 {
     }
 
     #[inline(always)]
-    fn around<S: Simd>(simd: S, voxels: &[Self], base: &[usize; LANES], strides: Strides) -> Around<S> {
+    fn around<S: Simd>(simd: S, voxels: &[Self], base: &[usize; LANES], strides: Strides) -> Neighborhood<S> {
         around_of_words(simd, voxels, base, strides)
     }
 }
 
 macro_rules! of_16_bits {
     ($t:ty, $signed:literal) => {
-        impl Halves for $t {
+        impl I16Pairs for $t {
             #[inline(always)]
             fn word([low, high]: [Self; 2]) -> i32 {
                 let ([a, b], [c, d]) = (low.to_le_bytes(), high.to_le_bytes());
@@ -271,7 +271,7 @@ macro_rules! of_16_bits {
             }
 
             #[inline(always)]
-            fn around<S: Simd>(simd: S, voxels: &[Self], base: &[usize; LANES], strides: Strides) -> Around<S> {
+            fn around<S: Simd>(simd: S, voxels: &[Self], base: &[usize; LANES], strides: Strides) -> Neighborhood<S> {
                 around_of_words(simd, voxels, base, strides)
             }
         }
@@ -307,9 +307,9 @@ impl Voxel for f32 {
     }
 
     #[inline(always)]
-    fn around<S: Simd>(simd: S, voxels: &[Self], base: &[usize; LANES], strides: Strides) -> Around<S> {
+    fn around<S: Simd>(simd: S, voxels: &[Self], base: &[usize; LANES], strides: Strides) -> Neighborhood<S> {
         let [own, along_y, along_z] = strides.rows_around();
-        let (mut rows, mut beside_y, mut beside_z) = ([[[0.0; LANES]; 4]; 4], [[[0.0; LANES]; 2]; 4], [[[0.0; LANES]; 2]; 4]);
+        let (mut rows, mut neighbors_y, mut neighbors_z) = ([[[0.0; LANES]; 4]; 4], [[[0.0; LANES]; 2]; 4], [[[0.0; LANES]; 2]; 4]);
         for n in 0..LANES {
             let v = strides.around(voxels, base[n]);
             for (row, at) in own.into_iter().enumerate() {
@@ -318,18 +318,18 @@ impl Voxel for f32 {
             }
             for (row, at) in along_y.into_iter().enumerate() {
                 let two = &v[at..at + 2];
-                (0..2).for_each(|i| beside_y[row][i][n] = two[i]);
+                (0..2).for_each(|i| neighbors_y[row][i][n] = two[i]);
             }
             for (row, at) in along_z.into_iter().enumerate() {
                 let two = &v[at..at + 2];
-                (0..2).for_each(|i| beside_z[row][i][n] = two[i]);
+                (0..2).for_each(|i| neighbors_z[row][i][n] = two[i]);
             }
         }
-        let ([a, b, c, d], y, z) = (rows, beside_y, beside_z);
-        Around {
+        let ([a, b, c, d], y, z) = (rows, neighbors_y, neighbors_z);
+        Neighborhood {
             rows: [loaded(simd, a), loaded(simd, b), loaded(simd, c), loaded(simd, d)],
-            beside_y: [loaded(simd, y[0]), loaded(simd, y[1]), loaded(simd, y[2]), loaded(simd, y[3])],
-            beside_z: [loaded(simd, z[0]), loaded(simd, z[1]), loaded(simd, z[2]), loaded(simd, z[3])],
+            neighbors_y: [loaded(simd, y[0]), loaded(simd, y[1]), loaded(simd, y[2]), loaded(simd, y[3])],
+            neighbors_z: [loaded(simd, z[0]), loaded(simd, z[1]), loaded(simd, z[2]), loaded(simd, z[3])],
         }
     }
 }

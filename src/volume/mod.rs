@@ -1,8 +1,8 @@
 //! The scalar grid: typed voxels as they were stored, their geometry in world millimetres (LPS), range and histogram.
 //!
-//! Renderers never see the stored type: they take a [`Grid`], which shares the voxels of the types that both the CPU and a GPU
+//! Renderers never see the stored type: they take a [`VoxelGrid`], which shares the voxels of the types that both the CPU and a GPU
 //! sample natively (u8, i16, u16, f32) and converts the rest once. A sample is *normalised*: 0 at the lowest finite value of the
-//! volume, 1 at the highest. A voxel that is NaN or infinite holds nothing and normalises below 0 (see [`Grid`]).
+//! volume, 1 at the highest. A voxel that is NaN or infinite holds nothing and normalises below 0 (see [`VoxelGrid`]).
 
 mod colors;
 mod gradient;
@@ -17,7 +17,7 @@ mod voxels;
 
 pub use colors::{Colors, Label, straight};
 pub use gradient::{GradientFilter, GradientVolume};
-pub use grid::{Grid, GridVoxels, HOLE, Sampler, Voxel};
+pub use grid::{HOLE, VolumeSampler, Voxel, VoxelGrid, VoxelGridValues};
 pub use voxels::Voxels;
 
 use crate::{Error, Result};
@@ -54,7 +54,7 @@ pub struct Volume {
     /// Format of the file.
     pub format: &'static str,
     /// Slices that are shown elsewhere than they were taken.
-    pub misplaced: Option<Misplaced>,
+    pub misplaced: Option<SliceDisplacement>,
     /// Where the volume came from says that it holds labels.
     pub declared_labels: bool,
     /// What it says of single labels.
@@ -64,12 +64,12 @@ pub struct Volume {
     /// What was odd about the source, one sentence each.
     pub warnings: Vec<String>,
     /// What has been found out about the voxels.
-    known: Known,
+    statistics: VolumeStatistics,
 }
 
 /// Slices of a scan that are shown elsewhere than they were taken.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Misplaced {
+pub struct SliceDisplacement {
     /// By how much at most, mm.
     pub by_mm: f64,
     /// Whether interpolating them onto an even grid (`resample`) puts them right.
@@ -79,12 +79,12 @@ pub struct Misplaced {
 /// What takes a walk through all voxels, kept once it is known: a live view asks for it at every frame. A copy finds it out anew, as it may be
 /// changed before it is asked.
 #[derive(Debug, Default)]
-struct Known {
+struct VolumeStatistics {
     histograms: Mutex<Vec<Arc<Histogram>>>,
     labels: OnceLock<Option<usize>>,
 }
 
-impl Clone for Known {
+impl Clone for VolumeStatistics {
     fn clone(&self) -> Self {
         Self::default()
     }
@@ -163,7 +163,7 @@ impl Volume {
             details: Vec::new(),
             misplaced: None,
             warnings: Vec::new(),
-            known: Known::default(),
+            statistics: VolumeStatistics::default(),
         }
     }
 
@@ -252,9 +252,9 @@ impl Volume {
 
     /// A histogram of the finite values that are no padding.
     pub fn histogram(&self, bins: usize) -> Arc<Histogram> {
-        let lock = || self.known.histograms.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(known) = lock().iter().find(|h| h.counts.len() == bins) {
-            return known.clone();
+        let lock = || self.statistics.histograms.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(statistics) = lock().iter().find(|h| h.counts.len() == bins) {
+            return statistics.clone();
         }
         // Counted outside the lock: a thread of the pool that waits for its share may be given work that asks again.
         let made = Arc::new(self.count(bins));

@@ -9,12 +9,12 @@ use std::marker::PhantomData;
 use std::ops::{Deref, DerefMut};
 
 /// An array of zeros at first.
-pub struct Pages<T> {
+pub struct MappedArray<T> {
     memory: MmapMut,
     of: PhantomData<T>,
 }
 
-impl<T: AnyBitPattern + NoUninit> Pages<T> {
+impl<T: AnyBitPattern + NoUninit> MappedArray<T> {
     /// None if there is no memory for so many.
     pub fn zeroed(count: usize) -> Option<Self> {
         let memory = MmapMut::map_anon(count.checked_mul(size_of::<T>())?).ok()?;
@@ -25,7 +25,7 @@ impl<T: AnyBitPattern + NoUninit> Pages<T> {
     }
 }
 
-impl<T: AnyBitPattern + NoUninit> Deref for Pages<T> {
+impl<T: AnyBitPattern + NoUninit> Deref for MappedArray<T> {
     type Target = [T];
 
     fn deref(&self) -> &[T] {
@@ -33,7 +33,7 @@ impl<T: AnyBitPattern + NoUninit> Deref for Pages<T> {
     }
 }
 
-impl<T: AnyBitPattern + NoUninit> DerefMut for Pages<T> {
+impl<T: AnyBitPattern + NoUninit> DerefMut for MappedArray<T> {
     fn deref_mut(&mut self) -> &mut [T] {
         bytemuck::cast_slice_mut(&mut self.memory)
     }

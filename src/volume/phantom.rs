@@ -17,10 +17,10 @@ struct Phantom {
     size: usize,
     /// Name of the transfer function preset that shows it.
     preset: &'static str,
-    kind: Kind,
+    kind: PhantomKind,
 }
 
-enum Kind {
+enum PhantomKind {
     Bytes(fn(Vec3, f32) -> f32),
     Hounsfield(fn(Vec3, f32) -> f32),
     Float(fn(Vec3, f32) -> f32),
@@ -31,37 +31,37 @@ enum Kind {
 const EXTENT_MM: f32 = 160.0;
 
 const PHANTOMS: &[Phantom] = &[
-    Phantom { name: "ball", about: "a uniform ball of radius 60 mm", size: 128, preset: "phantom-solid", kind: Kind::Float(ball) },
-    Phantom { name: "shell", about: "a hollow ball, radius 60 mm, wall 8 mm", size: 128, preset: "phantom-solid", kind: Kind::Float(shell) },
+    Phantom { name: "ball", about: "a uniform ball of radius 60 mm", size: 128, preset: "phantom-solid", kind: PhantomKind::Float(ball) },
+    Phantom { name: "shell", about: "a hollow ball, radius 60 mm, wall 8 mm", size: 128, preset: "phantom-solid", kind: PhantomKind::Float(shell) },
     Phantom {
         name: "checker",
         about: "16 mm checks in two values, up to the edges of the volume",
         size: 128,
         preset: "checker",
-        kind: Kind::Bytes(checker),
+        kind: PhantomKind::Bytes(checker),
     },
     Phantom {
         name: "piggy-bank",
         about: "a thick-walled piggy bank with coins inside",
         size: 192,
         preset: "piggy-bank",
-        kind: Kind::Bytes(piggy_bank),
+        kind: PhantomKind::Bytes(piggy_bank),
     },
-    Phantom { name: "tomato", about: "a tomato: skin, flesh, seeds in chambers", size: 192, preset: "tomato", kind: Kind::Bytes(tomato) },
-    Phantom { name: "teddy", about: "a teddy bear: cloth, stuffing, a seam", size: 192, preset: "teddy", kind: Kind::Bytes(teddy) },
+    Phantom { name: "tomato", about: "a tomato: skin, flesh, seeds in chambers", size: 192, preset: "tomato", kind: PhantomKind::Bytes(tomato) },
+    Phantom { name: "teddy", about: "a teddy bear: cloth, stuffing, a seam", size: 192, preset: "teddy", kind: PhantomKind::Bytes(teddy) },
     Phantom {
         name: "octants",
         about: "a ball of radius 60 mm in eight labels, one per octant",
         size: 128,
         preset: "octants",
-        kind: Kind::Labels(octants),
+        kind: PhantomKind::Labels(octants),
     },
     Phantom {
         name: "head-ct",
         about: "a head in Hounsfield units: skin, skull, brain, air",
         size: 192,
         preset: "ct-bone",
-        kind: Kind::Hounsfield(head_ct),
+        kind: PhantomKind::Hounsfield(head_ct),
     },
 ];
 
@@ -131,17 +131,17 @@ pub fn generate(name: &str, size: [usize; 3], spacing_mm: Vec3) -> Result<Volume
             .collect()
     };
     let voxels: Voxels = match phantom.kind {
-        Kind::Float(f) => sample(f).into(),
-        Kind::Bytes(f) => sample(f).into_iter().map(|v| v.round().clamp(0.0, 255.0) as u8).collect::<Vec<_>>().into(),
-        Kind::Hounsfield(f) => sample(f).into_iter().map(|v| v.round() as i16).collect::<Vec<_>>().into(),
-        Kind::Labels(f) => {
+        PhantomKind::Float(f) => sample(f).into(),
+        PhantomKind::Bytes(f) => sample(f).into_iter().map(|v| v.round().clamp(0.0, 255.0) as u8).collect::<Vec<_>>().into(),
+        PhantomKind::Hounsfield(f) => sample(f).into_iter().map(|v| v.round() as i16).collect::<Vec<_>>().into(),
+        PhantomKind::Labels(f) => {
             let at = |n: usize| Vec3::new((n % size[0]) as f32, (n / size[0] % size[1]) as f32, (n / (size[0] * size[1])) as f32);
             (0..size.iter().product::<usize>()).map(|n| f(origin + spacing_mm * at(n))).collect::<Vec<_>>().into()
         }
     };
     let world_from_voxel = DAffine3 { matrix3: DMat3::from_diagonal(spacing_mm.as_dvec3()), translation: origin.as_dvec3() };
     let mut volume = Volume::new(voxels, size, Rescale::NONE, world_from_voxel);
-    volume.declared_labels = matches!(phantom.kind, Kind::Labels(_));
+    volume.declared_labels = matches!(phantom.kind, PhantomKind::Labels(_));
     Ok(volume)
 }
 

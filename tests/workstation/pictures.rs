@@ -6,7 +6,7 @@
 use super::*;
 use egui::epaint::{ClippedShape, ColorImage, ImageData, Shape, TextureId};
 use incise::gui::views::letters;
-use incise::gui::views::shown::OnScreen;
+use incise::gui::views::shown::DisplayedPicture;
 use incise::prepare::{Assets, Deformed};
 use incise::scene::measure::Measure;
 use incise::scene::{Projection, Size};
@@ -108,7 +108,7 @@ fn check(harness: &Harness<'static, Workstation>, screen: &Screen, exact: bool, 
     let Some((_, place)) = drawn.pictures.iter().find(|(t, _)| *t == id) else { return Err("the view's own picture is not drawn".into()) };
     // The camera of the scene that the picture shows, worked out anew.
     let pixels = screen.0.lock().unwrap()[&id].clone();
-    let OnScreen { of, .. } = picture;
+    let DisplayedPicture { of, .. } = picture;
     let camera = of.scene.camera.frame(&of.assets.scene_box(), [pixels.size[0] as u32, pixels.size[1] as u32]).map_err(|e| e.to_string())?;
     let projector = incise::gui::views::Projector { frame: camera, rect: *place };
     if picture.frame != camera {
@@ -166,7 +166,7 @@ fn check(harness: &Harness<'static, Workstation>, screen: &Screen, exact: bool, 
         }
     }
     // Handles are those of the deformation as the picture shows it.
-    if let Some(n) = doc.deformation_index().filter(|_| !app.is_before() && app.tool == Tool::Navigate) {
+    if let Some(n) = doc.deformation_index().filter(|_| !app.shows_undeformed() && app.tool == Tool::Navigate) {
         let kinds = |scene: &Scene| scene.deformation.iter().map(|d| d.kind.clone()).collect::<Vec<_>>();
         let d = of.scene.deformation.get(n).filter(|_| kinds(&of.scene) == kinds(&doc.scene));
         if let Some((d, kind)) = d.and_then(|d| Some((d, kind_of(d).filter(|k| !k.locked_to_view && k.name != "brush")?))) {
@@ -204,7 +204,7 @@ fn check(harness: &Harness<'static, Workstation>, screen: &Screen, exact: bool, 
 }
 
 /// The picture that the view says it shows, rendered by the library.
-fn rendered(picture: &OnScreen, facts: &incise::gui::views::volume3d::Facts, size: [usize; 2]) -> ColorImage {
+fn rendered(picture: &DisplayedPicture, facts: &incise::gui::views::volume3d::Facts, size: [usize; 2]) -> ColorImage {
     let mut scene: Scene = (*picture.of.scene).clone();
     let coarse = scene.render.size != size.map(|n| n as u32);
     (scene.render.size, scene.render.step) = (size.map(|n| n as u32), facts.step);
@@ -460,6 +460,6 @@ pub fn where_matter_came_from_is_exact() {
         bench.harness.event(egui::Event::PointerMoved(at));
         bench.step();
         let hover = bench.app().hover.clone().unwrap();
-        assert_eq!(hover.source, deformed.stack.walk(hover.deformed.unwrap()).0);
+        assert_eq!(hover.source, deformed.stack.source_and_alpha(hover.deformed.unwrap()).0);
     }
 }

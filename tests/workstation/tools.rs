@@ -35,7 +35,7 @@ pub fn slices_show_deformed_and_source() {
     bench.settle();
     let found = bench.app().slices.source_cursor().unwrap();
     let (scene, assets) = (bench.scene(), bench.app().doc.as_ref().unwrap().assets.clone());
-    let expected = incise::prepare::Deformed::new(&scene, &assets).unwrap().stack.walk(cursor).0;
+    let expected = incise::prepare::Deformed::new(&scene, &assets).unwrap().stack.source_and_alpha(cursor).0;
     assert!(found.distance(expected) < 1.5 * mm && found.distance(cursor) > 5.0, "{found} {expected}");
     for overlay in [Overlay::Grid, Overlay::Glyphs, Overlay::Mask, Overlay::Jacobian, Overlay::Labels] {
         bench.app().slices.overlay = overlay;
@@ -75,7 +75,7 @@ pub fn a_brush_paints_and_a_map_is_used_again() {
     let deformed = incise::prepare::Deformed::new(&scene, &assets).unwrap();
     let numbers: Vec<f32> = strokes(&scene)[0].split_whitespace().skip(1).map(|w| w.parse().unwrap()).collect();
     let end = glam::Vec3::from_slice(&numbers[numbers.len() - 3..]);
-    let moved = end - deformed.stack.walk(end).0;
+    let moved = end - deformed.stack.source_and_alpha(end).0;
     assert!(moved.x > 5.0 && moved.x > 2.0 * moved.y.abs() && moved.z.abs() < 0.5, "{moved}");
     // One stroke is one step of undo.
     bench.perform(Action::Arm(Tool::BrushCut));
@@ -95,7 +95,7 @@ pub fn a_brush_paints_and_a_map_is_used_again() {
     let maps = bench.app().session.maps();
     assert_eq!(maps.len(), 1, "{}", bench.app().log.text());
     let ctx = bench.ctx();
-    bench.app().proceed(&ctx, After::Open("phantom:ball:size=32".into()));
+    bench.app().proceed(&ctx, NextStep::Open("phantom:ball:size=32".into()));
     bench.settle();
     bench.app().use_map(&ctx, &maps[0]);
     bench.settle();
@@ -104,7 +104,7 @@ pub fn a_brush_paints_and_a_map_is_used_again() {
     let assets = bench.app().doc.as_ref().unwrap().assets.clone();
     let (other, bounds) = (incise::prepare::Deformed::new(&scene, &assets).unwrap(), assets.scene_box());
     let points = (0..32_768).map(|n| bounds.min + bounds.size() * glam::Vec3::new((n % 32) as f32, (n / 32 % 32) as f32, (n / 1024) as f32) / 31.0);
-    let largest = points.map(|p| p.distance(other.stack.walk(p).0)).fold(0.0, f32::max);
+    let largest = points.map(|p| p.distance(other.stack.source_and_alpha(p).0)).fold(0.0, f32::max);
     assert!(largest > 2.0, "the map moves the other volume by {largest} mm");
     // All of a stack becomes one map.
     bench.app().doc.as_mut().unwrap().add(Deformation::new("twist"));
@@ -131,15 +131,15 @@ pub fn the_transfer_function_is_edited() {
     assert_eq!(dragged.points.len(), added.points.len());
     assert_ne!(dragged.points, added.points);
     let file = bench.folder.path().join("mine.toml");
-    bench.chosen(&file, Purpose::ExportTransfer);
+    bench.chosen(&file, FilePurpose::ExportTransfer);
     bench.key(Modifiers::COMMAND, Key::Z);
     assert_eq!(bench.scene().transfer, added);
     bench.click("Reset");
     assert!(bench.scene().transfer.points.is_empty());
-    bench.chosen(&file, Purpose::ImportTransfer);
+    bench.chosen(&file, FilePurpose::ImportTransfer);
     assert_eq!(bench.scene().transfer, dragged);
     std::fs::write(&file, "[transfer]\npreset = \"nonsense\"\n").unwrap();
-    bench.chosen(&file, Purpose::ImportTransfer);
+    bench.chosen(&file, FilePurpose::ImportTransfer);
     assert!(bench.has_error("nonsense") && bench.scene().transfer == dragged);
 }
 
@@ -157,18 +157,18 @@ pub fn measures_ride_along() {
     assert_eq!(scene.measure.len(), 1, "{}", bench.app().log.text());
     bench.settle();
     let [a, b] = [scene.measure[0].points[0], scene.measure[0].points[1]].map(glam::Vec3::from);
-    let told = |bench: &mut Bench, n: usize| bench.app().measured[0].quantities.as_ref().unwrap()[n].value.unwrap();
-    assert!((told(&mut bench, 0) - f64::from(a.distance(b))).abs() < 0.01);
+    let quantity = |bench: &mut Bench, n: usize| bench.app().measured[0].quantities.as_ref().unwrap()[n].value.unwrap();
+    assert!((quantity(&mut bench, 0) - f64::from(a.distance(b))).abs() < 0.01);
     // Tapered, the patient's distance stays and that of the picture does not.
     let mut taper = Deformation::new("taper");
     taper.parameters.insert("factor", 0.5);
     bench.app().doc.as_mut().unwrap().add(taper);
     bench.settle();
-    let (patient, picture) = (told(&mut bench, 0), told(&mut bench, 1));
+    let (patient, picture) = (quantity(&mut bench, 0), quantity(&mut bench, 1));
     println!("{patient:.2} mm in the patient, {picture:.2} mm in the picture");
     assert!((patient - f64::from(a.distance(b))).abs() < 0.01 && (picture - patient).abs() > 0.05);
     let file = bench.folder.path().join("m.csv");
-    bench.chosen(&file, Purpose::Measures);
+    bench.chosen(&file, FilePurpose::Measures);
     let text = std::fs::read_to_string(&file).unwrap();
     assert!(text.lines().count() == 3 && text.contains("Distance 1") && text.contains("mm"), "{text}");
     bench.no_errors();
@@ -182,31 +182,31 @@ pub fn exports_are_written() {
     bench.settle();
     let folder = bench.folder.path().to_owned();
     let form = PictureForm { size: [96, 64], antialias: 2, step: 1.0, transparent: true };
-    bench.chosen(&folder.join("figure.png"), Purpose::Picture(form));
+    bench.chosen(&folder.join("figure.png"), FilePurpose::Picture(form));
     let picture = image::open(folder.join("figure.png")).unwrap().to_rgba8();
     assert_eq!(picture.dimensions(), (96, 64));
     assert!(picture.pixels().any(|p| p[3] == 0) && picture.pixels().any(|p| p[3] == 255), "the background is not transparent");
-    let form = ClipForm { travel: Travel::Progress(0), range: [0.0, 1.0], back: false, frames: 4, rate: 10.0, size: [48, 32] };
+    let form = ClipForm { travel: ClipMotion::Progress(0), range: [0.0, 1.0], back: false, frames: 4, rate: 10.0, size: [48, 32] };
     for name in ["clip.gif", "clip.png"] {
-        bench.chosen(&folder.join(name), Purpose::Clip(form.clone()));
+        bench.chosen(&folder.join(name), FilePurpose::Clip(form.clone()));
         assert!(folder.join(name).metadata().is_ok_and(|m| m.len() > 500), "{}", bench.app().log.text());
     }
-    bench.chosen(&folder.join("frames"), Purpose::Clip(form));
+    bench.chosen(&folder.join("frames"), FilePurpose::Clip(form));
     assert_eq!(std::fs::read_dir(folder.join("frames")).unwrap().count(), 4);
-    bench.chosen(&folder.join("baked.nii.gz"), Purpose::Bake { field: false });
+    bench.chosen(&folder.join("baked.nii.gz"), FilePurpose::Bake { field: false });
     let baked: Volume = incise::volume::load::volume(&folder.join("baked.nii.gz"), &Default::default(), &incise::Watch::NONE).unwrap();
     assert_eq!(baked.size, bench.app().doc.as_ref().unwrap().assets.volume.size);
-    bench.chosen(&folder.join("field.nrrd"), Purpose::Bake { field: true });
+    bench.chosen(&folder.join("field.nrrd"), FilePurpose::Bake { field: true });
     assert!(folder.join("field.nrrd").exists());
     // The command line of a saved scene names it.
     let file = folder.join("scene.toml");
-    bench.chosen(&file, Purpose::Save(None));
+    bench.chosen(&file, FilePurpose::Save(None));
     bench.perform(Action::CopyCommand);
     let commands = bench.harness.output().platform_output.commands.clone();
     let copied = commands.iter().find_map(|c| if let egui::OutputCommand::CopyText(t) = c { Some(t.clone()) } else { None });
     assert!(copied.is_some_and(|t| t.starts_with("incise render ") && t.contains("scene.toml")), "{commands:?}");
     // Nothing that is read is written over.
-    bench.chosen(&file, Purpose::Bake { field: false });
+    bench.chosen(&file, FilePurpose::Bake { field: false });
     assert!(bench.has_error("scene.toml") || bench.has_error("output"), "{}", bench.app().log.text());
     assert!(Scene::load(&file).is_ok());
 }
@@ -247,7 +247,7 @@ pub fn a_missing_file_is_located() {
     bench.harness.get_by_label("A file is missing");
     let Some(dialog @ Dialog::Locate { .. }) = bench.app().dialog.clone() else { panic!("no question") };
     bench.app().dialog = None;
-    bench.chosen(&volume, Purpose::Locate(Box::new(dialog)));
+    bench.chosen(&volume, FilePurpose::Locate(Box::new(dialog)));
     let doc = bench.app().doc.as_ref().unwrap();
     assert_eq!(doc.assets.volume.size, [16; 3]);
     assert!(doc.is_changed(), "the new place is to be saved");
@@ -326,15 +326,15 @@ pub fn views_turn_pan_and_zoom() {
     bench.until("nothing under the pointer", |app| app.prober_is_idle() && app.hover.is_some());
     let hover = bench.app().hover.clone().unwrap();
     let (scene, assets) = (bench.scene(), bench.app().doc.as_ref().unwrap().assets.clone());
-    let expected = incise::prepare::Deformed::new(&scene, &assets).unwrap().stack.walk(hover.deformed.unwrap()).0;
+    let expected = incise::prepare::Deformed::new(&scene, &assets).unwrap().stack.source_and_alpha(hover.deformed.unwrap()).0;
     assert!(hover.source.distance(expected) < 0.1 && hover.value.is_some());
     // Held, Space shows what was before.
     bench.harness.key_down(Key::Space);
     bench.step();
-    assert!(bench.app().is_before() && bench.app().scene_of_view().unwrap().deformation.is_empty());
+    assert!(bench.app().shows_undeformed() && bench.app().scene_of_view().unwrap().deformation.is_empty());
     bench.harness.key_up(Key::Space);
     bench.step();
-    assert!(!bench.app().is_before());
+    assert!(!bench.app().shows_undeformed());
     // Modes and handles.
     bench.key(Modifiers::NONE, Key::V);
     assert_eq!(bench.scene().render.mode, Mode::Slice);
@@ -402,7 +402,7 @@ pub fn uneven_slices_are_told_and_mended() {
     assert!(!bar(&bench) && bench.harness.query_by_label_contains("made before resampling").is_some());
     // The mark is saved, and a table of the measurements has it too.
     let file = bench.folder.path().join("m.csv");
-    bench.chosen(&file, Purpose::Measures);
+    bench.chosen(&file, FilePurpose::Measures);
     assert!(std::fs::read_to_string(&file).unwrap().contains("made before resampling"));
     bench.key(Modifiers::COMMAND, Key::Z);
     bench.until("not undone", |app| app.doc.as_ref().unwrap().assets.volume.size[2] == 10);
@@ -412,7 +412,7 @@ pub fn uneven_slices_are_told_and_mended() {
     bench.until("not done again", |app| app.doc.as_ref().unwrap().assets.volume.size[2] == 12);
     bench.settle();
     let file = bench.folder.path().join("scene.toml");
-    bench.chosen(&file, Purpose::Save(None));
+    bench.chosen(&file, FilePurpose::Save(None));
     assert!(Scene::load(&file).unwrap().measure[0].before_resampling);
     bench.no_errors();
 }

@@ -4,7 +4,7 @@
 //! sin ks). Angle and radius about the centre of the arc give x and s back exactly. Above the upper face the bend goes on straight. Matter
 //! beyond the centre of the arc would pass through itself; it is cut away.
 
-use super::{Amount, Backward, Build, DefaultSize, Field, Formula, FormulaKind, Kind, Parameter, UNCUT, Unit};
+use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter, Unit};
 use glam::{Vec2, Vec3};
 
 pub(super) const KIND: Kind = Kind {
@@ -13,20 +13,20 @@ pub(super) const KIND: Kind = Kind {
     parameters: &[Parameter {
         name: "angle",
         unit: Unit::Degrees,
-        default: Amount::Fixed(50.0),
-        min: Amount::Fixed(-170.0),
-        max: Amount::Fixed(170.0),
+        default: BoxLength::Fixed(50.0),
+        min: BoxLength::Fixed(-170.0),
+        max: BoxLength::Fixed(170.0),
         about: "turn of the upper face",
     }],
     progressive: true,
     size: DefaultSize::Share([1.8, 1.1, 1.1]),
-    inflate: 1.0,
+    cube_scale: 1.0,
     varies: [true; 3],
     resolution: 96,
-    leaks: [true, true, true, true, false, true],
+    nonzero_faces: [true, true, true, true, false, true],
     locked_to_view: false,
     shape: None,
-    build: Build::Formula(|c| {
+    build: FieldBuilder::Formula(|c| {
         let angle = (c.values[0] * c.progress).to_radians();
         Box::new(Bend { curvature: angle.abs() / c.size_mm.z, sense: angle.signum(), half_z: c.half().z, height: c.size_mm.z })
     }),
@@ -43,7 +43,7 @@ struct Bend {
 impl Field for Bend {
     fn backward(&self, q: Vec3) -> Backward {
         if self.curvature < 1e-7 {
-            return Backward { source: q, cut_mm: UNCUT };
+            return Backward { source: q, cut_distance_mm: NO_CUT_DISTANCE_MM };
         }
         let radius = 1.0 / self.curvature;
         let v = Vec2::new(radius - self.sense * q.x, q.z + self.half_z);
@@ -52,7 +52,7 @@ impl Field for Bend {
         // What is left after turning back lies along the axis: nothing within the arc, the straight part beyond it.
         let back = Vec2::from_angle(-turn).rotate(v);
         let (x, s) = (radius - back.x, turn * radius + back.y);
-        Backward { source: Vec3::new(self.sense * x, q.y, s - self.half_z), cut_mm: 0.98 * radius - x }
+        Backward { source: Vec3::new(self.sense * x, q.y, s - self.half_z), cut_distance_mm: 0.98 * radius - x }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {

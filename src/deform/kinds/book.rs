@@ -4,7 +4,7 @@
 //! lies behind the spine, [90°, 180°], is compressed into what is left. Radius and y stay; the inverse is exact. Unlike `seam` nothing
 //! fades: the box should enclose the matter with room for the covers.
 
-use super::{Amount, Backward, Build, DefaultSize, Field, Formula, FormulaKind, Gaps, Kind, Parameter, Unit};
+use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, GapResolution, Kind, Parameter, Unit};
 use glam::{Vec2, Vec3};
 use std::f32::consts::{FRAC_PI_2, PI};
 
@@ -15,29 +15,29 @@ pub(super) const KIND: Kind = Kind {
         Parameter {
             name: "angle",
             unit: Unit::Degrees,
-            default: Amount::Fixed(40.0),
-            min: Amount::Fixed(0.0),
-            max: Amount::Fixed(85.0),
+            default: BoxLength::Fixed(40.0),
+            min: BoxLength::Fixed(0.0),
+            max: BoxLength::Fixed(85.0),
             about: "swing of each half",
         },
         Parameter {
             name: "spine",
             unit: Unit::None,
-            default: Amount::Fixed(0.3),
-            min: Amount::Fixed(0.0),
-            max: Amount::Fixed(0.9),
+            default: BoxLength::Fixed(0.3),
+            min: BoxLength::Fixed(0.0),
+            max: BoxLength::Fixed(0.9),
             about: "height of the spine in the box: 0 the lower face, 1 the upper",
         },
     ],
     progressive: true,
     size: DefaultSize::Share([2.0, 1.1, 1.5]),
-    inflate: 1.0,
+    cube_scale: 1.0,
     varies: [true; 3],
     resolution: 128,
-    leaks: [true; 6],
+    nonzero_faces: [true; 6],
     locked_to_view: false,
     shape: None,
-    build: Build::Formula(|c| {
+    build: FieldBuilder::Formula(|c| {
         Box::new(Book { angle: (c.values[0] * c.progress).to_radians(), spine_z: (c.values[1] - 0.5) * c.size_mm.z, gaps: c.gaps() })
     }),
 };
@@ -45,7 +45,7 @@ pub(super) const KIND: Kind = Kind {
 struct Book {
     angle: f32,
     spine_z: f32,
-    gaps: Gaps,
+    gaps: GapResolution,
 }
 
 impl Book {
@@ -64,7 +64,7 @@ impl Field for Book {
         let open = r * self.angle.sin();
         let beyond = beta - self.angle;
         let cut = if beyond.abs() < FRAC_PI_2 { r * beyond.sin() } else { r * beyond.signum() };
-        Backward { source: self.at_angle(q, r, source.copysign(v.x)), cut_mm: self.gaps.distance(cut, open) }
+        Backward { source: self.at_angle(q, r, source.copysign(v.x)), cut_distance_mm: self.gaps.distance(cut, open) }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {

@@ -18,7 +18,10 @@
 //! puts back.
 
 use super::outline::Outline;
-use super::{Backward, Build, Context, DefaultSize, Field, Form, Gaps, Inputs, Kind, Setting, UNCUT, forward_numerically, lasso};
+use super::{
+    Backward, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, GapResolution, Kind, NO_CUT_DISTANCE_MM, Setting, SettingFormat,
+    forward_numerically, lasso,
+};
 use crate::deform::{Argument, Arguments};
 use crate::math::{Bounds, redistance, smoothstep, trilinear};
 use crate::{Error, Result};
@@ -26,16 +29,16 @@ use glam::{Affine3A, Vec2, Vec3, Vec3Swizzles, Vec4};
 use rayon::prelude::*;
 use std::ops::Range;
 
-pub use crate::deform::stroke::{Lasso, Stroke, Tool, parse};
+pub use crate::deform::stroke::{Lasso, Stroke, StrokeTool, parse};
 
-const MOST_STROKES: usize = 4096;
-const MOST_POINTS: usize = 200_000;
+const MAX_STROKES: usize = 4096;
+const MAX_POINTS: usize = 200_000;
 /// Longest step of a push, as a share of the brush's radius.
 const STEP: f32 = 0.25;
 /// So many grid points are worth a thread.
 const WORTH_A_THREAD: usize = 8192;
 /// Most points of a silhouette along an axis.
-const MOST_SILHOUETTE: usize = 512;
+const MAX_OUTLINE_POINTS: usize = 512;
 
 pub(super) const KIND: Kind = Kind {
     name: "brush",
@@ -44,16 +47,16 @@ pub(super) const KIND: Kind = Kind {
     progressive: true,
     // What is pushed outwards needs room.
     size: DefaultSize::Share([1.2; 3]),
-    inflate: 1.0,
+    cube_scale: 1.0,
     varies: [true; 3],
     resolution: 64,
-    leaks: [false; 6],
+    nonzero_faces: [false; 6],
     locked_to_view: false,
     shape: None,
-    build: Build::Sourced {
+    build: FieldBuilder::Sourced {
         settings: &[Setting {
             name: "strokes",
-            form: Form::Words,
+            form: SettingFormat::Words,
             about: "one text each: push, smooth, cut or restore with RADIUS STRENGTH x y z ..., lasso-cut or lasso-restore with EYE, a point, \
                     right, up and x y ...; mm",
         }],
@@ -66,19 +69,19 @@ pub(super) const KIND: Kind = Kind {
 fn example(bounds: &Bounds) -> Vec<(&'static str, Argument)> {
     let (center, size) = (bounds.center(), bounds.size());
     let thickness = size.min_element();
-    let line = |tool: Tool, radius: f32, strength: f32, points: &[[f32; 3]]| {
+    let line = |tool: StrokeTool, radius: f32, strength: f32, points: &[[f32; 3]]| {
         let points = points.iter().map(|p| center + size * Vec3::from_array(*p)).collect();
         Stroke::Line { tool, radius_mm: radius * thickness, strength, points }.to_string()
     };
     let strokes = vec![
-        line(Tool::Push, 0.22, 1.0, &[[0.0, -0.16, 0.12], [0.02, -0.24, 0.18], [0.06, -0.3, 0.24]]),
-        line(Tool::Cut, 0.08, 1.0, &[[0.22, -0.28, -0.1], [0.3, -0.2, 0.08], [0.26, -0.1, 0.24]]),
-        line(Tool::Smooth, 0.24, 0.5, &[[0.06, -0.3, 0.24]]),
+        line(StrokeTool::Push, 0.22, 1.0, &[[0.0, -0.16, 0.12], [0.02, -0.24, 0.18], [0.06, -0.3, 0.24]]),
+        line(StrokeTool::Cut, 0.08, 1.0, &[[0.22, -0.28, -0.1], [0.3, -0.2, 0.08], [0.26, -0.1, 0.24]]),
+        line(StrokeTool::Smooth, 0.24, 0.5, &[[0.06, -0.3, 0.24]]),
     ];
     vec![("strokes", Argument::Texts(strokes))]
 }
 
-fn build(c: &Context, inputs: &Inputs) -> Result<Box<dyn Field>> {
+fn build(c: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
     let strokes = strokes(inputs.settings)?;
     if strokes.is_empty() || c.progress <= 0.0 {
         return Ok(Box::new(Brush { painting: None }));
@@ -102,27 +105,27 @@ fn build(c: &Context, inputs: &Inputs) -> Result<Box<dyn Field>> {
 
 fn strokes(settings: &Arguments) -> Result<Vec<Stroke>> {
     let texts = settings.texts("strokes")?.unwrap_or_default();
-    if texts.len() > MOST_STROKES {
-        return Err(Error::value("strokes", format!("are {}; at most {MOST_STROKES} can be given: divide them among several brushes", texts.len())));
+    if texts.len() > MAX_STROKES {
+        return Err(Error::value("strokes", format!("are {}; at most {MAX_STROKES} can be given: divide them among several brushes", texts.len())));
     }
     let read = |(n, text): (usize, &String)| parse(text).map_err(|problem| Error::value("strokes", format!("stroke {}: {problem}", n + 1)));
     let strokes = texts.iter().enumerate().map(read).collect::<Result<Vec<_>>>()?;
     let points: usize = strokes.iter().map(Stroke::points).sum();
-    if points > MOST_POINTS {
-        return Err(Error::value("strokes", format!("have {points} points; at most {MOST_POINTS} can be given: divide them among several brushes")));
+    if points > MAX_POINTS {
+        return Err(Error::value("strokes", format!("have {points} points; at most {MAX_POINTS} can be given: divide them among several brushes")));
     }
     Ok(strokes)
 }
 
 /// The points of a grid over the box, on its faces too, in the box's own millimetres.
 #[derive(Clone, Copy)]
-struct Grid {
+struct BrushGrid {
     size: [usize; 3],
     half: Vec3,
     spacing: Vec3,
 }
 
-impl Grid {
+impl BrushGrid {
     fn index(&self, [i, j, k]: [usize; 3]) -> usize {
         (k * self.size[1] + j) * self.size[0] + i
     }
@@ -142,11 +145,11 @@ impl Grid {
 
 /// D and C at the points of the grid, as far as the strokes have been applied.
 struct Painting {
-    grid: Grid,
+    grid: BrushGrid,
     world_from_local: Affine3A,
     local_from_world: Affine3A,
     texel_mm: f32,
-    gaps: Gaps,
+    gaps: GapResolution,
     /// Where the mask is full, texels beyond its ramp: C is not kept further.
     far: f32,
     /// (D, C), mm.
@@ -165,11 +168,11 @@ struct Dab {
 }
 
 impl Painting {
-    fn new(c: &Context, world_from_local: Affine3A) -> Self {
+    fn new(c: &FieldContext, world_from_local: Affine3A) -> Self {
         let spacing = c.size_mm / Vec3::from(c.grid.map(|n| n.max(2) as f32 - 1.0));
         let far = c.ramp_mm + 2.0 * c.texel_mm;
         Self {
-            grid: Grid { size: c.grid, half: c.half(), spacing },
+            grid: BrushGrid { size: c.grid, half: c.half(), spacing },
             world_from_local,
             local_from_world: world_from_local.inverse(),
             texel_mm: c.texel_mm,
@@ -186,10 +189,10 @@ impl Painting {
             Stroke::Line { tool, radius_mm, strength, points } => {
                 let line: Vec<Vec3> = points.iter().map(|p| self.local_from_world.transform_point3(*p)).collect();
                 match tool {
-                    Tool::Push => self.push(&line, *radius_mm, strength * progress),
-                    Tool::Smooth => self.smooth(&line, *radius_mm, *strength),
-                    Tool::Cut => self.tube(&line, radius_mm * progress, false),
-                    Tool::Restore => self.tube(&line, *radius_mm, true),
+                    StrokeTool::Push => self.push(&line, *radius_mm, strength * progress),
+                    StrokeTool::Smooth => self.smooth(&line, *radius_mm, *strength),
+                    StrokeTool::Cut => self.tube(&line, radius_mm * progress, false),
+                    StrokeTool::Restore => self.tube(&line, *radius_mm, true),
                 }
             }
             Stroke::Lasso(lasso) => self.lasso(lasso, progress),
@@ -373,14 +376,14 @@ fn to_segment(p: Vec3, a: Vec3, b: Vec3) -> f32 {
 
 /// A line without points that lie closer together than `least`; its ends stay.
 fn thinned(line: &[Vec3], least: f32) -> Vec<Vec3> {
-    let mut kept = line.to_vec();
-    kept.dedup_by(|next, before| next.distance(*before) < least);
-    if let (Some(last), Some(end)) = (kept.last().copied(), line.last().copied())
+    let mut decimated = line.to_vec();
+    decimated.dedup_by(|next, before| next.distance(*before) < least);
+    if let (Some(last), Some(end)) = (decimated.last().copied(), line.last().copied())
         && last != end
     {
-        kept.push(end);
+        decimated.push(end);
     }
-    kept
+    decimated
 }
 
 /// A brush's places along a line: its first point, then steps of at most `longest`, as far as they lie within ±`room`.
@@ -429,7 +432,7 @@ struct Silhouette {
 impl Silhouette {
     fn new(outline: &[Vec2], low: Vec2, high: Vec2, step: f32) -> Self {
         let extent = high - low;
-        let step = step.max(extent.max_element() / (MOST_SILHOUETTE - 1) as f32);
+        let step = step.max(extent.max_element() / (MAX_OUTLINE_POINTS - 1) as f32);
         let size = extent.to_array().map(|e| (e / step).ceil() as usize + 1);
         let place = |n: usize| low + Vec2::new((n % size[0]) as f32, (n / size[0]) as f32) * step;
         let outline = Outline::new(outline.to_vec());
@@ -453,9 +456,9 @@ struct Brush {
 
 impl Field for Brush {
     fn backward(&self, q: Vec3) -> Backward {
-        let Some(painting) = &self.painting else { return Backward { source: q, cut_mm: UNCUT } };
+        let Some(painting) = &self.painting else { return Backward { source: q, cut_distance_mm: NO_CUT_DISTANCE_MM } };
         let t = painting.sample(q);
-        Backward { source: q + t.truncate(), cut_mm: if t.w < 0.999 * painting.far { t.w } else { UNCUT } }
+        Backward { source: q + t.truncate(), cut_distance_mm: if t.w < 0.999 * painting.far { t.w } else { NO_CUT_DISTANCE_MM } }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
@@ -478,7 +481,7 @@ mod tests {
         let mut settings = Arguments::default();
         settings.insert("strokes", Argument::Texts(strokes.iter().map(|s| (*s).to_owned()).collect()));
         let sampling = Sampling { resolution: None, storage: Storage::F16, min_ramp_mm: 3.0 };
-        KIND.field(&[], progress, SIZE, &sampling, &Inputs { settings: &settings, world_from_local, library: &library })
+        KIND.field(&[], progress, SIZE, &sampling, &FieldInputs { settings: &settings, world_from_local, library: &library })
     }
 
     fn field(strokes: &[&str]) -> Box<dyn Field> {
@@ -498,11 +501,11 @@ mod tests {
     }
 
     fn cut(field: &dyn Field, x: f32, y: f32, z: f32) -> f32 {
-        field.backward(Vec3::new(x, y, z)).cut_mm
+        field.backward(Vec3::new(x, y, z)).cut_distance_mm
     }
 
     /// Smallest det J over the box, by central differences over half a texel.
-    fn least_determinant(field: &dyn Field) -> f32 {
+    fn min_determinant(field: &dyn Field) -> f32 {
         let h = 0.6;
         let column = |p: Vec3, e: Vec3| (field.backward(p + e * h).source - field.backward(p - e * h).source) / (2.0 * h);
         points().map(|p| Mat3::from_cols(column(p, Vec3::X), column(p, Vec3::Y), column(p, Vec3::Z)).determinant()).fold(f32::INFINITY, f32::min)
@@ -533,7 +536,7 @@ mod tests {
             for progress in [0.4, 1.0] {
                 let field = field_in(&[stroke], progress, Affine3A::IDENTITY).unwrap();
                 assert!(largest(field.as_ref()) > 2.0, "{stroke} moves nothing");
-                let det = least_determinant(field.as_ref());
+                let det = min_determinant(field.as_ref());
                 assert!(det > 0.0, "{stroke} at {progress}: {det}");
                 for p in points() {
                     let on_face = Vec3::new(40.0, p.y, p.z);
@@ -556,7 +559,7 @@ mod tests {
         for p in points() {
             let corner = Vec3::new(10.0, 0.0, 0.0);
             let want = to_segment(p, -corner, corner).min(to_segment(p, corner, corner + 10.0 * Vec3::Y)) - 6.0;
-            let got = field.backward(p).cut_mm;
+            let got = field.backward(p).cut_distance_mm;
             if want.abs() < 2.0 {
                 assert!((got - want).abs() < 0.35, "{got} for {want} at {p}");
             } else {
@@ -572,8 +575,8 @@ mod tests {
         for strokes in [["cut 8 1 -10 3 0 12 0 5", "restore 8 1 -10 3 0 12 0 5"], ["cut 8 1 -10 3 0 12 0 5", "restore 20 1 -10 3 0 12 0 5"]] {
             let field = field(&strokes);
             for p in points() {
-                let cut = field.backward(p).cut_mm;
-                assert!(cut == UNCUT, "{strokes:?}: {cut} at {p}");
+                let cut = field.backward(p).cut_distance_mm;
+                assert!(cut == NO_CUT_DISTANCE_MM, "{strokes:?}: {cut} at {p}");
             }
         }
         let in_part = field(&["cut 10 1 -15 0 0 15 0 0", "restore 5 1 0 0 0"]);
@@ -589,7 +592,7 @@ mod tests {
         for z in [-38.0, 0.0, 38.0] {
             assert!(cut(parallel.as_ref(), 0.0, 0.0, z) < 0.0 && cut(parallel.as_ref(), 9.0, 9.0, z) < 0.0, "{z}");
             assert!((cut(parallel.as_ref(), 12.0, 0.0, z) - 2.0).abs() < 0.3, "{z}");
-            assert_eq!(cut(parallel.as_ref(), 25.0, 0.0, z), UNCUT, "{z}");
+            assert_eq!(cut(parallel.as_ref(), 25.0, 0.0, z), NO_CUT_DISTANCE_MM, "{z}");
         }
         // The eye is on the side of +z: what lies behind is wider.
         let conical = field(&["lasso-cut 100 0 0 0 1 0 0 0 1 0 -10 -10 10 -10 10 10 -10 10"]);
@@ -597,7 +600,7 @@ mod tests {
             assert!((cut(conical.as_ref(), x, 0.0, z) - want).abs() < 0.3, "{x} {z}: {}", cut(conical.as_ref(), x, 0.0, z));
         }
         let back = field(&[&format!("lasso-cut 0 {square}"), &format!("lasso-restore 0 {square}")]);
-        assert!(points().all(|p| back.backward(p).cut_mm == UNCUT));
+        assert!(points().all(|p| back.backward(p).cut_distance_mm == NO_CUT_DISTANCE_MM));
         // Partly there, it is narrower.
         let halfway = field_in(&[&format!("lasso-cut 0 {square}")], 0.5, Affine3A::IDENTITY).unwrap();
         assert!(cut(halfway.as_ref(), 4.0, 0.0, 0.0) < 0.0 && cut(halfway.as_ref(), 6.0, 0.0, 0.0) > 0.0);
@@ -609,14 +612,17 @@ mod tests {
         let smoothed = field(&["push 12 1 -8 0 0 8 0 0", "smooth 20 1 -8 0 0 8 0 0"]);
         let (before, after) = (largest(pushed.as_ref()), largest(smoothed.as_ref()));
         assert!(after < 0.9 * before, "{before} {after}");
-        assert!(least_determinant(smoothed.as_ref()) > 0.0);
+        assert!(min_determinant(smoothed.as_ref()) > 0.0);
     }
 
     #[test]
     fn nothing_is_done_without_strokes_or_strength() {
         let strokes = ["push 15 1 -10 0 0 10 0 0", "cut 6 1 0 0 0", "smooth 9 1 0 0 0"];
         for field in [field(&[]), field_in(&strokes, 0.0, Affine3A::IDENTITY).unwrap()] {
-            assert!(points().all(|p| field.backward(p).source == p && field.backward(p).cut_mm == UNCUT && field.forward(p) == Some(p)));
+            assert!(
+                points()
+                    .all(|p| field.backward(p).source == p && field.backward(p).cut_distance_mm == NO_CUT_DISTANCE_MM && field.forward(p) == Some(p))
+            );
         }
     }
 
@@ -625,7 +631,7 @@ mod tests {
         let world_from_local = Affine3A::from_translation(Vec3::new(100.0, 20.0, -5.0)) * Affine3A::from_rotation_z(0.7);
         let field = field_in(&["cut 6 1 110 25 0", "push 10 1 95 20 -5 90 20 -5"], 1.0, world_from_local).unwrap();
         let local = |x, y, z| world_from_local.inverse().transform_point3(Vec3::new(x, y, z));
-        assert!(field.backward(local(110.0, 25.0, 0.0)).cut_mm < -4.0);
+        assert!(field.backward(local(110.0, 25.0, 0.0)).cut_distance_mm < -4.0);
         let at_end = world_from_local.transform_point3(field.backward(local(90.0, 20.0, -5.0)).source);
         assert!(at_end.distance(Vec3::new(95.0, 20.0, -5.0)) < 1.0, "{at_end}");
     }
@@ -647,7 +653,7 @@ mod tests {
         ]);
         for p in points() {
             let b = field.backward(p);
-            assert!(b.source.is_finite() && b.cut_mm.is_finite(), "{p}: {b:?}");
+            assert!(b.source.is_finite() && b.cut_distance_mm.is_finite(), "{p}: {b:?}");
         }
     }
 
@@ -655,8 +661,8 @@ mod tests {
     fn refusals_name_the_stroke() {
         let said = |strokes: &[&str]| field_in(strokes, 1.0, Affine3A::IDENTITY).err().map(|e| e.to_string()).unwrap_or_default();
         assert!(said(&["cut 5 1 0 0 0", "ctu 5 1 0 0 0"]).contains("stroke 2: \"ctu\" is no tool; did you mean \"cut\"?"));
-        assert!(said(&["cut 5 1 0 0 0"; MOST_STROKES + 1]).contains("at most 4096"));
-        let long = format!("cut 5 1{}", " 1 2 3".repeat(MOST_POINTS / 2));
+        assert!(said(&["cut 5 1 0 0 0"; MAX_STROKES + 1]).contains("at most 4096"));
+        let long = format!("cut 5 1{}", " 1 2 3".repeat(MAX_POINTS / 2));
         assert!(said(&[&long, &long, "cut 5 1 0 0 0"]).contains("at most 200000"));
     }
 }

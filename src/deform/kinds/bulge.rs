@@ -3,7 +3,7 @@
 //! With u the position over the half sizes and ρ = |u|, the source of u is u (1 - a (1 - ρ²)²): at the centre matter is 1 / (1 - a) times as
 //! large. ρ (1 - a (1 - ρ²)²) rises for -1.25 < a < 1, so along each ray from the centre the inverse is one monotone equation.
 
-use super::{Amount, Backward, Build, DefaultSize, Field, Formula, FormulaKind, Kind, Parameter, UNCUT, Unit, solve_rising};
+use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter, Unit, solve_rising};
 use glam::Vec3;
 
 pub(super) const KIND: Kind = Kind {
@@ -12,20 +12,20 @@ pub(super) const KIND: Kind = Kind {
     parameters: &[Parameter {
         name: "amount",
         unit: Unit::None,
-        default: Amount::Fixed(0.45),
-        min: Amount::Fixed(-1.0),
-        max: Amount::Fixed(0.9),
+        default: BoxLength::Fixed(0.45),
+        min: BoxLength::Fixed(-1.0),
+        max: BoxLength::Fixed(0.9),
         about: "at the centre, matter is 1 / (1 - amount) times as large",
     }],
     progressive: true,
     size: DefaultSize::Share([0.8; 3]),
-    inflate: 1.0,
+    cube_scale: 1.0,
     varies: [true; 3],
     resolution: 80,
-    leaks: [false; 6],
+    nonzero_faces: [false; 6],
     locked_to_view: false,
     shape: None,
-    build: Build::Formula(|c| Box::new(Bulge { amount: c.values[0] * c.progress, half: c.half() })),
+    build: FieldBuilder::Formula(|c| Box::new(Bulge { amount: c.values[0] * c.progress, half: c.half() })),
 };
 
 struct Bulge {
@@ -41,7 +41,7 @@ impl Bulge {
 
 impl Field for Bulge {
     fn backward(&self, q: Vec3) -> Backward {
-        Backward { source: q * self.factor((q / self.half).length()), cut_mm: UNCUT }
+        Backward { source: q * self.factor((q / self.half).length()), cut_distance_mm: NO_CUT_DISTANCE_MM }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {

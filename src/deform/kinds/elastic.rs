@@ -4,7 +4,10 @@
 //! lattice's interpolation stretches one cell over the gap; there the cell is taken apart again into two rigid halves and the gap between them, which is
 //! what is cut away.
 
-use super::{Amount, Backward, Build, Context, DefaultSize, Field, Form, Inputs, Kind, Parameter, Setting, UNCUT, Unit, forward_numerically};
+use super::{
+    Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, Kind, NO_CUT_DISTANCE_MM, Parameter, Setting, SettingFormat,
+    Unit, forward_numerically,
+};
 use crate::deform::Argument;
 use crate::deform::elastic::{Grab, Incision, Setup, Solver};
 use crate::deform::invert;
@@ -13,7 +16,7 @@ use crate::{Error, Result};
 use glam::{DVec3, Mat3, Vec3};
 
 /// Most steps of the simulation.
-const MOST_STEPS: usize = 500;
+const MAX_STEPS: usize = 500;
 /// It has come to rest when the unbalanced forces are this share of those at the start.
 const RESIDUAL: f64 = 1e-5;
 
@@ -23,29 +26,29 @@ pub(super) const KIND: Kind = Kind {
     parameters: &[Parameter {
         name: "nodes",
         unit: Unit::None,
-        default: Amount::Fixed(20.0),
-        min: Amount::Fixed(5.0),
-        max: Amount::Fixed(40.0),
+        default: BoxLength::Fixed(20.0),
+        min: BoxLength::Fixed(5.0),
+        max: BoxLength::Fixed(40.0),
         about: "along the box's longest axis (whole number)",
     }],
     progressive: true,
     size: DefaultSize::Share([0.9; 3]),
-    inflate: 1.0,
+    cube_scale: 1.0,
     varies: [true; 3],
     resolution: 64,
-    leaks: [false; 6],
+    nonzero_faces: [false; 6],
     locked_to_view: false,
     shape: None,
-    build: Build::Sourced {
+    build: FieldBuilder::Sourced {
         settings: &[
             Setting {
                 name: "grab",
-                form: Form::Rows(7),
+                form: SettingFormat::Rows(7),
                 about: "x,y,z,radius,dx,dy,dz in mm: a ball that is dragged, and its displacement; repeat for more",
             },
-            Setting { name: "fixed", form: Form::Rows(4), about: "x,y,z,radius: what is held, besides the box's faces" },
-            Setting { name: "incision", form: Form::Rows(7), about: "x,y,z,nx,ny,nz,radius: a round cut and its normal" },
-            Setting { name: "stiffness", form: Form::Rows(2), about: "label,stiffness: relative to 1, by the labels of `labels`" },
+            Setting { name: "fixed", form: SettingFormat::Rows(4), about: "x,y,z,radius: what is held, besides the box's faces" },
+            Setting { name: "incision", form: SettingFormat::Rows(7), about: "x,y,z,nx,ny,nz,radius: a round cut and its normal" },
+            Setting { name: "stiffness", form: SettingFormat::Rows(2), about: "label,stiffness: relative to 1, by the labels of `labels`" },
         ],
         example,
         build,
@@ -62,7 +65,7 @@ fn example(bounds: &Bounds) -> Vec<(&'static str, Argument)> {
     ]
 }
 
-fn build(c: &Context, inputs: &Inputs) -> Result<Box<dyn Field>> {
+fn build(c: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
     let settings = inputs.settings;
     let local_from_world = inputs.world_from_local.inverse();
     let rows = |name: &str, n: usize, what: &str| -> Result<Vec<Vec<f32>>> {
@@ -111,7 +114,7 @@ fn build(c: &Context, inputs: &Inputs) -> Result<Box<dyn Field>> {
         return Err(Error::value("grab", problem));
     }
     if c.progress > 0.0 {
-        let steps = solver.settle(MOST_STEPS, RESIDUAL);
+        let steps = solver.settle(MAX_STEPS, RESIDUAL);
         inputs.library.notice(format!(
             "elastic: {} nodes at rest after {steps} steps; unbalanced forces {:.1e} of those at the start, energy {:.3e}",
             nodes.iter().product::<usize>(),
@@ -134,27 +137,27 @@ struct Elastic {
 impl Field for Elastic {
     fn backward(&self, q: Vec3) -> Backward {
         if !self.acts || (q.abs() - self.half).max_element() >= 0.0 {
-            return Backward { source: q, cut_mm: UNCUT };
+            return Backward { source: q, cut_distance_mm: NO_CUT_DISTANCE_MM };
         }
         let y = q.as_dvec3();
         let forward = |x: DVec3| x + self.solver.displacement(x);
         let s = invert::point(&forward, y, y - self.solver.displacement(y), self.h, 1e-3);
         if !s.residual.is_finite() {
-            return Backward { source: q, cut_mm: -UNCUT };
+            return Backward { source: q, cut_distance_mm: -NO_CUT_DISTANCE_MM };
         }
         let mut source = s.source.as_vec3();
         // Where the lattice is folded no single source exists.
-        let mut cut_mm = if s.residual < 0.05 && s.determinant > 0.0 { UNCUT } else { -UNCUT };
+        let mut cut_distance_mm = if s.residual < 0.05 && s.determinant > 0.0 { NO_CUT_DISTANCE_MM } else { -NO_CUT_DISTANCE_MM };
         for i in self.solver.incisions() {
             let off = source - i.center;
-            let beside = off.dot(i.normal);
+            let offset = off.dot(i.normal);
             let cell = self.solver.spacing_along(i.normal);
-            let radial = (off - i.normal * beside).length();
+            let radial = (off - i.normal * offset).length();
             if radial > i.radius + cell {
                 continue;
             }
             // How far the two sides of the cut have parted here.
-            let on_cut = (source - i.normal * beside).as_dvec3();
+            let on_cut = (source - i.normal * offset).as_dvec3();
             let side = (i.normal * (0.5 * cell)).as_dvec3();
             let parted = (self.solver.displacement(on_cut + side) - self.solver.displacement(on_cut - side)).as_vec3().dot(i.normal);
             let gap = parted.max(0.0) * ((i.radius + 0.5 * cell - radial) / cell).clamp(0.0, 1.0);
@@ -162,13 +165,13 @@ impl Field for Elastic {
                 continue;
             }
             // Within the stretched cell: two halves as they were, and the gap.
-            let across = beside * (cell + gap) / cell;
-            let true_beside = if beside.abs() >= 0.5 * cell { beside } else { across.signum() * (across.abs() - 0.5 * gap).max(0.0) };
-            let cut = if beside.abs() >= 0.5 * cell { beside.abs() } else { across.abs() - 0.5 * gap };
-            source += i.normal * (true_beside - beside);
-            cut_mm = cut_mm.min(cut);
+            let across = offset * (cell + gap) / cell;
+            let source_offset = if offset.abs() >= 0.5 * cell { offset } else { across.signum() * (across.abs() - 0.5 * gap).max(0.0) };
+            let cut = if offset.abs() >= 0.5 * cell { offset.abs() } else { across.abs() - 0.5 * gap };
+            source += i.normal * (source_offset - offset);
+            cut_distance_mm = cut_distance_mm.min(cut);
         }
-        Backward { source, cut_mm }
+        Backward { source, cut_distance_mm }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {

@@ -3,11 +3,11 @@
 //! Each axis is independent: with n pieces and a gap g, the box holds n pieces of (L - (n-1) g) / n and the gaps between them, so that everything
 //! in it is seen; a piece keeps its shape, and in a gap D goes on from one piece's end, which is the next one's beginning.
 
-use super::{Amount, Backward, Build, DefaultSize, Field, Formula, FormulaKind, Gaps, Kind, Parameter, Unit};
+use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, GapResolution, Kind, Parameter, Unit};
 use glam::Vec3;
 
 const fn pieces(name: &'static str, about: &'static str) -> Parameter {
-    Parameter { name, unit: Unit::None, default: Amount::Fixed(2.0), min: Amount::Fixed(1.0), max: Amount::Fixed(16.0), about }
+    Parameter { name, unit: Unit::None, default: BoxLength::Fixed(2.0), min: BoxLength::Fixed(1.0), max: BoxLength::Fixed(16.0), about }
 }
 
 pub(super) const KIND: Kind = Kind {
@@ -17,9 +17,9 @@ pub(super) const KIND: Kind = Kind {
         Parameter {
             name: "gap",
             unit: Unit::Mm,
-            default: Amount::OfRadius(0.25),
-            min: Amount::Fixed(0.0),
-            max: Amount::OfRadius(0.9),
+            default: BoxLength::OfRadius(0.25),
+            min: BoxLength::Fixed(0.0),
+            max: BoxLength::OfRadius(0.9),
             about: "between two pieces",
         },
         pieces("pieces-x", "pieces along x (whole number)"),
@@ -28,25 +28,25 @@ pub(super) const KIND: Kind = Kind {
     ],
     progressive: true,
     size: DefaultSize::Share([1.4; 3]),
-    inflate: 1.0,
+    cube_scale: 1.0,
     varies: [true; 3],
     resolution: 128,
-    leaks: [true; 6],
+    nonzero_faces: [true; 6],
     locked_to_view: false,
     shape: None,
-    build: Build::Formula(|c| {
+    build: FieldBuilder::Formula(|c| {
         let axis = |a: usize| {
             let count = c.values[1 + a].round().max(1.0);
             // Gaps may take at most two thirds of the box.
             let most = if count > 1.0 { c.size_mm[a] * 0.66 / (count - 1.0) } else { 0.0 };
             let gap = (c.values[0] * c.progress).min(most);
-            Axis { count, gap, piece: (c.size_mm[a] - gap * (count - 1.0)) / count }
+            ExplodeAxis { count, gap, piece: (c.size_mm[a] - gap * (count - 1.0)) / count }
         };
         Box::new(Explode { axes: [axis(0), axis(1), axis(2)], gaps: c.gaps() })
     }),
 };
 
-struct Axis {
+struct ExplodeAxis {
     count: f32,
     gap: f32,
     /// Length of a piece.
@@ -54,11 +54,11 @@ struct Axis {
 }
 
 struct Explode {
-    axes: [Axis; 3],
-    gaps: Gaps,
+    axes: [ExplodeAxis; 3],
+    gaps: GapResolution,
 }
 
-impl Axis {
+impl ExplodeAxis {
     /// Source coordinate and distance to the nearest gap, positive in a piece.
     fn backward(&self, x: f32) -> (f32, f32) {
         let pitch = self.piece + self.gap;
@@ -83,15 +83,15 @@ impl Axis {
 impl Field for Explode {
     fn backward(&self, q: Vec3) -> Backward {
         let mut source = q;
-        let mut cut_mm = f32::INFINITY;
+        let mut cut_distance_mm = f32::INFINITY;
         for (a, axis) in self.axes.iter().enumerate() {
             let (s, cut) = axis.backward(q[a]);
             source[a] = s;
             if axis.count > 1.0 {
-                cut_mm = cut_mm.min(self.gaps.distance(cut, axis.gap / 2.0));
+                cut_distance_mm = cut_distance_mm.min(self.gaps.distance(cut, axis.gap / 2.0));
             }
         }
-        Backward { source, cut_mm: cut_mm.min(super::UNCUT) }
+        Backward { source, cut_distance_mm: cut_distance_mm.min(super::NO_CUT_DISTANCE_MM) }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {

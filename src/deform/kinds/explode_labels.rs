@@ -4,7 +4,10 @@
 //! distance field, how far inside it the point would be had it not moved; the one that it is inside of is seen, the nearest one
 //! lends its displacement to the space between. Displacements are blended by distance there, so that D stays continuous.
 
-use super::{Amount, Backward, Build, Context, DefaultSize, Field, Form, Inputs, Kind, Parameter, Setting, UNCUT, Unit};
+use super::{
+    Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, Kind, NO_CUT_DISTANCE_MM, Parameter, Setting, SettingFormat,
+    Unit,
+};
 use crate::deform::Argument;
 use crate::math::DistanceGrid;
 use crate::math::{Bounds, normalize_or};
@@ -15,7 +18,7 @@ use rayon::prelude::*;
 use std::sync::Arc;
 
 /// Each label keeps a distance field of the whole volume.
-const MOST_LABELS: usize = 24;
+const MAX_LABELS: usize = 24;
 
 pub(super) const KIND: Kind = Kind {
     name: "explode-labels",
@@ -23,23 +26,23 @@ pub(super) const KIND: Kind = Kind {
     parameters: &[Parameter {
         name: "gap",
         unit: Unit::Mm,
-        default: Amount::OfRadius(0.35),
-        min: Amount::Fixed(0.0),
-        max: Amount::OfRadius(2.0),
+        default: BoxLength::OfRadius(0.35),
+        min: BoxLength::Fixed(0.0),
+        max: BoxLength::OfRadius(2.0),
         about: "way of the outermost label",
     }],
     progressive: true,
     size: DefaultSize::Share([1.6; 3]),
-    inflate: 1.0,
+    cube_scale: 1.0,
     varies: [true; 3],
     resolution: 128,
-    leaks: [true; 6],
+    nonzero_faces: [true; 6],
     locked_to_view: false,
     shape: None,
-    build: Build::Sourced {
+    build: FieldBuilder::Sourced {
         settings: &[
-            Setting { name: "label", form: Form::Whole, about: "the labels" },
-            Setting { name: "rest", form: Form::Choice(&["hide", "keep"]), about: "hide or keep what has none of the labels" },
+            Setting { name: "label", form: SettingFormat::Whole, about: "the labels" },
+            Setting { name: "rest", form: SettingFormat::Choice(&["hide", "keep"]), about: "hide or keep what has none of the labels" },
         ],
         example,
         build,
@@ -51,14 +54,14 @@ fn example(_: &Bounds) -> Vec<(&'static str, Argument)> {
     vec![("label", Argument::Numbers((1..=8).map(|l| l as f32).collect())), ("labels", Argument::Text("phantom:octants:size=64".into()))]
 }
 
-fn build(c: &Context, inputs: &Inputs) -> Result<Box<dyn Field>> {
+fn build(c: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
     let settings = inputs.settings;
     let labels =
         settings.whole("label")?.filter(|l| !l.is_empty()).ok_or_else(|| Error::value("label", "is missing; name the labels that move apart"))?;
-    if labels.len() > MOST_LABELS {
-        return Err(Error::value("label", format!("{} labels are too many; at most {MOST_LABELS} can be moved apart", labels.len())));
+    if labels.len() > MAX_LABELS {
+        return Err(Error::value("label", format!("{} labels are too many; at most {MAX_LABELS} can be moved apart", labels.len())));
     }
-    let keep_rest = settings.choice("rest", &["hide", "keep"])? == "keep";
+    let keeps_unlabeled = settings.choice("rest", &["hide", "keep"])? == "keep";
     let volume = inputs.library.labels(settings)?;
     let fields = labels.iter().map(|l| inputs.library.label_distance(settings, "label", &[*l])).collect::<Result<Vec<_>>>()?;
     let middles = middles(&volume, &labels);
@@ -70,11 +73,11 @@ fn build(c: &Context, inputs: &Inputs) -> Result<Box<dyn Field>> {
         .zip(&middles)
         .map(|(distance, m)| {
             let way = ((*m - center) / farthest).as_vec3() * (c.values[0] * c.progress);
-            Piece { distance, way: local_from_world * way }
+            LabelPiece { distance, way: local_from_world * way }
         })
         .collect();
     let acts = c.values[0] * c.progress > 0.0;
-    Ok(Box::new(ExplodeLabels { pieces, keep_rest, world_from_local: inputs.world_from_local, acts, margin: 2.0 * c.texel_mm }))
+    Ok(Box::new(ExplodeLabels { pieces, keeps_unlabeled, world_from_local: inputs.world_from_local, acts, margin: 2.0 * c.texel_mm }))
 }
 
 /// Middles of the voxels of labels, mm.
@@ -101,15 +104,15 @@ fn middles(volume: &Volume, labels: &[usize]) -> Vec<DVec3> {
     sums.into_iter().map(|(sum, count)| volume.world_from_voxel.transform_point3(sum / count.max(1.0))).collect()
 }
 
-struct Piece {
+struct LabelPiece {
     distance: Arc<DistanceGrid>,
     /// In the box's own millimetres.
     way: Vec3,
 }
 
 struct ExplodeLabels {
-    pieces: Vec<Piece>,
-    keep_rest: bool,
+    pieces: Vec<LabelPiece>,
+    keeps_unlabeled: bool,
     world_from_local: Affine3A,
     acts: bool,
     /// Width around a piece in which its displacement rules alone.
@@ -117,7 +120,7 @@ struct ExplodeLabels {
 }
 
 impl ExplodeLabels {
-    fn inside(&self, piece: &Piece, p: Vec3) -> f32 {
+    fn inside(&self, piece: &LabelPiece, p: Vec3) -> f32 {
         piece.distance.sample(self.world_from_local.transform_point3(p))
     }
 }
@@ -125,7 +128,7 @@ impl ExplodeLabels {
 impl Field for ExplodeLabels {
     fn backward(&self, q: Vec3) -> Backward {
         if !self.acts {
-            return Backward { source: q, cut_mm: UNCUT };
+            return Backward { source: q, cut_distance_mm: NO_CUT_DISTANCE_MM };
         }
         let (mut total, mut sum) = (0.0, Vec3::ZERO);
         let mut deepest = f32::NEG_INFINITY;
@@ -137,8 +140,8 @@ impl Field for ExplodeLabels {
             sum -= piece.way * w;
         }
         let mut source = q + sum / total;
-        let mut cut_mm = deepest;
-        if self.keep_rest {
+        let mut cut_distance_mm = deepest;
+        if self.keeps_unlabeled {
             // Where the pieces have been, nothing is left; elsewhere what has no label stays.
             let left = self.pieces.iter().map(|p| self.inside(p, q)).fold(f32::NEG_INFINITY, f32::max);
             let rest = (-left).min(-deepest - 2.0 * self.margin);
@@ -148,9 +151,9 @@ impl Field for ExplodeLabels {
                 let share = (rest / self.margin + 1.0).clamp(0.0, 1.0);
                 source = source.lerp(q, share);
             }
-            cut_mm = cut_mm.max(rest);
+            cut_distance_mm = cut_distance_mm.max(rest);
         }
-        Backward { source, cut_mm }
+        Backward { source, cut_distance_mm }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {

@@ -10,7 +10,10 @@
 //! surface's own lines. Heights are continued smoothly where the field has none (its medial axis), where nothing of the layer is.
 
 use super::peel::Peel;
-use super::{Amount, Backward, Build, Context, DefaultSize, Field, Form, Gaps, Inputs, Kind, Parameter, Setting, UNCUT, Unit, forward_numerically};
+use super::{
+    Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, GapResolution, Kind, NO_CUT_DISTANCE_MM, Parameter, Setting,
+    SettingFormat, Unit, forward_numerically,
+};
 use crate::Result;
 use crate::deform::Argument;
 use crate::math::DistanceGrid;
@@ -19,9 +22,9 @@ use glam::{Affine3A, Mat3, Vec3};
 use std::sync::Arc;
 
 const SURFACE: &[Setting] = &[
-    Setting { name: "label", form: Form::Whole, about: "labels whose surface is followed" },
-    Setting { name: "mask", form: Form::File, about: "a file whose voxels above 0 are inside" },
-    Setting { name: "iso", form: Form::Number, about: "threshold of the body's surface; automatic if not set" },
+    Setting { name: "label", form: SettingFormat::Whole, about: "labels whose surface is followed" },
+    Setting { name: "mask", form: SettingFormat::File, about: "a file whose voxels above 0 are inside" },
+    Setting { name: "iso", form: SettingFormat::Number, about: "threshold of the body's surface; automatic if not set" },
 ];
 
 fn example(_: &Bounds) -> Vec<(&'static str, Argument)> {
@@ -32,9 +35,9 @@ const fn depth(default: f32) -> Parameter {
     Parameter {
         name: "depth",
         unit: Unit::Mm,
-        default: Amount::Fixed(default),
-        min: Amount::Fixed(0.0),
-        max: Amount::Fixed(500.0),
+        default: BoxLength::Fixed(default),
+        min: BoxLength::Fixed(0.0),
+        max: BoxLength::Fixed(500.0),
         about: "below the surface",
     }
 }
@@ -43,7 +46,7 @@ const fn kind(
     name: &'static str,
     about: &'static str,
     parameters: &'static [Parameter],
-    build: fn(&Context, &Inputs) -> Result<Box<dyn Field>>,
+    build: fn(&FieldContext, &FieldInputs) -> Result<Box<dyn Field>>,
 ) -> Kind {
     Kind {
         name,
@@ -51,20 +54,20 @@ const fn kind(
         parameters,
         progressive: true,
         size: DefaultSize::Share([1.3; 3]),
-        inflate: 1.0,
+        cube_scale: 1.0,
         varies: [true; 3],
         resolution: 144,
-        leaks: [false; 6],
+        nonzero_faces: [false; 6],
         locked_to_view: false,
         shape: None,
-        build: Build::Sourced { settings: SURFACE, example, build },
+        build: FieldBuilder::Sourced { settings: SURFACE, example, build },
     }
 }
 
 pub(super) const STRIP: Kind = Kind {
-    inflate: 1.1,
+    cube_scale: 1.1,
     ..kind("strip", "removes what lies above a depth below a surface, within the box", &[depth(8.0)], |c, inputs| {
-        Ok(Box::new(Strip { surface: Surface::new(inputs)?, depth: c.values[0] * c.progress, half: c.half(), acts: c.progress > 0.0 }))
+        Ok(Box::new(SurfaceStrip { surface: Surface::new(inputs)?, depth: c.values[0] * c.progress, half: c.half(), acts: c.progress > 0.0 }))
     })
 };
 
@@ -76,9 +79,9 @@ pub(super) const LIFT: Kind = kind(
         Parameter {
             name: "height",
             unit: Unit::Mm,
-            default: Amount::OfRadius(0.2),
-            min: Amount::Fixed(0.0),
-            max: Amount::OfRadius(0.45),
+            default: BoxLength::OfRadius(0.2),
+            min: BoxLength::Fixed(0.0),
+            max: BoxLength::OfRadius(0.45),
             about: "by which it is lifted",
         },
     ],
@@ -96,17 +99,17 @@ pub(super) const OFFSET: Kind = Kind {
             Parameter {
                 name: "amount",
                 unit: Unit::Mm,
-                default: Amount::OfRadius(0.06),
-                min: Amount::OfRadius(-0.25),
-                max: Amount::OfRadius(0.25),
+                default: BoxLength::OfRadius(0.06),
+                min: BoxLength::OfRadius(-0.25),
+                max: BoxLength::OfRadius(0.25),
                 about: "outwards; negative inwards",
             },
             Parameter {
                 name: "band",
                 unit: Unit::Mm,
-                default: Amount::OfRadius(0.35),
-                min: Amount::OfRadius(0.02),
-                max: Amount::OfRadius(1.0),
+                default: BoxLength::OfRadius(0.35),
+                min: BoxLength::OfRadius(0.02),
+                max: BoxLength::OfRadius(1.0),
                 about: "to either side of the surface that moves with it; at least 2.5 times the amount is used",
             },
         ],
@@ -120,7 +123,7 @@ pub(super) const OFFSET: Kind = Kind {
 pub(super) const PEEL: Kind = Kind {
     size: DefaultSize::Share([0.75, 0.6, 1.1]),
     resolution: 160,
-    leaks: [true; 6],
+    nonzero_faces: [true; 6],
     ..kind(
         "surface-peel",
         "cuts a flap at a depth below a surface and rolls it back, towards the box's -x",
@@ -129,9 +132,9 @@ pub(super) const PEEL: Kind = Kind {
             Parameter {
                 name: "radius",
                 unit: Unit::Mm,
-                default: Amount::OfX(0.14),
-                min: Amount::OfX(0.02),
-                max: Amount::OfX(0.4),
+                default: BoxLength::OfX(0.14),
+                min: BoxLength::OfX(0.02),
+                max: BoxLength::OfX(0.4),
                 about: "of the roll's outer side; at least 1.2 times the depth is used",
             },
         ],
@@ -152,7 +155,7 @@ struct Surface {
 }
 
 impl Surface {
-    fn new(inputs: &Inputs) -> Result<Self> {
+    fn new(inputs: &FieldInputs) -> Result<Self> {
         let local_from_world = Mat3::from(inputs.world_from_local.matrix3).inverse();
         Ok(Self { distance: inputs.library.region(inputs.settings)?, world_from_local: inputs.world_from_local, local_from_world })
     }
@@ -197,25 +200,25 @@ fn lens(q: Vec3, half: Vec3) -> f32 {
     1.0 - smoothstep(0.55, 1.0, (q / half).length())
 }
 
-struct Strip {
+struct SurfaceStrip {
     surface: Surface,
     depth: f32,
     half: Vec3,
     acts: bool,
 }
 
-impl Field for Strip {
+impl Field for SurfaceStrip {
     fn backward(&self, q: Vec3) -> Backward {
         if !self.acts {
-            return Backward { source: q, cut_mm: UNCUT };
+            return Backward { source: q, cut_distance_mm: NO_CUT_DISTANCE_MM };
         }
         let d = q.abs() - self.half;
         let outside = d.max(Vec3::ZERO).length() + d.max_element().min(0.0);
-        Backward { source: q, cut_mm: (-self.depth - self.surface.height(q)).max(outside) }
+        Backward { source: q, cut_distance_mm: (-self.depth - self.surface.height(q)).max(outside) }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
-        (self.backward(q).cut_mm >= 0.0).then_some(q)
+        (self.backward(q).cut_distance_mm >= 0.0).then_some(q)
     }
 }
 
@@ -224,7 +227,7 @@ struct Lift {
     depth: f32,
     height: f32,
     half: Vec3,
-    gaps: Gaps,
+    gaps: GapResolution,
 }
 
 impl Field for Lift {
@@ -232,12 +235,15 @@ impl Field for Lift {
         let height = self.height * lens(q, self.half);
         let above_cut = self.surface.height(q) + self.depth;
         if height <= 0.0 || above_cut <= 0.0 {
-            return Backward { source: q, cut_mm: if height > 0.0 { self.gaps.distance(-above_cut, height / 2.0) } else { UNCUT } };
+            return Backward {
+                source: q,
+                cut_distance_mm: if height > 0.0 { self.gaps.distance(-above_cut, height / 2.0) } else { NO_CUT_DISTANCE_MM },
+            };
         }
         // In the gap the source stays at the cut, so that D goes on from one side to the other.
         let down = above_cut.min(height);
         let cut = if above_cut < height { -above_cut.min(height - above_cut) } else { above_cut - height };
-        Backward { source: q - self.surface.outward(q) * down, cut_mm: self.gaps.distance(cut, height / 2.0) }
+        Backward { source: q - self.surface.outward(q) * down, cut_distance_mm: self.gaps.distance(cut, height / 2.0) }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
@@ -256,11 +262,11 @@ impl Field for Offset {
     fn backward(&self, q: Vec3) -> Backward {
         let strength = self.amount * lens(q, self.half);
         if strength == 0.0 {
-            return Backward { source: q, cut_mm: UNCUT };
+            return Backward { source: q, cut_distance_mm: NO_CUT_DISTANCE_MM };
         }
         // The band lies around the surface where it has gone to.
         let fall = 1.0 - smoothstep(0.0, self.band, (self.surface.height(q) - strength).abs());
-        Backward { source: q - self.surface.outward(q) * (strength * fall), cut_mm: UNCUT }
+        Backward { source: q - self.surface.outward(q) * (strength * fall), cut_distance_mm: NO_CUT_DISTANCE_MM }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
@@ -291,15 +297,15 @@ impl SurfacePeel {
 impl Field for SurfacePeel {
     fn backward(&self, q: Vec3) -> Backward {
         if !self.acts || q.z < self.lowest {
-            return Backward { source: q, cut_mm: UNCUT };
+            return Backward { source: q, cut_distance_mm: NO_CUT_DISTANCE_MM };
         }
         let flat = self.flattened(q);
         let inner = self.peel.backward(flat);
         if inner.source == flat {
-            return Backward { source: q, cut_mm: inner.cut_mm };
+            return Backward { source: q, cut_distance_mm: inner.cut_distance_mm };
         }
         let (source, off) = self.raised(inner.source, q.z + inner.source.z - flat.z);
-        Backward { source, cut_mm: if off < 1.0 { inner.cut_mm } else { -UNCUT } }
+        Backward { source, cut_distance_mm: if off < 1.0 { inner.cut_distance_mm } else { -NO_CUT_DISTANCE_MM } }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {

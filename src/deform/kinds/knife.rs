@@ -3,40 +3,47 @@
 //! The half opening o(y, z) is a lens along the cut, widest in the middle, growing from nothing at the cut's floor to `opening`/2 at
 //! the box's upper part. Matter from the plane x = 0 to the box's side is compressed linearly into what is left: x = X (|x'| - o)/(X - o).
 
-use super::{Amount, Backward, Build, DefaultSize, Field, Formula, FormulaKind, Gaps, Kind, Parameter, Unit};
+use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, GapResolution, Kind, Parameter, Unit};
 use glam::Vec3;
 
 pub(super) const KIND: Kind = Kind {
     name: "knife",
     about: "an incision along the box's y axis, held open",
     parameters: &[
-        Parameter { name: "length", unit: Unit::Mm, default: Amount::OfY(0.8), min: Amount::OfY(0.02), max: Amount::OfY(0.95), about: "of the cut" },
+        Parameter {
+            name: "length",
+            unit: Unit::Mm,
+            default: BoxLength::OfY(0.8),
+            min: BoxLength::OfY(0.02),
+            max: BoxLength::OfY(0.95),
+            about: "of the cut",
+        },
         Parameter {
             name: "depth",
             unit: Unit::Mm,
-            default: Amount::OfZ(0.6),
-            min: Amount::OfZ(0.02),
-            max: Amount::OfZ(0.95),
+            default: BoxLength::OfZ(0.6),
+            min: BoxLength::OfZ(0.02),
+            max: BoxLength::OfZ(0.95),
             about: "of the cut below the box's upper face",
         },
         Parameter {
             name: "opening",
             unit: Unit::Mm,
-            default: Amount::OfX(0.25),
-            min: Amount::Fixed(0.0),
-            max: Amount::OfX(0.7),
+            default: BoxLength::OfX(0.25),
+            min: BoxLength::Fixed(0.0),
+            max: BoxLength::OfX(0.7),
             about: "between the lips at the widest place",
         },
     ],
     progressive: true,
     size: DefaultSize::Share([0.5, 0.6, 0.4]),
-    inflate: 1.0,
+    cube_scale: 1.0,
     varies: [true; 3],
     resolution: 96,
-    leaks: [false, false, false, false, false, true],
+    nonzero_faces: [false, false, false, false, false, true],
     locked_to_view: false,
     shape: None,
-    build: Build::Formula(|c| {
+    build: FieldBuilder::Formula(|c| {
         let half = c.half();
         Box::new(Knife {
             half_length: c.values[0] / 2.0,
@@ -55,7 +62,7 @@ struct Knife {
     half_opening: f32,
     half_x: f32,
     top: f32,
-    gaps: Gaps,
+    gaps: GapResolution,
 }
 
 impl Knife {
@@ -72,7 +79,7 @@ impl Field for Knife {
         let open = self.opening(q.y, q.z);
         let x = q.x.abs();
         let source_x = if x >= self.half_x { x } else { self.half_x * (x - open).max(0.0) / (self.half_x - open) };
-        Backward { source: Vec3::new(source_x.copysign(q.x), q.y, q.z), cut_mm: self.gaps.distance(x - open, open) }
+        Backward { source: Vec3::new(source_x.copysign(q.x), q.y, q.z), cut_distance_mm: self.gaps.distance(x - open, open) }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {

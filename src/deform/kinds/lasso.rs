@@ -4,7 +4,7 @@
 //! outline widens away from it, as the picture's perspective does.
 
 use super::outline::Outline;
-use super::{Amount, Backward, Build, Context, DefaultSize, Field, Form, Inputs, Kind, Parameter, Setting, Unit};
+use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, Kind, Parameter, Setting, SettingFormat, Unit};
 use crate::deform::Argument;
 use crate::math::Bounds;
 use crate::{Error, Result};
@@ -16,27 +16,27 @@ pub(super) const KIND: Kind = Kind {
     parameters: &[Parameter {
         name: "eye",
         unit: Unit::Mm,
-        default: Amount::Fixed(0.0),
-        min: Amount::Fixed(0.0),
-        max: Amount::Fixed(1e5),
+        default: BoxLength::Fixed(0.0),
+        min: BoxLength::Fixed(0.0),
+        max: BoxLength::Fixed(1e5),
         about: "distance of the eye from the box's centre, for an outline drawn in perspective; 0 for a parallel one",
     }],
     progressive: true,
     size: DefaultSize::Across(1.05),
-    inflate: 1.0,
+    cube_scale: 1.0,
     varies: [true; 3],
     resolution: 160,
-    leaks: [true; 6],
+    nonzero_faces: [true; 6],
     locked_to_view: true,
     shape: None,
-    build: Build::Sourced {
+    build: FieldBuilder::Sourced {
         settings: &[
             Setting {
                 name: "points",
-                form: Form::Rows(2),
+                form: SettingFormat::Rows(2),
                 about: "x,y of the outline in the box's plane through its centre, mm (x right, y up in the view)",
             },
-            Setting { name: "invert", form: Form::Flag, about: "true removes what lies around the outline instead" },
+            Setting { name: "invert", form: SettingFormat::Flag, about: "true removes what lies around the outline instead" },
         ],
         example,
         build,
@@ -54,7 +54,7 @@ fn example(bounds: &Bounds) -> Vec<(&'static str, Argument)> {
     vec![("points", Argument::Numbers(outline.collect()))]
 }
 
-fn build(c: &Context, inputs: &Inputs) -> Result<Box<dyn Field>> {
+fn build(c: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
     let numbers = inputs.settings.numbers("points")?.ok_or_else(|| Error::value("points", "are missing; give the outline's x,y in mm"))?;
     if numbers.len() % 2 != 0 {
         return Err(Error::value("points", format!("are {} numbers; a point of the outline is two", numbers.len())));
@@ -71,8 +71,8 @@ fn build(c: &Context, inputs: &Inputs) -> Result<Box<dyn Field>> {
     if let Some((a, b)) = outline.crossing() {
         return Err(Error::value("points", format!("the outline crosses itself: its edges {} and {} meet", a + 1, b + 1)));
     }
-    let keep = if inputs.settings.flag("invert")? { -1.0 } else { 1.0 };
-    Ok(Box::new(Lasso { outline, eye: c.values[0], keep, progress: c.progress, reach: c.size_mm.length() }))
+    let side = if inputs.settings.flag("invert")? { -1.0 } else { 1.0 };
+    Ok(Box::new(LassoCut { outline, eye: c.values[0], side, progress: c.progress, reach: c.size_mm.length() }))
 }
 
 /// How much wider than in its own plane an outline is at a height `z` towards the viewer, by the distance of the eye (0: parallel).
@@ -80,32 +80,32 @@ pub(super) fn widening(eye: f32, z: f32) -> f32 {
     if eye > 0.0 { ((eye - z) / eye).max(1e-3) } else { 1.0 }
 }
 
-struct Lasso {
+struct LassoCut {
     outline: Outline,
     eye: f32,
     /// 1: what is outside stays; -1: what is inside.
-    keep: f32,
+    side: f32,
     progress: f32,
     reach: f32,
 }
 
-impl Lasso {
+impl LassoCut {
     /// Distance from what is removed, positive where matter stays.
     fn distance(&self, q: Vec3) -> f32 {
         if self.progress <= 0.0 {
-            return super::UNCUT;
+            return super::NO_CUT_DISTANCE_MM;
         }
         let widening = widening(self.eye, q.z);
-        let side = self.keep * self.outline.signed_distance(q.xy() / widening) * widening;
+        let side = self.side * self.outline.signed_distance(q.xy() / widening) * widening;
         // Progress cuts in from the viewer's side.
         let front = self.reach * (0.5 - self.progress) - q.z;
         if self.progress < 1.0 { side.max(front) } else { side }
     }
 }
 
-impl Field for Lasso {
+impl Field for LassoCut {
     fn backward(&self, q: Vec3) -> Backward {
-        Backward { source: q, cut_mm: self.distance(q) }
+        Backward { source: q, cut_distance_mm: self.distance(q) }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {

@@ -5,14 +5,14 @@
 //! displacement and its first two derivatives vanish on all faces. Both are forward maps; the inverse is found numerically (`deform::invert`)
 //! for every texel, and what folds is cut away.
 
-use super::{Backward, Build, Context, DefaultSize, Field, Form, Inputs, Kind, Setting, UNCUT};
+use super::{Backward, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, Kind, NO_CUT_DISTANCE_MM, Setting, SettingFormat};
 use crate::deform::{Argument, invert};
 use crate::math::Bounds;
 use crate::{Error, Result};
 use glam::{DVec3, Vec3};
 
 /// Most control points along an axis: Bernstein polynomials of a higher degree lose their digits.
-const MOST: [usize; 2] = [16, 64];
+const MAX_SIZE: [usize; 2] = [16, 64];
 
 pub(super) const KIND: Kind = Kind {
     name: "lattice",
@@ -20,19 +20,19 @@ pub(super) const KIND: Kind = Kind {
     parameters: &[],
     progressive: true,
     size: DefaultSize::Share([0.9; 3]),
-    inflate: 1.0,
+    cube_scale: 1.0,
     varies: [true; 3],
     resolution: 56,
-    leaks: [false; 6],
+    nonzero_faces: [false; 6],
     locked_to_view: false,
     shape: None,
-    build: Build::Sourced {
+    build: FieldBuilder::Sourced {
         settings: &[
-            Setting { name: "lattice", form: Form::Whole, about: "control points along x, y, z; 4,4,4 by default" },
-            Setting { name: "basis", form: Form::Choice(&["bernstein", "b-spline"]), about: "bernstein or b-spline" },
+            Setting { name: "lattice", form: SettingFormat::Whole, about: "control points along x, y, z; 4,4,4 by default" },
+            Setting { name: "basis", form: SettingFormat::Choice(&["bernstein", "b-spline"]), about: "bernstein or b-spline" },
             Setting {
                 name: "offsets",
-                form: Form::RowsOrFile(6),
+                form: SettingFormat::RowsOrFile(6),
                 about: "i,j,k,dx,dy,dz (indices from 0, mm), point after point; or a .csv file of six columns",
             },
         ],
@@ -51,11 +51,11 @@ fn example(bounds: &Bounds) -> Vec<(&'static str, Argument)> {
     vec![("offsets", Argument::Numbers(offsets))]
 }
 
-fn build(c: &Context, inputs: &Inputs) -> Result<Box<dyn Field>> {
+fn build(c: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
     let settings = inputs.settings;
     let bernstein = settings.choice("basis", &["bernstein", "b-spline"])? == "bernstein";
     let counts = settings.whole("lattice")?.unwrap_or_else(|| vec![4; 3]);
-    let most = MOST[usize::from(!bernstein)];
+    let most = MAX_SIZE[usize::from(!bernstein)];
     let size: [usize; 3] = counts[..].try_into().map_err(|_| Error::value("lattice", format!("is {} numbers; it needs three", counts.len())))?;
     if size.iter().any(|n| !(2..=most).contains(n)) {
         return Err(Error::value("lattice", format!("{size:?} cannot be used; 2 to {most} control points along each axis are needed")));
@@ -80,10 +80,10 @@ fn build(c: &Context, inputs: &Inputs) -> Result<Box<dyn Field>> {
             DVec3::new(f64::from(row[3]), f64::from(row[4]), f64::from(row[5])) * f64::from(c.progress);
     }
     let h = f64::from(c.texel_mm) * 0.25;
-    Ok(Box::new(Lattice { size, offsets, box_mm: c.size_mm.as_dvec3(), bernstein, moves: c.progress > 0.0, h }))
+    Ok(Box::new(LatticeField { size, offsets, box_mm: c.size_mm.as_dvec3(), bernstein, moves: c.progress > 0.0, h }))
 }
 
-struct Lattice {
+struct LatticeField {
     size: [usize; 3],
     offsets: Vec<DVec3>,
     box_mm: DVec3,
@@ -93,9 +93,9 @@ struct Lattice {
     h: f64,
 }
 
-impl Lattice {
+impl LatticeField {
     /// Weights of the control points along an axis at `x` in 0..1, and the first of them that is not zero.
-    fn weights(&self, x: f64, n: usize, out: &mut [f64; MOST[0]]) -> (usize, usize) {
+    fn weights(&self, x: f64, n: usize, out: &mut [f64; MAX_SIZE[0]]) -> (usize, usize) {
         if self.bernstein {
             // Bernstein polynomials by de Casteljau's recurrence.
             out[0] = 1.0;
@@ -122,7 +122,7 @@ impl Lattice {
 
     fn moved(&self, q: DVec3) -> DVec3 {
         let x = (q / self.box_mm + 0.5).clamp(DVec3::ZERO, DVec3::ONE);
-        let mut w = [[0.0; MOST[0]]; 3];
+        let mut w = [[0.0; MAX_SIZE[0]]; 3];
         let mut span = [(0, 0); 3];
         for a in 0..3 {
             span[a] = self.weights(x[a], self.size[a], &mut w[a]);
@@ -141,15 +141,18 @@ impl Lattice {
     }
 }
 
-impl Field for Lattice {
+impl Field for LatticeField {
     fn backward(&self, q: Vec3) -> Backward {
         if !self.moves {
-            return Backward { source: q, cut_mm: UNCUT };
+            return Backward { source: q, cut_distance_mm: NO_CUT_DISTANCE_MM };
         }
         let y = q.as_dvec3();
         let s = invert::point(&|p| self.moved(p), y, y, self.h, 1e-4);
         let source = if s.residual.is_finite() { s.source.as_vec3() } else { q };
-        Backward { source, cut_mm: if s.found || s.residual < 0.02 && s.determinant > 0.0 { UNCUT } else { -UNCUT } }
+        Backward {
+            source,
+            cut_distance_mm: if s.found || s.residual < 0.02 && s.determinant > 0.0 { NO_CUT_DISTANCE_MM } else { -NO_CUT_DISTANCE_MM },
+        }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {

@@ -6,7 +6,7 @@
 //! [`DisplacementMap`].
 //!
 //! *Contract* (held by `tests/contract.rs` for every kind): no strength is the identity; Jacobians agree with central differences;
-//! forward then backward is the identity; D vanishes on every face that the kind does not list in `leaks`; D is continuous; odd
+//! forward then backward is the identity; D vanishes on every face that the kind does not list in `nonzero_faces`; D is continuous; odd
 //! input gives finite values.
 
 mod bend;
@@ -36,10 +36,10 @@ mod twist;
 mod wave;
 
 pub use modifiers::vary_everywhere;
-pub use settings::{Form, Setting};
+pub use settings::{Setting, SettingFormat};
 
-use super::cut::Shape;
-use super::{Argument, Arguments, DisplacementMap, Formula, FormulaKind, Library, Recipe, Storage};
+use super::cut::CutShapeKind;
+use super::{Argument, Arguments, DisplacementMap, Formula, FormulaKind, Library, MapDefinition, Storage};
 use crate::error::suggestion;
 use crate::math::Bounds;
 use crate::{Error, Result};
@@ -51,7 +51,7 @@ pub struct Backward {
     /// Where the matter seen here came from. Continuous everywhere, also where nothing is seen (the pseudo-inverse).
     pub source: Vec3,
     /// Signed distance to the nearest cut, mm, positive where matter is: exact on the cut, at least of the right sign elsewhere.
-    pub cut_mm: f32,
+    pub cut_distance_mm: f32,
 }
 
 /// A kind with its parameters filled in.
@@ -81,7 +81,7 @@ pub enum Unit {
 
 /// A length that may depend on the size of the deformation's box.
 #[derive(Clone, Copy, Debug)]
-pub enum Amount {
+pub enum BoxLength {
     /// As it stands.
     Fixed(f32),
     /// A share of the box along x.
@@ -94,7 +94,7 @@ pub enum Amount {
     OfRadius(f32),
 }
 
-impl std::fmt::Display for Amount {
+impl std::fmt::Display for BoxLength {
     fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
         match self {
             Self::Fixed(v) => write!(f, "{v}"),
@@ -106,7 +106,7 @@ impl std::fmt::Display for Amount {
     }
 }
 
-impl Amount {
+impl BoxLength {
     /// The length for a box of the given extents, mm.
     pub fn resolve(self, size_mm: Vec3) -> f32 {
         match self {
@@ -126,11 +126,11 @@ pub struct Parameter {
     /// Its unit.
     pub unit: Unit,
     /// Used when none is given.
-    pub default: Amount,
+    pub default: BoxLength,
     /// Lowest value allowed.
-    pub min: Amount,
+    pub min: BoxLength,
     /// Highest value allowed.
-    pub max: Amount,
+    pub max: BoxLength,
     /// One line for lists.
     pub about: &'static str,
 }
@@ -157,26 +157,26 @@ pub struct Kind {
     /// Size when none is given.
     pub size: DefaultSize,
     /// The map's cube is this much larger than the box that the user sizes, so that a cut along the box's faces lies inside the map.
-    pub inflate: f32,
+    pub cube_scale: f32,
     /// Along which local axes the map varies; the others need a single texel.
     pub varies: [bool; 3],
     /// Texels along the longest axis, by default.
     pub resolution: usize,
     /// Faces (-x, +x, -y, +y, -z, +z) on which D does not vanish: there the box should end in empty space.
-    pub leaks: [bool; 6],
+    pub nonzero_faces: [bool; 6],
     /// Its box turns with the camera: x right, y up, z towards the viewer.
     pub locked_to_view: bool,
     /// The shape it removes, if it only removes and a formula can say it.
-    pub shape: Option<Shape>,
+    pub shape: Option<CutShapeKind>,
     /// What makes its field.
-    pub build: Build,
+    pub build: FieldBuilder,
 }
 
 /// What makes a kind's field.
 #[derive(Clone, Copy)]
-pub enum Build {
+pub enum FieldBuilder {
     /// A formula of the kind's numbers.
-    Formula(fn(&Context) -> Box<dyn Field>),
+    Formula(fn(&FieldContext) -> Box<dyn Field>),
     /// Something that also needs settings that are no numbers: files, points, labels.
     Sourced {
         /// The settings.
@@ -184,12 +184,12 @@ pub enum Build {
         /// Settings that show the kind at work in a box of the given bounds (mm, world).
         example: fn(&Bounds) -> Vec<(&'static str, Argument)>,
         /// Makes the field.
-        build: fn(&Context, &Inputs) -> Result<Box<dyn Field>>,
+        build: fn(&FieldContext, &FieldInputs) -> Result<Box<dyn Field>>,
     },
 }
 
 /// What a kind's constructor gets.
-pub struct Context<'a> {
+pub struct FieldContext<'a> {
     /// Values by the order of the kind's parameters.
     pub values: &'a [f32],
     /// 0 to 1.
@@ -205,7 +205,7 @@ pub struct Context<'a> {
 }
 
 /// What sourced kinds get besides.
-pub struct Inputs<'a> {
+pub struct FieldInputs<'a> {
     /// The settings that were given.
     pub settings: &'a Arguments,
     /// The box's own millimetres to the world's.
@@ -214,24 +214,24 @@ pub struct Inputs<'a> {
     pub library: &'a Library,
 }
 
-impl Context<'_> {
+impl FieldContext<'_> {
     fn half(&self) -> Vec3 {
         self.size_mm / 2.0
     }
 
-    fn gaps(&self) -> Gaps {
-        Gaps { ramp_mm: self.ramp_mm, texel_mm: self.texel_mm }
+    fn gaps(&self) -> GapResolution {
+        GapResolution { ramp_mm: self.ramp_mm, texel_mm: self.texel_mm }
     }
 }
 
 /// Gaps that a map can show: one that narrows below a texel closes, and what has closed is far from any cut.
 #[derive(Clone, Copy)]
-struct Gaps {
+struct GapResolution {
     ramp_mm: f32,
     texel_mm: f32,
 }
 
-impl Gaps {
+impl GapResolution {
     /// Signed distance to a gap, mm, from the signed distance to its wall and its half width.
     fn distance(&self, to_wall: f32, half_width: f32) -> f32 {
         to_wall + 2.0 * self.ramp_mm * (1.0 - half_width / self.texel_mm).clamp(0.0, 1.0)
@@ -239,15 +239,15 @@ impl Gaps {
 }
 
 /// Nothing is cut anywhere.
-const UNCUT: f32 = 1e6;
+const NO_CUT_DISTANCE_MM: f32 = 1e6;
 
 /// Settings of removals that a formula can say.
 pub const CUT_SETTINGS: &[Setting] = &[
-    Setting { name: "invert", form: Form::Flag, about: "true removes what is outside instead" },
-    Setting { name: "group", form: Form::Words, about: "a name: cuts of one group count together" },
+    Setting { name: "invert", form: SettingFormat::Flag, about: "true removes what is outside instead" },
+    Setting { name: "group", form: SettingFormat::Words, about: "a name: cuts of one group count together" },
     Setting {
         name: "combine",
-        form: Form::Choice(&["or", "and"]),
+        form: SettingFormat::Choice(&["or", "and"]),
         about: "or (what any cut of the group removes) or and (only what every one does)",
     },
 ];
@@ -317,7 +317,7 @@ pub struct Sampling {
 impl Kind {
     /// Whether its map depends on nothing but its numbers and its size: not on where the box lies, nor on what lies there.
     pub fn is_the_same_anywhere(&self, settings: &Arguments) -> bool {
-        matches!(self.build, Build::Formula(_)) && !settings.0.contains_key("spare")
+        matches!(self.build, FieldBuilder::Formula(_)) && !settings.0.contains_key("spare")
     }
 
     /// The size of the box in a scene of the given bounds when the user gives none, mm.
@@ -337,8 +337,8 @@ impl Kind {
         for (name, value) in given {
             let Some(n) = self.parameters.iter().position(|p| p.name == name) else {
                 let common = ["center", "size", "rotate", "progress", "storage", "resolution"];
-                let known = self.parameters.iter().map(|p| p.name).chain(self.settings().map(|s| s.name)).chain(common);
-                return Err(Error::value(format!("{}: {name}", self.name), format!("there is no such parameter; {}", suggestion(name, known))));
+                let valid_names = self.parameters.iter().map(|p| p.name).chain(self.settings().map(|s| s.name)).chain(common);
+                return Err(Error::value(format!("{}: {name}", self.name), format!("there is no such parameter; {}", suggestion(name, valid_names))));
             };
             let p = &self.parameters[n];
             let (min, max) = (p.min.resolve(size_mm), p.max.resolve(size_mm));
@@ -365,39 +365,39 @@ impl Kind {
     }
 
     /// What its values are sampled with: grid and context.
-    fn context<'a>(&self, values: &'a [f32], progress: f32, size_mm: Vec3, sampling: &Sampling) -> ([usize; 3], Context<'a>) {
+    fn context<'a>(&self, values: &'a [f32], progress: f32, size_mm: Vec3, sampling: &Sampling) -> ([usize; 3], FieldContext<'a>) {
         let grid = self.grid(size_mm, sampling.resolution);
-        let cube_mm = size_mm * self.inflate;
+        let cube_mm = size_mm * self.cube_scale;
         let texel_mm = (0..3).filter(|&a| grid[a] > 1).map(|a| cube_mm[a] / (grid[a] - 1) as f32).fold(0.0, f32::max);
         let ramp_mm = sampling.min_ramp_mm.max(2.0 * texel_mm);
-        (grid, Context { values, progress, size_mm, grid, texel_mm, ramp_mm })
+        (grid, FieldContext { values, progress, size_mm, grid, texel_mm, ramp_mm })
     }
 
     /// The field itself, for tests and for tools that need the formula rather than its samples.
     ///
     /// # Errors
     /// A setting that cannot be used, a file that cannot be read.
-    pub fn field(&self, values: &[f32], progress: f32, size_mm: Vec3, sampling: &Sampling, inputs: &Inputs) -> Result<Box<dyn Field>> {
+    pub fn field(&self, values: &[f32], progress: f32, size_mm: Vec3, sampling: &Sampling, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
         let (_, context) = self.context(values, progress, size_mm, sampling);
         self.modified(&context, inputs)
     }
 
     /// The kind's field behind the modifiers that the settings ask for.
-    fn modified(&self, context: &Context, inputs: &Inputs) -> Result<Box<dyn Field>> {
+    fn modified(&self, context: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
         let field = match &self.build {
-            Build::Formula(build) => build(context),
-            Build::Sourced { build, .. } => build(context, inputs)?,
+            FieldBuilder::Formula(build) => build(context),
+            FieldBuilder::Sourced { build, .. } => build(context, inputs)?,
         };
         modifiers::apply(field, context, inputs)
     }
 
-    /// Samples the kind into a map over a cube `inflate` times the box.
+    /// Samples the kind into a map over a cube `cube_scale` times the box.
     ///
     /// `values` as [`Self::values`] returns them.
     ///
     /// # Errors
     /// As [`Self::field`].
-    pub fn map(&self, values: &[f32], progress: f32, size_mm: Vec3, sampling: &Sampling, inputs: &Inputs) -> Result<DisplacementMap> {
+    pub fn map(&self, values: &[f32], progress: f32, size_mm: Vec3, sampling: &Sampling, inputs: &FieldInputs) -> Result<DisplacementMap> {
         Ok(self.recipe(values, progress, size_mm, sampling, inputs)?.map())
     }
 
@@ -405,7 +405,7 @@ impl Kind {
     ///
     /// # Errors
     /// As [`Self::field`].
-    pub fn recipe(&self, values: &[f32], progress: f32, size_mm: Vec3, sampling: &Sampling, inputs: &Inputs) -> Result<Recipe> {
+    pub fn recipe(&self, values: &[f32], progress: f32, size_mm: Vec3, sampling: &Sampling, inputs: &FieldInputs) -> Result<MapDefinition> {
         let (mut grid, mut context) = self.context(values, progress, size_mm, sampling);
         if modifiers::vary_everywhere(inputs.settings) && self.varies != [true; 3] {
             // Round cuts and spared labels vary along all axes, whatever the kind does.
@@ -413,14 +413,14 @@ impl Kind {
             (grid, context) = all.context(values, progress, size_mm, sampling);
         }
         let field = self.modified(&context, inputs)?;
-        Ok(Recipe { size: grid, storage: sampling.storage, cube_mm: size_mm * self.inflate, ramp_mm: context.ramp_mm, field })
+        Ok(MapDefinition { size: grid, storage: sampling.storage, cube_mm: size_mm * self.cube_scale, ramp_mm: context.ramp_mm, field })
     }
 
     /// The kind's own settings that are no numbers.
     pub fn own_settings(&self) -> &'static [Setting] {
         match self.build {
-            Build::Formula(_) => &[],
-            Build::Sourced { settings, .. } => settings,
+            FieldBuilder::Formula(_) => &[],
+            FieldBuilder::Sourced { settings, .. } => settings,
         }
     }
 
@@ -433,7 +433,7 @@ impl Kind {
     /// Settings that show the kind at work in a box of the given bounds (mm, world).
     pub fn example(&self, bounds: &Bounds) -> Arguments {
         let mut arguments = Arguments::default();
-        if let Build::Sourced { example, .. } = self.build {
+        if let FieldBuilder::Sourced { example, .. } = self.build {
             for (name, value) in example(bounds) {
                 arguments.insert(name, value);
             }
@@ -465,7 +465,7 @@ impl Kind {
 }
 
 /// The shape that a kind removes, its lengths (mm) and half its angle (radians); none if it is not said by a formula, or not yet there.
-pub fn shape_of(kind: &Kind, values: &[f32], progress: f32, size_mm: Vec3) -> Option<(Shape, Vec3, f32)> {
+pub fn shape_of(kind: &Kind, values: &[f32], progress: f32, size_mm: Vec3) -> Option<(CutShapeKind, Vec3, f32)> {
     let shape = kind.shape.filter(|_| progress > 0.0)?;
     let (half, half_angle) = removal::shape_of(shape, values, progress, size_mm);
     Some((shape, half, half_angle))
@@ -476,7 +476,7 @@ fn forward_numerically(field: &dyn Field, q: Vec3) -> Option<Vec3> {
     let backward = |p: glam::DVec3| field.backward(p.as_vec3()).source.as_dvec3();
     let y = q.as_dvec3();
     let s = super::invert::point(&backward, y, y + (y - backward(y)), 0.05, 5e-4);
-    (s.found && field.backward(s.source.as_vec3()).cut_mm >= 0.0).then(|| s.source.as_vec3())
+    (s.found && field.backward(s.source.as_vec3()).cut_distance_mm >= 0.0).then(|| s.source.as_vec3())
 }
 
 /// A smooth window that is 1 in the middle and 0 at ±`half`, falling over the outer `share` of the way.

@@ -1,6 +1,6 @@
 //! What every kind can be asked to do besides: leave labels alone, or work in cylindrical coordinates.
 
-use super::{Backward, Context, Field, Form, Inputs, Setting};
+use super::{Backward, Field, FieldContext, FieldInputs, Setting, SettingFormat};
 use crate::Result;
 use crate::deform::Arguments;
 use crate::math::DistanceGrid;
@@ -11,11 +11,11 @@ use std::sync::Arc;
 
 /// Settings of every kind.
 pub(super) const SETTINGS: &[Setting] = &[
-    Setting { name: "spare", form: Form::Whole, about: "labels that are neither cut nor moved" },
-    Setting { name: "labels", form: Form::File, about: "file of the label map; by default the volume itself" },
+    Setting { name: "spare", form: SettingFormat::Whole, about: "labels that are neither cut nor moved" },
+    Setting { name: "labels", form: SettingFormat::File, about: "file of the label map; by default the volume itself" },
     Setting {
         name: "mapping",
-        form: Form::Choice(&["none", "cylindrical"]),
+        form: SettingFormat::Choice(&["none", "cylindrical"]),
         about: "none, or cylindrical: the kind's x runs around the box's z axis, its y along it, its z outwards",
     },
 ];
@@ -26,7 +26,7 @@ pub fn vary_everywhere(settings: &Arguments) -> bool {
 }
 
 /// The field behind the modifiers that the settings ask for.
-pub(super) fn apply(field: Box<dyn Field>, context: &Context, inputs: &Inputs) -> Result<Box<dyn Field>> {
+pub(super) fn apply(field: Box<dyn Field>, context: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
     let mut field = field;
     if inputs.settings.choice("mapping", &["none", "cylindrical"])? == "cylindrical" {
         field = Box::new(Cylindrical { inner: field, size_mm: context.size_mm, radius: context.half().x.min(context.half().y) });
@@ -76,7 +76,7 @@ impl Field for Cylindrical {
         let inner = self.inner.backward(u);
         // Where nothing moves, keep the point itself rather than its way there and back.
         let source = if inner.source == u { q } else { self.rolled(inner.source) };
-        Backward { source, cut_mm: inner.cut_mm * self.shrinks(q).max(0.05) }
+        Backward { source, cut_distance_mm: inner.cut_distance_mm * self.shrinks(q).max(0.05) }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
@@ -99,11 +99,11 @@ impl Field for Spared {
         let inside = |p: Vec3| self.distance.sample(self.world_from_local.transform_point3(p));
         let here = inside(q);
         let source = q + (inner.source - q) * smoothstep(0.0, self.fade_mm, -here);
-        let mut cut_mm = inner.cut_mm;
+        let mut cut_distance_mm = inner.cut_distance_mm;
         if (source - q).length_squared() > 0.01 * self.fade_mm * self.fade_mm {
-            cut_mm = cut_mm.min(-inside(source));
+            cut_distance_mm = cut_distance_mm.min(-inside(source));
         }
-        Backward { source, cut_mm: cut_mm.max(here) }
+        Backward { source, cut_distance_mm: cut_distance_mm.max(here) }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {

@@ -9,12 +9,12 @@ const LEAF: usize = 8;
 /// A closed outline.
 pub(super) struct Outline {
     points: Vec<Vec2>,
-    nodes: Vec<Node>,
+    nodes: Vec<OutlineNode>,
 }
 
 /// The box of a run of edges.
 #[derive(Clone, Copy)]
-struct Node {
+struct OutlineNode {
     low: Vec2,
     high: Vec2,
     first: usize,
@@ -23,7 +23,7 @@ struct Node {
     halves: Option<[usize; 2]>,
 }
 
-impl Node {
+impl OutlineNode {
     fn distance_squared(&self, p: Vec2) -> f32 {
         p.distance_squared(p.clamp(self.low, self.high))
     }
@@ -49,7 +49,7 @@ impl Outline {
             let (a, b) = self.edge(n);
             (low, high) = (low.min(a).min(b), high.max(a).max(b));
         }
-        self.nodes.push(Node { low, high, first, end, halves: None });
+        self.nodes.push(OutlineNode { low, high, first, end, halves: None });
         if end - first > LEAF {
             let middle = first.midpoint(end);
             self.nodes[at].halves = Some([self.node(first, middle), self.node(middle, end)]);
@@ -64,7 +64,7 @@ impl Outline {
     }
 
     fn nearest_squared(&self, node: usize, p: Vec2, best: f32) -> f32 {
-        let Node { first, end, halves, .. } = self.nodes[node];
+        let OutlineNode { first, end, halves, .. } = self.nodes[node];
         let Some([a, b]) = halves else {
             return (first..end).fold(best, |best, n| {
                 let (a, b) = self.edge(n);
@@ -80,7 +80,7 @@ impl Outline {
 
     /// Whether a ray from `p` along x crosses an odd number of edges of a node.
     fn crossings_are_odd(&self, node: usize, p: Vec2) -> bool {
-        let Node { low, high, first, end, halves } = self.nodes[node];
+        let OutlineNode { low, high, first, end, halves } = self.nodes[node];
         if high.x < p.x || high.y < p.y || low.y > p.y {
             return false;
         }
@@ -104,7 +104,7 @@ impl Outline {
 
     /// The first edge behind edge `n` and its neighbour that crosses it.
     fn crossed(&self, node: usize, n: usize) -> Option<usize> {
-        let Node { low, high, first, end, halves } = self.nodes[node];
+        let OutlineNode { low, high, first, end, halves } = self.nodes[node];
         let (a, b) = self.edge(n);
         if end <= n + 2 || a.max(b).cmplt(low).any() || a.min(b).cmpgt(high).any() {
             return None;

@@ -8,7 +8,7 @@
 //! neither in the *slot* (where the layer used to lie) nor within a thin band around the roll above the layer. The band keeps rolled
 //! and undisplaced matter from touching: between them D must run from the roll's value to zero, and that may only happen unseen.
 
-use super::{Amount, Backward, Build, Context, DefaultSize, Field, Formula, FormulaKind, Kind, Parameter, UNCUT, Unit};
+use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter, Unit};
 use glam::{Vec2, Vec3};
 use std::f32::consts::{FRAC_PI_2, TAU};
 
@@ -17,7 +17,7 @@ const FLOOR: f32 = 0.1;
 /// Share of the box between the flap's free end, or its sides, and the box's faces.
 const MARGIN: f32 = 0.06;
 /// The roll never turns further than this, so that its end stays clear of the hinge.
-const MOST_TURN: f32 = 4.8;
+const MAX_TURN_RAD: f32 = 4.8;
 
 pub(super) const KIND: Kind = Kind {
     name: "peel",
@@ -26,29 +26,29 @@ pub(super) const KIND: Kind = Kind {
         Parameter {
             name: "depth",
             unit: Unit::Mm,
-            default: Amount::OfZ(0.25),
-            min: Amount::OfZ(0.01),
-            max: Amount::OfZ(0.366),
+            default: BoxLength::OfZ(0.25),
+            min: BoxLength::OfZ(0.01),
+            max: BoxLength::OfZ(0.366),
             about: "thickness of the layer",
         },
         Parameter {
             name: "radius",
             unit: Unit::Mm,
-            default: Amount::OfZ(0.38),
-            min: Amount::OfZ(0.05),
-            max: Amount::OfZ(0.44),
+            default: BoxLength::OfZ(0.38),
+            min: BoxLength::OfZ(0.05),
+            max: BoxLength::OfZ(0.44),
             about: "of the roll's outer side; at least 1.2 times the depth is used",
         },
     ],
     progressive: true,
     size: DefaultSize::Share([0.8, 0.6, 0.5]),
-    inflate: 1.0,
+    cube_scale: 1.0,
     varies: [true; 3],
     resolution: 128,
-    leaks: [false; 6],
+    nonzero_faces: [false; 6],
     locked_to_view: false,
     shape: None,
-    build: Build::Formula(|c| Box::new(Peel::new(c))),
+    build: FieldBuilder::Formula(|c| Box::new(Peel::new(c))),
 };
 
 pub(super) struct Peel {
@@ -79,13 +79,13 @@ struct Rolled {
 
 impl Peel {
     /// The peel of a box; depth and radius are the first two values.
-    pub(super) fn new(c: &Context) -> Self {
+    pub(super) fn new(c: &FieldContext) -> Self {
         let half = c.half();
         let depth = c.values[0];
         let radius = c.values[1].max(1.2 * depth);
         let end = half.x - MARGIN * c.size_mm.x;
         // The roll must stay inside the box behind the hinge, and within its turn.
-        let length = (end + half.x - radius - MARGIN * c.size_mm.x).min(MOST_TURN * radius).max(0.0);
+        let length = (end + half.x - radius - MARGIN * c.size_mm.x).min(MAX_TURN_RAD * radius).max(0.0);
         let flap = length * c.progress;
         Self {
             floor: -half.z + FLOOR * c.size_mm.z,
@@ -110,14 +110,14 @@ impl Peel {
         self.floor + self.depth
     }
 
-    fn most_angle(&self) -> f32 {
+    fn max_angle(&self) -> f32 {
         self.flap / self.radius
     }
 
     fn rolled(&self, q: Vec3) -> Rolled {
         let v = Vec2::new(q.x - self.hinge, self.floor + self.radius - q.z);
         let rho = v.length();
-        let last = self.most_angle();
+        let last = self.max_angle();
         let mut theta = v.x.atan2(v.y);
         if theta < 0.0 {
             theta += TAU;
@@ -141,14 +141,14 @@ impl Peel {
 impl Field for Peel {
     fn backward(&self, q: Vec3) -> Backward {
         if self.flap < self.texel {
-            return Backward { source: q, cut_mm: UNCUT };
+            return Backward { source: q, cut_distance_mm: NO_CUT_DISTANCE_MM };
         }
         let roll = self.rolled(q);
         let above_floor = q.z - self.floor;
         let inside_flap_y = self.flap_half_y() - q.y.abs();
         let in_roll = roll.distance.min(inside_flap_y);
         // The layer behind the hinge, which the roll grows out of.
-        let in_layer = if q.x <= self.hinge { above_floor.min(self.depth - above_floor) } else { -UNCUT };
+        let in_layer = if q.x <= self.hinge { above_floor.min(self.depth - above_floor) } else { -NO_CUT_DISTANCE_MM };
         let in_strip = in_roll.max(in_layer);
         let over_slot = (q.x - self.hinge).min(self.end - q.x).min(self.slot_half_y - q.y.abs()).min(above_floor);
         let in_slot = over_slot.min(self.depth - above_floor);
@@ -168,7 +168,7 @@ impl Field for Peel {
             let margin = (self.texel * 1.5 / between).min(0.45);
             ((to_undisplaced / between - margin) / (1.0 - 2.0 * margin)).clamp(0.0, 1.0)
         };
-        Backward { source: q + continued * weight, cut_mm: in_strip.max(undisplaced) }
+        Backward { source: q + continued * weight, cut_distance_mm: in_strip.max(undisplaced) }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {

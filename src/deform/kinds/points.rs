@@ -1,8 +1,11 @@
 //! Control points: matter goes from given places to given places, and in between smoothly (`deform::points`).
 
-use super::{Amount, Backward, Build, Context, DefaultSize, Field, Form, Inputs, Kind, Parameter, Setting, UNCUT, Unit, forward_numerically, window};
+use super::{
+    Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, Kind, NO_CUT_DISTANCE_MM, Parameter, Setting, SettingFormat,
+    Unit, forward_numerically, window,
+};
 use crate::deform::Argument;
-use crate::deform::points::{Interpolant, Method, Pair, read_pairs, read_points};
+use crate::deform::points::{Interpolant, Method, PointPair, read_pairs, read_points};
 use crate::math::Bounds;
 use crate::{Error, Result};
 use glam::{DVec3, Vec3};
@@ -14,40 +17,40 @@ pub(super) const KIND: Kind = Kind {
         Parameter {
             name: "fade",
             unit: Unit::None,
-            default: Amount::Fixed(0.0),
-            min: Amount::Fixed(0.0),
-            max: Amount::Fixed(1.0),
+            default: BoxLength::Fixed(0.0),
+            min: BoxLength::Fixed(0.0),
+            max: BoxLength::Fixed(1.0),
             about: "share of the way to the box's faces over which the displacement fades",
         },
         Parameter {
             name: "width",
             unit: Unit::Mm,
-            default: Amount::Fixed(0.0),
-            min: Amount::Fixed(0.0),
-            max: Amount::Fixed(10_000.0),
+            default: BoxLength::Fixed(0.0),
+            min: BoxLength::Fixed(0.0),
+            max: BoxLength::Fixed(10_000.0),
             about: "of the Gaussians; 0 takes the points' distance",
         },
     ],
     progressive: true,
     size: DefaultSize::Share([1.4; 3]),
-    inflate: 1.0,
+    cube_scale: 1.0,
     varies: [true; 3],
     resolution: 64,
-    leaks: [true; 6],
+    nonzero_faces: [true; 6],
     locked_to_view: false,
     shape: None,
-    build: Build::Sourced {
+    build: FieldBuilder::Sourced {
         settings: &[
             Setting {
                 name: "pairs",
-                form: Form::RowsOrFile(6),
+                form: SettingFormat::RowsOrFile(6),
                 about: "from x,y,z and to x,y,z in mm, pair after pair; or a .csv file of six columns",
             },
-            Setting { name: "from", form: Form::File, about: "file of the points (.mrk.json, .fcsv, .csv), in the order of to" },
-            Setting { name: "to", form: Form::File, about: "file of the target points" },
+            Setting { name: "from", form: SettingFormat::File, about: "file of the points (.mrk.json, .fcsv, .csv), in the order of to" },
+            Setting { name: "to", form: SettingFormat::File, about: "file of the target points" },
             Setting {
                 name: "method",
-                form: Form::Choice(&["tps", "rbf", "idw"]),
+                form: SettingFormat::Choice(&["tps", "rbf", "idw"]),
                 about: "tps (thin-plate spline), rbf (Gaussians) or idw (inverse distances)",
             },
         ],
@@ -68,7 +71,7 @@ fn example(bounds: &Bounds) -> Vec<(&'static str, Argument)> {
     vec![("pairs", Argument::Numbers(pairs.concat()))]
 }
 
-fn pairs(inputs: &Inputs) -> Result<Vec<Pair>> {
+fn pairs(inputs: &FieldInputs) -> Result<Vec<PointPair>> {
     let settings = inputs.settings;
     match (settings.0.get("pairs"), settings.text("from")?, settings.text("to")?) {
         (Some(Argument::Text(path)), None, None) => read_pairs(&inputs.library.path(path)),
@@ -78,7 +81,7 @@ fn pairs(inputs: &Inputs) -> Result<Vec<Pair>> {
                 return Err(Error::value("pairs", format!("are {} numbers; a pair is six: from x,y,z and to x,y,z", v.len())));
             }
             let at = |c: &[f32]| DVec3::new(f64::from(c[0]), f64::from(c[1]), f64::from(c[2]));
-            Ok(v.chunks_exact(6).map(|c| Pair { from: at(c), to: at(&c[3..]) }).collect())
+            Ok(v.chunks_exact(6).map(|c| PointPair { from: at(c), to: at(&c[3..]) }).collect())
         }
         (None, Some(from), Some(to)) => {
             let (a, b) = (read_points(&inputs.library.path(from))?, read_points(&inputs.library.path(to))?);
@@ -88,13 +91,13 @@ fn pairs(inputs: &Inputs) -> Result<Vec<Pair>> {
                     format!("hold {} and {} points; they are matched in order, so there must be as many", a.len(), b.len()),
                 ));
             }
-            Ok(a.into_iter().zip(b).map(|(from, to)| Pair { from, to }).collect())
+            Ok(a.into_iter().zip(b).map(|(from, to)| PointPair { from, to }).collect())
         }
         _ => Err(Error::value("pairs", "are missing; give pairs=..., or from=FILE and to=FILE")),
     }
 }
 
-fn build(c: &Context, inputs: &Inputs) -> Result<Box<dyn Field>> {
+fn build(c: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
     let method = match inputs.settings.choice("method", &["tps", "rbf", "idw"])? {
         "tps" => Method::ThinPlate,
         "rbf" => Method::Gaussian,
@@ -103,7 +106,7 @@ fn build(c: &Context, inputs: &Inputs) -> Result<Box<dyn Field>> {
     // In the box's own millimetres.
     let local_from_world = inputs.world_from_local.inverse();
     let local = |p: DVec3| local_from_world.transform_point3(p.as_vec3()).as_dvec3();
-    let own: Vec<Pair> = pairs(inputs)?.into_iter().map(|p| Pair { from: local(p.from), to: local(p.to) }).collect();
+    let own: Vec<PointPair> = pairs(inputs)?.into_iter().map(|p| PointPair { from: local(p.from), to: local(p.to) }).collect();
     let width = (c.values[1] > 0.0).then(|| f64::from(c.values[1]));
     let (interpolant, notice) = Interpolant::new(&own, method, width)?;
     if let Some(notice) = notice {
@@ -125,7 +128,7 @@ impl Field for Points {
         if self.fade > 0.0 {
             d *= (0..3).map(|a| window(q[a], self.half[a], self.fade)).product::<f32>();
         }
-        Backward { source: q + d, cut_mm: UNCUT }
+        Backward { source: q + d, cut_distance_mm: NO_CUT_DISTANCE_MM }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {

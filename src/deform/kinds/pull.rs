@@ -3,7 +3,7 @@
 //! The paper's amplitude (the whole box on the axis) maps the axis to one point; here it is the length `amount` by which matter at
 //! the upper face has been pulled, so that the pull stays invertible while `amount` is less than the box is high. σ is a length.
 
-use super::{Amount, Backward, Build, DefaultSize, Field, Formula, FormulaKind, Kind, Parameter, UNCUT, Unit};
+use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter, Unit};
 use glam::{Vec3, Vec3Swizzles};
 
 pub(super) const KIND: Kind = Kind {
@@ -13,29 +13,29 @@ pub(super) const KIND: Kind = Kind {
         Parameter {
             name: "amount",
             unit: Unit::Mm,
-            default: Amount::OfZ(0.5),
-            min: Amount::OfZ(-1.0),
-            max: Amount::OfZ(1.0),
+            default: BoxLength::OfZ(0.5),
+            min: BoxLength::OfZ(-1.0),
+            max: BoxLength::OfZ(1.0),
             about: "pull at the upper face, on the axis",
         },
         Parameter {
             name: "sigma",
             unit: Unit::Mm,
-            default: Amount::OfRadius(0.4),
-            min: Amount::OfRadius(0.05),
-            max: Amount::OfRadius(0.4),
+            default: BoxLength::OfRadius(0.4),
+            min: BoxLength::OfRadius(0.05),
+            max: BoxLength::OfRadius(0.4),
             about: "width of the Gaussian",
         },
     ],
     progressive: true,
     size: DefaultSize::Share([0.6; 3]),
-    inflate: 1.0,
+    cube_scale: 1.0,
     varies: [true; 3],
     resolution: 64,
-    leaks: [false, false, false, false, false, true],
+    nonzero_faces: [false, false, false, false, false, true],
     locked_to_view: false,
     shape: None,
-    build: Build::Formula(|c| {
+    build: FieldBuilder::Formula(|c| {
         let [amount, sigma] = [c.values[0], c.values[1]];
         Box::new(Pull { half_z: c.half().z, strength: amount * c.progress / c.size_mm.z, sigma })
     }),
@@ -56,7 +56,7 @@ impl Pull {
 
 impl Field for Pull {
     fn backward(&self, q: Vec3) -> Backward {
-        Backward { source: Vec3::new(q.x, q.y, (q.z + self.half_z) * self.factor(q) - self.half_z), cut_mm: UNCUT }
+        Backward { source: Vec3::new(q.x, q.y, (q.z + self.half_z) * self.factor(q) - self.half_z), cut_distance_mm: NO_CUT_DISTANCE_MM }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {

@@ -1,22 +1,22 @@
 //! Removal of a box, sphere, cylinder, wedge, half-space or, locked to the view, a sphere or a cone: mask only, no displacement.
 //!
-//! The map's cube is larger than the shape (`inflate`), so that the cut lies inside the map; the half-space's is as large as the scene
+//! The map's cube is larger than the shape (`cube_scale`), so that the cut lies inside the map; the half-space's is as large as the scene
 //! at any angle. The distances are those of `deform::cut`, which takes over where nothing moves afterwards. `progress` grows the shape from nothing (for the half-space: moves the plane down from the box's top).
 
-use super::{Amount, Backward, Build, Context, DefaultSize, Field, Formula, FormulaKind, Kind, Parameter, UNCUT, Unit};
-use crate::deform::cut::{Primitive, Shape};
+use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter, Unit};
+use crate::deform::cut::{CutShape, CutShapeKind};
 use glam::{Affine3A, Vec3};
 
 struct Removal {
     /// None while it has no strength.
-    shape: Option<Primitive>,
+    shape: Option<CutShape>,
 }
 
 impl Removal {
-    fn field(shape: Shape, c: &Context) -> Box<dyn Field> {
+    fn field(shape: CutShapeKind, c: &FieldContext) -> Box<dyn Field> {
         let shape = (c.progress > 0.0).then(|| {
             let (half, half_angle) = shape_of(shape, c.values, c.progress, c.size_mm);
-            Primitive { shape, local_from_world: Affine3A::IDENTITY, half, half_angle, inverted: false, joined: false, and: false }
+            CutShape { shape, local_from_world: Affine3A::IDENTITY, half, half_angle, inverted: false, joins_previous: false, intersects: false }
         });
         Box::new(Self { shape })
     }
@@ -24,11 +24,11 @@ impl Removal {
 
 impl Field for Removal {
     fn backward(&self, q: Vec3) -> Backward {
-        Backward { source: q, cut_mm: self.shape.map_or(UNCUT, |s| s.kept(q)) }
+        Backward { source: q, cut_distance_mm: self.shape.map_or(NO_CUT_DISTANCE_MM, |s| s.signed_distance_mm(q)) }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
-        self.shape.is_none_or(|s| s.kept(q) >= 0.0).then_some(q)
+        self.shape.is_none_or(|s| s.signed_distance_mm(q) >= 0.0).then_some(q)
     }
 
     fn formula(&self) -> Option<Formula> {
@@ -38,47 +38,55 @@ impl Field for Removal {
     }
 }
 
-const fn removal(name: &'static str, about: &'static str, shape: Shape, build: fn(&Context) -> Box<dyn Field>) -> Kind {
+const fn removal(name: &'static str, about: &'static str, shape: CutShapeKind, build: fn(&FieldContext) -> Box<dyn Field>) -> Kind {
     Kind {
         name,
         about,
         parameters: &[],
         progressive: true,
         size: DefaultSize::Share([0.5; 3]),
-        inflate: 1.25,
+        cube_scale: 1.25,
         varies: [true; 3],
         resolution: 96,
-        leaks: [false; 6],
+        nonzero_faces: [false; 6],
         locked_to_view: false,
         shape: Some(shape),
-        build: Build::Formula(build),
+        build: FieldBuilder::Formula(build),
     }
 }
 
-pub(super) const BOX: Kind = removal("box", "removes a box", Shape::Box, |c| Removal::field(Shape::Box, c));
+pub(super) const BOX: Kind = removal("box", "removes a box", CutShapeKind::Box, |c| Removal::field(CutShapeKind::Box, c));
 
-pub(super) const SPHERE: Kind =
-    removal("sphere", "removes a sphere (an ellipsoid, in a box of unequal sides)", Shape::Ellipsoid, |c| Removal::field(Shape::Ellipsoid, c));
+pub(super) const SPHERE: Kind = removal("sphere", "removes a sphere (an ellipsoid, in a box of unequal sides)", CutShapeKind::Ellipsoid, |c| {
+    Removal::field(CutShapeKind::Ellipsoid, c)
+});
 
 pub(super) const CYLINDER: Kind =
-    removal("cylinder", "removes a cylinder along the box's z axis", Shape::Cylinder, |c| Removal::field(Shape::Cylinder, c));
+    removal("cylinder", "removes a cylinder along the box's z axis", CutShapeKind::Cylinder, |c| Removal::field(CutShapeKind::Cylinder, c));
 
 const fn angle(default: f32, min: f32, max: f32, about: &'static str) -> Parameter {
-    Parameter { name: "angle", unit: Unit::Degrees, default: Amount::Fixed(default), min: Amount::Fixed(min), max: Amount::Fixed(max), about }
+    Parameter {
+        name: "angle",
+        unit: Unit::Degrees,
+        default: BoxLength::Fixed(default),
+        min: BoxLength::Fixed(min),
+        max: BoxLength::Fixed(max),
+        about,
+    }
 }
 
 pub(super) const WEDGE: Kind = Kind {
     parameters: &[angle(90.0, 1.0, 359.0, "of the wedge, about the box's z axis, centred on +x")],
-    ..removal("wedge", "removes a slice of cake about the box's z axis", Shape::Wedge, |c| Removal::field(Shape::Wedge, c))
+    ..removal("wedge", "removes a slice of cake about the box's z axis", CutShapeKind::Wedge, |c| Removal::field(CutShapeKind::Wedge, c))
 };
 
 pub(super) const HALF_SPACE: Kind = Kind {
     size: DefaultSize::Across(2.2),
-    inflate: 1.0,
+    cube_scale: 1.0,
     varies: [false, false, true],
     resolution: 512,
-    ..removal("half-space", "removes everything above the plane through the box's centre, across its z axis", Shape::HalfSpace, |c| {
-        Removal::field(Shape::HalfSpace, c)
+    ..removal("half-space", "removes everything above the plane through the box's centre, across its z axis", CutShapeKind::HalfSpace, |c| {
+        Removal::field(CutShapeKind::HalfSpace, c)
     })
 };
 
@@ -90,21 +98,23 @@ pub(super) const VIEW_CONE: Kind = Kind {
     parameters: &[angle(40.0, 5.0, 150.0, "between the cone's sides")],
     // From the middle of the scene out to beyond it.
     size: DefaultSize::Across(1.1),
-    inflate: 1.0,
-    leaks: [true; 6],
-    ..removal("view-cone", "removes a cone that opens from the box's centre towards the viewer", Shape::Cone, |c| Removal::field(Shape::Cone, c))
+    cube_scale: 1.0,
+    nonzero_faces: [true; 6],
+    ..removal("view-cone", "removes a cone that opens from the box's centre towards the viewer", CutShapeKind::Cone, |c| {
+        Removal::field(CutShapeKind::Cone, c)
+    })
 };
 
 /// The shape that a kind removes, its lengths (mm) and half its angle (radians) at a strength above 0.
-pub(super) fn shape_of(shape: Shape, values: &[f32], progress: f32, size_mm: Vec3) -> (Vec3, f32) {
+pub(super) fn shape_of(shape: CutShapeKind, values: &[f32], progress: f32, size_mm: Vec3) -> (Vec3, f32) {
     let half = size_mm / 2.0;
     let half_angle = values.first().map_or(0.0, |a| (a * progress).to_radians() / 2.0);
     let radius = half.x.min(half.y);
     match shape {
-        Shape::HalfSpace => (Vec3::new(0.0, 0.0, half.z * (1.0 - progress)), 0.0),
-        Shape::Box | Shape::Ellipsoid => ((half * progress).max(Vec3::splat(1e-3)), 0.0),
-        Shape::Cylinder => (Vec3::new(radius * progress, 0.0, half.z), 0.0),
-        Shape::Wedge => (Vec3::new(radius, 0.0, half.z), half_angle),
-        Shape::Cone => (Vec3::ZERO, half_angle),
+        CutShapeKind::HalfSpace => (Vec3::new(0.0, 0.0, half.z * (1.0 - progress)), 0.0),
+        CutShapeKind::Box | CutShapeKind::Ellipsoid => ((half * progress).max(Vec3::splat(1e-3)), 0.0),
+        CutShapeKind::Cylinder => (Vec3::new(radius * progress, 0.0, half.z), 0.0),
+        CutShapeKind::Wedge => (Vec3::new(radius, 0.0, half.z), half_angle),
+        CutShapeKind::Cone => (Vec3::ZERO, half_angle),
     }
 }

@@ -4,7 +4,7 @@
 //! μ of its own. Matter from μ = 0 to the ellipse that just fits the box is compressed linearly into μ0 to there: the lips stay smooth, the
 //! ends tear nowhere, and the inverse is exact. The opening narrows with depth to nothing at the cut's floor.
 
-use super::{Amount, Backward, Build, DefaultSize, Field, Formula, FormulaKind, Gaps, Kind, Parameter, UNCUT, Unit};
+use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, GapResolution, Kind, NO_CUT_DISTANCE_MM, Parameter, Unit};
 use crate::math::smoothstep;
 use glam::{Vec2, Vec3};
 
@@ -15,37 +15,37 @@ pub(super) const KIND: Kind = Kind {
         Parameter {
             name: "length",
             unit: Unit::Mm,
-            default: Amount::OfX(0.5),
-            min: Amount::OfX(0.05),
-            max: Amount::OfX(0.8),
+            default: BoxLength::OfX(0.5),
+            min: BoxLength::OfX(0.05),
+            max: BoxLength::OfX(0.8),
             about: "of the incision",
         },
         Parameter {
             name: "opening",
             unit: Unit::Mm,
-            default: Amount::OfY(0.35),
-            min: Amount::Fixed(0.0),
-            max: Amount::OfY(0.7),
+            default: BoxLength::OfY(0.35),
+            min: BoxLength::Fixed(0.0),
+            max: BoxLength::OfY(0.7),
             about: "between the lips at the widest place",
         },
         Parameter {
             name: "depth",
             unit: Unit::Mm,
-            default: Amount::OfZ(0.6),
-            min: Amount::OfZ(0.05),
-            max: Amount::OfZ(0.95),
+            default: BoxLength::OfZ(0.6),
+            min: BoxLength::OfZ(0.05),
+            max: BoxLength::OfZ(0.95),
             about: "of the incision below the box's upper face",
         },
     ],
     progressive: true,
     size: DefaultSize::Share([0.6, 0.6, 0.4]),
-    inflate: 1.0,
+    cube_scale: 1.0,
     varies: [true; 3],
     resolution: 96,
-    leaks: [false, false, false, false, false, true],
+    nonzero_faces: [false, false, false, false, false, true],
     locked_to_view: false,
     shape: None,
-    build: Build::Formula(|c| {
+    build: FieldBuilder::Formula(|c| {
         let half = c.half();
         let focus = c.values[0] / 2.0;
         // The outermost ellipse stays inside the box.
@@ -64,7 +64,7 @@ struct Retractor {
     open: f32,
     depth: f32,
     top: f32,
-    gaps: Gaps,
+    gaps: GapResolution,
 }
 
 impl Retractor {
@@ -94,17 +94,17 @@ impl Field for Retractor {
     fn backward(&self, q: Vec3) -> Backward {
         let open = self.opening(q.z);
         if open <= 1e-5 {
-            return Backward { source: q, cut_mm: UNCUT };
+            return Backward { source: q, cut_distance_mm: NO_CUT_DISTANCE_MM };
         }
         let e = self.elliptic(q);
         // Length of a unit of μ here, for the distance to the lip.
         let scale = self.focus * (e.x.sinh().powi(2) + e.y.sin().powi(2)).sqrt().max(0.05);
-        let cut_mm = self.gaps.distance((e.x - open) * scale, self.focus * open.sinh());
+        let cut_distance_mm = self.gaps.distance((e.x - open) * scale, self.focus * open.sinh());
         if e.x >= self.last {
-            return Backward { source: q, cut_mm };
+            return Backward { source: q, cut_distance_mm };
         }
         let mu = ((e.x - open) * self.last / (self.last - open)).max(0.0);
-        Backward { source: self.cartesian(mu, e.y, q.z), cut_mm }
+        Backward { source: self.cartesian(mu, e.y, q.z), cut_distance_mm }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {

@@ -5,7 +5,7 @@
 //! linearly: matter swings aside and is compressed towards β_e, below which nothing moves. φ fades with the radius and towards the
 //! ends of the seam; r and y stay, so the inverse is exact.
 
-use super::{Amount, Backward, Build, DefaultSize, Field, Formula, FormulaKind, Gaps, Kind, Parameter, Unit, window};
+use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, GapResolution, Kind, Parameter, Unit, window};
 use crate::math::smoothstep;
 use glam::{Vec2, Vec3};
 
@@ -22,20 +22,20 @@ pub(super) const KIND: Kind = Kind {
     parameters: &[Parameter {
         name: "angle",
         unit: Unit::Degrees,
-        default: Amount::Fixed(40.0),
-        min: Amount::Fixed(0.0),
-        max: Amount::Fixed(75.0),
+        default: BoxLength::Fixed(40.0),
+        min: BoxLength::Fixed(0.0),
+        max: BoxLength::Fixed(75.0),
         about: "swing of each half",
     }],
     progressive: true,
     size: DefaultSize::Share([0.9, 0.7, 0.6]),
-    inflate: 1.0,
+    cube_scale: 1.0,
     varies: [true; 3],
     resolution: 96,
-    leaks: [false; 6],
+    nonzero_faces: [false; 6],
     locked_to_view: false,
     shape: None,
-    build: Build::Formula(|c| {
+    build: FieldBuilder::Formula(|c| {
         let half = c.half();
         let radius = half.x.min((1.0 - HINGE) * c.size_mm.z);
         // What swings must not reach below the box's lower face.
@@ -58,7 +58,7 @@ struct Seam {
     half_y: f32,
     hinge_z: f32,
     radius: f32,
-    gaps: Gaps,
+    gaps: GapResolution,
 }
 
 impl Seam {
@@ -80,7 +80,7 @@ impl Field for Seam {
         let beta = v.x.abs().atan2(v.y);
         let open = self.opening(r, q.y);
         let source_beta = if beta >= self.last_angle { beta } else { self.last_angle * (beta - open).max(0.0) / (self.last_angle - open) };
-        Backward { source: self.at_angle(q, r, source_beta.copysign(v.x)), cut_mm: self.gaps.distance(r * (beta - open), r * open) }
+        Backward { source: self.at_angle(q, r, source_beta.copysign(v.x)), cut_distance_mm: self.gaps.distance(r * (beta - open), r * open) }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {

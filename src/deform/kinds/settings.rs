@@ -8,14 +8,14 @@ pub struct Setting {
     /// What people type.
     pub name: &'static str,
     /// How it is written.
-    pub form: Form,
+    pub form: SettingFormat,
     /// What it is and what it is by default, one line for lists.
     pub about: &'static str,
 }
 
 /// How a setting is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Form {
+pub enum SettingFormat {
     /// `true` or `false`, which is the default.
     Flag,
     /// One of some words, of which the first is the default.
@@ -56,18 +56,18 @@ impl Setting {
         let numbers: Option<Vec<f32>> = words.iter().map(number).collect();
         let is_file = |w: &str| w.contains(['.', '/', '\\', ':']) && number(&w).is_none();
         let argument = match self.form {
-            Form::Flag => match text {
+            SettingFormat::Flag => match text {
                 "true" => Argument::Flag(true),
                 "false" => Argument::Flag(false),
                 _ => return Err(format!("\"{text}\" is neither true nor false")),
             },
-            Form::Choice(all) | Form::OneOf(all) if all.contains(&text) => Argument::Text(text.to_owned()),
-            Form::Choice(all) | Form::OneOf(all) => return Err(format!("\"{text}\" is not one of: {}", all.join(", "))),
-            Form::Number => match numbers.as_deref() {
+            SettingFormat::Choice(all) | SettingFormat::OneOf(all) if all.contains(&text) => Argument::Text(text.to_owned()),
+            SettingFormat::Choice(all) | SettingFormat::OneOf(all) => return Err(format!("\"{text}\" is not one of: {}", all.join(", "))),
+            SettingFormat::Number => match numbers.as_deref() {
                 Some([v]) => Argument::Number(*v),
                 _ => return Err(format!("\"{text}\" is not a number")),
             },
-            Form::Whole => match numbers {
+            SettingFormat::Whole => match numbers {
                 Some(v) if v.iter().all(|v| *v >= 0.0 && v.fract() == 0.0) => {
                     v.iter().try_for_each(|v| whole(*v).map(drop))?;
                     one_or_more(v)
@@ -77,14 +77,14 @@ impl Setting {
                 }
                 _ => return Err(format!("\"{text}\" is not a list of whole numbers; enter numbers such as 3 or 1, 4")),
             },
-            Form::RowsOrFile(_) if words.len() == 1 && is_file(words[0]) => Argument::Text(text.to_owned()),
-            Form::Rows(each) | Form::RowsOrFile(each) => match numbers {
+            SettingFormat::RowsOrFile(_) if words.len() == 1 && is_file(words[0]) => Argument::Text(text.to_owned()),
+            SettingFormat::Rows(each) | SettingFormat::RowsOrFile(each) => match numbers {
                 Some(v) if v.len() % each == 0 => Argument::Numbers(v),
                 Some(v) => return Err(format!("{} numbers do not fill complete rows of {each}; add or remove numbers", v.len())),
                 None => return Err(format!("\"{text}\" is not a list of numbers; enter rows of {each} numbers, separated by commas")),
             },
-            Form::Files if words.len() > 1 => Argument::Texts(words.iter().map(|w| (*w).to_owned()).collect()),
-            Form::File | Form::Files | Form::Words => Argument::Text(text.to_owned()),
+            SettingFormat::Files if words.len() > 1 => Argument::Texts(words.iter().map(|w| (*w).to_owned()).collect()),
+            SettingFormat::File | SettingFormat::Files | SettingFormat::Words => Argument::Text(text.to_owned()),
         };
         Ok(Some(argument))
     }
@@ -92,8 +92,8 @@ impl Setting {
     /// The files that a value of it names.
     pub fn files<'a>(&self, argument: &'a Argument) -> Vec<&'a str> {
         match (self.form, argument) {
-            (Form::File | Form::Files | Form::RowsOrFile(_), Argument::Text(file)) => vec![file],
-            (Form::Files, Argument::Texts(files)) => files.iter().map(String::as_str).collect(),
+            (SettingFormat::File | SettingFormat::Files | SettingFormat::RowsOrFile(_), Argument::Text(file)) => vec![file],
+            (SettingFormat::Files, Argument::Texts(files)) => files.iter().map(String::as_str).collect(),
             _ => Vec::new(),
         }
     }
@@ -113,20 +113,20 @@ mod tests {
     #[test]
     fn what_cannot_be_a_setting_is_refused() {
         let of = |form| Setting { name: "x", form, about: "" };
-        let whole = of(Form::Whole);
+        let whole = of(SettingFormat::Whole);
         assert_eq!(whole.parse(" 3 "), Ok(Some(Argument::Number(3.0))));
         assert_eq!(whole.parse("1, 4"), Ok(Some(Argument::Numbers(vec![1.0, 4.0]))));
         assert_eq!(whole.parse("  "), Ok(None));
         for (text, word) in [("labels.nii.gz", "file name"), ("1.5", "whole"), ("-1", "whole"), ("brain", "whole"), ("1, inf", "whole")] {
             assert!(whole.parse(text).is_err_and(|e| e.contains(word)), "{text}: {:?}", whole.parse(text));
         }
-        assert!(of(Form::Flag).parse("yes").is_err() && of(Form::Number).parse("1, 2").is_err());
-        assert!(of(Form::Choice(&["or", "and"])).parse("xor").is_err_and(|e| e.contains("or, and")));
-        let rows = of(Form::RowsOrFile(6));
+        assert!(of(SettingFormat::Flag).parse("yes").is_err() && of(SettingFormat::Number).parse("1, 2").is_err());
+        assert!(of(SettingFormat::Choice(&["or", "and"])).parse("xor").is_err_and(|e| e.contains("or, and")));
+        let rows = of(SettingFormat::RowsOrFile(6));
         assert!(rows.parse("1,2,3").is_err() && rows.parse("p.csv").is_ok() && rows.parse("0,0,0,1,2,3; 4,5,6,7,8,9").is_ok());
-        assert!(of(Form::Rows(6)).parse("p.csv").is_err());
-        let files = of(Form::Files).parse("a.mat, b.nii").unwrap().unwrap();
-        assert_eq!(of(Form::Files).files(&files), ["a.mat", "b.nii"]);
+        assert!(of(SettingFormat::Rows(6)).parse("p.csv").is_err());
+        let files = of(SettingFormat::Files).parse("a.mat, b.nii").unwrap().unwrap();
+        assert_eq!(of(SettingFormat::Files).files(&files), ["a.mat", "b.nii"]);
     }
 
     /// Every word that a kind's list offers is one that the kind takes.
@@ -134,7 +134,7 @@ mod tests {
     fn every_choice_is_taken() {
         for kind in crate::deform::kinds::list() {
             for setting in kind.settings() {
-                if let Form::Choice(all) = setting.form {
+                if let SettingFormat::Choice(all) = setting.form {
                     assert!(all.iter().all(|w| setting.parse(w).is_ok()), "{}: {}", kind.name, setting.name);
                 }
             }

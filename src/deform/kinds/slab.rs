@@ -4,7 +4,7 @@
 //! source plane), so the map is continuous and the mask alone says where the gaps are. What lies beyond the last gap moves with it:
 //! the box should enclose the matter, with room for the spread.
 
-use super::{Amount, Backward, Build, DefaultSize, Field, Formula, FormulaKind, Gaps, Kind, Parameter, Unit};
+use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, GapResolution, Kind, Parameter, Unit};
 use glam::Vec3;
 
 pub(super) const KIND: Kind = Kind {
@@ -14,37 +14,37 @@ pub(super) const KIND: Kind = Kind {
         Parameter {
             name: "thickness",
             unit: Unit::Mm,
-            default: Amount::OfZ(0.12),
-            min: Amount::OfZ(0.01),
-            max: Amount::OfZ(1.0),
+            default: BoxLength::OfZ(0.12),
+            min: BoxLength::OfZ(0.01),
+            max: BoxLength::OfZ(1.0),
             about: "of one slab",
         },
         Parameter {
             name: "gap",
             unit: Unit::Mm,
-            default: Amount::OfZ(0.05),
-            min: Amount::Fixed(0.0),
-            max: Amount::OfZ(1.0),
+            default: BoxLength::OfZ(0.05),
+            min: BoxLength::Fixed(0.0),
+            max: BoxLength::OfZ(1.0),
             about: "between two slabs",
         },
         Parameter {
             name: "anchor",
             unit: Unit::None,
-            default: Amount::Fixed(0.5),
-            min: Amount::Fixed(0.0),
-            max: Amount::Fixed(1.0),
+            default: BoxLength::Fixed(0.5),
+            min: BoxLength::Fixed(0.0),
+            max: BoxLength::Fixed(1.0),
             about: "height that stays in place: 0 the lower face, 1 the upper",
         },
     ],
     progressive: true,
     size: DefaultSize::Share([1.05, 1.05, 1.6]),
-    inflate: 1.0,
+    cube_scale: 1.0,
     varies: [false, false, true],
     resolution: 512,
-    leaks: [true; 6],
+    nonzero_faces: [true; 6],
     locked_to_view: false,
     shape: None,
-    build: Build::Formula(|c| {
+    build: FieldBuilder::Formula(|c| {
         Box::new(Slab { thickness: c.values[0], gap: c.values[1] * c.progress, fixed_z: (c.values[2] - 0.5) * c.size_mm.z, gaps: c.gaps() })
     }),
 };
@@ -53,7 +53,7 @@ struct Slab {
     thickness: f32,
     gap: f32,
     fixed_z: f32,
-    gaps: Gaps,
+    gaps: GapResolution,
 }
 
 impl Field for Slab {
@@ -66,7 +66,7 @@ impl Field for Slab {
         let source_z = n * t + within.min(t) - t / 2.0 + self.fixed_z;
         // Positive in a slab: distance to the nearer of its two gaps; negative in a gap.
         let cut = if within <= t { within.min(t - within) } else { -(within - t).min(t + g - within) };
-        Backward { source: Vec3::new(q.x, q.y, source_z), cut_mm: self.gaps.distance(cut, g / 2.0) }
+        Backward { source: Vec3::new(q.x, q.y, source_z), cut_distance_mm: self.gaps.distance(cut, g / 2.0) }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {

@@ -4,7 +4,7 @@
 //! at the lower face, the upper side has twice that support, as of elastic matter that is squeezed ahead of the pull. The product vanishes
 //! on all six faces. Along z the inverse is one monotone equation.
 
-use super::{Amount, Backward, Build, DefaultSize, Field, Formula, FormulaKind, Kind, Parameter, UNCUT, Unit, solve_rising};
+use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter, Unit, solve_rising};
 use glam::Vec3;
 
 pub(super) const KIND: Kind = Kind {
@@ -13,20 +13,20 @@ pub(super) const KIND: Kind = Kind {
     parameters: &[Parameter {
         name: "amount",
         unit: Unit::Mm,
-        default: Amount::OfZ(0.14),
-        min: Amount::OfZ(-0.3),
-        max: Amount::OfZ(0.16),
+        default: BoxLength::OfZ(0.14),
+        min: BoxLength::OfZ(-0.3),
+        max: BoxLength::OfZ(0.16),
         about: "displacement at the peak",
     }],
     progressive: true,
     size: DefaultSize::Share([0.6; 3]),
-    inflate: 1.0,
+    cube_scale: 1.0,
     varies: [true; 3],
     resolution: 64,
-    leaks: [false; 6],
+    nonzero_faces: [false; 6],
     locked_to_view: false,
     shape: None,
-    build: Build::Formula(|c| Box::new(SplinePull { amount: c.values[0] * c.progress, half: c.half() })),
+    build: FieldBuilder::Formula(|c| Box::new(SplinePull { amount: c.values[0] * c.progress, half: c.half() })),
 };
 
 /// A uniform quadratic B-spline scaled to the support (-1, 1) and to 1 at its peak.
@@ -60,7 +60,7 @@ impl SplinePull {
 
 impl Field for SplinePull {
     fn backward(&self, q: Vec3) -> Backward {
-        Backward { source: Vec3::new(q.x, q.y, self.source_z(self.across(q), q.z)), cut_mm: UNCUT }
+        Backward { source: Vec3::new(q.x, q.y, self.source_z(self.across(q), q.z)), cut_distance_mm: NO_CUT_DISTANCE_MM }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {

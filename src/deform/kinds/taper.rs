@@ -1,6 +1,6 @@
 //! Taper and shear: linear in x and y, by the height above the box's lower face (Barr 1984; \[GG42\]). Both inverses are exact.
 
-use super::{Amount, Backward, Build, DefaultSize, Field, Formula, FormulaKind, Kind, Parameter, UNCUT, Unit};
+use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter, Unit};
 use glam::Vec3;
 
 pub(super) const TAPER: Kind = Kind {
@@ -9,20 +9,20 @@ pub(super) const TAPER: Kind = Kind {
     parameters: &[Parameter {
         name: "factor",
         unit: Unit::None,
-        default: Amount::Fixed(0.5),
-        min: Amount::Fixed(0.1),
-        max: Amount::Fixed(4.0),
+        default: BoxLength::Fixed(0.5),
+        min: BoxLength::Fixed(0.1),
+        max: BoxLength::Fixed(4.0),
         about: "width of the upper face, 1 being as it was",
     }],
     progressive: true,
     size: DefaultSize::Share([1.1, 1.1, 1.05]),
-    inflate: 1.0,
+    cube_scale: 1.0,
     varies: [true; 3],
     resolution: 64,
-    leaks: [true, true, true, true, false, true],
+    nonzero_faces: [true, true, true, true, false, true],
     locked_to_view: false,
     shape: None,
-    build: Build::Formula(|c| Box::new(Taper { growth: (c.values[0] - 1.0) * c.progress, height: c.size_mm.z })),
+    build: FieldBuilder::Formula(|c| Box::new(Taper { growth: (c.values[0] - 1.0) * c.progress, height: c.size_mm.z })),
 };
 
 struct Taper {
@@ -39,7 +39,7 @@ impl Taper {
 impl Field for Taper {
     fn backward(&self, q: Vec3) -> Backward {
         let s = self.scale(q.z);
-        Backward { source: Vec3::new(q.x / s, q.y / s, q.z), cut_mm: UNCUT }
+        Backward { source: Vec3::new(q.x / s, q.y / s, q.z), cut_distance_mm: NO_CUT_DISTANCE_MM }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
@@ -59,29 +59,29 @@ pub(super) const SHEAR: Kind = Kind {
         Parameter {
             name: "angle",
             unit: Unit::Degrees,
-            default: Amount::Fixed(25.0),
-            min: Amount::Fixed(-75.0),
-            max: Amount::Fixed(75.0),
+            default: BoxLength::Fixed(25.0),
+            min: BoxLength::Fixed(-75.0),
+            max: BoxLength::Fixed(75.0),
             about: "of the box's edges along x",
         },
         Parameter {
             name: "angle-y",
             unit: Unit::Degrees,
-            default: Amount::Fixed(0.0),
-            min: Amount::Fixed(-75.0),
-            max: Amount::Fixed(75.0),
+            default: BoxLength::Fixed(0.0),
+            min: BoxLength::Fixed(-75.0),
+            max: BoxLength::Fixed(75.0),
             about: "of the box's edges along y",
         },
     ],
     progressive: true,
     size: DefaultSize::Share([1.6, 1.2, 1.05]),
-    inflate: 1.0,
+    cube_scale: 1.0,
     varies: [true; 3],
     resolution: 48,
-    leaks: [true, true, true, true, false, true],
+    nonzero_faces: [true, true, true, true, false, true],
     locked_to_view: false,
     shape: None,
-    build: Build::Formula(|c| {
+    build: FieldBuilder::Formula(|c| {
         let slope = |n: usize| c.values[n].to_radians().tan() * c.progress;
         Box::new(Shear { slope: Vec3::new(slope(0), slope(1), 0.0), half_z: c.half().z })
     }),
@@ -94,7 +94,7 @@ struct Shear {
 
 impl Field for Shear {
     fn backward(&self, q: Vec3) -> Backward {
-        Backward { source: q - self.slope * (q.z + self.half_z), cut_mm: UNCUT }
+        Backward { source: q - self.slope * (q.z + self.half_z), cut_distance_mm: NO_CUT_DISTANCE_MM }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {

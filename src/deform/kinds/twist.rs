@@ -3,7 +3,7 @@
 //! Height and radius do not change, so the inverse is the twist by the opposite angle, exactly (not the negated displacement that
 //! \[DS07\] prints), and volume is preserved: det J = 1.
 
-use super::{Amount, Backward, Build, DefaultSize, Field, Formula, FormulaKind, Kind, Parameter, UNCUT, Unit, window};
+use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter, Unit, window};
 use glam::{Vec2, Vec3, Vec3Swizzles};
 
 pub(super) const KIND: Kind = Kind {
@@ -13,29 +13,29 @@ pub(super) const KIND: Kind = Kind {
         Parameter {
             name: "angle",
             unit: Unit::Degrees,
-            default: Amount::Fixed(60.0),
-            min: Amount::Fixed(-720.0),
-            max: Amount::Fixed(720.0),
+            default: BoxLength::Fixed(60.0),
+            min: BoxLength::Fixed(-720.0),
+            max: BoxLength::Fixed(720.0),
             about: "turn of the upper face",
         },
         Parameter {
             name: "falloff",
             unit: Unit::None,
-            default: Amount::Fixed(0.25),
-            min: Amount::Fixed(0.02),
-            max: Amount::Fixed(1.0),
+            default: BoxLength::Fixed(0.25),
+            min: BoxLength::Fixed(0.02),
+            max: BoxLength::Fixed(1.0),
             about: "share of the radius over which the turn fades",
         },
     ],
     progressive: true,
     size: DefaultSize::Share([1.5, 1.5, 1.1]),
-    inflate: 1.0,
+    cube_scale: 1.0,
     varies: [true; 3],
     resolution: 96,
-    leaks: [false, false, false, false, false, true],
+    nonzero_faces: [false, false, false, false, false, true],
     locked_to_view: false,
     shape: None,
-    build: Build::Formula(|c| {
+    build: FieldBuilder::Formula(|c| {
         Box::new(Twist {
             angle: (c.values[0] * c.progress).to_radians(),
             falloff: c.values[1],
@@ -62,7 +62,7 @@ impl Twist {
 
 impl Field for Twist {
     fn backward(&self, q: Vec3) -> Backward {
-        Backward { source: self.turned(q, -1.0), cut_mm: UNCUT }
+        Backward { source: self.turned(q, -1.0), cut_distance_mm: NO_CUT_DISTANCE_MM }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {

@@ -3,7 +3,10 @@
 //! The displacement fades to nothing at the box's faces; along z the fade makes the map z' = z + a(r) w(z'), whose inverse is a
 //! monotone equation in one unknown.
 
-use super::{Amount, Backward, Build, Context, DefaultSize, Field, Formula, FormulaKind, Kind, Parameter, UNCUT, Unit, solve_rising, window};
+use super::{
+    Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter, Unit,
+    solve_rising, window,
+};
 use glam::{Vec3, Vec3Swizzles};
 
 /// Share of the half height over which the displacement fades at both ends.
@@ -15,30 +18,30 @@ const PARAMETERS: &[Parameter] = &[
     Parameter {
         name: "amplitude",
         unit: Unit::Mm,
-        default: Amount::OfZ(0.05),
-        min: Amount::OfZ(-0.15),
-        max: Amount::OfZ(0.15),
+        default: BoxLength::OfZ(0.05),
+        min: BoxLength::OfZ(-0.15),
+        max: BoxLength::OfZ(0.15),
         about: "largest rise",
     },
     Parameter {
         name: "wavelength",
         unit: Unit::Mm,
-        default: Amount::OfRadius(0.5),
-        min: Amount::OfRadius(0.1),
-        max: Amount::OfRadius(10.0),
+        default: BoxLength::OfRadius(0.5),
+        min: BoxLength::OfRadius(0.1),
+        max: BoxLength::OfRadius(10.0),
         about: "distance from crest to crest",
     },
     Parameter {
         name: "phase",
         unit: Unit::Degrees,
-        default: Amount::Fixed(0.0),
-        min: Amount::Fixed(-360.0),
-        max: Amount::Fixed(360.0),
+        default: BoxLength::Fixed(0.0),
+        min: BoxLength::Fixed(-360.0),
+        max: BoxLength::Fixed(360.0),
         about: "phase on the axis",
     },
 ];
 
-fn wave(c: &Context, radial: bool) -> Box<dyn Field> {
+fn wave(c: &FieldContext, radial: bool) -> Box<dyn Field> {
     Box::new(Wave {
         amplitude: c.values[0] * c.progress,
         wave_number: std::f32::consts::TAU / c.values[1],
@@ -54,17 +57,21 @@ pub(super) const RADIAL: Kind = Kind {
     parameters: PARAMETERS,
     progressive: true,
     size: DefaultSize::Share([1.1, 1.1, 1.3]),
-    inflate: 1.0,
+    cube_scale: 1.0,
     varies: [true; 3],
     resolution: 96,
-    leaks: [false; 6],
+    nonzero_faces: [false; 6],
     locked_to_view: false,
     shape: None,
-    build: Build::Formula(|c| wave(c, true)),
+    build: FieldBuilder::Formula(|c| wave(c, true)),
 };
 
-pub(super) const PLANAR: Kind =
-    Kind { name: "planar-wave", about: "a wave along the box's z axis that runs along its x", build: Build::Formula(|c| wave(c, false)), ..RADIAL };
+pub(super) const PLANAR: Kind = Kind {
+    name: "planar-wave",
+    about: "a wave along the box's z axis that runs along its x",
+    build: FieldBuilder::Formula(|c| wave(c, false)),
+    ..RADIAL
+};
 
 struct Wave {
     amplitude: f32,
@@ -93,7 +100,7 @@ impl Wave {
 
 impl Field for Wave {
     fn backward(&self, q: Vec3) -> Backward {
-        Backward { source: Vec3::new(q.x, q.y, self.source_z(self.rise(q), q.z)), cut_mm: UNCUT }
+        Backward { source: Vec3::new(q.x, q.y, self.source_z(self.rise(q), q.z)), cut_distance_mm: NO_CUT_DISTANCE_MM }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {

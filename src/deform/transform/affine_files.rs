@@ -1,6 +1,6 @@
 //! Affine matrices of FreeSurfer, AFNI and FSL. `mod.rs` has the table of directions and spaces.
 
-use super::{Context, Transform, world_from_fsl};
+use super::{Transform, TransformContext, world_from_fsl};
 use crate::{Error, Result};
 use glam::{DAffine3, DMat3, DVec3};
 use std::path::Path;
@@ -8,7 +8,7 @@ use std::path::Path;
 const LPS_FROM_RAS: DMat3 = DMat3::from_diagonal(DVec3::new(-1.0, -1.0, 1.0));
 
 /// Tells the formats apart by name, then by content.
-pub(super) fn read(path: &Path, name: &str, text: &str, context: &Context) -> Result<Transform> {
+pub(super) fn read(path: &Path, name: &str, text: &str, context: &TransformContext) -> Result<Transform> {
     if name.ends_with(".lta") || text.lines().any(|l| l.trim_start().starts_with("nxforms")) {
         return lta(path, text);
     }
@@ -37,7 +37,7 @@ fn invertible(path: &Path, m: DAffine3) -> Result<DAffine3> {
 }
 
 /// FLIRT's matrix: reference millimetres from moving millimetres.
-fn fsl(path: &Path, v: &[f64], context: &Context) -> Result<Transform> {
+fn fsl(path: &Path, v: &[f64], context: &TransformContext) -> Result<Transform> {
     let m = DMat3::from_cols(DVec3::new(v[0], v[4], v[8]), DVec3::new(v[1], v[5], v[9]), DVec3::new(v[2], v[6], v[10]));
     let reference_from_moving = invertible(path, DAffine3 { matrix3: m, translation: DVec3::new(v[3], v[7], v[11]) })?;
     let (Some(moving), Some(reference)) = (context.moving, context.reference) else {

@@ -1,6 +1,6 @@
 //! A displacement on a grid of points in the world: what registration writes, and what baking and inversion work on.
 
-use super::{Context, fsl_from_voxel, world_from_fsl};
+use super::{TransformContext, fsl_from_voxel, world_from_fsl};
 use crate::math::trilinear;
 use crate::volume::GridGeometry;
 use crate::volume::load::Image;
@@ -48,7 +48,7 @@ impl VectorField {
     ///
     /// # Errors
     /// Another number of components, vectors that are not finite, a meaning that the file does not state.
-    pub fn of_image(path: &Path, image: &Image, context: &Context) -> Result<Self> {
+    pub fn of_image(path: &Path, image: &Image, context: &TransformContext) -> Result<Self> {
         let fail = |problem: String| Error::file(path, problem);
         if image.components != 3 {
             return Err(fail(format!("holds {} values per voxel; a displacement field has 3", image.components)));

@@ -2,14 +2,14 @@
 //!
 //! A composite's transforms are applied last first (itk::CompositeTransform); in our order the file's last is the first step.
 
-use super::{BSplineGrid, Step, Transform, VectorField};
+use super::{BSplineGrid, Transform, TransformStep, VectorField};
 use crate::volume::GridGeometry;
 use crate::{Error, Result};
 use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3};
 use std::path::Path;
 
 /// One transform of a file: type, parameters, fixed parameters.
-struct Entry {
+struct ItkTransform {
     kind: String,
     parameters: Vec<f64>,
     fixed: Vec<f64>,
@@ -17,7 +17,7 @@ struct Entry {
 
 /// Reads the text format.
 pub(super) fn read_text(path: &Path, text: &str) -> Result<Transform> {
-    let mut entries: Vec<Entry> = Vec::new();
+    let mut entries: Vec<ItkTransform> = Vec::new();
     for line in text.lines().map(str::trim).filter(|l| !l.is_empty() && !l.starts_with('#')) {
         let Some((name, value)) = line.split_once(':') else {
             return Err(Error::file(path, format!("has the line \"{}\", which no ITK transform has", shortened(line))));
@@ -30,7 +30,7 @@ pub(super) fn read_text(path: &Path, text: &str) -> Result<Transform> {
                 .ok_or_else(|| Error::file(path, format!("has {name} that are not all numbers")))
         };
         match (name.trim(), entries.last_mut()) {
-            ("Transform", _) => entries.push(Entry { kind: value.trim().to_owned(), parameters: Vec::new(), fixed: Vec::new() }),
+            ("Transform", _) => entries.push(ItkTransform { kind: value.trim().to_owned(), parameters: Vec::new(), fixed: Vec::new() }),
             ("Parameters", Some(entry)) => entry.parameters = numbers()?,
             ("FixedParameters", Some(entry)) => entry.fixed = numbers()?,
             (_, None) => return Err(Error::file(path, "has parameters before any transform; it is damaged")),
@@ -44,13 +44,13 @@ fn shortened(text: &str) -> String {
     text.chars().take(40).collect()
 }
 
-fn chain(path: &Path, entries: Vec<Entry>) -> Result<Transform> {
+fn chain(path: &Path, entries: Vec<ItkTransform>) -> Result<Transform> {
     if entries.is_empty() {
         return Err(Error::file(path, "holds no transform"));
     }
     let composite = entries[0].kind.starts_with("CompositeTransform");
     let mut warnings = Vec::new();
-    let own: Vec<&Entry> = if composite {
+    let own: Vec<&ItkTransform> = if composite {
         entries.iter().skip(1).collect()
     } else {
         if entries.len() > 1 {
@@ -72,8 +72,8 @@ fn rows(v: &[f64]) -> DMat3 {
 }
 
 /// x -> m (x - center) + translation + center.
-fn about(m: DMat3, center: DVec3, translation: DVec3) -> Step {
-    Step::Affine(DAffine3 { matrix3: m, translation: translation + center - m * center })
+fn about(m: DMat3, center: DVec3, translation: DVec3) -> TransformStep {
+    TransformStep::Affine(DAffine3 { matrix3: m, translation: translation + center - m * center })
 }
 
 /// Size, origin, spacing and direction as ITK's fixed parameters of grids have them.
@@ -93,7 +93,7 @@ fn grid(path: &Path, fixed: &[f64]) -> Result<GridGeometry> {
     Ok(GridGeometry { size: size.map(|n| n as usize), world_from_voxel: DAffine3 { matrix3, translation: vec3(&fixed[3..6]) } })
 }
 
-fn step(path: &Path, entry: &Entry) -> Result<Step> {
+fn step(path: &Path, entry: &ItkTransform) -> Result<TransformStep> {
     let (p, f) = (&entry.parameters, &entry.fixed);
     let (name, rest) = entry.kind.split_once('_').unwrap_or((&entry.kind, ""));
     let needs = |n: usize, fixed: usize| {
@@ -107,14 +107,14 @@ fn step(path: &Path, entry: &Entry) -> Result<Step> {
         return Err(Error::file(path, format!("holds a {}, which is not three-dimensional", entry.kind)));
     }
     let made = match name {
-        "IdentityTransform" => Step::Affine(DAffine3::IDENTITY),
+        "IdentityTransform" => TransformStep::Affine(DAffine3::IDENTITY),
         "AffineTransform" | "MatrixOffsetTransformBase" => {
             needs(12, 3)?;
             about(rows(p), vec3(f), vec3(&p[9..]))
         }
         "TranslationTransform" => {
             needs(3, 0)?;
-            Step::Affine(DAffine3::from_translation(vec3(p)))
+            TransformStep::Affine(DAffine3::from_translation(vec3(p)))
         }
         "ScaleTransform" => {
             needs(3, 3)?;
@@ -143,7 +143,7 @@ fn step(path: &Path, entry: &Entry) -> Result<Step> {
             needs(3 * n, 18)?;
             // All x, then all y, then all z.
             let coefficients = (0..n).map(|i| Vec3::new(p[i] as f32, p[n + i] as f32, p[2 * n + i] as f32)).collect();
-            Step::BSpline(BSplineGrid::new(grid, coefficients))
+            TransformStep::BSpline(BSplineGrid::new(grid, coefficients))
         }
         "DisplacementFieldTransform" => {
             let grid = grid(path, f)?;
@@ -152,11 +152,11 @@ fn step(path: &Path, entry: &Entry) -> Result<Step> {
             if vectors.iter().any(|v| !v.is_finite()) {
                 return Err(Error::file(path, "holds vectors that are NaN or infinite"));
             }
-            Step::Field(VectorField::new(grid, vectors))
+            TransformStep::Field(VectorField::new(grid, vectors))
         }
         _ => return Err(Error::file(path, format!("holds a {}, which cannot be read; save it as an affine or a displacement field", entry.kind))),
     };
-    if let Step::Affine(m) = &made
+    if let TransformStep::Affine(m) = &made
         && !(m.is_finite() && m.matrix3.determinant().abs() > 1e-9)
     {
         return Err(Error::file(path, format!("holds a {name} with a singular matrix")));
@@ -197,7 +197,7 @@ pub(super) fn read_matlab(path: &Path, bytes: &[u8]) -> Result<Option<Transform>
     match &matrices[..] {
         [] => Ok(None),
         [(kind, parameters), (_, fixed)] if parameters.iter().chain(fixed).all(|v| v.is_finite()) => {
-            chain(path, vec![Entry { kind: kind.clone(), parameters: parameters.clone(), fixed: fixed.clone() }]).map(Some)
+            chain(path, vec![ItkTransform { kind: kind.clone(), parameters: parameters.clone(), fixed: fixed.clone() }]).map(Some)
         }
         _ => Err(Error::file(path, "is a MATLAB file, but not one transform with its fixed parameters")),
     }
@@ -227,7 +227,7 @@ pub(super) fn read_hdf5(path: &Path) -> Result<Transform> {
         // Older versions of ITK misspell "Tranform".
         let parameters = numbers(["TransformParameters", "TranformParameters"])?;
         let fixed = numbers(["TransformFixedParameters", "TranformFixedParameters"])?;
-        entries.push(Entry { kind: kind.trim_end_matches('\0').to_owned(), parameters, fixed });
+        entries.push(ItkTransform { kind: kind.trim_end_matches('\0').to_owned(), parameters, fixed });
     }
     chain(path, entries)
 }

@@ -25,13 +25,13 @@ pub use field::VectorField;
 
 use crate::files::input;
 use crate::volume::GridGeometry;
-use crate::volume::load::{self, Choice};
+use crate::volume::load::{self, ReadOptions};
 use crate::{Error, Result, Watch};
 use glam::{DAffine3, DMat3, DVec3};
 use std::path::Path;
 
 /// One step of a chain.
-pub enum Step {
+pub enum TransformStep {
     /// Everywhere the same.
     Affine(DAffine3),
     /// A displacement on a grid; nothing moves beyond it.
@@ -43,14 +43,14 @@ pub enum Step {
 /// Steps that carry a deformed point to its source, first step first.
 pub struct Transform {
     /// The steps.
-    pub steps: Vec<Step>,
+    pub steps: Vec<TransformStep>,
     /// What was odd about the files, one sentence each.
     pub warnings: Vec<String>,
 }
 
 /// What a file does not say about itself.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Context<'a> {
+pub struct TransformContext<'a> {
     /// The image that is deformed: FSL's moving image.
     pub moving: Option<GridGeometry>,
     /// The grid of the picture that comes out: FSL's reference image.
@@ -80,20 +80,20 @@ fn world_from_fsl(grid: &GridGeometry) -> DAffine3 {
 impl Transform {
     /// An affine transform.
     pub fn affine(source_from_deformed: DAffine3) -> Self {
-        Self { steps: vec![Step::Affine(source_from_deformed)], warnings: Vec::new() }
+        Self { steps: vec![TransformStep::Affine(source_from_deformed)], warnings: Vec::new() }
     }
 
     /// Reads a transform of any of the formats above.
     ///
     /// # Errors
     /// A file that cannot be read, is of another type, or lacks what it needs to be understood; each named with what to do.
-    pub fn load(path: &Path, context: &Context) -> Result<Self> {
+    pub fn load(path: &Path, context: &TransformContext) -> Result<Self> {
         let name = path.file_name().map(|n| n.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
         let ends = |endings: &[&str]| endings.iter().any(|e| name.ends_with(e));
         if ends(&[".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd"]) {
-            let image = load::image(path, &Choice::default(), &Watch::NONE)?;
+            let image = load::image(path, &ReadOptions::default(), &Watch::NONE)?;
             let warnings = image.warnings.clone();
-            return Ok(Self { steps: vec![Step::Field(VectorField::of_image(path, &image, context)?)], warnings });
+            return Ok(Self { steps: vec![TransformStep::Field(VectorField::of_image(path, &image, context)?)], warnings });
         }
         if ends(&[".h5", ".hdf5"]) {
             #[cfg(feature = "hdf5")]
@@ -117,9 +117,9 @@ impl Transform {
     /// The source of a deformed point, LPS mm.
     pub fn source_from_deformed(&self, deformed: DVec3) -> DVec3 {
         self.steps.iter().fold(deformed, |p, step| match step {
-            Step::Affine(m) => m.transform_point3(p),
-            Step::Field(f) => f.source_from_deformed(p),
-            Step::BSpline(b) => b.source_from_deformed(p),
+            TransformStep::Affine(m) => m.transform_point3(p),
+            TransformStep::Field(f) => f.source_from_deformed(p),
+            TransformStep::BSpline(b) => b.source_from_deformed(p),
         })
     }
 
@@ -133,7 +133,7 @@ impl Transform {
     /// The inverse, if every step is affine.
     pub fn affine_inverse(&self) -> Option<Self> {
         let steps = self.steps.iter().rev().map(|s| match s {
-            Step::Affine(m) => Some(Step::Affine(m.inverse())),
+            TransformStep::Affine(m) => Some(TransformStep::Affine(m.inverse())),
             _ => None,
         });
         Some(Self { steps: steps.collect::<Option<_>>()?, warnings: self.warnings.clone() })
@@ -142,9 +142,9 @@ impl Transform {
     /// The finest grid among the steps, if any has one.
     pub fn grid(&self) -> Option<GridGeometry> {
         let grids = self.steps.iter().filter_map(|s| match s {
-            Step::Affine(_) => None,
-            Step::Field(f) => Some(f.grid),
-            Step::BSpline(b) => Some(b.fine_grid()),
+            TransformStep::Affine(_) => None,
+            TransformStep::Field(f) => Some(f.grid),
+            TransformStep::BSpline(b) => Some(b.fine_grid()),
         });
         grids.max_by_key(|g| g.size.iter().product::<usize>())
     }
@@ -152,7 +152,7 @@ impl Transform {
     /// Whether every step is affine; then the whole is.
     pub fn as_affine(&self) -> Option<DAffine3> {
         self.steps.iter().try_fold(DAffine3::IDENTITY, |all, s| match s {
-            Step::Affine(m) => Some(*m * all),
+            TransformStep::Affine(m) => Some(*m * all),
             _ => None,
         })
     }

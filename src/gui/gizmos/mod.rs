@@ -5,7 +5,7 @@
 
 mod paths;
 
-pub use paths::{Along, path_of, progress_path};
+pub use paths::{HandlePath, path_of, progress_path};
 
 use super::theme::{AXES, ON_CANVAS, SELECTED};
 use super::tool::{angles_of, matrix_of, tidy};
@@ -22,7 +22,7 @@ const RING: usize = 48;
 /// A handle is grabbed within this distance, points.
 const REACH: f32 = 11.0;
 /// Control points of a lattice that are shown at most.
-const MOST_POINTS: usize = 216;
+const MAX_POINTS: usize = 216;
 
 /// Which handles are shown.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -59,7 +59,7 @@ pub enum Handle {
 
 /// Where a deformation's box lies.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Place {
+pub struct BoxPlacement {
     /// Its middle, mm.
     pub center: Vec3,
     /// Its extents, mm.
@@ -68,7 +68,7 @@ pub struct Place {
     pub turn: Mat3,
 }
 
-impl Place {
+impl BoxPlacement {
     /// Of a deformation, in a scene of the given box.
     pub fn of(d: &Deformation, kind: &Kind, scene_box: &Bounds) -> Self {
         // What is written in a file may be no size at all; its own message tells.
@@ -101,7 +101,7 @@ pub struct Drag {
     pub handle: Handle,
     /// The deformation as it was.
     start: Deformation,
-    place: Place,
+    place: BoxPlacement,
     /// From the handle's point to where it was grabbed, on the screen.
     offset: eframe::egui::Vec2,
     /// Angle at which a ring was grabbed, radians.
@@ -131,7 +131,7 @@ pub fn parameter(d: &Deformation, kind: &Kind, n: usize, size: Vec3) -> (f32, [f
 }
 
 /// Control points that can be dragged: where they are, mm.
-pub fn control_points(d: &Deformation, place: &Place) -> Vec<Vec3> {
+pub fn control_points(d: &Deformation, place: &BoxPlacement) -> Vec<Vec3> {
     let numbers = |name: &str| d.parameters.numbers(name).ok().flatten().unwrap_or_default();
     match d.kind.as_str() {
         "points" => numbers("pairs").chunks_exact(6).map(|p| Vec3::new(p[3], p[4], p[5])).collect(),
@@ -140,7 +140,7 @@ pub fn control_points(d: &Deformation, place: &Place) -> Vec<Vec3> {
             let counts = lattice_size(d);
             let moved = numbers("offsets");
             let count: usize = counts.iter().product();
-            if count > MOST_POINTS {
+            if count > MAX_POINTS {
                 return Vec::new();
             }
             (0..count)
@@ -177,7 +177,7 @@ fn origin_of(d: &Deformation, n: usize) -> Option<Vec3> {
 }
 
 /// Puts a control point somewhere.
-pub fn set_point(d: &mut Deformation, place: &Place, n: usize, to: Vec3) {
+pub fn set_point(d: &mut Deformation, place: &BoxPlacement, n: usize, to: Vec3) {
     let numbers = |d: &Deformation, name: &str| d.parameters.numbers(name).ok().flatten().unwrap_or_default();
     match d.kind.as_str() {
         "points" => {
@@ -215,8 +215,8 @@ pub fn set_point(d: &mut Deformation, place: &Place, n: usize, to: Vec3) {
 }
 
 impl Gizmo<'_> {
-    fn place(&self) -> Place {
-        Place::of(self.deformation, self.kind, &self.scene_box)
+    fn place(&self) -> BoxPlacement {
+        BoxPlacement::of(self.deformation, self.kind, &self.scene_box)
     }
 
     /// Whether the box can be sized.
@@ -307,7 +307,7 @@ impl Gizmo<'_> {
     }
 
     /// The angle of the pointer about an axis of the box, radians.
-    fn angle(&self, axis: usize, pointer: Pos2, place: &Place) -> Option<f32> {
+    fn angle(&self, axis: usize, pointer: Pos2, place: &BoxPlacement) -> Option<f32> {
         let normal = place.turn.col(axis);
         let d = self.projector.on_plane(pointer, place.center, normal)? - place.center;
         let (u, v) = (place.turn.col((axis + 1) % 3), place.turn.col((axis + 2) % 3));
@@ -363,7 +363,7 @@ impl Gizmo<'_> {
     }
 
     /// The value of the path's point nearest to the pointer on the screen.
-    fn on_path(&self, path: &Along, [min, max]: [f32; 2], pos: Pos2, place: &Place) -> Option<f32> {
+    fn on_path(&self, path: &HandlePath, [min, max]: [f32; 2], pos: Pos2, place: &BoxPlacement) -> Option<f32> {
         let distance = |value: f32| {
             let at = place.world(path.at(value, [min, max], place.size));
             self.projector.screen(at).map_or(f32::INFINITY, |p| p.distance_sq(pos))
@@ -476,7 +476,7 @@ impl Gizmo<'_> {
         }
     }
 
-    fn draw_box(&self, painter: &Painter, place: &Place) {
+    fn draw_box(&self, painter: &Painter, place: &BoxPlacement) {
         let corner = |n: usize| {
             let s = Vec3::new((n & 1) as f32, (n >> 1 & 1) as f32, (n >> 2 & 1) as f32) - 0.5;
             self.projector.screen(place.world(s * place.size))
@@ -493,7 +493,7 @@ impl Gizmo<'_> {
         }
     }
 
-    fn draw_path(&self, painter: &Painter, path: &Along, [from, to]: [f32; 2], range: [f32; 2], place: &Place) {
+    fn draw_path(&self, painter: &Painter, path: &HandlePath, [from, to]: [f32; 2], range: [f32; 2], place: &BoxPlacement) {
         let points: Vec<Pos2> =
             (0..=24).filter_map(|n| self.projector.screen(place.world(path.at(from + (to - from) * n as f32 / 24.0, range, place.size)))).collect();
         painter.add(Shape::line(points.clone(), Stroke::new(3.0, Color32::from_black_alpha(120))));
@@ -540,12 +540,12 @@ mod tests {
                             assert!(off < 1.0, "{} {handle:?} is {off} points away", kind.name);
                         }
                         Handle::Parameter(n) => {
-                            let (value, [min, max], _) = parameter(&moved, kind, n, Place::of(&moved, kind, &scene_box).size);
+                            let (value, [min, max], _) = parameter(&moved, kind, n, BoxPlacement::of(&moved, kind, &scene_box).size);
                             assert!(value >= min - 1e-3 && value <= max + 1e-3, "{} {handle:?}: {value} outside {min} to {max}", kind.name);
                         }
                         Handle::Progress => assert!((0.0..=1.0).contains(&moved.progress.unwrap())),
                         Handle::Face(axis, _) => {
-                            let (a, b) = (Place::of(&d, kind, &scene_box), Place::of(&moved, kind, &scene_box));
+                            let (a, b) = (BoxPlacement::of(&d, kind, &scene_box), BoxPlacement::of(&moved, kind, &scene_box));
                             assert!(b.size[(axis + 1) % 3] == a.size[(axis + 1) % 3]);
                         }
                         Handle::Axis(_) | Handle::Ring(_) => {}

@@ -5,7 +5,7 @@ use glam::{Quat, Vec3};
 
 /// The path of a number.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Along {
+pub enum HandlePath {
     /// A length: from a point (shares of the box's extents from its middle) so many mm along a direction, times `gain`.
     Line {
         /// Where 0 is.
@@ -35,7 +35,7 @@ pub enum Along {
     },
 }
 
-impl Along {
+impl HandlePath {
     /// The point of a value in the box's own millimetres.
     pub fn at(&self, value: f32, [min, max]: [f32; 2], size: Vec3) -> Vec3 {
         match *self {
@@ -60,7 +60,7 @@ const TOP: [f32; 3] = [0.0, 0.0, 0.5];
 const MIDDLE: [f32; 3] = [0.0; 3];
 
 /// Where a kind's progress is dragged from nothing to full.
-pub fn progress_path(kind: &str) -> Along {
+pub fn progress_path(kind: &str) -> HandlePath {
     let (low, high) = match kind {
         // The flap's free end, from where it lies towards the hinge.
         "peel" | "surface-peel" | "strip" => ([0.44, 0.0, -0.12], [-0.36, 0.0, 0.42]),
@@ -72,14 +72,14 @@ pub fn progress_path(kind: &str) -> Along {
         "slab" | "explode" => ([-0.5, -0.5, 0.0], [-0.5, -0.5, 0.6]),
         _ => ([-0.5, -0.5, -0.5], [-0.5, -0.5, 0.5]),
     };
-    Along::Span { low, high }
+    HandlePath::Span { low, high }
 }
 
 /// Where a kind's number is dragged.
-pub fn path_of(kind: &Kind, n: usize) -> Along {
+pub fn path_of(kind: &Kind, n: usize) -> HandlePath {
     let p = &kind.parameters[n];
-    let line = |from, direction, gain| Along::Line { from, direction, gain };
-    let arc = |axis, from, gain| Along::Arc { center: TOP, axis, from, gain };
+    let line = |from, direction, gain| HandlePath::Line { from, direction, gain };
+    let arc = |axis, from, gain| HandlePath::Arc { center: TOP, axis, from, gain };
     match (kind.name, p.name) {
         ("peel" | "surface-peel" | "strip", "depth") => line([0.3, 0.2, -0.4], Z, 1.0),
         ("peel" | "surface-peel" | "strip", "radius") => line([-0.3, -0.3, -0.4], Z, 1.0),
@@ -93,10 +93,10 @@ pub fn path_of(kind: &Kind, n: usize) -> Along {
         ("retractor", "length") => line(TOP, X, 0.5),
         ("retractor", "opening") => line(TOP, Y, 0.5),
         ("knife" | "retractor", "depth") => line(TOP, DOWN, 1.0),
-        ("wedge", "angle") => Along::Arc { center: MIDDLE, axis: Z, from: X, gain: 0.5 },
+        ("wedge", "angle") => HandlePath::Arc { center: MIDDLE, axis: Z, from: X, gain: 0.5 },
         ("twist", "angle") => arc(Z, X, 1.0),
-        ("bend" | "seam" | "book" | "shear", "angle") => Along::Arc { center: MIDDLE, axis: Y, from: Z, gain: 1.0 },
-        ("shear", "angle-y") => Along::Arc { center: MIDDLE, axis: [-1.0, 0.0, 0.0], from: Z, gain: 1.0 },
+        ("bend" | "seam" | "book" | "shear", "angle") => HandlePath::Arc { center: MIDDLE, axis: Y, from: Z, gain: 1.0 },
+        ("shear", "angle-y") => HandlePath::Arc { center: MIDDLE, axis: [-1.0, 0.0, 0.0], from: Z, gain: 1.0 },
         ("wave" | "planar-wave", "amplitude") => line(MIDDLE, Z, 1.0),
         ("wave" | "planar-wave", "wavelength") => line([-0.5, 0.0, 0.0], X, 1.0),
         _ => {
@@ -104,8 +104,8 @@ pub fn path_of(kind: &Kind, n: usize) -> Along {
             let y = -0.5 + 0.2 * n as f32;
             match p.unit {
                 Unit::Mm => line([0.5, y, -0.5], Z, 1.0),
-                Unit::Degrees => Along::Arc { center: [0.0, y, 0.0], axis: Z, from: X, gain: 1.0 },
-                Unit::None => Along::Span { low: [-0.5, y, 0.5], high: [0.5, y, 0.5] },
+                Unit::Degrees => HandlePath::Arc { center: [0.0, y, 0.0], axis: Z, from: X, gain: 1.0 },
+                Unit::None => HandlePath::Span { low: [-0.5, y, 0.5], high: [0.5, y, 0.5] },
             }
         }
     }

@@ -6,9 +6,9 @@ use crate::engine::Quality;
 use crate::gui::action::Action;
 use crate::gui::app::{Gesture, Workstation};
 use crate::gui::theme;
-use crate::gui::views::shown::{self, Delay};
+use crate::gui::views::shown::{self, OutdatedNotice};
 use crate::gui::views::text;
-use crate::gui::worker::{Shown, Target, What};
+use crate::gui::worker::{JobKind, JobTarget, RenderedView};
 use crate::picture::{Picture, RenderStats};
 use crate::prepare::Assets;
 use crate::scene::{Mode, Scene};
@@ -23,14 +23,14 @@ const REST: f64 = 0.2;
 
 /// One side.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Side {
+pub struct ComparisonSide {
     /// The renderer.
     pub mode: Mode,
     /// Its sampling distance, voxels.
     pub step: f32,
 }
 
-impl Side {
+impl ComparisonSide {
     /// The scene as this side renders it.
     pub fn scene(&self, scene: &Scene) -> Scene {
         let mut scene = scene.clone();
@@ -67,11 +67,11 @@ pub enum Arrangement {
 }
 
 #[derive(Default)]
-struct Result {
+struct PaneResult {
     texture: Option<TextureHandle>,
     /// What it shows.
-    side: Option<Side>,
-    delay: Delay,
+    side: Option<ComparisonSide>,
+    delay: OutdatedNotice,
     picture: Option<Arc<Picture>>,
     stats: Option<RenderStats>,
     ms: f64,
@@ -82,13 +82,13 @@ struct Result {
 /// What the panel keeps.
 pub struct ComparePanel {
     /// The two sides.
-    pub sides: [Side; 2],
+    pub sides: [ComparisonSide; 2],
     /// How they are shown.
     pub arrangement: Arrangement,
     swipe: f32,
-    results: [Result; 2],
-    asked: [Option<Arc<Scene>>; 2],
-    asked_sides: [Option<Side>; 2],
+    results: [PaneResult; 2],
+    requested: [Option<Arc<Scene>>; 2],
+    requested_sides: [Option<ComparisonSide>; 2],
     assets: Option<Arc<Assets>>,
     /// The scene has changed since the pair was asked for.
     behind: bool,
@@ -101,19 +101,19 @@ pub struct ComparePanel {
     difference_texture: Option<TextureHandle>,
     rect: Rect,
     pane: [u32; 2],
-    seen: bool,
+    was_drawn: bool,
     wiping: bool,
 }
 
 impl Default for ComparePanel {
     fn default() -> Self {
         Self {
-            sides: [Side { mode: Mode::Slice, step: 1.0 }, Side { mode: Mode::Raycast, step: 1.0 }],
+            sides: [ComparisonSide { mode: Mode::Slice, step: 1.0 }, ComparisonSide { mode: Mode::Raycast, step: 1.0 }],
             arrangement: Arrangement::Split,
             swipe: 0.5,
             results: Default::default(),
-            asked: [None, None],
-            asked_sides: [None; 2],
+            requested: [None, None],
+            requested_sides: [None; 2],
             assets: None,
             behind: false,
             changed_at: Instant::now(),
@@ -124,7 +124,7 @@ impl Default for ComparePanel {
             difference_texture: None,
             rect: Rect::ZERO,
             pane: [0; 2],
-            seen: false,
+            was_drawn: false,
             wiping: false,
         }
     }
@@ -157,7 +157,7 @@ impl ComparePanel {
 const AMPLIFY: f32 = 8.0;
 
 impl Workstation {
-    pub(in crate::gui) fn compare_arrived(&mut self, ctx: &Context, side: usize, serial: u64, ms: f64, shown: Shown) {
+    pub(in crate::gui) fn compare_arrived(&mut self, ctx: &Context, side: usize, serial: u64, ms: f64, shown: RenderedView) {
         let panel = &mut self.compare;
         if panel.serials.get(side) != Some(&serial) {
             return;
@@ -168,7 +168,7 @@ impl Workstation {
             None => result.texture = Some(ctx.load_texture(format!("compare {side}"), shown.image, TextureOptions::LINEAR)),
         }
         result.picture = shown.picture.map(Arc::new);
-        result.side = panel.asked_sides[side];
+        result.side = panel.requested_sides[side];
         result.delay.note(true);
         (result.stats, result.ms, result.backend, result.serial) = (shown.stats, ms, shown.device.name, serial);
         self.compare_numbers(ctx);
@@ -199,7 +199,7 @@ impl Workstation {
                     }
                     Err(error) => {
                         panel.difference = None;
-                        app.fail(&error);
+                        app.report_error(&error);
                     }
                 }
                 app.compare_numbers(ctx);
@@ -209,23 +209,23 @@ impl Workstation {
 
     /// Asks for the pair once the scene rests.
     pub(in crate::gui) fn refresh_compare(&mut self) {
-        if !std::mem::take(&mut self.compare.seen) || self.compare.pane[0] < 16 {
+        if !std::mem::take(&mut self.compare.was_drawn) || self.compare.pane[0] < 16 {
             return;
         }
         let Some(doc) = &self.doc else { return };
         let assets: Arc<Assets> = doc.assets.clone();
-        let mut scene = doc.shown(self.is_before());
+        let mut scene = doc.shown(self.shows_undeformed());
         scene.render.size = self.compare.pane;
         scene.measure.clear();
         let panel = &mut self.compare;
         let same_assets = panel.assets.as_ref().is_some_and(|a| Arc::ptr_eq(a, &assets));
         let wanted: [Scene; 2] = std::array::from_fn(|n| panel.sides[n].scene(&scene));
-        let changed = (0..2).any(|n| !same_assets || panel.asked[n].as_deref().is_none_or(|a| *a != wanted[n]));
+        let changed = (0..2).any(|n| !same_assets || panel.requested[n].as_deref().is_none_or(|a| *a != wanted[n]));
         panel.behind = changed;
         if !changed {
             return;
         }
-        let pending: Vec<usize> = (0..2).filter(|n| !same_assets || panel.asked[*n].as_deref().is_none_or(|a| *a != wanted[*n])).collect();
+        let pending: Vec<usize> = (0..2).filter(|n| !same_assets || panel.requested[*n].as_deref().is_none_or(|a| *a != wanted[*n])).collect();
         // While something is dragged the last pair stays.
         if self.gesture.is_some() {
             self.compare.changed_at = Instant::now();
@@ -238,17 +238,21 @@ impl Workstation {
         self.compare.behind = false;
         for n in pending {
             let shared = Arc::new(wanted[n].clone());
-            self.compare.asked[n] = Some(shared.clone());
-            let serial =
-                self.submit(Target::Compare(n), shared, assets.clone(), What::Picture { counting: true, keep: true, quality: Quality::Full });
+            self.compare.requested[n] = Some(shared.clone());
+            let serial = self.submit(
+                JobTarget::Compare(n),
+                shared,
+                assets.clone(),
+                JobKind::Picture { counting: true, with_pixels: true, quality: Quality::Full },
+            );
             let panel = &mut self.compare;
-            (panel.serials[n], panel.asked_sides[n], panel.results[n].delay.failure) = (serial, Some(panel.sides[n]), None);
+            (panel.serials[n], panel.requested_sides[n], panel.results[n].delay.failure) = (serial, Some(panel.sides[n]), None);
         }
     }
 
     /// The panel.
     pub(in crate::gui) fn show_compare(&mut self, ui: &mut Ui) {
-        self.compare.seen = true;
+        self.compare.was_drawn = true;
         let ctx = ui.ctx().clone();
         let mut export = false;
         egui::Frame::NONE.inner_margin(egui::Margin::symmetric(8, 4)).show(ui, |ui| {

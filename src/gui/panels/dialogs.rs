@@ -1,7 +1,7 @@
 //! Questions and forms.
 
 use crate::gui::app::Workstation;
-use crate::gui::files::{After, ClipForm, Dialog, LARGEST_PICTURE, PictureForm, Travel};
+use crate::gui::files::{ClipForm, ClipMotion, Dialog, LARGEST_PICTURE, NextStep, PictureForm};
 use eframe::egui::{self, Context, DragValue, Id, Modal, RichText, Slider, Ui};
 
 /// What a dialog decided.
@@ -11,11 +11,11 @@ enum Decision {
     /// It is closed.
     Close,
     /// It is closed, and this is done.
-    Do(Deed),
+    Do(DialogAction),
 }
 
 /// What is done after a dialog.
-type Deed = Box<dyn FnOnce(&mut Workstation, &Context)>;
+type DialogAction = Box<dyn FnOnce(&mut Workstation, &Context)>;
 
 fn then(f: impl FnOnce(&mut Workstation, &Context) + 'static) -> Decision {
     Decision::Do(Box::new(f))
@@ -49,7 +49,7 @@ impl Workstation {
         }
     }
 
-    fn unsaved(&self, ui: &mut Ui, after: &After) -> Decision {
+    fn unsaved(&self, ui: &mut Ui, after: &NextStep) -> Decision {
         ui.heading("Unsaved changes");
         ui.label(format!("{} has changes that are not saved.", self.doc.as_ref().map_or("The scene", |d| &d.name)));
         let mut decision = Decision::Open;
@@ -77,18 +77,18 @@ impl Workstation {
     fn clip(&self, ui: &mut Ui, form: &mut ClipForm) -> Decision {
         ui.heading("Export clip");
         let deformations = self.doc.as_ref().map_or(&[][..], |d| &d.scene.deformation);
-        let named = |travel: &Travel| match travel {
-            Travel::Orbit => "the camera, once around".to_owned(),
-            Travel::Progress(n) => format!("{} {}: progress", n + 1, deformations.get(*n).map_or_else(String::new, super::scene::title_of)),
-            Travel::Parameter(n, name) => format!("{} {}: {name}", n + 1, deformations.get(*n).map_or_else(String::new, super::scene::title_of)),
+        let named = |travel: &ClipMotion| match travel {
+            ClipMotion::Orbit => "the camera, once around".to_owned(),
+            ClipMotion::Progress(n) => format!("{} {}: progress", n + 1, deformations.get(*n).map_or_else(String::new, super::scene::title_of)),
+            ClipMotion::Parameter(n, name) => format!("{} {}: {name}", n + 1, deformations.get(*n).map_or_else(String::new, super::scene::title_of)),
         };
-        let mut travels = vec![Travel::Orbit];
+        let mut travels = vec![ClipMotion::Orbit];
         for (n, d) in deformations.iter().enumerate() {
             let kind = crate::gui::gizmos::kind_of(d);
             if kind.is_none_or(|k| k.progressive) {
-                travels.push(Travel::Progress(n));
+                travels.push(ClipMotion::Progress(n));
             }
-            travels.extend(kind.iter().flat_map(|k| k.parameters).map(|p| Travel::Parameter(n, p.name.to_owned())));
+            travels.extend(kind.iter().flat_map(|k| k.parameters).map(|p| ClipMotion::Parameter(n, p.name.to_owned())));
         }
         egui::Grid::new("clip").num_columns(2).spacing([12.0, 6.0]).show(ui, |ui| {
             ui.label("Moves");
@@ -96,13 +96,13 @@ impl Workstation {
                 for travel in travels {
                     let text = named(&travel);
                     if ui.selectable_label(form.travel == travel, text).clicked() {
-                        form.back = travel != Travel::Orbit;
-                        if let (Travel::Parameter(n, name), Some(doc)) = (&travel, &self.doc) {
+                        form.back = travel != ClipMotion::Orbit;
+                        if let (ClipMotion::Parameter(n, name), Some(doc)) = (&travel, &self.doc) {
                             let d = &doc.scene.deformation[*n];
                             if let Some(kind) = crate::gui::gizmos::kind_of(d)
                                 && let Some(p) = kind.parameters.iter().position(|p| p.name == name)
                             {
-                                let size = crate::gui::gizmos::Place::of(d, kind, &doc.bounds()).size;
+                                let size = crate::gui::gizmos::BoxPlacement::of(d, kind, &doc.bounds()).size;
                                 form.range = crate::gui::gizmos::parameter(d, kind, p, size).1;
                             }
                         } else {
@@ -113,7 +113,7 @@ impl Workstation {
                 }
             });
             ui.end_row();
-            if form.travel != Travel::Orbit {
+            if form.travel != ClipMotion::Orbit {
                 ui.label("From, to");
                 ui.horizontal(|ui| {
                     let [a, b] = &mut form.range;
@@ -131,7 +131,7 @@ impl Workstation {
             ui.end_row();
             size_row(ui, &mut form.size, 4096);
         });
-        buttons(ui, "Choose file…", form.clone(), |app, form| app.ask_clip(form))
+        buttons(ui, "Choose file…", form.clone(), |app, form| app.choose_clip_file(form))
     }
 }
 
@@ -178,7 +178,7 @@ fn recover(ui: &mut Ui, left: &[crate::gui::session::Recovered]) -> Decision {
                 let one = one.clone();
                 decision = then(move |app, ctx| {
                     // Its file stays until the recovered scene has an automatic save of its own.
-                    app.after(ctx, After::Recover(one.file, one.original));
+                    app.after(ctx, NextStep::Recover(one.file, one.original));
                 });
             }
             if ui.button("Discard").clicked() {
@@ -221,7 +221,7 @@ fn picture(ui: &mut Ui, form: &mut PictureForm) -> Decision {
         ui.checkbox(&mut form.transparent, "Transparent");
         ui.end_row();
     });
-    buttons(ui, "Choose file…", form.clone(), |app, form| app.ask_picture(form))
+    buttons(ui, "Choose file…", form.clone(), |app, form| app.choose_picture_file(form))
 }
 
 fn running(ui: &mut Ui) -> Decision {
@@ -234,7 +234,7 @@ fn running(ui: &mut Ui) -> Decision {
             decision = then(|app, ctx| {
                 app.tasks.iter().for_each(crate::gui::tasks::Task::cancel);
                 app.end_tasks();
-                app.after(ctx, After::Quit);
+                app.after(ctx, NextStep::Quit);
             });
         } else if ui.button("Wait").clicked() {
             decision = Decision::Close;
@@ -253,7 +253,7 @@ fn locate(ui: &mut Ui, dialog: &Dialog) -> Decision {
     ui.horizontal(|ui| {
         if ui.button("Locate…").clicked() {
             let dialog = dialog.clone();
-            decision = then(move |app, _| app.ask_locate(dialog));
+            decision = then(move |app, _| app.choose_missing_file(dialog));
         } else if ui.button("Cancel").clicked() {
             decision = Decision::Close;
         }

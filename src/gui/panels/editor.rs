@@ -137,7 +137,7 @@ impl Workstation {
             // A scene may still name it: it is kept aside, not destroyed.
             let aside = path.with_extension("nrrd.removed");
             if let Err(e) = std::fs::rename(&path, &aside) {
-                self.fail(&crate::Error::io(&path, "removing", e));
+                self.report_error(&crate::Error::io(&path, "removing", e));
             }
         }
     }

@@ -1,14 +1,14 @@
 //! Everything about what is selected, as numbers with their units. A double-click on a name takes its value back to the default.
 
 use super::{heading, icon_button};
-use crate::deform::health::Health;
-use crate::deform::kinds::{DefaultSize, Form, Kind, Setting, Unit};
+use crate::deform::kinds::{DefaultSize, Kind, Setting, SettingFormat, Unit};
+use crate::deform::quality::FieldQuality;
 use crate::deform::{Argument, Storage};
 use crate::files::path_text::path_of;
 use crate::gui::action::Action;
 use crate::gui::app::Workstation;
 use crate::gui::document::{Document, Selection};
-use crate::gui::gizmos::{self, Place};
+use crate::gui::gizmos::{self, BoxPlacement};
 use crate::gui::tool::{tidy, words};
 use crate::scene::surface::{CutModel, Look};
 use crate::scene::{CutFaces, Deformation, Mode, Normals, Projection, Size};
@@ -25,7 +25,7 @@ pub struct Inspector {
 }
 
 /// Whether a field folds, and its figures in words.
-pub fn health_words(health: &Health) -> (bool, String) {
+pub fn health_words(health: &FieldQuality) -> (bool, String) {
     let folds = health.folds_percent > 0.0;
     let verdict = if folds { format!("folds at {:.2} % of its points", health.folds_percent) } else { "no folds".into() };
     let text = format!("{verdict}; det J {:.2} to {:.2}; moves up to {:.1} mm", health.det_min, health.det_max, health.largest_mm);
@@ -169,7 +169,7 @@ impl Workstation {
             labels = true;
         }
         if labels {
-            self.ask_labels();
+            self.choose_label_map();
         }
     }
 
@@ -192,7 +192,7 @@ impl Workstation {
             ui.label("Look");
             let now = mesh.appearance.look.clone().unwrap_or_else(|| "default".into());
             egui::ComboBox::from_id_salt("look").selected_text(now).show_ui(ui, |ui| {
-                for look in crate::scene::surface::looks() {
+                for look in crate::scene::surface::look_names() {
                     if ui.selectable_label(mesh.appearance.look.as_deref() == Some(look), look).clicked() {
                         let a = &mut mesh.appearance;
                         (a.look, a.color, a.inside_color, a.cut_color) = (Some(look.to_owned()), None, None, None);
@@ -340,7 +340,7 @@ fn choice<T: PartialEq + Copy>(ui: &mut Ui, word: &str, value: &mut T, all: &[(T
 
 /// The kind's numbers with their ranges.
 fn show_numbers(ui: &mut Ui, d: &mut Deformation, kind: &Kind, scene_box: &crate::math::Bounds) {
-    let size = Place::of(d, kind, scene_box).size;
+    let size = BoxPlacement::of(d, kind, scene_box).size;
     for (n, p) in kind.parameters.iter().enumerate() {
         let (value, [min, max], _) = gizmos::parameter(d, kind, n, size);
         let unit = match p.unit {
@@ -391,11 +391,11 @@ fn setting_text(argument: Option<&Argument>) -> String {
 
 /// What was typed into a field and cannot be used.
 #[derive(Clone)]
-struct Refused {
+struct RejectedInput {
     text: String,
     problem: String,
     /// What the setting was then: a change of it by other means ends the matter.
-    kept: String,
+    current_text: String,
 }
 
 /// What a text comes to as a setting; files are looked for in the scene's folder.
@@ -416,7 +416,7 @@ fn typed(setting: &Setting, text: &str, folder: &Path) -> Result<Option<Argument
 fn setting(ui: &mut Ui, d: &mut Deformation, place: usize, setting: &Setting, folder: &Path) {
     let key = setting.name;
     match setting.form {
-        Form::Flag => {
+        SettingFormat::Flag => {
             let mut on = d.parameters.flag(key).unwrap_or(false);
             if ui.checkbox(&mut on, capital(key)).on_hover_text(setting.about).changed() {
                 d.parameters.0.remove(key);
@@ -425,8 +425,8 @@ fn setting(ui: &mut Ui, d: &mut Deformation, place: usize, setting: &Setting, fo
                 }
             }
         }
-        Form::Choice(all) | Form::OneOf(all) => {
-            let default = matches!(setting.form, Form::Choice(_)).then(|| all[0]);
+        SettingFormat::Choice(all) | SettingFormat::OneOf(all) => {
+            let default = matches!(setting.form, SettingFormat::Choice(_)).then(|| all[0]);
             let now = setting_text(d.parameters.0.get(key));
             let shown = if now.is_empty() { default.unwrap_or("from the file") } else { &now };
             ui.horizontal(|ui| {
@@ -457,15 +457,15 @@ fn text_setting(ui: &mut Ui, d: &mut Deformation, place: usize, setting: &Settin
     let key = setting.name;
     let id = ui.id().with(("setting", place, &d.kind, key));
     let refused_id = id.with("refused");
-    let kept = setting_text(d.parameters.0.get(key));
-    let refused = ui.data(|m| m.get_temp::<Refused>(refused_id)).filter(|r| r.kept == kept);
+    let current_text = setting_text(d.parameters.0.get(key));
+    let refused = ui.data(|m| m.get_temp::<RejectedInput>(refused_id)).filter(|r| r.current_text == current_text);
     let typed_before = ui.data(|m| m.get_temp::<String>(id));
-    let mut text = typed_before.or_else(|| refused.as_ref().map(|r| r.text.clone())).unwrap_or_else(|| kept.clone());
+    let mut text = typed_before.or_else(|| refused.as_ref().map(|r| r.text.clone())).unwrap_or_else(|| current_text.clone());
     ui.horizontal(|ui| {
         let name = label(ui, &capital(key), setting.about);
         if name.double_clicked() {
             d.parameters.0.remove(key);
-            ui.data_mut(|m| m.remove::<Refused>(refused_id));
+            ui.data_mut(|m| m.remove::<RejectedInput>(refused_id));
             text.clear();
         }
         let mut edit = egui::TextEdit::singleline(&mut text).desired_width((ui.available_width() - 10.0).max(30.0));
@@ -479,22 +479,22 @@ fn text_setting(ui: &mut Ui, d: &mut Deformation, place: usize, setting: &Settin
             ui.data_mut(|m| m.remove::<String>(id));
         }
         if field.lost_focus() {
-            ui.data_mut(|m| m.remove::<Refused>(refused_id));
+            ui.data_mut(|m| m.remove::<RejectedInput>(refused_id));
             match typed(setting, &text, folder) {
-                _ if text == kept => {}
+                _ if text == current_text => {}
                 Ok(Some(argument)) => d.parameters.insert(key, argument),
                 Ok(None) => {
                     d.parameters.0.remove(key);
                 }
                 Err(problem) => {
-                    let refused = Refused { text, problem, kept: kept.clone() };
+                    let refused = RejectedInput { text, problem, current_text: current_text.clone() };
                     ui.data_mut(|m| m.insert_temp(refused_id, refused));
                 }
             }
         }
     });
-    if let Some(Refused { problem, .. }) = refused {
-        let again = if kept.is_empty() { "The setting is empty.".to_owned() } else { format!("The setting is still {kept}.") };
+    if let Some(RejectedInput { problem, .. }) = refused {
+        let again = if current_text.is_empty() { "The setting is empty.".to_owned() } else { format!("The setting is still {current_text}.") };
         ui.label(RichText::new(format!("{problem}. {again}")).color(ui.visuals().error_fg_color));
     }
 }
@@ -542,7 +542,7 @@ fn show_placement(ui: &mut Ui, d: &mut Deformation, kind: &Kind, scene_box: &cra
             }
             return;
         }
-        let place = Place::of(d, kind, scene_box);
+        let place = BoxPlacement::of(d, kind, scene_box);
         if name(ui, "Centre (mm)", "Middle of the box, patient LPS") {
             d.center = None;
         }
@@ -604,13 +604,13 @@ mod tests {
     #[test]
     fn settings_survive_their_text() {
         for (form, argument) in [
-            (Form::Flag, Argument::Flag(true)),
-            (Form::Number, Argument::Number(2.5)),
-            (Form::Whole, Argument::Numbers(vec![1.0, 2.0])),
-            (Form::Rows(3), Argument::Numbers(vec![1.0, 2.0, -3.5])),
-            (Form::Words, Argument::Text("left side".into())),
-            (Form::File, Argument::Text("labels.nii.gz".into())),
-            (Form::Files, Argument::Texts(vec!["a.mat".into(), "b.nii".into()])),
+            (SettingFormat::Flag, Argument::Flag(true)),
+            (SettingFormat::Number, Argument::Number(2.5)),
+            (SettingFormat::Whole, Argument::Numbers(vec![1.0, 2.0])),
+            (SettingFormat::Rows(3), Argument::Numbers(vec![1.0, 2.0, -3.5])),
+            (SettingFormat::Words, Argument::Text("left side".into())),
+            (SettingFormat::File, Argument::Text("labels.nii.gz".into())),
+            (SettingFormat::Files, Argument::Texts(vec!["a.mat".into(), "b.nii".into()])),
         ] {
             let setting = Setting { name: "x", form, about: "" };
             assert_eq!(setting.parse(&setting_text(Some(&argument))), Ok(Some(argument)));
@@ -620,7 +620,7 @@ mod tests {
     #[test]
     fn files_are_looked_for() {
         let folder = tempfile::tempdir().unwrap();
-        let setting = Setting { name: "labels", form: Form::File, about: "" };
+        let setting = Setting { name: "labels", form: SettingFormat::File, about: "" };
         assert!(typed(&setting, "labels.nii", folder.path()).is_err_and(|e| e.contains("file not found")));
         std::fs::write(folder.path().join("labels.nii"), "").unwrap();
         assert_eq!(typed(&setting, "labels.nii", folder.path()), Ok(Some(Argument::Text("labels.nii".into()))));

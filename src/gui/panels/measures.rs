@@ -119,7 +119,7 @@ impl Workstation {
             doc.selected = Selection::Measure(doc.scene.measure.len() - 1);
         }
         if ask {
-            self.ask_labels();
+            self.choose_label_map();
         }
     }
 }

@@ -17,7 +17,7 @@ use super::session::EXAMPLES;
 use super::theme;
 use super::tool::{Placed, Tool, symbol, words};
 use super::views::slices::Space;
-use super::worker::{Overlay, Target, What};
+use super::worker::{JobKind, JobTarget, Overlay};
 use crate::deform::kinds;
 use crate::engine::{Backend, Quality};
 use crate::scene::measure::MeasureKind;
@@ -103,12 +103,12 @@ pub fn heading(ui: &mut Ui, text: &str) {
 pub struct Thumbnails {
     presets: HashMap<usize, TextureHandle>,
     kinds: HashMap<usize, TextureHandle>,
-    asked: Option<(usize, String)>,
+    requested_key: Option<(usize, String)>,
     /// The gallery of presets or kinds has been shown.
-    pub wanted_presets: bool,
+    pub shows_presets: bool,
     /// See above.
-    pub wanted_kinds: bool,
-    open: Vec<Target>,
+    pub shows_kinds: bool,
+    open: Vec<JobTarget>,
 }
 
 impl Thumbnails {
@@ -151,31 +151,31 @@ impl Workstation {
             return;
         }
         let key = (Arc::as_ptr(&doc.assets) as usize, doc.scene.volume_name().to_owned());
-        if self.thumbnails.asked.as_ref() != Some(&key) {
-            let (presets, kinds) = (self.thumbnails.wanted_presets, self.thumbnails.wanted_kinds);
+        if self.thumbnails.requested_key.as_ref() != Some(&key) {
+            let (presets, kinds) = (self.thumbnails.shows_presets, self.thumbnails.shows_kinds);
             self.thumbnails.forget();
-            self.thumbnails.asked = Some(key);
-            (self.thumbnails.wanted_presets, self.thumbnails.wanted_kinds) = (presets, kinds);
+            self.thumbnails.requested_key = Some(key);
+            (self.thumbnails.shows_presets, self.thumbnails.shows_kinds) = (presets, kinds);
         }
         let mut jobs = Vec::new();
         let assets = doc.assets.clone();
         let mut plain = Scene { deformation: Vec::new(), mesh: Vec::new(), measure: Vec::new(), ..doc.scene.clone() };
         plain.render = crate::scene::RenderSettings { size: [THUMBNAIL; 2], step: 2.0, ..Default::default() };
         plain.camera = crate::scene::Camera { view: "35,20".parse().unwrap_or(plain.camera.view), ..Default::default() };
-        if self.thumbnails.wanted_presets {
+        if self.thumbnails.shows_presets {
             for (n, preset) in presets().enumerate() {
-                if self.thumbnails.presets.contains_key(&n) || self.thumbnails.open.contains(&Target::Preset(n)) {
+                if self.thumbnails.presets.contains_key(&n) || self.thumbnails.open.contains(&JobTarget::Preset(n)) {
                     continue;
                 }
                 let mut scene = plain.clone();
                 scene.transfer = TransferSettings { preset: Some(preset.name.into()), ..Default::default() };
-                jobs.push((Target::Preset(n), scene));
+                jobs.push((JobTarget::Preset(n), scene));
             }
         }
-        if self.thumbnails.wanted_kinds {
+        if self.thumbnails.shows_kinds {
             let bounds = assets.volume.bounds_in_world();
             for (n, kind) in kinds::list().enumerate() {
-                if self.thumbnails.kinds.contains_key(&n) || self.thumbnails.open.contains(&Target::Kind(n)) {
+                if self.thumbnails.kinds.contains_key(&n) || self.thumbnails.open.contains(&JobTarget::Kind(n)) {
                     continue;
                 }
                 let mut scene = plain.clone();
@@ -183,12 +183,12 @@ impl Workstation {
                 scene.deformation = shown.deformation;
                 scene.camera = shown.camera;
                 scene.transfer = doc.scene.transfer.clone();
-                jobs.push((Target::Kind(n), scene));
+                jobs.push((JobTarget::Kind(n), scene));
             }
         }
         for (target, scene) in jobs {
             self.thumbnails.open.push(target);
-            self.submit(target, Arc::new(scene), assets.clone(), What::Picture { counting: false, keep: false, quality: Quality::Full });
+            self.submit(target, Arc::new(scene), assets.clone(), JobKind::Picture { counting: false, with_pixels: false, quality: Quality::Full });
         }
     }
 
@@ -294,7 +294,7 @@ impl Workstation {
 
     /// All kinds with their pictures.
     fn show_kinds(&mut self, ui: &mut Ui) {
-        self.thumbnails.wanted_kinds = true;
+        self.thumbnails.shows_kinds = true;
         ui.set_max_width(560.0);
         let mut armed = None;
         egui::ScrollArea::vertical().max_height(470.0).show(ui, |ui| {
@@ -590,9 +590,9 @@ impl Workstation {
         let (warn, error) = (ui.visuals().warn_fg_color, ui.visuals().error_fg_color);
         for entry in self.log.entries().iter().rev() {
             let (symbol, color) = match entry.level {
-                super::log::Level::Info => (icon::INFO, None),
-                super::log::Level::Warning => (icon::WARNING, Some(warn)),
-                super::log::Level::Error => (icon::PROHIBIT, Some(error)),
+                super::log::LogLevel::Info => (icon::INFO, None),
+                super::log::LogLevel::Warning => (icon::WARNING, Some(warn)),
+                super::log::LogLevel::Error => (icon::PROHIBIT, Some(error)),
             };
             let times = if entry.times > 1 { format!(" (×{})", entry.times) } else { String::new() };
             let mut text = RichText::new(format!("{symbol} {}{times}", entry.text));

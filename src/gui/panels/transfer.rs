@@ -237,7 +237,7 @@ impl Workstation {
     }
 
     fn show_presets(&mut self, ui: &mut Ui, fallback: &str) {
-        self.thumbnails.wanted_presets = true;
+        self.thumbnails.shows_presets = true;
         let columns = ((ui.available_width() + 4.0) / 90.0).floor().max(1.0) as usize;
         let mut chosen = None;
         let now = self.doc.as_ref().and_then(|d| d.scene.transfer.preset.clone()).unwrap_or_else(|| fallback.to_owned());

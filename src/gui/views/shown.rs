@@ -5,7 +5,7 @@
 
 use super::Projector;
 use crate::gui::theme::{CANVAS, ON_CANVAS};
-use crate::gui::worker::Measured;
+use crate::gui::worker::MeasureResult;
 use crate::prepare::Assets;
 use crate::scene::{Scene, ViewFrame};
 use eframe::egui::{Align, Color32, FontId, Painter, Pos2, Rect, TextureHandle, pos2, vec2};
@@ -21,7 +21,7 @@ const THICKENING: f32 = 0.6;
 
 /// What a view is to show.
 #[derive(Clone)]
-pub struct Wanted {
+pub struct PictureRequest {
     /// The scene, at the view's size.
     pub scene: Arc<Scene>,
     /// What it shows.
@@ -30,7 +30,7 @@ pub struct Wanted {
     pub undeformed: bool,
 }
 
-impl Wanted {
+impl PictureRequest {
     /// Whether a picture of one is a picture of the other.
     pub fn is(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.assets, &other.assets) && (Arc::ptr_eq(&self.scene, &other.scene) || self.scene == other.scene)
@@ -38,20 +38,20 @@ impl Wanted {
 }
 
 /// A picture of the 3D view, with what it is a picture of.
-pub struct OnScreen {
+pub struct DisplayedPicture {
     /// Its pixels.
     pub texture: TextureHandle,
     /// What it shows.
-    pub of: Wanted,
+    pub of: PictureRequest,
     /// Its camera.
     pub frame: ViewFrame,
     /// Measurements of its scene that have points, by their place in the list.
-    pub measured: Vec<Option<Measured>>,
+    pub measured: Vec<Option<MeasureResult>>,
     /// The job it came from.
     pub serial: u64,
 }
 
-impl OnScreen {
+impl DisplayedPicture {
     /// Where it lies in a view: all of it, unless it was made for another shape; it is never stretched.
     pub fn place(&self, view: Rect, size: [u32; 2]) -> Rect {
         let own = self.of.scene.render.size;
@@ -70,13 +70,13 @@ impl OnScreen {
 
 /// How far a view's picture is behind what it should show.
 #[derive(Clone, Debug, Default)]
-pub struct Delay {
+pub struct OutdatedNotice {
     since: Option<Instant>,
     /// Why there is no picture of what should be shown.
     pub failure: Option<String>,
 }
 
-impl Delay {
+impl OutdatedNotice {
     /// The picture is of what should be shown, or is not.
     pub fn note(&mut self, current: bool) {
         if current {
@@ -130,7 +130,7 @@ impl Delay {
 }
 
 /// Says something in the middle of a view.
-pub fn told(painter: &Painter, rect: Rect, sentence: &str) {
+pub fn draw_message(painter: &Painter, rect: Rect, sentence: &str) {
     boxed(painter, rect, &crate::gui::panels::inspector::capital(sentence), ON_CANVAS);
 }
 

@@ -1,12 +1,12 @@
 //! Axial, coronal and sagittal slices through one crosshair, of the deformed scene, the source, or both side by side.
 
-use super::shown::{self, Delay};
+use super::shown::{self, OutdatedNotice};
 use super::{draw_points_of, edge_letters, scale_bar, text};
-use crate::cpu::section::Plane;
+use crate::cpu::section::SectionPlane;
 use crate::gui::app::{Gesture, Workstation};
 use crate::gui::theme::{AXES, CANVAS, ON_CANVAS, SELECTED};
 use crate::gui::tool::Tool;
-use crate::gui::worker::{Overlay, SlicePicture, SliceStyle, Target, What};
+use crate::gui::worker::{JobKind, JobTarget, Overlay, SlicePicture, SliceStyle};
 use crate::prepare::Assets;
 use crate::scene::Scene;
 use eframe::egui::{self, Align2, Color32, CursorIcon, Painter, PointerButton, Pos2, Rect, Response, Sense, Stroke, Ui, pos2, vec2};
@@ -34,14 +34,14 @@ pub enum Space {
 
 /// What a slice view was asked for.
 #[derive(Clone)]
-struct Asked {
+struct SliceRequest {
     scene: Arc<Scene>,
     assets: Arc<Assets>,
-    plane: Plane,
+    plane: SectionPlane,
     style: SliceStyle,
 }
 
-impl Asked {
+impl SliceRequest {
     fn is(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.assets, &other.assets)
             && self.plane == other.plane
@@ -56,22 +56,22 @@ struct Pane {
     rect: Option<Rect>,
     texture: Option<egui::TextureHandle>,
     /// What is shown, and what it was asked for.
-    picture: Option<(SlicePicture, Asked)>,
-    asked: Option<Asked>,
+    picture: Option<(SlicePicture, SliceRequest)>,
+    requested: Option<SliceRequest>,
     /// What jobs that are not done yet were asked for.
-    open: Vec<(u64, Asked)>,
-    delay: Delay,
+    open: Vec<(u64, SliceRequest)>,
+    delay: OutdatedNotice,
 }
 
 impl Pane {
-    fn asked_of(&mut self, serial: u64) -> Option<Asked> {
+    fn take_request(&mut self, serial: u64) -> Option<SliceRequest> {
         let found = self.open.iter().position(|(n, _)| *n == serial).map(|at| self.open.remove(at).1);
         self.open.retain(|(n, _)| *n > serial);
         found
     }
 
     fn is_current(&self) -> bool {
-        self.picture.as_ref().zip(self.asked.as_ref()).is_some_and(|((_, of), asked)| of.is(asked))
+        self.picture.as_ref().zip(self.requested.as_ref()).is_some_and(|((_, of), requested)| of.is(requested))
     }
 }
 
@@ -119,7 +119,7 @@ impl Slices {
     pub fn arrived(&mut self, ctx: &egui::Context, n: usize, serial: u64, picture: SlicePicture) {
         let Some(pane) = self.panes.get_mut(n) else { return };
         // Of a scene that is gone.
-        let Some(of) = pane.asked_of(serial) else { return };
+        let Some(of) = pane.take_request(serial) else { return };
         let options = egui::TextureOptions::LINEAR;
         let image = picture.image.clone();
         match &mut pane.texture {
@@ -133,8 +133,8 @@ impl Slices {
     /// A slice could not be made.
     pub fn failed(&mut self, n: usize, serial: u64, problem: &str) {
         let Some(pane) = self.panes.get_mut(n) else { return };
-        let of = pane.asked_of(serial);
-        if of.zip(pane.asked.as_ref()).is_some_and(|(of, asked)| of.is(asked)) {
+        let of = pane.take_request(serial);
+        if of.zip(pane.requested.as_ref()).is_some_and(|(of, requested)| of.is(requested)) {
             pane.delay.failure = Some(problem.to_owned());
         }
     }
@@ -225,10 +225,10 @@ impl Workstation {
         let normal = right.cross(down);
         let pan = self.slices.pan[n];
         let center = bounds.center() + normal * (through - bounds.center()).dot(normal) + right * pan.x + down * pan.y;
-        let plane = Plane { center, right, down, mm_per_pixel, size };
+        let plane = SectionPlane { center, right, down, mm_per_pixel, size };
         let window = assets.volume.window(doc.scene.transfer.window, doc.scene.transfer.level);
         let style = SliceStyle { window: self.slice_window.unwrap_or(window), overlay: self.slices.overlay, source };
-        self.ask_slice(pane, plane, style);
+        self.request_slice(pane, plane, style);
         let state = &mut self.slices.panes[pane];
         state.rect = Some(rect);
         let current = state.is_current() && state.delay.failure.is_none();
@@ -268,14 +268,14 @@ impl Workstation {
             painter.circle_stroke(pos, radius / (mm_per_pixel * ppp), Stroke::new(1.5, SELECTED));
         }
         // A place is one of the slice that is shown.
-        let plane = Plane { center: plane.center + normal * (shown.center - plane.center).dot(normal), ..plane };
+        let plane = SectionPlane { center: plane.center + normal * (shown.center - plane.center).dot(normal), ..plane };
         self.handle_slice_input(ui, &response, &plane, n, rect, ppp, source);
     }
 
-    fn ask_slice(&mut self, pane: usize, plane: Plane, style: SliceStyle) {
+    fn request_slice(&mut self, pane: usize, plane: SectionPlane, style: SliceStyle) {
         let Some(doc) = &self.doc else { return };
         let assets = doc.assets.clone();
-        let scene = sliced(&doc.shown(self.is_before()));
+        let scene = sliced(&doc.shown(self.shows_undeformed()));
         let shared = match &self.slices.scene {
             Some(kept) if **kept == scene => kept.clone(),
             _ => {
@@ -284,18 +284,18 @@ impl Workstation {
                 shared
             }
         };
-        let asked = Asked { scene: shared.clone(), assets: assets.clone(), plane, style };
-        if self.slices.panes[pane].asked.as_ref().is_none_or(|a| !a.is(&asked)) {
-            let serial = self.submit(Target::Slice(pane), shared, assets, What::Slice(plane, style));
+        let requested = SliceRequest { scene: shared.clone(), assets: assets.clone(), plane, style };
+        if self.slices.panes[pane].requested.as_ref().is_none_or(|a| !a.is(&requested)) {
+            let serial = self.submit(JobTarget::Slice(pane), shared, assets, JobKind::Slice(plane, style));
             let state = &mut self.slices.panes[pane];
-            state.open.push((serial, asked.clone()));
-            state.asked = Some(asked);
+            state.open.push((serial, requested.clone()));
+            state.requested = Some(requested);
             state.delay.failure = None;
         }
     }
 
     #[expect(clippy::too_many_arguments, reason = "one call, of what the pane has just worked out")]
-    fn handle_slice_input(&mut self, ui: &Ui, response: &Response, plane: &Plane, n: usize, rect: Rect, ppp: f32, source: bool) {
+    fn handle_slice_input(&mut self, ui: &Ui, response: &Response, plane: &SectionPlane, n: usize, rect: Rect, ppp: f32, source: bool) {
         let world = |pos: Pos2| {
             let d = (pos - rect.min) * ppp;
             plane.point(d.x, d.y)
@@ -416,7 +416,7 @@ impl Workstation {
 }
 
 /// Arrows from where matter was to where it is.
-fn draw_glyphs(painter: &Painter, rect: Rect, plane: &Plane, picture: &SlicePicture, ppp: f32) {
+fn draw_glyphs(painter: &Painter, rect: Rect, plane: &SectionPlane, picture: &SlicePicture, ppp: f32) {
     let [width, height] = picture.plane.size.map(|n| n as usize);
     let step = (ARROWS * ppp) as usize;
     for y in (step / 2..height).step_by(step.max(1)) {

@@ -3,7 +3,7 @@
 //! What is shown is always the newest picture there is: a coarse one while something moves, a fine one when it rests. How coarse is decided by how
 //! long the last coarse pictures took. Everything drawn over it, and every place that is clicked, goes by that picture ([`super::shown`]).
 
-use super::shown::{self, Delay, OnScreen, Wanted};
+use super::shown::{self, DisplayedPicture, OutdatedNotice, PictureRequest};
 use super::{Projector, cube, edge_letters, scale_bar, text};
 use crate::engine::{DeviceInfo, Quality};
 use crate::gui::app::{Gesture, Workstation};
@@ -11,7 +11,7 @@ use crate::gui::document::Selection;
 use crate::gui::gizmos::{self, Gizmo, Handle, Mode as GizmoMode};
 use crate::gui::theme::{CANVAS, ON_CANVAS, SELECTED};
 use crate::gui::tool::{Placed, Tool};
-use crate::gui::worker::{Job, Purpose, Question, Shown, Target, What};
+use crate::gui::worker::{Job, JobKind, JobTarget, ProbePurpose, ProbeRequest, RenderedView};
 use crate::math::Bounds;
 use crate::scene::{Camera, Deformation, Projection, Scene};
 use eframe::egui::{self, Align2, Color32, CursorIcon, Painter, PointerButton, Pos2, Rect, Response, Sense, Shape, Stroke, Ui, pos2, vec2};
@@ -30,12 +30,12 @@ const ORBIT: f32 = 0.4;
 pub struct View3d {
     /// Where it was last shown, points.
     pub rect: Rect,
-    picture: Option<OnScreen>,
+    picture: Option<DisplayedPicture>,
     /// What was last asked for.
-    asked: Option<Wanted>,
+    requested: Option<PictureRequest>,
     /// What jobs that are not done yet were asked for.
-    open: Vec<(u64, Wanted)>,
-    delay: Delay,
+    open: Vec<(u64, PictureRequest)>,
+    delay: OutdatedNotice,
     changed_at: Instant,
     coarse_open: bool,
     fine_serial: Option<u64>,
@@ -54,7 +54,7 @@ pub struct View3d {
     lasso_on: Option<Projector>,
     /// What the last drag of a handle made of its deformation.
     dragged: Option<Deformation>,
-    hover_asked: Option<([f32; 2], u64)>,
+    hover_requested: Option<([f32; 2], u64)>,
     pixels_per_point: f32,
     /// Pictures that have arrived.
     pub pictures: u64,
@@ -82,9 +82,9 @@ impl Default for View3d {
         Self {
             rect: Rect::ZERO,
             picture: None,
-            asked: None,
+            requested: None,
             open: Vec::new(),
-            delay: Delay::default(),
+            delay: OutdatedNotice::default(),
             changed_at: Instant::now(),
             coarse_open: false,
             fine_serial: None,
@@ -96,7 +96,7 @@ impl Default for View3d {
             lasso: Vec::new(),
             lasso_on: None,
             dragged: None,
-            hover_asked: None,
+            hover_requested: None,
             pixels_per_point: 1.0,
             pictures: 0,
         }
@@ -106,7 +106,7 @@ impl Default for View3d {
 impl View3d {
     /// Everything is to be asked for again.
     pub fn forget(&mut self) {
-        self.asked = None;
+        self.requested = None;
         self.is_fine = false;
         self.coarse_open = false;
         self.fine_serial = None;
@@ -124,18 +124,18 @@ impl View3d {
         self.forget();
         self.picture = None;
         self.open.clear();
-        self.delay = Delay::default();
+        self.delay = OutdatedNotice::default();
         self.facts = Facts::default();
     }
 
     /// What is on the screen.
-    pub fn picture(&self) -> Option<&OnScreen> {
+    pub fn picture(&self) -> Option<&DisplayedPicture> {
         self.picture.as_ref()
     }
 
     /// Whether what is on the screen is what was asked for last.
     pub fn is_current(&self) -> bool {
-        self.picture.as_ref().zip(self.asked.as_ref()).is_some_and(|(p, a)| p.of.is(a))
+        self.picture.as_ref().zip(self.requested.as_ref()).is_some_and(|(p, a)| p.of.is(a))
     }
 
     /// Why the scene cannot be shown as it is.
@@ -144,16 +144,16 @@ impl View3d {
     }
 
     /// What a job was asked for; older ones are not waited for any longer.
-    fn asked_of(&mut self, serial: u64) -> Option<Wanted> {
+    fn take_request(&mut self, serial: u64) -> Option<PictureRequest> {
         let found = self.open.iter().position(|(n, _)| *n == serial).map(|at| self.open.remove(at).1);
         self.open.retain(|(n, _)| *n > serial);
         found
     }
 
     /// Takes a picture that has arrived.
-    pub fn arrived(&mut self, ctx: &egui::Context, target: Target, serial: u64, ms: f64, shown: Shown) {
-        let of = self.asked_of(serial);
-        if target == Target::Coarse {
+    pub fn arrived(&mut self, ctx: &egui::Context, target: JobTarget, serial: u64, ms: f64, shown: RenderedView) {
+        let of = self.take_request(serial);
+        if target == JobTarget::Coarse {
             self.coarse_open = false;
             let wanted = self.scale * ((ms / COARSE_MS) as f32).sqrt().clamp(0.6, 1.7);
             self.scale = wanted.clamp(1.0, 8.0);
@@ -180,19 +180,19 @@ impl View3d {
             }
             None => ctx.load_texture("3D", shown.image, options),
         };
-        self.picture = Some(OnScreen { texture, of, frame: shown.frame, measured: shown.measured, serial });
+        self.picture = Some(DisplayedPicture { texture, of, frame: shown.frame, measured: shown.measured, serial });
         self.delay.restart();
         let current = self.is_current();
         self.delay.note(current);
     }
 
     /// A job of this view failed: it is not waited for any longer.
-    pub fn failed(&mut self, target: Target, serial: u64, problem: &str) {
-        if target == Target::Coarse {
+    pub fn failed(&mut self, target: JobTarget, serial: u64, problem: &str) {
+        if target == JobTarget::Coarse {
             self.coarse_open = false;
         }
-        let of = self.asked_of(serial);
-        if of.zip(self.asked.as_ref()).is_some_and(|(of, asked)| of.is(asked)) {
+        let of = self.take_request(serial);
+        if of.zip(self.requested.as_ref()).is_some_and(|(of, requested)| of.is(requested)) {
             self.delay.failure = Some(problem.to_owned());
         }
     }
@@ -202,7 +202,7 @@ impl Workstation {
     /// The scene as the 3D view shows it, at the view's size.
     pub fn scene_of_view(&self) -> Option<Scene> {
         let doc = self.doc.as_ref()?;
-        let mut scene = doc.shown(self.is_before());
+        let mut scene = doc.shown(self.shows_undeformed());
         scene.render.size = self.view.size();
         Some(scene)
     }
@@ -220,9 +220,9 @@ impl Workstation {
         }
         let assets = doc.assets.clone();
         let Some(scene) = self.scene_of_view() else { return };
-        let wanted = Wanted { scene: Arc::new(scene), assets: assets.clone(), undeformed: self.is_before() };
-        let wanted = match &self.view.asked {
-            Some(asked) if asked.is(&wanted) => asked.clone(),
+        let wanted = PictureRequest { scene: Arc::new(scene), assets: assets.clone(), undeformed: self.shows_undeformed() };
+        let wanted = match &self.view.requested {
+            Some(requested) if requested.is(&wanted) => requested.clone(),
             _ => {
                 self.changed(&wanted);
                 wanted
@@ -235,8 +235,12 @@ impl Workstation {
         let at_once = self.view.fine_ms <= COARSE_MS;
         let held = ctx.input(|i| i.pointer.any_down()) && !at_once;
         if waits && !held && (at_once || (rested && !self.view.coarse_open)) {
-            let serial =
-                self.submit(Target::Fine, wanted.scene.clone(), assets, What::Picture { counting: false, keep: false, quality: Quality::Full });
+            let serial = self.submit(
+                JobTarget::Fine,
+                wanted.scene.clone(),
+                assets,
+                JobKind::Picture { counting: false, with_pixels: false, quality: Quality::Full },
+            );
             self.view.fine_serial = Some(serial);
             self.view.open.push((serial, wanted));
         } else if waits {
@@ -245,41 +249,45 @@ impl Workstation {
     }
 
     /// The view is to show something else than before.
-    fn changed(&mut self, wanted: &Wanted) {
-        self.view.asked = Some(wanted.clone());
+    fn changed(&mut self, wanted: &PictureRequest) {
+        self.view.requested = Some(wanted.clone());
         self.view.delay.failure = None;
         self.view.changed_at = Instant::now();
         self.view.is_fine = false;
         self.view.fine_serial = None;
-        self.worker.drop_jobs(|t| t == Target::Fine);
+        self.worker.drop_jobs(|t| t == JobTarget::Fine);
         // Fine pictures that come at once need no coarse ones before them.
         if self.view.fine_ms > COARSE_MS {
             let quality = Quality::Draft { scale: self.view.scale };
             self.view.coarse_open = true;
-            let serial =
-                self.submit(Target::Coarse, wanted.scene.clone(), wanted.assets.clone(), What::Picture { counting: false, keep: false, quality });
+            let serial = self.submit(
+                JobTarget::Coarse,
+                wanted.scene.clone(),
+                wanted.assets.clone(),
+                JobKind::Picture { counting: false, with_pixels: false, quality },
+            );
             self.view.open.push((serial, wanted.clone()));
         }
     }
 
     /// Hands a job to the worker; its number.
-    pub fn submit(&mut self, target: Target, scene: Arc<Scene>, assets: Arc<crate::prepare::Assets>, what: What) -> u64 {
+    pub fn submit(&mut self, target: JobTarget, scene: Arc<Scene>, assets: Arc<crate::prepare::Assets>, what: JobKind) -> u64 {
         self.serial += 1;
         self.worker.submit(Job { target, serial: self.serial, scene, assets, what });
         self.serial
     }
 
     /// Asks what lies at a place of the view.
-    pub fn ask(&mut self, at: [f32; 2], purpose: Purpose) {
+    pub fn ask(&mut self, at: [f32; 2], purpose: ProbePurpose) {
         let Some(picture) = &self.view.picture else { return };
-        let Wanted { scene, assets, .. } = picture.of.clone();
+        let PictureRequest { scene, assets, .. } = picture.of.clone();
         // A stroke is drawn on what was there when it began.
         let scene = match (&purpose, &self.stroke_scene) {
-            (Purpose::Brush { .. }, Some(frozen)) if frozen.camera == scene.camera => frozen.clone(),
-            (Purpose::Brush { .. }, Some(frozen)) => Arc::new(Scene { camera: scene.camera.clone(), ..(**frozen).clone() }),
+            (ProbePurpose::Brush { .. }, Some(frozen)) if frozen.camera == scene.camera => frozen.clone(),
+            (ProbePurpose::Brush { .. }, Some(frozen)) => Arc::new(Scene { camera: scene.camera.clone(), ..(**frozen).clone() }),
             _ => scene,
         };
-        self.prober.ask(Question { scene, assets, at, purpose });
+        self.prober.ask(ProbeRequest { scene, assets, at, purpose });
     }
 
     /// Shows the view.
@@ -313,7 +321,7 @@ impl Workstation {
         }
         let hot = self.draw_gizmo(&painter, &projector, pointer);
         if let (Some(why), None) = (&self.view.facts.blank, self.view.delay.words(true)) {
-            shown::told(&painter, rect, why);
+            shown::draw_message(&painter, rect, why);
         }
         self.view.delay.draw(&painter, rect, true);
         self.draw_progress(&painter, rect);
@@ -339,7 +347,7 @@ impl Workstation {
             && let Some(pos) = response.ctx.pointer_latest_pos()
         {
             self.tool = Tool::Place(*kind);
-            self.ask(projector.at(pos), Purpose::Tool);
+            self.ask(projector.at(pos), ProbePurpose::Tool);
         }
     }
 
@@ -357,11 +365,11 @@ impl Workstation {
                 _ => CursorIcon::Crosshair,
             };
             ui.ctx().set_cursor_icon(cursor);
-            self.ask_hover(projector, response.hover_pos());
+            self.request_hover(projector, response.hover_pos());
         }
         if response.double_clicked() && self.tool == Tool::Navigate && hot.is_none() {
             if let Some(pos) = pos {
-                self.ask(projector.at(pos), Purpose::Center);
+                self.ask(projector.at(pos), ProbePurpose::Center);
             }
             return;
         }
@@ -414,13 +422,13 @@ impl Workstation {
             }
             Some(Gesture::Window3d) => self.drag_transfer(delta.x, delta.y),
             Some(Gesture::Lasso) if self.view.lasso.last().is_none_or(|l| l.distance(pos) > 3.0) => self.view.lasso.push(pos),
-            Some(Gesture::Brush) if delta.length() > 0.0 && self.prober.open < 2 => self.ask(projector.at(pos), Purpose::Brush { last: false }),
+            Some(Gesture::Brush) if delta.length() > 0.0 && self.prober.open < 2 => self.ask(projector.at(pos), ProbePurpose::Brush { last: false }),
             _ => {}
         }
         if response.drag_stopped() {
             match self.gesture.take() {
                 Some(Gesture::Lasso) => self.finish_lasso(),
-                Some(Gesture::Brush) => self.ask(projector.at(pos), Purpose::Brush { last: true }),
+                Some(Gesture::Brush) => self.ask(projector.at(pos), ProbePurpose::Brush { last: true }),
                 _ => {}
             }
         }
@@ -431,7 +439,7 @@ impl Workstation {
         let plain = !modifiers.any();
         if left && plain {
             // What was under the pointer when it was pressed: a fast drag is elsewhere by the time it is one.
-            let grabbed = self.tool == Tool::Navigate && !self.is_before();
+            let grabbed = self.tool == Tool::Navigate && !self.shows_undeformed();
             if let Some((gizmo, handle)) = self.gizmo(projector).filter(|_| grabbed).and_then(|g| g.under(origin).map(|h| (g, h))) {
                 // One that has changed since the picture was made is not where its handles are.
                 if self.is_as_shown(gizmo.deformation) {
@@ -447,7 +455,7 @@ impl Workstation {
             }
             if self.tool.brush().is_some() {
                 self.begin_stroke();
-                self.ask(projector.at(origin), Purpose::Brush { last: false });
+                self.ask(projector.at(origin), ProbePurpose::Brush { last: false });
                 self.gesture = Some(Gesture::Brush);
                 return;
             }
@@ -470,29 +478,29 @@ impl Workstation {
                 // With control points selected, Ctrl+click adds one where the surface is.
                 let points = self.doc.as_mut().and_then(|d| d.deformation().map(|x| x.kind == "points")).unwrap_or(false);
                 if modifiers.command && points {
-                    self.ask(projector.at(pos), Purpose::Tool);
+                    self.ask(projector.at(pos), ProbePurpose::Tool);
                 }
             }
             Tool::LassoCut | Tool::LassoRestore => {}
             _ if self.tool.brush().is_some() => {
                 self.begin_stroke();
-                self.ask(projector.at(pos), Purpose::Brush { last: true });
+                self.ask(projector.at(pos), ProbePurpose::Brush { last: true });
             }
-            _ => self.ask(projector.at(pos), Purpose::Tool),
+            _ => self.ask(projector.at(pos), ProbePurpose::Tool),
         }
     }
 
-    fn ask_hover(&mut self, projector: &Projector, pos: Option<Pos2>) {
+    fn request_hover(&mut self, projector: &Projector, pos: Option<Pos2>) {
         let Some(pos) = pos else { return };
         // One question at a time, and none while something is dragged.
         if self.gesture.is_some() || self.prober.open > 0 {
             return;
         }
         let at = projector.at(pos);
-        let asked = (at, self.view.pictures);
-        if self.view.hover_asked != Some(asked) {
-            self.view.hover_asked = Some(asked);
-            self.ask(at, Purpose::Hover);
+        let requested = (at, self.view.pictures);
+        if self.view.hover_requested != Some(requested) {
+            self.view.hover_requested = Some(requested);
+            self.ask(at, ProbePurpose::Hover);
         }
     }
 
@@ -582,7 +590,7 @@ impl Workstation {
 
     /// Draws the selected deformation's handles; the one under the pointer.
     fn draw_gizmo(&self, painter: &Painter, projector: &Projector, pointer: Option<Pos2>) -> Option<Handle> {
-        if self.is_before() || !matches!(self.tool, Tool::Navigate) {
+        if self.shows_undeformed() || !matches!(self.tool, Tool::Navigate) {
             return None;
         }
         let dragged = match &self.gesture {
@@ -618,7 +626,7 @@ impl Workstation {
     }
 
     fn draw_progress(&self, painter: &Painter, rect: Rect) {
-        if let Some((Target::Fine, share)) = self.worker.progress().filter(|_| !self.view.is_fine) {
+        if let Some((JobTarget::Fine, share)) = self.worker.progress().filter(|_| !self.view.is_fine) {
             let bar = Rect::from_min_size(rect.min, vec2(rect.width() * share.clamp(0.0, 1.0), 2.0));
             painter.rect_filled(bar, 0.0, SELECTED);
         }
@@ -632,7 +640,7 @@ impl Workstation {
         }
     }
 
-    fn draw_measures(&self, painter: &Painter, projector: &Projector, picture: &OnScreen) {
+    fn draw_measures(&self, painter: &Painter, projector: &Projector, picture: &DisplayedPicture) {
         let selected = self.doc.as_ref().and_then(|d| match d.selected {
             Selection::Measure(n) => d.scene.measure.get(n),
             _ => None,
@@ -684,7 +692,7 @@ impl Workstation {
             None => (middle, Vec2::ZERO),
         };
         if points.len() < 3 || apex.is_some_and(|depth| depth <= 1.0) {
-            self.say(crate::gui::log::Level::Info, "The outline lies behind the eye; reset the camera (R) and draw it again");
+            self.report(crate::gui::log::LogLevel::Info, "The outline lies behind the eye; reset the camera (R) and draw it again");
             return;
         }
         let restore = self.tool == Tool::LassoRestore;

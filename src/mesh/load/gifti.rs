@@ -1,17 +1,17 @@
 //! GIfTI surfaces (`.gii`): XML with one array of points and one of triangles, by quick-xml, base64 and flate2. RAS as all of
 //! the NIfTI family: x and y are negated on reading.
 
-use super::Listing;
+use super::MeshFileContents;
 use base64::Engine;
 use glam::Vec3;
 use quick_xml::events::Event;
 use std::io::Read;
 
 /// Most bytes of one array: a file can pack a thousandfold.
-const MOST_BYTES: u64 = 2 << 30;
+const MAX_BYTES: u64 = 2 << 30;
 
 #[derive(Default)]
-struct Array {
+struct GiftiArray {
     intent: String,
     data_type: String,
     encoding: String,
@@ -21,7 +21,7 @@ struct Array {
     data: String,
 }
 
-pub fn read(bytes: &[u8]) -> Result<Listing, String> {
+pub fn read(bytes: &[u8]) -> Result<MeshFileContents, String> {
     let text = std::str::from_utf8(bytes).map_err(|_| "is not text")?;
     let mut points: Option<Vec<Vec3>> = None;
     let mut triangles: Option<Vec<[u32; 3]>> = None;
@@ -42,25 +42,25 @@ pub fn read(bytes: &[u8]) -> Result<Listing, String> {
         }
     }
     match (points, triangles) {
-        (Some(positions), Some(triangles)) => Ok(Listing { positions, triangles, ..Listing::default() }),
+        (Some(positions), Some(triangles)) => Ok(MeshFileContents { positions, triangles, ..MeshFileContents::default() }),
         (Some(_), None) => Err("holds points but no triangles; give the surface file".into()),
         (None, Some(_)) => Err("holds triangles but no points; give the file that holds both".into()),
         (None, None) => Err("holds no surface: neither points nor triangles".into()),
     }
 }
 
-fn arrays(text: &str) -> Result<Vec<Array>, String> {
+fn arrays(text: &str) -> Result<Vec<GiftiArray>, String> {
     let broken = |e: &dyn std::fmt::Display| format!("is not readable XML: {e}");
     let mut reader = quick_xml::Reader::from_str(text);
     let mut all = Vec::new();
-    let mut current: Option<Array> = None;
+    let mut current: Option<GiftiArray> = None;
     let mut inside = String::new();
     loop {
         match reader.read_event().map_err(|e| broken(&e))? {
             Event::Start(tag) => {
                 inside = tag.name().as_ref().to_owned();
                 if inside == "DataArray" {
-                    let mut array = Array::default();
+                    let mut array = GiftiArray::default();
                     for attribute in tag.attributes() {
                         let attribute = attribute.map_err(|e| broken(&e))?;
                         let value = attribute.value.into_owned();
@@ -96,11 +96,11 @@ fn arrays(text: &str) -> Result<Vec<Array>, String> {
     }
 }
 
-impl Array {
+impl GiftiArray {
     /// The values, row after row.
     fn values(&self) -> Result<Vec<f64>, String> {
         let [rows, columns] = self.dims;
-        let count = rows.checked_mul(columns).filter(|n| *n <= MOST_BYTES / 4).ok_or("declares an array too large to be read")? as usize;
+        let count = rows.checked_mul(columns).filter(|n| *n <= MAX_BYTES / 4).ok_or("declares an array too large to be read")? as usize;
         if columns != 3 {
             return Err(format!("has an array of {rows} x {columns}; points and triangles have three columns"));
         }

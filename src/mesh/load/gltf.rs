@@ -1,10 +1,10 @@
 //! glTF 2 (`.gltf`, `.glb`), by the gltf library: the triangles of every mesh, placed by its nodes. glTF is in metres and y-up; an
 //! illustrator's model has no scale of its own, so numbers are taken as millimetres and axes as they are.
 
-use super::Listing;
+use super::MeshFileContents;
 use crate::Error;
 use crate::files::{input, reference};
-use crate::guard::guarded;
+use crate::panic_guard::catch_panic;
 use base64::Engine;
 use glam::{Mat4, Vec3};
 use gltf::mesh::Mode;
@@ -15,12 +15,12 @@ use std::path::Path;
 const DEEPEST: usize = 64;
 
 /// Most visits of nodes: files can name a node as the child of many.
-const MOST_VISITS: usize = 1_000_000;
+const MAX_NODE_VISITS: usize = 1_000_000;
 
-pub fn read(bytes: &[u8], path: Option<&Path>) -> Result<Listing, String> {
+pub fn read(bytes: &[u8], path: Option<&Path>) -> Result<MeshFileContents, String> {
     sound(bytes)?;
     // The library was not written for files that mean harm: what was not foreseen above ends here.
-    guarded(|| read_sound(bytes, path)).unwrap_or_else(|| Err("is not a valid glTF: its content is inconsistent; export it again".into()))
+    catch_panic(|| read_sound(bytes, path)).unwrap_or_else(|| Err("is not a valid glTF: its content is inconsistent; export it again".into()))
 }
 
 /// Checks what the library takes for granted: numbers of accessors, types of indices, sizes, encodings.
@@ -80,8 +80,8 @@ fn buffer(buffer: &gltf::Buffer, blob: &mut Option<Vec<u8>>, path: Option<&Path>
                 base64::engine::general_purpose::STANDARD.decode(encoded).map_err(|e| format!("has data that is not base64 ({e})"))?
             }
             (None, Some(path)) if !uri.contains("://") => {
-                let file = reference::beside(path, &unescaped(uri).ok_or("refers to a buffer file whose percent-encoded name is invalid")?);
-                let read = file.and_then(|file| input::bytes(&file, super::MOST_BYTES, "buffer of a glTF"));
+                let file = reference::sibling_file(path, &unescaped(uri).ok_or("refers to a buffer file whose percent-encoded name is invalid")?);
+                let read = file.and_then(|file| input::bytes(&file, super::MAX_BYTES, "buffer of a glTF"));
                 // Both name the mesh's file.
                 read.map_err(|e| match e {
                     Error::File { path: of, problem } if of == path => problem,
@@ -98,18 +98,18 @@ fn buffer(buffer: &gltf::Buffer, blob: &mut Option<Vec<u8>>, path: Option<&Path>
     Ok(bytes)
 }
 
-fn read_sound(bytes: &[u8], path: Option<&Path>) -> Result<Listing, String> {
+fn read_sound(bytes: &[u8], path: Option<&Path>) -> Result<MeshFileContents, String> {
     let broken = |e: gltf::Error| format!("is not a readable glTF: {e}");
     let gltf::Gltf { document, mut blob } = gltf::Gltf::from_slice(bytes).map_err(broken)?;
     let buffers = document.buffers().map(|b| buffer(&b, &mut blob, path)).collect::<Result<Vec<_>, _>>()?;
-    let mut listing = Listing::default();
+    let mut listing = MeshFileContents::default();
     let mut skipped = 0;
     let scene = document.default_scene().or_else(|| document.scenes().next()).ok_or("holds no scene")?;
     let mut open: Vec<(gltf::Node, Mat4, usize)> = scene.nodes().map(|n| (n, Mat4::IDENTITY, 0)).collect();
     let mut visits = 0;
     while let Some((node, world_from_parent, depth)) = open.pop() {
         visits += 1;
-        if visits > MOST_VISITS || listing.triangles.len() > super::MOST_TRIANGLES {
+        if visits > MAX_NODE_VISITS || listing.triangles.len() > super::MAX_TRIANGLES {
             return Err("repeats its meshes too often".into());
         }
         if depth > DEEPEST {

@@ -17,13 +17,13 @@ use std::path::Path;
 pub const ENDINGS: [&str; 7] = ["stl", "obj", "ply", "off", "gltf", "glb", "gii"];
 
 /// Largest file that is read whole, bytes.
-const MOST_BYTES: u64 = 4 << 30;
+const MAX_BYTES: u64 = 4 << 30;
 /// Most triangles: indices are 32 bits wide, and distances to more would take hours.
-const MOST_TRIANGLES: usize = 200_000_000;
+const MAX_TRIANGLES: usize = 200_000_000;
 
 /// What a reader finds in a file.
 #[derive(Default)]
-struct Listing {
+struct MeshFileContents {
     positions: Vec<Vec3>,
     triangles: Vec<[u32; 3]>,
     warnings: Vec<String>,
@@ -31,7 +31,7 @@ struct Listing {
     unusable: usize,
 }
 
-impl Listing {
+impl MeshFileContents {
     /// A face of any number of corners, as a fan.
     fn face(&mut self, corners: &[u32]) {
         if corners.len() < 3 {
@@ -61,7 +61,7 @@ fn ending(path: &Path) -> Option<&'static str> {
 /// A file that cannot be read or holds no triangle, by name, with what is wrong.
 pub fn mesh(path: &Path) -> Result<Mesh> {
     let ending = ending(path).ok_or_else(|| Error::file(path, format!("is not a mesh by its name; known endings: {}", ENDINGS.join(", "))))?;
-    let bytes = input::unzipped_bytes(path, MOST_BYTES, "mesh")?;
+    let bytes = input::unzipped_bytes(path, MAX_BYTES, "mesh")?;
     parse(&bytes, ending, Some(path)).map_err(|problem| Error::file(path, problem))
 }
 
@@ -84,8 +84,8 @@ pub fn parse(bytes: &[u8], ending: &str, path: Option<&Path>) -> Result<Mesh, St
     if listing.unusable > 0 {
         listing.warnings.push(format!("{} faces with fewer than three corners were left out", listing.unusable));
     }
-    if listing.triangles.len() > MOST_TRIANGLES {
-        return Err(format!("has {} triangles; at most {MOST_TRIANGLES} are read", listing.triangles.len()));
+    if listing.triangles.len() > MAX_TRIANGLES {
+        return Err(format!("has {} triangles; at most {MAX_TRIANGLES} are read", listing.triangles.len()));
     }
     let count = listing.positions.len();
     if let Some(bad) = listing.triangles.iter().flatten().find(|&&v| v as usize >= count) {

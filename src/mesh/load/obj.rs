@@ -1,9 +1,9 @@
 //! Wavefront OBJ, by the tobj library. Materials and their files are not read.
 
-use super::Listing;
+use super::MeshFileContents;
 use glam::Vec3;
 
-pub fn read(bytes: &[u8]) -> Result<Listing, String> {
+pub fn read(bytes: &[u8]) -> Result<MeshFileContents, String> {
     let options = tobj::LoadOptions { triangulate: true, ignore_points: true, ignore_lines: true, ..tobj::LoadOptions::default() };
     let no_materials = |_: &std::path::Path| Err(tobj::LoadError::OpenFileFailed);
     // Only the shape: a line about materials that is wrong, or a name or comment in another encoding, is no reason to refuse it.
@@ -12,7 +12,7 @@ pub fn read(bytes: &[u8]) -> Result<Listing, String> {
     let shape: Vec<u8> = joined.split_inclusive(|b| *b == b'\n').filter(is_shape).flatten().copied().collect();
     let (models, _materials) = tobj::load_obj_buf(&mut std::io::Cursor::new(shape), &options, no_materials)
         .map_err(|e| format!("is not a readable OBJ: {e}; a line of vertices or faces is broken, or a face names a vertex that is not there"))?;
-    let mut listing = Listing::default();
+    let mut listing = MeshFileContents::default();
     for model in models {
         let first = listing.positions.len() as u32;
         listing.positions.extend(model.mesh.positions.chunks_exact(3).map(Vec3::from_slice));

@@ -1,10 +1,10 @@
 //! OFF (Geomview's object file format), text: `OFF`, the counts of vertices, faces and edges, the vertices, the faces. Our own reader: there
 //! is no kept library.
 
-use super::Listing;
+use super::MeshFileContents;
 use glam::Vec3;
 
-pub fn read(bytes: &[u8]) -> Result<Listing, String> {
+pub fn read(bytes: &[u8]) -> Result<MeshFileContents, String> {
     let text = std::str::from_utf8(bytes).map_err(|_| "is not text; binary OFF is not read")?;
     let mut lines = text.lines().map(|l| l.split('#').next().unwrap_or("").trim()).filter(|l| !l.is_empty());
     let head = lines.next().unwrap_or("");
@@ -23,7 +23,7 @@ pub fn read(bytes: &[u8]) -> Result<Listing, String> {
     if vertices > room || faces > room {
         return Err(format!("declares {vertices} vertices and {faces} faces, more than a file of {} bytes can hold", bytes.len()));
     }
-    let mut listing = Listing::default();
+    let mut listing = MeshFileContents::default();
     for n in 0..vertices {
         let line = lines.next().ok_or_else(|| format!("ends after {n} of {vertices} vertices"))?;
         let v: Vec<f32> = line.split_ascii_whitespace().take(3).map_while(|w| w.parse().ok()).collect();

@@ -1,6 +1,6 @@
 //! PLY, text and binary, by the ply-rs-bw library, which allocates no more than it reads.
 
-use super::Listing;
+use super::MeshFileContents;
 use glam::Vec3;
 use ply_rs_bw::parser::{Parser, Reader};
 use ply_rs_bw::ply::{PropertyAccess, PropertyAccessResult};
@@ -57,12 +57,12 @@ impl PropertyAccess for Element {
     lists!(set_list_char: i8, set_list_uchar: u8, set_list_short: i16, set_list_ushort: u16, set_list_int: i32, set_list_uint: u32);
 }
 
-pub fn read(bytes: &[u8]) -> Result<Listing, String> {
+pub fn read(bytes: &[u8]) -> Result<MeshFileContents, String> {
     let parser = Parser::<Element>::new();
     let mut reader = Reader::new(std::io::Cursor::new(bytes));
     let broken = |e: &dyn std::fmt::Display| format!("is not a readable PLY: {e}");
     let header = parser.read_header(&mut reader).map_err(|e| broken(&e))?;
-    let mut listing = Listing::default();
+    let mut listing = MeshFileContents::default();
     for (name, element) in &header.elements {
         // An element takes a byte at least.
         if element.count > bytes.len() {

@@ -1,13 +1,13 @@
 //! STL, text and binary. Our own reader: files in the wild declare wrong counts, start binary data with "solid", leave out lines, and the
 //! library reader refuses all of that. Normals are taken from the triangles; what the file says of them is often wrong.
 
-use super::Listing;
+use super::MeshFileContents;
 use glam::Vec3;
 
 const HEADER: usize = 84;
 const RECORD: usize = 50;
 
-pub fn read(bytes: &[u8]) -> Result<Listing, String> {
+pub fn read(bytes: &[u8]) -> Result<MeshFileContents, String> {
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     let declared = bytes.get(80..HEADER).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as usize);
     // The length is the surest sign: "solid" also begins many a binary file.
@@ -27,8 +27,8 @@ pub fn read(bytes: &[u8]) -> Result<Listing, String> {
     Ok(listing)
 }
 
-fn binary(bytes: &[u8]) -> Listing {
-    let mut listing = Listing::default();
+fn binary(bytes: &[u8]) -> MeshFileContents {
+    let mut listing = MeshFileContents::default();
     for record in bytes[HEADER..].chunks_exact(RECORD) {
         let first = listing.positions.len() as u32;
         let value = |n: usize| f32::from_le_bytes([record[4 * n], record[4 * n + 1], record[4 * n + 2], record[4 * n + 3]]);
@@ -39,8 +39,8 @@ fn binary(bytes: &[u8]) -> Listing {
     listing
 }
 
-fn text(text: &str) -> Result<Listing, String> {
-    let mut listing = Listing::default();
+fn text(text: &str) -> Result<MeshFileContents, String> {
+    let mut listing = MeshFileContents::default();
     let mut face: Vec<u32> = Vec::new();
     let (mut polygons, mut ended) = (0, false);
     for (n, line) in text.lines().enumerate() {

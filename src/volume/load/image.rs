@@ -2,8 +2,8 @@
 //! how it becomes a volume that can be shown.
 
 use super::super::colors::{self, Colors, Label};
-use super::super::{Misplaced, Rescale, Volume, Voxels};
-use super::Choice;
+use super::super::{Rescale, SliceDisplacement, Volume, Voxels};
+use super::ReadOptions;
 use crate::{Error, Result};
 use glam::{DAffine3, DMat3, DVec3};
 use rayon::prelude::*;
@@ -76,7 +76,7 @@ pub struct Image {
     /// The reader has read the channel that was chosen, and no other.
     pub channel_taken: bool,
     /// Slices that lie elsewhere than on the even grid that they are shown on.
-    pub misplaced: Option<Misplaced>,
+    pub misplaced: Option<SliceDisplacement>,
     /// What else the file says of itself, for `info`.
     pub details: Vec<(&'static str, Value)>,
     /// What was odd, one sentence each.
@@ -112,11 +112,11 @@ impl Image {
     ///
     /// # Errors
     /// More components than can be shown together, a channel that does not exist, a range that cannot be represented.
-    pub fn into_volume(mut self, path: &Path, choice: &Choice) -> Result<Volume> {
+    pub fn into_volume(mut self, path: &Path, choice: &ReadOptions) -> Result<Volume> {
         let source_type = self.voxels.type_name();
         let components = self.components;
         let wanted = choice.channel.filter(|_| !self.channel_taken);
-        if let Some(channel) = Choice::index("channel", wanted, components)? {
+        if let Some(channel) = ReadOptions::index("channel", wanted, components)? {
             self.voxels = self.one_component(channel);
             self.components = 1;
             if !matches!(self.meaning, Meaning::Labels(_)) {
@@ -214,10 +214,10 @@ impl Image {
                     .collect();
                 Ok((values.into(), Colors::rgb(rgb)))
             }
-            Meaning::Channels(looks) if c <= 4 => {
+            Meaning::Channels(channel_styles) if c <= 4 => {
                 self.warnings.push(format!("holds {c} channels, shown together in colour; choose one with --channel 1 to {c} to see its values"));
                 let planes: Vec<Channel> =
-                    (0..c).map(|k| looks.get(k).cloned().unwrap_or(Channel { color: colors::CHANNELS[k], window: None })).collect();
+                    (0..c).map(|k| channel_styles.get(k).cloned().unwrap_or(Channel { color: colors::CHANNELS[k], window: None })).collect();
                 let windows: Vec<[f64; 2]> = (0..c).map(|k| planes[k].window.unwrap_or_else(|| self.range_of(k, n))).collect();
                 let shares = |v: usize| -> [f64; 4] {
                     std::array::from_fn(|k| {

@@ -3,10 +3,12 @@
 //! *Geometry*: `Offset` and `TransformMatrix` (three consecutive numbers are one axis' direction) in LPS, as ITK writes them.
 //! Source: the MetaIO format (ITK, MetaImage documentation).
 
-use super::Choice;
+use super::ReadOptions;
 use super::image::{Image, ScalarType};
 use super::nrrd::{last_bytes, numbered};
-use super::source::{Chain, DEFLATE_LIMIT, OpenPiece, Source, beside, buffered, check_held, count, open_file, read_error, skip, usable};
+use super::source::{
+    ConcatenatedFiles, DEFLATE_LIMIT, OpenPiece, ValueReader, buffered, check_held, count, open_file, read_error, sibling_file, skip, usable,
+};
 use crate::{Error, Result, Watch};
 use flate2::read::ZlibDecoder;
 use glam::{DAffine3, DMat3, DVec3};
@@ -16,12 +18,12 @@ use std::io::{BufRead, Read};
 use std::path::{Path, PathBuf};
 
 /// Most data files of a list.
-const MOST_FILES: usize = 100_000;
+const MAX_FILES: usize = 100_000;
 /// Longest header that is read.
-const MOST_HEADER: u64 = 1 << 20;
+const MAX_HEADER_BYTES: u64 = 1 << 20;
 
 /// Reads an image.
-pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
+pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let fail = |problem: String| Error::file(path, problem);
     let (mut reader, mut file_bytes) = buffered(path)?;
     let fields = header(path, &mut reader)?;
@@ -94,11 +96,11 @@ pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
             (false, -1) => last_bytes,
             _ => |p, _| Ok(Box::new(buffered(p)?.0)),
         };
-        let mut chain = Chain::new(files, piece, open);
+        let mut chain = ConcatenatedFiles::new(files, piece, open);
         skip(path, &mut chain, ahead)?;
-        Source { path, reader: chain, swap, count: stored, watch }.read_as(scalar)?
+        ValueReader { path, reader: chain, swap, count: stored, watch }.read_as(scalar)?
     } else {
-        let other = if local { path.to_owned() } else { beside(path, data.trim())? };
+        let other = if local { path.to_owned() } else { sibling_file(path, data.trim())? };
         if !local {
             (reader, file_bytes) = buffered(&other)?;
         }
@@ -109,7 +111,7 @@ pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
             check_held(&other, ahead.saturating_add(bytes), file_bytes.saturating_mul(DEFLATE_LIMIT))?;
             let mut decoder = ZlibDecoder::new(reader);
             skip(&other, &mut decoder, ahead)?;
-            Source { path: &other, reader: decoder, swap, count: stored, watch }.read_as(scalar)?
+            ValueReader { path: &other, reader: decoder, swap, count: stored, watch }.read_as(scalar)?
         } else {
             check_held(&other, ahead.saturating_add(bytes), file_bytes)?;
             // -1 counts from the file's end.
@@ -122,7 +124,7 @@ pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
                 reader = buffered(path)?.0;
             }
             skip(&other, &mut reader, before.saturating_add(ahead))?;
-            Source { path: &other, reader, swap, count: stored, watch }.read_as(scalar)?
+            ValueReader { path: &other, reader, swap, count: stored, watch }.read_as(scalar)?
         }
     };
     let mut image = Image::new("MetaImage", voxels, size, world_from_voxel);
@@ -139,7 +141,7 @@ fn data_files(path: &Path, data: &str, reader: &mut impl BufRead) -> Result<Opti
     let words: Vec<&str> = data.split_whitespace().collect();
     let names = if words.first().is_some_and(|w| w.eq_ignore_ascii_case("list")) {
         let mut text = String::new();
-        reader.take(MOST_HEADER).read_to_string(&mut text).map_err(|_| fail("has a list of data files that is not text in UTF-8".into()))?;
+        reader.take(MAX_HEADER_BYTES).read_to_string(&mut text).map_err(|_| fail("has a list of data files that is not text in UTF-8".into()))?;
         text.lines().map(str::trim).filter(|l| !l.is_empty()).map(str::to_owned).collect()
     } else if let [pattern, first, last, rest @ ..] = &words[..]
         && pattern.contains('%')
@@ -152,16 +154,16 @@ fn data_files(path: &Path, data: &str, reader: &mut impl BufRead) -> Result<Opti
     } else {
         return Ok(None);
     };
-    if names.is_empty() || names.len() > MOST_FILES {
-        return Err(fail(format!("names {} data files; 1 to {MOST_FILES} can be read", names.len())));
+    if names.is_empty() || names.len() > MAX_FILES {
+        return Err(fail(format!("names {} data files; 1 to {MAX_FILES} can be read", names.len())));
     }
-    names.iter().map(|n: &String| beside(path, n.trim())).collect::<Result<Vec<_>>>().map(Some)
+    names.iter().map(|n: &String| sibling_file(path, n.trim())).collect::<Result<Vec<_>>>().map(Some)
 }
 
 /// `name = value` lines, names in lower case, up to the one that says where the data are.
 fn header(path: &Path, reader: &mut impl BufRead) -> Result<HashMap<String, String>> {
     let mut fields = HashMap::new();
-    let mut reader = reader.take(MOST_HEADER);
+    let mut reader = reader.take(MAX_HEADER_BYTES);
     let mut line = Vec::new();
     loop {
         line.clear();

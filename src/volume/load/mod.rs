@@ -3,7 +3,6 @@
 //! Which reader takes a file is decided by its ending where the ending is known, else by its first bytes; a file whose first bytes say that it
 //! is something else than its ending says is refused, with its right name.
 
-mod choice;
 mod dicom;
 mod image;
 mod metaimage;
@@ -12,6 +11,7 @@ mod npy;
 mod nrrd;
 mod planes;
 mod raw;
+mod read_options;
 mod slices;
 mod source;
 mod text;
@@ -20,9 +20,9 @@ mod vti;
 mod vtk;
 mod zarr;
 
-pub use choice::{Choice, RawLayout};
 pub use dicom::SeriesInfo;
 pub use image::{Channel, Image, Layout, Meaning, ScalarType};
+pub use read_options::{RawLayout, ReadOptions};
 
 use super::{Volume, Voxels, phantom};
 use crate::{Error, Result, Watch};
@@ -36,7 +36,7 @@ const START: u64 = 1024;
 
 /// The formats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Format {
+enum FileFormat {
     Dicom,
     Nifti,
     Nrrd,
@@ -50,7 +50,7 @@ enum Format {
     Raw,
 }
 
-impl Format {
+impl FileFormat {
     /// Name, and the ending that a file of it should have.
     fn called(self) -> &'static str {
         match self {
@@ -114,7 +114,7 @@ impl Format {
 ///
 /// # Errors
 /// A missing or unreadable file, a format that is not known, a damaged file: each named with what to do. [`Error::Cancelled`].
-pub fn volume(path: &Path, choice: &Choice, watch: &Watch) -> Result<Volume> {
+pub fn volume(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Volume> {
     if let Some(spec) = path.to_str().and_then(|p| p.strip_prefix("phantom:")) {
         return phantom::from_spec(spec);
     }
@@ -127,11 +127,11 @@ pub fn volume(path: &Path, choice: &Choice, watch: &Watch) -> Result<Volume> {
 ///
 /// # Errors
 /// As [`volume`].
-pub fn image(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
+pub fn image(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     by_kind(path, choice, watch).map_err(Error::printable)
 }
 
-fn by_kind(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
+fn by_kind(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let image = by_format(path, choice, watch)?;
     let only = |name: &str, of: &str| Err(Error::value(name, format!("is of {of}, and {} is {}", path.display(), image.format)));
     match () {
@@ -144,7 +144,7 @@ fn by_kind(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
     Ok(image)
 }
 
-fn by_format(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
+fn by_format(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, "opening", e))?;
     if metadata.is_dir() {
         return folder(path, choice, watch);
@@ -161,30 +161,30 @@ fn by_format(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
         return Err(Error::file(path, "is empty; copy or download it again"));
     }
     match format_of(path, choice)? {
-        Format::Dicom | Format::Zip => dicom::read(path, choice, watch),
-        Format::Nifti => nifti::read(path, choice, watch),
-        Format::Nrrd => nrrd::read(path, choice, watch),
-        Format::MetaImage => metaimage::read(path, choice, watch),
-        Format::Vti => vti::read(path, choice, watch),
-        Format::Vtk => vtk::read(path, choice, watch),
-        Format::Tiff => tiff::read(path, choice, watch),
-        Format::Picture => slices::read(path, choice, watch),
-        Format::Npy => npy::read(path, choice, watch),
-        Format::Raw => raw::read(path, choice, watch),
+        FileFormat::Dicom | FileFormat::Zip => dicom::read(path, choice, watch),
+        FileFormat::Nifti => nifti::read(path, choice, watch),
+        FileFormat::Nrrd => nrrd::read(path, choice, watch),
+        FileFormat::MetaImage => metaimage::read(path, choice, watch),
+        FileFormat::Vti => vti::read(path, choice, watch),
+        FileFormat::Vtk => vtk::read(path, choice, watch),
+        FileFormat::Tiff => tiff::read(path, choice, watch),
+        FileFormat::Picture => slices::read(path, choice, watch),
+        FileFormat::Npy => npy::read(path, choice, watch),
+        FileFormat::Raw => raw::read(path, choice, watch),
     }
 }
 
 /// What a file is.
-fn format_of(path: &Path, choice: &Choice) -> Result<Format> {
+fn format_of(path: &Path, choice: &ReadOptions) -> Result<FileFormat> {
     if choice.raw.is_some() {
-        return Ok(Format::Raw);
+        return Ok(FileFormat::Raw);
     }
     let start = source::first_bytes(path, START)?;
-    let (by_name, by_start) = (Format::of_name(path), Format::of_start(&start));
+    let (by_name, by_start) = (FileFormat::of_name(path), FileFormat::of_start(&start));
     match (by_name, by_start) {
         // Raw values may look like anything; half of a pair holds nothing but values.
-        (Some(Format::Raw), _) => Ok(Format::Raw),
-        (Some(Format::Nifti), Some(_)) if path.to_string_lossy().to_ascii_lowercase().contains(".img") => Ok(Format::Nifti),
+        (Some(FileFormat::Raw), _) => Ok(FileFormat::Raw),
+        (Some(FileFormat::Nifti), Some(_)) if path.to_string_lossy().to_ascii_lowercase().contains(".img") => Ok(FileFormat::Nifti),
         (Some(name), Some(start)) if name != start => {
             Err(Error::file(path, format!("is not what its name says: its content is {}; rename it", start.called())))
         }
@@ -195,7 +195,7 @@ fn format_of(path: &Path, choice: &Choice) -> Result<Format> {
 }
 
 /// A folder: OME-Zarr, DICOM in it or in its folders, or pictures in it.
-fn folder(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
+fn folder(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     if zarr::is_zarr(path) {
         return zarr::read(path, choice, watch);
     }
@@ -223,8 +223,8 @@ pub fn series(path: &Path, patient: bool, watch: &Watch) -> Result<Option<Vec<Se
         return Ok(None);
     }
     // What cannot be opened is what reading it complains of.
-    let holds =
-        path.is_dir() || source::first_bytes(path, START).is_ok_and(|start| matches!(Format::of_start(&start), Some(Format::Dicom | Format::Zip)));
+    let holds = path.is_dir()
+        || source::first_bytes(path, START).is_ok_and(|start| matches!(FileFormat::of_start(&start), Some(FileFormat::Dicom | FileFormat::Zip)));
     match holds.then(|| dicom::list(path, patient, watch)) {
         Some(Ok(list)) => Ok(Some(list)),
         Some(Err(Error::Cancelled)) => Err(Error::Cancelled),

@@ -9,9 +9,9 @@
 //! is LPS, so x and y change sign. Source: nifti1.h and nifti2.h (Cox et al. 2004, 2011), "METHOD 2" and "METHOD 3".
 
 use super::super::Rescale;
-use super::Choice;
+use super::ReadOptions;
 use super::image::{Image, Layout, Meaning, ScalarType};
-use super::source::{Source, check_end, check_held, count, open, read_error, skip};
+use super::source::{ValueReader, check_end, check_held, count, open, read_error, skip};
 use crate::{Error, Result, Watch};
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 use serde_json::json;
@@ -28,23 +28,23 @@ const INTENT_VECTOR: [i16; 2] = [1006, 1007];
 const HEADER_BYTES: [usize; 2] = [348, 540];
 
 /// Reads an image with all its components, or a volume (of a series in time, one).
-pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
+pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
     let (header_path, data_path) = match name.to_ascii_lowercase().as_str() {
         n if n.ends_with(".img") || n.ends_with(".img.gz") => (partner(path, &name, "img", "hdr")?, Some(path.to_owned())),
         n if n.ends_with(".hdr") || n.ends_with(".hdr.gz") => (path.to_owned(), Some(partner(path, &name, "hdr", "img")?)),
         _ => (path.to_owned(), None),
     };
-    let (mut reader, most_bytes) = open(&header_path)?;
+    let (mut reader, max_bytes) = open(&header_path)?;
     let header = Header::read(&header_path, &mut reader)?;
     match (data_path, header.paired) {
         (Some(data), true) => {
-            let (reader, most_bytes) = open(&data)?;
-            header.image(&data, reader, most_bytes, 0, choice, watch)
+            let (reader, max_bytes) = open(&data)?;
+            header.image(&data, reader, max_bytes, 0, choice, watch)
         }
         (None, true) => Err(Error::file(path, "is the header of a .hdr/.img pair under another name; give it back the ending .hdr beside its .img")),
         // One file under one of the pair's names.
-        (_, false) => header.image(&header_path, reader, most_bytes, header.bytes.len() as u64, choice, watch),
+        (_, false) => header.image(&header_path, reader, max_bytes, header.bytes.len() as u64, choice, watch),
     }
 }
 
@@ -60,7 +60,7 @@ fn partner(path: &Path, name: &str, own: &str, other: &str) -> Result<PathBuf> {
     let candidates = [format!("{stem}{other_case}"), format!("{stem}{other_case}.gz")];
     let there = candidates.iter().find(|name| path.with_file_name(name).exists());
     let missing = || Error::file(path, format!("needs the file {stem}{other_case} in the same folder, which is missing"));
-    super::source::beside(path, there.ok_or_else(missing)?)
+    super::source::sibling_file(path, there.ok_or_else(missing)?)
 }
 
 /// The header bytes with their byte order and version.
@@ -146,7 +146,7 @@ impl Header {
     }
 
     /// The image whose values `reader` goes on to read, `passed` bytes of their file having been read.
-    fn image(&self, path: &Path, mut reader: impl Read, most_bytes: u64, passed: u64, choice: &Choice, watch: &Watch) -> Result<Image> {
+    fn image(&self, path: &Path, mut reader: impl Read, max_bytes: u64, passed: u64, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
         let fail = |problem: String| Error::file(path, problem);
         let mut warnings = Vec::new();
         let dim = self.dimensions().map_err(&fail)?;
@@ -180,9 +180,9 @@ impl Header {
         let bytes = (total * scalar.bytes()) as u64;
         let offset = self.data_offset(passed);
         let ahead = offset.saturating_add(bytes.saturating_mul(time as u64));
-        check_held(path, bytes.saturating_add(ahead), most_bytes)?;
+        check_held(path, bytes.saturating_add(ahead), max_bytes)?;
         skip(path, &mut reader, ahead - passed)?;
-        let mut source = Source { path, reader, swap: self.swap != cfg!(target_endian = "big"), count: total, watch };
+        let mut source = ValueReader { path, reader, swap: self.swap != cfg!(target_endian = "big"), count: total, watch };
         let voxels = source.read_as(scalar)?;
         if time + 1 == frames {
             check_end(path, source.reader)?;

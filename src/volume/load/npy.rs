@@ -4,9 +4,9 @@
 //! first of one in Fortran order (`volume[x, y, z]`, as nibabel has them). Three or four u8 along the densest of four axes are colours.
 //! Source: numpy.lib.format.
 
-use super::Choice;
+use super::ReadOptions;
 use super::image::{Image, Layout, ScalarType};
-use super::source::{Source, buffered, check_held, count, read_error, skip};
+use super::source::{ValueReader, buffered, check_held, count, read_error, skip};
 use crate::{Error, Result, Watch};
 use glam::DAffine3;
 use serde_json::json;
@@ -14,10 +14,10 @@ use std::io::Read;
 use std::path::Path;
 
 /// Longest header that is read.
-const MOST_HEADER: usize = 1 << 16;
+const MAX_HEADER_BYTES: usize = 1 << 16;
 
 /// Reads an array.
-pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
+pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let fail = |problem: String| Error::file(path, problem);
     let (mut reader, file_bytes) = buffered(path)?;
     let mut start = [0u8; 8];
@@ -29,7 +29,7 @@ pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
     let width = if start[6] == 1 { 2 } else { 4 };
     reader.read_exact(&mut length[..width]).map_err(|e| read_error(path, e))?;
     let length = u32::from_le_bytes(length) as usize;
-    if length > MOST_HEADER {
+    if length > MAX_HEADER_BYTES {
         return Err(fail(format!("has a header of {length} bytes; it is damaged")));
     }
     let mut header = vec![0u8; length];
@@ -80,7 +80,7 @@ pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
     let ahead = bytes.saturating_mul(time as u64);
     check_held(path, bytes.saturating_add(ahead), file_bytes)?;
     skip(path, &mut reader, ahead)?;
-    let voxels = Source { path, reader, swap, count: total, watch }.read_as(scalar)?;
+    let voxels = ValueReader { path, reader, swap, count: total, watch }.read_as(scalar)?;
     let mut image = Image::new("NumPy", voxels, size, DAffine3::IDENTITY);
     (image.components, image.layout) = (components, Layout::Interleaved);
     if choice.spacing.is_none() {

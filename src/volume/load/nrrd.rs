@@ -7,10 +7,11 @@
 
 use super::super::Voxels;
 use super::super::colors::Label;
-use super::Choice;
+use super::ReadOptions;
 use super::image::{Image, Layout, Meaning, ScalarType};
 use super::source::{
-    BZIP2_LIMIT, Chain, DEFLATE_LIMIT, OpenPiece, Source, beside, buffered, check_end, check_held, count, open_file, read_error, skip, usable,
+    BZIP2_LIMIT, ConcatenatedFiles, DEFLATE_LIMIT, OpenPiece, ValueReader, buffered, check_end, check_held, count, open_file, read_error,
+    sibling_file, skip, usable,
 };
 use crate::{Error, Result, Watch};
 use bzip2::read::MultiBzDecoder;
@@ -23,9 +24,9 @@ use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 /// Longest header that is read: a file without an empty line is no NRRD.
-const MOST_HEADER: u64 = 1 << 20;
+const MAX_HEADER_BYTES: u64 = 1 << 20;
 /// Most data files of a detached header.
-const MOST_FILES: usize = 100_000;
+const MAX_FILES: usize = 100_000;
 /// Key of this program's displacement maps.
 const MAP_KEY: &str = "incise";
 
@@ -48,7 +49,7 @@ struct Axes {
 }
 
 /// Reads an image.
-pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
+pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let fail = |problem: String| Error::file(path, problem);
     let (mut reader, file_bytes) = buffered(path)?;
     let fields = header(path, &mut reader)?;
@@ -205,13 +206,13 @@ impl Data<'_> {
             _ => (|p, _| Ok(Box::new(buffered(p)?.0)), 1),
         };
         check_held(self.path, total as u64 * size, most.saturating_mul(limit))?;
-        let mut chain = Chain::new(files, piece, open);
+        let mut chain = ConcatenatedFiles::new(files, piece, open);
         skip(self.path, &mut chain, ahead as u64 * size)?;
         self.source(self.path, chain, count).read_as(self.scalar)
     }
 
-    fn source<'b, R: Read>(&'b self, path: &'b Path, reader: R, count: usize) -> Source<'b, R> {
-        Source { path, reader, swap: self.swap, count, watch: self.watch }
+    fn source<'b, R: Read>(&'b self, path: &'b Path, reader: R, count: usize) -> ValueReader<'b, R> {
+        ValueReader { path, reader, swap: self.swap, count, watch: self.watch }
     }
 }
 
@@ -266,10 +267,10 @@ fn data_files(path: &Path, fields: &HashMap<String, String>, axes: &Axes) -> Res
     let Some(named) = fields.get("data file").or(fields.get("datafile")) else { return Ok(None) };
     let fail = |problem: String| Error::file(path, problem);
     let of = |names: Vec<String>| {
-        if names.is_empty() || names.len() > MOST_FILES {
-            return Err(fail(format!("names {} data files; 1 to {MOST_FILES} can be read", names.len())));
+        if names.is_empty() || names.len() > MAX_FILES {
+            return Err(fail(format!("names {} data files; 1 to {MAX_FILES} can be read", names.len())));
         }
-        names.iter().map(|n| beside(path, n.trim())).collect::<Result<Vec<_>>>().map(Some)
+        names.iter().map(|n| sibling_file(path, n.trim())).collect::<Result<Vec<_>>>().map(Some)
     };
     let words: Vec<&str> = named.split_whitespace().collect();
     if words.first() == Some(&"LIST") {
@@ -298,7 +299,7 @@ pub(super) fn numbered(pattern: &str, first: i64, last: i64, step: i64) -> Resul
     let (width, after) = (&rest[..end], &rest[end..]);
     let after = after.strip_prefix(['d', 'i', 'u']).filter(|a| !a.contains('%')).ok_or_else(unclear)?;
     let digits = width.parse::<usize>().unwrap_or(0).min(32);
-    if last.checked_sub(first).and_then(|d| d.checked_div(step)).is_none_or(|n| n < 0 || n >= MOST_FILES as i64) {
+    if last.checked_sub(first).and_then(|d| d.checked_div(step)).is_none_or(|n| n < 0 || n >= MAX_FILES as i64) {
         return Err(format!("numbers its data files from {first} to {last} by {step}, which is no sequence"));
     }
     let zero = width.starts_with('0');
@@ -311,10 +312,10 @@ pub(super) fn numbered(pattern: &str, first: i64, last: i64, step: i64) -> Resul
 /// Values in the order of voxels: one time taken out, components first or last.
 fn arranged(voxels: Voxels, axes: &Axes, time: Option<usize>) -> (Voxels, usize, Layout) {
     let components = axes.components.map_or(1, |c| axes.sizes[c]);
-    let kept: Vec<usize> = (0..axes.sizes.len()).filter(|a| Some(*a) != axes.time).collect();
-    let place = axes.components.and_then(|c| kept.iter().position(|a| *a == c));
+    let other_axes: Vec<usize> = (0..axes.sizes.len()).filter(|a| Some(*a) != axes.time).collect();
+    let place = axes.components.and_then(|c| other_axes.iter().position(|a| *a == c));
     let layout = if place == Some(0) { Layout::Interleaved } else { Layout::Planar };
-    let in_order = place.is_none_or(|p| p == 0 || p + 1 == kept.len());
+    let in_order = place.is_none_or(|p| p == 0 || p + 1 == other_axes.len());
     if in_order && (axes.time.is_none() || time.is_none()) {
         return (voxels, components, layout);
     }
@@ -367,7 +368,7 @@ const LIST_KEY: &str = "\n";
 /// The fields of the header, names in lower case; the reader is left after the empty line that ends it.
 fn header(path: &Path, reader: &mut impl BufRead) -> Result<HashMap<String, String>> {
     let mut fields = HashMap::new();
-    let mut reader = reader.take(MOST_HEADER);
+    let mut reader = reader.take(MAX_HEADER_BYTES);
     let mut line = Vec::new();
     let (mut first, mut list) = (true, false);
     loop {

@@ -3,7 +3,7 @@
 use super::super::Voxels;
 
 /// One slice.
-pub(super) struct Plane {
+pub(super) struct ImageSlice {
     pub size: [usize; 2],
     pub components: usize,
     pub values: Voxels,
@@ -11,16 +11,16 @@ pub(super) struct Plane {
 
 /// Slices that become one array.
 #[derive(Default)]
-pub(super) struct PlaneStack {
+pub(super) struct ImageStack {
     pub size: [usize; 2],
     pub components: usize,
     pub count: usize,
     values: Option<Voxels>,
 }
 
-impl PlaneStack {
+impl ImageStack {
     /// Adds a slice; false if it is of another size or type than the first one.
-    pub fn push(&mut self, plane: Plane, of: usize) -> bool {
+    pub fn push(&mut self, plane: ImageSlice, of: usize) -> bool {
         match &mut self.values {
             None => {
                 (self.size, self.components) = (plane.size, plane.components);

@@ -1,9 +1,9 @@
 //! Files that are nothing but values. How they lie is said by the caller, by a file beside it (`NAME.raw.toml`, the keys of [`RawLayout`]), or
 //! by the name itself (`skull_256x256x256_uint8.raw`, as collections of volumes name them). They may be gzipped.
 
-use super::choice::{Choice, RawLayout};
 use super::image::{Image, Layout, ScalarType};
-use super::source::{Source, check_held, count, open, skip, usable};
+use super::read_options::{RawLayout, ReadOptions};
+use super::source::{ValueReader, check_held, count, open, skip, usable};
 use crate::files::input::{MAX_SCENE_BYTES, text};
 use crate::files::reference::is_link_out;
 use crate::{Error, Result, Watch};
@@ -11,11 +11,11 @@ use glam::{DAffine3, DMat3, DVec3};
 use std::path::Path;
 
 /// Reads an image.
-pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
+pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let fail = |problem: String| Error::file(path, problem);
     let layout = match &choice.raw {
         Some(layout) => layout.clone(),
-        None => match beside(path)? {
+        None => match layout_file(path)? {
             Some(layout) => layout,
             None => of_name(path).ok_or_else(|| {
                 fail("is raw values of which nothing is known; say how they lie with --raw, e.g. --raw 256x256x128:u16, or in a file of the same name that ends in .toml".into())
@@ -34,22 +34,22 @@ pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
     let [i, j, k] = layout.size;
     let total = count(path, &[i, j, k, layout.components], layout.scalar)?;
     let bytes = (total * layout.scalar.bytes()) as u64;
-    let (mut reader, most_bytes) = open(path)?;
-    check_held(path, bytes.saturating_add(layout.skip), most_bytes)?;
+    let (mut reader, max_bytes) = open(path)?;
+    check_held(path, bytes.saturating_add(layout.skip), max_bytes)?;
     skip(path, &mut reader, layout.skip)?;
     let swap = layout.scalar.bytes() > 1 && layout.big_endian != cfg!(target_endian = "big");
-    let voxels = Source { path, reader, swap, count: total, watch }.read_as(layout.scalar)?;
+    let voxels = ValueReader { path, reader, swap, count: total, watch }.read_as(layout.scalar)?;
     let length = std::fs::metadata(path).map_or(0, |m| m.len());
     let mut image = Image::new("raw", voxels, layout.size, world_from_voxel);
     (image.components, image.layout) = (layout.components, Layout::Interleaved);
-    if most_bytes == length && length > bytes + layout.skip {
+    if max_bytes == length && length > bytes + layout.skip {
         image.warnings.push(format!("holds {} bytes more than it was said to; see that its size and type are right", length - bytes - layout.skip));
     }
     Ok(image)
 }
 
 /// The layout in the file beside.
-fn beside(path: &Path) -> Result<Option<RawLayout>> {
+fn layout_file(path: &Path) -> Result<Option<RawLayout>> {
     let mut name = path.as_os_str().to_owned();
     name.push(".toml");
     let sidecar = Path::new(&name);

@@ -4,12 +4,12 @@
 
 use super::super::Voxels;
 use super::image::{Image, Layout, Meaning};
-use super::planes::{Plane, PlaneStack};
+use super::planes::{ImageSlice, ImageStack};
 use super::source::{check_held, open_file};
-use super::{Choice, tiff};
+use super::{ReadOptions, tiff};
 use crate::files::reference::{is_link_out, links_left_out};
-use crate::guard::guarded;
-use crate::{Error, Meter, Result, Watch};
+use crate::panic_guard::catch_panic;
+use crate::{ByteProgress, Error, Result, Watch};
 use glam::{DAffine3, DVec3};
 use rayon::prelude::*;
 use std::cmp::Ordering;
@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 /// Endings of pictures.
 pub const ENDINGS: [&str; 5] = ["tif", "tiff", "png", "jpg", "jpeg"];
 /// The most that a packed picture can shrink: deflate's limit, and some for a picture of one colour in JPEG.
-const MOST_RATIO: u64 = 3000;
+const MAX_COMPRESSION_RATIO: u64 = 3000;
 /// Pictures decoded at once.
 const AT_ONCE: usize = 16;
 
@@ -78,16 +78,16 @@ fn natural(a: &str, b: &str) -> Ordering {
 }
 
 /// Reads the pictures of a folder as one volume.
-pub fn read_folder(folder: &Path, files: &[PathBuf], choice: &Choice, watch: &Watch) -> Result<Image> {
+pub fn read_folder(folder: &Path, files: &[PathBuf], choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     if let [file] = files {
         return if tiff::is_tiff(file) { tiff::read(file, choice, watch) } else { read(file, choice, watch) };
     }
     choice.time_of(1)?;
-    let meter = Meter::new(watch, files.len() as u64);
-    let mut stack = PlaneStack::default();
+    let meter = ByteProgress::new(watch, files.len() as u64);
+    let mut stack = ImageStack::default();
     let mut odd = Vec::new();
     for batch in files.chunks(AT_ONCE) {
-        let planes: Vec<Result<Plane>> =
+        let planes: Vec<Result<ImageSlice>> =
             batch.par_iter().map(|file| if tiff::is_tiff(file) { tiff::first_page(file) } else { plane(file) }).collect();
         for (file, plane) in batch.iter().zip(planes) {
             if !stack.push(plane?, files.len()) {
@@ -97,8 +97,8 @@ pub fn read_folder(folder: &Path, files: &[PathBuf], choice: &Choice, watch: &Wa
         }
     }
     // What the first TIFF says of its voxels holds for all.
-    let said = files.first().filter(|f| tiff::is_tiff(f)).and_then(|f| tiff::spacing(f)).unwrap_or_default();
-    let mut image = image_of(folder, "pictures", stack, choice, said)?;
+    let stated_spacing = files.first().filter(|f| tiff::is_tiff(f)).and_then(|f| tiff::spacing(f)).unwrap_or_default();
+    let mut image = image_of(folder, "pictures", stack, choice, stated_spacing)?;
     image.warnings.extend(links_left_out(&links_out(folder)));
     if let Some(first) = odd.first() {
         image.warnings.push(format!("{} pictures ({first} and so on) are of another size or type than the first and are left out", odd.len()));
@@ -107,14 +107,14 @@ pub fn read_folder(folder: &Path, files: &[PathBuf], choice: &Choice, watch: &Wa
 }
 
 /// Reads one picture as a volume of one slice.
-pub fn read(path: &Path, choice: &Choice, _watch: &Watch) -> Result<Image> {
+pub fn read(path: &Path, choice: &ReadOptions, _watch: &Watch) -> Result<Image> {
     choice.time_of(1)?;
-    let mut stack = PlaneStack::default();
+    let mut stack = ImageStack::default();
     stack.push(plane(path)?, 1);
     image_of(path, "picture", stack, choice, [None; 3])
 }
 
-fn image_of(path: &Path, format: &'static str, stack: PlaneStack, choice: &Choice, spacing: [Option<f64>; 3]) -> Result<Image> {
+fn image_of(path: &Path, format: &'static str, stack: ImageStack, choice: &ReadOptions, spacing: [Option<f64>; 3]) -> Result<Image> {
     let (size, components) = ([stack.size[0], stack.size[1], stack.count], stack.components);
     let voxels = stack.finish().ok_or_else(|| Error::file(path, "holds no picture"))?;
     let mut image = Image::new(format, voxels, size, DAffine3::from_scale(DVec3::from(spacing.map(|s| s.unwrap_or(1.0)))));
@@ -129,16 +129,16 @@ fn image_of(path: &Path, format: &'static str, stack: PlaneStack, choice: &Choic
 }
 
 /// Decodes a picture.
-fn plane(path: &Path) -> Result<Plane> {
+fn plane(path: &Path) -> Result<ImageSlice> {
     let damaged = |e: String| Error::file(path, format!("is no picture that can be read ({e}); copy or export it again"));
     let (file, bytes) = open_file(path)?;
     let mut reader = image::ImageReader::new(std::io::BufReader::new(file)).with_guessed_format().map_err(|e| Error::io(path, "reading", e))?;
     let mut limits = image::Limits::default();
-    limits.max_alloc = Some(bytes.saturating_mul(MOST_RATIO).saturating_add(1 << 20));
+    limits.max_alloc = Some(bytes.saturating_mul(MAX_COMPRESSION_RATIO).saturating_add(1 << 20));
     reader.limits(limits);
-    let decoded = guarded(|| reader.decode()).ok_or_else(|| damaged("its pixels are damaged".into()))?.map_err(|e| damaged(e.to_string()))?;
+    let decoded = catch_panic(|| reader.decode()).ok_or_else(|| damaged("its pixels are damaged".into()))?.map_err(|e| damaged(e.to_string()))?;
     let size = [decoded.width() as usize, decoded.height() as usize];
-    check_held(path, (size[0] * size[1]) as u64, bytes.saturating_mul(MOST_RATIO))?;
+    check_held(path, (size[0] * size[1]) as u64, bytes.saturating_mul(MAX_COMPRESSION_RATIO))?;
     use image::DynamicImage as D;
     let (values, components): (Voxels, usize) = match decoded {
         D::ImageLuma8(i) => (i.into_raw().into(), 1),
@@ -151,7 +151,7 @@ fn plane(path: &Path) -> Result<Plane> {
         D::ImageRgba16(i) => (i.into_raw().into(), 4),
         other => (other.into_rgba8().into_raw().into(), 4),
     };
-    Ok(Plane { size, components, values })
+    Ok(ImageSlice { size, components, values })
 }
 
 #[cfg(test)]

@@ -4,8 +4,8 @@ use super::super::Voxels;
 use super::ScalarType;
 pub(super) use crate::files::input::{DEFLATE_LIMIT, buffered, open as open_file, read_error, unzipped as open};
 pub(super) use crate::files::memory::reserve as reserved;
-pub(super) use crate::files::reference::beside;
-use crate::{Error, Meter, Result, Watch};
+pub(super) use crate::files::reference::sibling_file;
+use crate::{ByteProgress, Error, Result, Watch};
 use glam::DAffine3;
 use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 /// Bzip2 cannot shrink data by more than this factor: 900 kB of one byte take 46 bytes.
 pub(super) const BZIP2_LIMIT: u64 = 25_000;
 /// Bytes after the values of a compressed stream that are read to check its end.
-const MOST_TRAILING: u64 = 1 << 24;
+const MAX_TRAILING_BYTES: u64 = 1 << 24;
 
 /// The first bytes of a file, unzipped: at most `most`.
 pub(super) fn first_bytes(path: &Path, most: u64) -> Result<Vec<u8>> {
@@ -37,8 +37,8 @@ pub(super) fn count(path: &Path, extents: &[usize], scalar: ScalarType) -> Resul
 }
 
 /// Refuses values that the file cannot hold.
-pub(super) fn check_held(path: &Path, bytes: u64, most_bytes: u64) -> Result<()> {
-    if bytes > most_bytes {
+pub(super) fn check_held(path: &Path, bytes: u64, max_bytes: u64) -> Result<()> {
+    if bytes > max_bytes {
         return Err(Error::file(
             path,
             format!(
@@ -67,7 +67,7 @@ pub(super) fn skip(path: &Path, reader: &mut impl Read, bytes: u64) -> Result<()
 
 /// Reads what follows the values, so that a gzip stream is checked to its checksum. Other bytes after the stream are nobody's harm.
 pub(super) fn check_end(path: &Path, reader: impl Read) -> Result<()> {
-    match std::io::copy(&mut reader.take(MOST_TRAILING), &mut std::io::sink()) {
+    match std::io::copy(&mut reader.take(MAX_TRAILING_BYTES), &mut std::io::sink()) {
         Err(e) if e.kind() == ErrorKind::UnexpectedEof || e.to_string().contains("checksum") || e.to_string().contains("corrupt gzip") => {
             Err(read_error(path, e))
         }
@@ -76,11 +76,11 @@ pub(super) fn check_end(path: &Path, reader: impl Read) -> Result<()> {
 }
 
 /// A scalar whose bytes can be read straight from a file.
-pub(super) trait Stored: bytemuck::Pod + Default + Send + Sync {
+pub(super) trait RawScalar: bytemuck::Pod + Default + Send + Sync {
     fn swap(self) -> Self;
 }
 macro_rules! stored {
-    ($($t:ty),*) => {$(impl Stored for $t {
+    ($($t:ty),*) => {$(impl RawScalar for $t {
         #[inline(always)]
         fn swap(self) -> Self {
             Self::from_ne_bytes({ let mut b = self.to_ne_bytes(); b.reverse(); b })
@@ -139,7 +139,7 @@ macro_rules! with_scalar {
 pub(super) use with_scalar;
 
 /// Bytes that become typed values.
-pub(super) struct Source<'a, R> {
+pub(super) struct ValueReader<'a, R> {
     pub path: &'a Path,
     pub reader: R,
     pub swap: bool,
@@ -147,17 +147,17 @@ pub(super) struct Source<'a, R> {
     pub watch: &'a Watch<'a>,
 }
 
-impl<R: Read> Source<'_, R> {
+impl<R: Read> ValueReader<'_, R> {
     /// Reads values of a type known only now.
     pub fn read_as(&mut self, scalar: ScalarType) -> Result<Voxels> {
         with_scalar!(scalar, T => self.read::<T>().map(Into::into))
     }
 
     /// Reads in pieces into the one array that stays.
-    fn read<T: Stored>(&mut self) -> Result<Vec<T>> {
+    fn read<T: RawScalar>(&mut self) -> Result<Vec<T>> {
         const PIECE: usize = 1 << 20;
         let mut values: Vec<T> = reserved(self.path, self.count)?;
-        let meter = Meter::new(self.watch, (self.count * size_of::<T>()) as u64);
+        let meter = ByteProgress::new(self.watch, (self.count * size_of::<T>()) as u64);
         while values.len() < self.count {
             let from = values.len();
             values.resize((from + PIECE).min(self.count), T::default());
@@ -173,7 +173,7 @@ impl<R: Read> Source<'_, R> {
 }
 
 /// Room for `count` values, all zero.
-pub(super) fn zeroed<T: Stored>(path: &Path, count: usize) -> Result<Vec<T>> {
+pub(super) fn zeroed<T: RawScalar>(path: &Path, count: usize) -> Result<Vec<T>> {
     reserved::<T>(path, count)?;
     // Fresh pages of zeros, not written to.
     Ok(vec![T::default(); count])
@@ -183,21 +183,21 @@ pub(super) fn zeroed<T: Stored>(path: &Path, count: usize) -> Result<Vec<T>> {
 pub(super) type OpenPiece = fn(&Path, u64) -> Result<Box<dyn Read + Send>>;
 
 /// Bytes of several files, one after the other: of each what remains behind its header, unpacked, and no more than a piece.
-pub(super) struct Chain {
+pub(super) struct ConcatenatedFiles {
     files: std::vec::IntoIter<PathBuf>,
     open: OpenPiece,
     piece: u64,
     current: Option<std::io::Take<Box<dyn Read + Send>>>,
 }
 
-impl Chain {
+impl ConcatenatedFiles {
     /// `open` is given a file and the bytes that it is to hold.
     pub fn new(files: Vec<PathBuf>, piece: u64, open: OpenPiece) -> Self {
         Self { files: files.into_iter(), open, piece, current: None }
     }
 }
 
-impl Read for Chain {
+impl Read for ConcatenatedFiles {
     fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
         loop {
             if let Some(current) = &mut self.current {

@@ -3,7 +3,7 @@
 use super::super::Voxels;
 use super::ScalarType;
 use super::source::{read_error, reserved, with_scalar};
-use crate::{Error, Meter, Result, Watch};
+use crate::{ByteProgress, Error, Result, Watch};
 use std::io::BufRead;
 use std::path::Path;
 use std::str::FromStr;
@@ -18,7 +18,7 @@ pub(super) fn values(path: &Path, reader: impl BufRead, [ahead, count]: [usize; 
 
 fn typed<T: FromStr>(path: &Path, mut reader: impl BufRead, ahead: usize, count: usize, watch: &Watch, cast: &dyn Fn(f64) -> T) -> Result<Vec<T>> {
     let mut values: Vec<T> = reserved(path, count)?;
-    let meter = Meter::new(watch, count as u64);
+    let meter = ByteProgress::new(watch, count as u64);
     let (mut passed, mut word) = (0usize, Vec::with_capacity(32));
     let truncated = |have: usize| Error::file(path, format!("holds {have} values of {count}: it is truncated or no text"));
     loop {

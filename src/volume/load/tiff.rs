@@ -4,11 +4,11 @@
 //! files of more than 4 GiB hold a single directory and all slices one after the other.
 
 use super::image::{Channel, Image, Layout, Meaning, ScalarType};
-use super::planes::{Plane, PlaneStack};
-use super::source::{Source, check_held, count, open_file, skip};
-use super::{Choice, Voxels};
-use crate::guard::guarded;
-use crate::{Error, Meter, Result, Watch};
+use super::planes::{ImageSlice, ImageStack};
+use super::source::{ValueReader, check_held, count, open_file, skip};
+use super::{ReadOptions, Voxels};
+use crate::panic_guard::catch_panic;
+use crate::{ByteProgress, Error, Result, Watch};
 use glam::{DAffine3, DVec3};
 use quick_xml::events::Event;
 use serde_json::json;
@@ -20,9 +20,9 @@ use tiff::decoder::{Decoder, DecodingResult, Limits};
 use tiff::tags::Tag;
 
 /// The most that pages can have been packed by.
-const MOST_RATIO: u64 = 3000;
+const MAX_COMPRESSION_RATIO: u64 = 3000;
 /// Most pages of a file.
-const MOST_PAGES: usize = 1 << 20;
+const MAX_PAGES: usize = 1 << 20;
 
 /// Whether a file's name is a TIFF's.
 pub fn is_tiff(path: &Path) -> bool {
@@ -44,16 +44,16 @@ struct Description {
     ome: bool,
 }
 
-type Pages = Decoder<BufReader<File>>;
+type TiffDecoder = Decoder<BufReader<File>>;
 
 fn damaged(path: &Path) -> impl Fn(tiff::TiffError) -> Error + '_ {
     move |e| Error::file(path, format!("is no TIFF that can be read ({e}); copy or export it again"))
 }
 
-fn decoder(path: &Path) -> Result<(Pages, u64)> {
+fn decoder(path: &Path) -> Result<(TiffDecoder, u64)> {
     let (file, bytes) = open_file(path)?;
     let mut limits = Limits::default();
-    limits.decoding_buffer_size = usize::try_from(bytes.saturating_mul(MOST_RATIO)).unwrap_or(usize::MAX).min(1 << 36);
+    limits.decoding_buffer_size = usize::try_from(bytes.saturating_mul(MAX_COMPRESSION_RATIO)).unwrap_or(usize::MAX).min(1 << 36);
     limits.intermediate_buffer_size = limits.decoding_buffer_size;
     limits.ifd_value_size = usize::try_from(bytes).unwrap_or(usize::MAX).min(1 << 28);
     let decoder = Decoder::new(BufReader::new(file)).map_err(damaged(path))?.with_limits(limits);
@@ -61,9 +61,9 @@ fn decoder(path: &Path) -> Result<(Pages, u64)> {
 }
 
 /// The first page alone.
-pub(super) fn first_page(path: &Path) -> Result<Plane> {
+pub(super) fn first_page(path: &Path) -> Result<ImageSlice> {
     let ended = || Error::file(path, "its pixels are damaged; copy or export it again");
-    guarded(|| {
+    catch_panic(|| {
         let mut pages = decoder(path)?.0;
         if pages.more_images() {
             return Err(Error::file(path, "has several pages and is one of several files; name one file, or give each a single page"));
@@ -74,7 +74,7 @@ pub(super) fn first_page(path: &Path) -> Result<Plane> {
 }
 
 /// The page at which the decoder stands.
-fn page(path: &Path, decoder: &mut Pages) -> Result<Plane> {
+fn page(path: &Path, decoder: &mut TiffDecoder) -> Result<ImageSlice> {
     let fail = |problem: String| Error::file(path, problem);
     let (width, height) = decoder.dimensions().map_err(damaged(path))?;
     let components = match decoder.colortype().map_err(damaged(path))? {
@@ -105,11 +105,11 @@ fn page(path: &Path, decoder: &mut Pages) -> Result<Plane> {
     if values.len() != size[0] * size[1] * components {
         return Err(fail(format!("has a page of {width} x {height} pixels of which {} values were read; it is damaged", values.len())));
     }
-    Ok(Plane { size, components, values })
+    Ok(ImageSlice { size, components, values })
 }
 
 /// What the first page says of all.
-fn described(pages: &mut Pages, file_bytes: u64) -> Description {
+fn described(pages: &mut TiffDecoder, file_bytes: u64) -> Description {
     // A description longer than the file makes the decoder write to the terminal.
     let described = pages.image_ifd().find_entry(Tag::ImageDescription).is_some_and(|e| e.count() <= file_bytes);
     let text = described
@@ -118,57 +118,57 @@ fn described(pages: &mut Pages, file_bytes: u64) -> Description {
         .flatten()
         .and_then(|v| v.into_string().ok())
         .unwrap_or_default();
-    let mut said = if text.contains("<OME") { ome(&text) } else { imagej(&text) };
-    let resolution = |pages: &mut Pages, tag| -> Option<f64> {
+    let mut metadata = if text.contains("<OME") { ome(&text) } else { imagej(&text) };
+    let resolution = |pages: &mut TiffDecoder, tag| -> Option<f64> {
         let per_unit = match pages.find_tag(tag).ok()?? {
             tiff::decoder::ifd::Value::Rational(a, b) => f64::from(a) / f64::from(b),
             other => f64::from(other.into_f32().ok()?),
         };
         (per_unit.is_finite() && per_unit > 0.0).then(|| 1.0 / per_unit)
     };
-    if said.imagej {
+    if metadata.imagej {
         let unit = unit_of_imagej(&text);
-        said.has_unit = unit.is_some();
+        metadata.has_unit = unit.is_some();
         let mm = unit.unwrap_or(1.0);
         // In the unit that the description names; the tag's own unit is "none".
-        said.spacing[0] = resolution(pages, Tag::XResolution).map(|s| s * mm);
-        said.spacing[1] = resolution(pages, Tag::YResolution).map(|s| s * mm);
-        said.spacing[2] = said.spacing[2].map(|s| s * mm);
+        metadata.spacing[0] = resolution(pages, Tag::XResolution).map(|s| s * mm);
+        metadata.spacing[1] = resolution(pages, Tag::YResolution).map(|s| s * mm);
+        metadata.spacing[2] = metadata.spacing[2].map(|s| s * mm);
     }
-    said
+    metadata
 }
 
 /// The spacing that a file states, mm along x, y, z.
 pub(super) fn spacing(path: &Path) -> Option<[Option<f64>; 3]> {
-    guarded(|| decoder(path).ok().map(|(mut pages, bytes)| described(&mut pages, bytes).spacing))?
+    catch_panic(|| decoder(path).ok().map(|(mut pages, bytes)| described(&mut pages, bytes).spacing))?
 }
 
 /// Reads all pages.
-pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
+pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let ended = || Error::file(path, "its pages are damaged; copy or export it again");
-    guarded(|| read_unguarded(path, choice, watch)).ok_or_else(ended)?
+    catch_panic(|| read_unguarded(path, choice, watch)).ok_or_else(ended)?
 }
 
-fn read_unguarded(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
+fn read_unguarded(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let fail = |problem: String| Error::file(path, problem);
     let (mut pages, file_bytes) = decoder(path)?;
-    let said = described(&mut pages, file_bytes);
+    let metadata = described(&mut pages, file_bytes);
     let mut warnings = Vec::new();
-    if said.imagej && !said.has_unit && said.spacing.iter().any(Option::is_some) {
+    if metadata.imagej && !metadata.has_unit && metadata.spacing.iter().any(Option::is_some) {
         warnings.push("gives its spacing without a unit of length: mm are taken".into());
     }
     let total = 1 + {
         let mut more = 0;
         // Directories are followed without their pixels.
-        while pages.more_images() && more < MOST_PAGES {
+        while pages.more_images() && more < MAX_PAGES {
             pages.next_image().map_err(damaged(path))?;
             more += 1;
         }
         pages.seek_to_image(0).map_err(damaged(path))?;
         more
     };
-    let [slices, channels, times] = match said.extents {
-        Some(e) if e.iter().try_fold(1usize, |n, &d| n.checked_mul(d)) == Some(total) || (said.imagej && total == 1) => e,
+    let [slices, channels, times] = match metadata.extents {
+        Some(e) if e.iter().try_fold(1usize, |n, &d| n.checked_mul(d)) == Some(total) || (metadata.imagej && total == 1) => e,
         Some(e) => {
             warnings.push(format!("holds {total} pages, not the {} x {} x {} that it says; they are taken as slices", e[0], e[1], e[2]));
             [total, 1, 1]
@@ -181,21 +181,25 @@ fn read_unguarded(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> 
     }
     let index_of = |slice: usize, channel: usize| {
         let (at, extents) = ([slice, channel, time], [slices, channels, times]);
-        let [a, b, c] = said.order;
+        let [a, b, c] = metadata.order;
         at[a] + extents[a] * (at[b] + extents[b] * at[c])
     };
     let (voxels, size, components, layout) = if total == 1 && slices * channels * times > 1 {
         contiguous(path, &mut pages, file_bytes, [slices, channels, times], time, watch)?
     } else {
         let wanted: Vec<usize> = (0..channels).flat_map(|c| (0..slices).map(move |s| (s, c))).map(|(s, c)| index_of(s, c)).collect();
-        let mut stack = PlaneStack::default();
-        let meter = Meter::new(watch, wanted.len() as u64);
+        let mut stack = ImageStack::default();
+        let meter = ByteProgress::new(watch, wanted.len() as u64);
         let mut left_out = 0usize;
         for &index in &wanted {
             pages.seek_to_image(index).map_err(damaged(path))?;
             if stack.count == 0 {
                 let (w, h) = pages.dimensions().map_err(damaged(path))?;
-                check_held(path, (u64::from(w) * u64::from(h)).saturating_mul(wanted.len() as u64), file_bytes.saturating_mul(MOST_RATIO))?;
+                check_held(
+                    path,
+                    (u64::from(w) * u64::from(h)).saturating_mul(wanted.len() as u64),
+                    file_bytes.saturating_mul(MAX_COMPRESSION_RATIO),
+                )?;
             } else if pages.dimensions().map_err(damaged(path))? != (stack.size[0] as u32, stack.size[1] as u32) {
                 left_out += 1;
                 continue;
@@ -217,14 +221,14 @@ fn read_unguarded(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> 
         let layout = if samples > 1 { Layout::Interleaved } else { Layout::Planar };
         (voxels, [size[0], size[1], count / channels], samples * channels, layout)
     };
-    let spacing = said.spacing.map(|s| s.filter(|s| s.is_finite() && *s > 0.0));
+    let spacing = metadata.spacing.map(|s| s.filter(|s| s.is_finite() && *s > 0.0));
     if choice.spacing.is_none() && spacing.iter().any(Option::is_none) {
         warnings.push("does not say how large a voxel is in every direction: 1 mm is taken where it is missing (--spacing says otherwise)".into());
     }
     let mut image = Image::new(
-        if said.ome {
+        if metadata.ome {
             "OME-TIFF"
-        } else if said.imagej {
+        } else if metadata.imagej {
             "ImageJ TIFF"
         } else {
             "TIFF"
@@ -235,9 +239,9 @@ fn read_unguarded(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> 
     );
     (image.components, image.layout, image.warnings) = (components, layout, warnings);
     if channels > 1 {
-        let looks = (0..channels)
-            .map(|c| Channel { color: said.colors.get(c).copied().flatten().unwrap_or(super::super::colors::CHANNELS[c % 4]), window: None });
-        image.meaning = Meaning::Channels(looks.collect());
+        let channel_styles = (0..channels)
+            .map(|c| Channel { color: metadata.colors.get(c).copied().flatten().unwrap_or(super::super::colors::CHANNELS[c % 4]), window: None });
+        image.meaning = Meaning::Channels(channel_styles.collect());
     } else if components > 2 {
         image.meaning = Meaning::Color;
     }
@@ -250,7 +254,7 @@ fn read_unguarded(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> 
 /// Slices one after the other behind a single directory, as ImageJ writes large files.
 fn contiguous(
     path: &Path,
-    pages: &mut Pages,
+    pages: &mut TiffDecoder,
     file_bytes: u64,
     [slices, channels, times]: [usize; 3],
     time: usize,
@@ -281,7 +285,7 @@ fn contiguous(
     reader.seek(SeekFrom::Start(first)).map_err(|e| Error::io(path, "reading", e))?;
     skip(path, &mut reader, ahead)?;
     let swap = big != cfg!(target_endian = "big");
-    let voxels = Source { path, reader, swap, count: one_time, watch }.read_as(scalar)?;
+    let voxels = ValueReader { path, reader, swap, count: one_time, watch }.read_as(scalar)?;
     let plane = width as usize * height as usize;
     let voxels = if channels == 1 {
         voxels
@@ -297,19 +301,19 @@ fn contiguous(
 
 /// ImageJ's description: `name=value` lines.
 fn imagej(text: &str) -> Description {
-    let mut said = Description { order: [1, 0, 2], ..Description::default() };
+    let mut metadata = Description { order: [1, 0, 2], ..Description::default() };
     if !text.starts_with("ImageJ=") {
-        return said;
+        return metadata;
     }
-    said.imagej = true;
+    metadata.imagej = true;
     let get = |name: &str| text.lines().find_map(|l| l.strip_prefix(name)?.strip_prefix('=').map(str::trim));
     let whole = |name: &str| get(name).and_then(|v| v.parse::<usize>().ok()).filter(|n| *n > 0);
     let images = whole("images").unwrap_or(1);
     let (channels, times) = (whole("channels").unwrap_or(1), whole("frames").unwrap_or(1));
     let slices = whole("slices").or_else(|| images.checked_div(channels.saturating_mul(times)).filter(|n| *n > 0));
-    said.extents = slices.map(|s| [s, channels, times]);
-    said.spacing[2] = get("spacing").and_then(|v| v.parse().ok()).map(f64::abs);
-    said
+    metadata.extents = slices.map(|s| [s, channels, times]);
+    metadata.spacing[2] = get("spacing").and_then(|v| v.parse().ok()).map(f64::abs);
+    metadata
 }
 
 /// Millimetres of the unit that ImageJ's description names; none for pixels.
@@ -334,7 +338,7 @@ pub(super) fn mm_of(unit: &str) -> Option<f64> {
 
 /// The first image of OME-XML.
 fn ome(text: &str) -> Description {
-    let mut said = Description { ome: true, ..Description::default() };
+    let mut metadata = Description { ome: true, ..Description::default() };
     let mut xml = quick_xml::Reader::from_str(text.trim_end_matches('\0'));
     xml.config_mut().check_end_names = false;
     let mut seen = false;
@@ -350,22 +354,22 @@ fn ome(text: &str) -> Description {
             "Pixels" if !seen => {
                 seen = true;
                 let extent = |name: &str| get(name).and_then(|v| v.parse::<usize>().ok()).filter(|n| *n > 0);
-                said.extents = extent("SizeZ").zip(extent("SizeC")).zip(extent("SizeT")).map(|((z, c), t)| [z, c, t]);
+                metadata.extents = extent("SizeZ").zip(extent("SizeC")).zip(extent("SizeT")).map(|((z, c), t)| [z, c, t]);
                 let order = get("DimensionOrder").unwrap_or_else(|| "XYZCT".into());
                 let axes: Vec<usize> = order.chars().filter_map(|c| "ZCT".find(c)).collect();
-                said.order = axes.try_into().ok().filter(|[a, b, c]: &[usize; 3]| a != b && b != c && a != c).unwrap_or([0, 1, 2]);
+                metadata.order = axes.try_into().ok().filter(|[a, b, c]: &[usize; 3]| a != b && b != c && a != c).unwrap_or([0, 1, 2]);
                 for (n, axis) in ["X", "Y", "Z"].into_iter().enumerate() {
                     let unit = get(&format!("PhysicalSize{axis}Unit")).map_or(Some(1e-3), |u| mm_of(&u));
-                    said.spacing[n] = get(&format!("PhysicalSize{axis}")).and_then(|v| v.parse::<f64>().ok()).zip(unit).map(|(v, mm)| v * mm);
+                    metadata.spacing[n] = get(&format!("PhysicalSize{axis}")).and_then(|v| v.parse::<f64>().ok()).zip(unit).map(|(v, mm)| v * mm);
                 }
             }
             "Channel" => {
                 // Red, green, blue, alpha as one signed number.
                 let color = get("Color").and_then(|v| v.parse::<i32>().ok()).map(|v| v.to_be_bytes());
-                said.colors.push(color.map(|[r, g, b, _]| [r, g, b]).filter(|c| *c != [255; 3]));
+                metadata.colors.push(color.map(|[r, g, b, _]| [r, g, b]).filter(|c| *c != [255; 3]));
                 // A channel may hold several samples; pages then hold them together.
                 if get("SamplesPerPixel").and_then(|v| v.parse::<usize>().ok()).is_some_and(|n| n > 1)
-                    && let Some(extents) = &mut said.extents
+                    && let Some(extents) = &mut metadata.extents
                 {
                     extents[1] = 1;
                 }
@@ -373,7 +377,7 @@ fn ome(text: &str) -> Description {
             _ => {}
         }
     }
-    said
+    metadata
 }
 
 #[cfg(test)]
@@ -382,15 +386,15 @@ mod tests {
 
     #[test]
     fn descriptions() {
-        let said = imagej("ImageJ=1.53t\nimages=12\nchannels=2\nslices=3\nframes=2\nunit=micron\nspacing=2.5\n");
-        assert_eq!((said.extents, said.spacing[2], said.order), (Some([3, 2, 2]), Some(2.5), [1, 0, 2]));
+        let metadata = imagej("ImageJ=1.53t\nimages=12\nchannels=2\nslices=3\nframes=2\nunit=micron\nspacing=2.5\n");
+        assert_eq!((metadata.extents, metadata.spacing[2], metadata.order), (Some([3, 2, 2]), Some(2.5), [1, 0, 2]));
         assert_eq!(unit_of_imagej("unit=\\u00B5m\n"), Some(1e-3));
-        let said = ome(
+        let metadata = ome(
             r#"<?xml version="1.0"?><OME xmlns="x"><Image><Pixels DimensionOrder="XYCZT" SizeX="4" SizeY="5" SizeZ="6" SizeC="2" SizeT="1"
             PhysicalSizeX="0.5" PhysicalSizeY="0.5" PhysicalSizeZ="2" PhysicalSizeZUnit="mm"><Channel Color="-16776961"/><Channel/></Pixels></Image></OME>"#,
         );
-        assert_eq!((said.extents, said.order), (Some([6, 2, 1]), [1, 0, 2]));
-        assert_eq!(said.spacing, [Some(0.0005), Some(0.0005), Some(2.0)]);
-        assert_eq!(said.colors, [Some([255, 0, 0]), None]);
+        assert_eq!((metadata.extents, metadata.order), (Some([6, 2, 1]), [1, 0, 2]));
+        assert_eq!(metadata.spacing, [Some(0.0005), Some(0.0005), Some(2.0)]);
+        assert_eq!(metadata.colors, [Some([255, 0, 0]), None]);
     }
 }

@@ -4,9 +4,9 @@
 //! Source: VTK file formats (VTK User's Guide; vtkXMLDataParser).
 
 use super::super::Voxels;
-use super::Choice;
+use super::ReadOptions;
 use super::image::{Image, Meaning, ScalarType};
-use super::source::{DEFLATE_LIMIT, Source, buffered, check_held, count, read_error, usable, with_scalar, zeroed};
+use super::source::{DEFLATE_LIMIT, ValueReader, buffered, check_held, count, read_error, usable, with_scalar, zeroed};
 use crate::{Error, Result, Watch};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -22,22 +22,22 @@ use std::path::Path;
 /// Compressed blocks unpacked at once.
 const BLOCKS_AT_ONCE: usize = 256;
 /// Most bytes of a block.
-const MOST_BLOCK: u64 = 1 << 28;
+const MAX_BLOCK_BYTES: u64 = 1 << 28;
 /// Longest tag that is read.
-const MOST_TAG: usize = 1 << 20;
+const MAX_TAG_BYTES: usize = 1 << 20;
 
 /// Where the values of an array are.
 #[derive(Clone, Debug)]
-struct Array {
+struct VtiArray {
     name: String,
     scalar: Option<ScalarType>,
     type_name: String,
     components: usize,
-    place: Place,
+    place: ArrayLocation,
 }
 
 #[derive(Clone, Copy, Debug)]
-enum Place {
+enum ArrayLocation {
     /// Text after this byte of the file.
     Text(u64),
     /// Base64 after this byte of the file.
@@ -47,7 +47,7 @@ enum Place {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Packing {
+enum Compression {
     None,
     Zlib,
     Lz4,
@@ -55,14 +55,14 @@ enum Packing {
 }
 
 #[derive(Default, Debug)]
-struct Piece {
+struct VtiPiece {
     extent: [i64; 6],
-    points: Vec<Array>,
-    cells: Vec<Array>,
+    points: Vec<VtiArray>,
+    cells: Vec<VtiArray>,
     active: [Option<String>; 2],
 }
 
-struct Document {
+struct VtiDocument {
     whole: [i64; 6],
     origin: DVec3,
     spacing: DVec3,
@@ -70,14 +70,14 @@ struct Document {
     directed: bool,
     big_endian: bool,
     wide: bool,
-    packing: Packing,
-    pieces: Vec<Piece>,
+    packing: Compression,
+    pieces: Vec<VtiPiece>,
     /// First byte of the appended data, and whether they are base64.
     appended: Option<(u64, bool)>,
 }
 
 /// Reads an image.
-pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
+pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let fail = |problem: String| Error::file(path, problem);
     choice.time_of(1)?;
     let (reader, file_bytes) = buffered(path)?;
@@ -96,8 +96,8 @@ pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
     let scalar = wanted.scalar.ok_or_else(|| fail(format!("stores {}, which is no type that can be read", wanted.type_name)))?;
     let components = wanted.components;
     let total = count(path, &[size[0], size[1], size[2], components], scalar)?;
-    let most = if document.packing == Packing::None { file_bytes } else { file_bytes.saturating_mul(7 * DEFLATE_LIMIT) };
-    if !matches!(wanted.place, Place::Text(_)) {
+    let most = if document.packing == Compression::None { file_bytes } else { file_bytes.saturating_mul(7 * DEFLATE_LIMIT) };
+    if !matches!(wanted.place, ArrayLocation::Text(_)) {
         check_held(path, (total * scalar.bytes()) as u64, most)?;
     } else {
         check_held(path, (total as u64).saturating_mul(2).saturating_sub(1), file_bytes)?;
@@ -156,7 +156,7 @@ pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
 }
 
 /// The array that is shown: the active scalars, else the active vectors, else the first; of points before those of cells.
-fn chosen(piece: &Piece) -> Option<(bool, &Array)> {
+fn chosen(piece: &VtiPiece) -> Option<(bool, &VtiArray)> {
     for (cells, arrays) in [(false, &piece.points), (true, &piece.cells)] {
         let active = piece.active.iter().flatten().find_map(|name| arrays.iter().find(|a| a.name == *name));
         if let Some(array) = active.or(arrays.first()) {
@@ -201,7 +201,7 @@ impl Read for Counting {
 
 impl BufRead for Counting {
     fn fill_buf(&mut self) -> std::io::Result<&[u8]> {
-        if self.of_event > MOST_TAG {
+        if self.of_event > MAX_TAG_BYTES {
             return Err(std::io::Error::new(std::io::ErrorKind::InvalidData, "a tag or text longer than 1 MiB"));
         }
         self.inner.fill_buf()
@@ -241,11 +241,11 @@ fn numbers<T: std::str::FromStr, const N: usize>(text: Option<&String>) -> Optio
     all.try_into().ok()
 }
 
-fn document(path: &Path, reader: BufReader<File>) -> Result<Document> {
+fn document(path: &Path, reader: BufReader<File>) -> Result<VtiDocument> {
     let fail = |problem: String| Error::file(path, problem);
     let mut xml = quick_xml::Reader::from_reader(Counting { inner: reader, at: 0, of_event: 0 });
     xml.config_mut().check_end_names = false;
-    let mut document = Document {
+    let mut document = VtiDocument {
         whole: [0; 6],
         origin: DVec3::ZERO,
         spacing: DVec3::ONE,
@@ -253,7 +253,7 @@ fn document(path: &Path, reader: BufReader<File>) -> Result<Document> {
         directed: false,
         big_endian: false,
         wide: false,
-        packing: Packing::None,
+        packing: Compression::None,
         pieces: Vec::new(),
         appended: None,
     };
@@ -277,7 +277,7 @@ fn document(path: &Path, reader: BufReader<File>) -> Result<Document> {
             Event::Eof => break,
             _ => continue,
         };
-        if tag.len() > MOST_TAG {
+        if tag.len() > MAX_TAG_BYTES {
             return Err(fail("has a tag of a megabyte; it is damaged".into()));
         }
         let get = attributes(tag);
@@ -291,10 +291,10 @@ fn document(path: &Path, reader: BufReader<File>) -> Result<Document> {
                 document.big_endian = get.get("byte_order").is_some_and(|b| b == "BigEndian");
                 document.wide = get.get("header_type").is_some_and(|t| t == "UInt64");
                 document.packing = match get.get("compressor").map_or("", String::as_str) {
-                    "" => Packing::None,
-                    "vtkZLibDataCompressor" => Packing::Zlib,
-                    "vtkLZ4DataCompressor" => Packing::Lz4,
-                    "vtkLZMADataCompressor" => Packing::Lzma,
+                    "" => Compression::None,
+                    "vtkZLibDataCompressor" => Compression::Zlib,
+                    "vtkLZ4DataCompressor" => Compression::Lz4,
+                    "vtkLZMADataCompressor" => Compression::Lzma,
                     other => return Err(fail(format!("is compressed by {other}, which cannot be read; save it with zlib"))),
                 };
             }
@@ -314,7 +314,7 @@ fn document(path: &Path, reader: BufReader<File>) -> Result<Document> {
             }
             "Piece" if is_image => {
                 let extent = numbers(get.get("Extent")).unwrap_or(document.whole);
-                document.pieces.push(Piece { extent, ..Piece::default() });
+                document.pieces.push(VtiPiece { extent, ..VtiPiece::default() });
             }
             name @ ("PointData" | "CellData") => {
                 section = (!empty).then_some(usize::from(name == "CellData"));
@@ -334,14 +334,14 @@ fn document(path: &Path, reader: BufReader<File>) -> Result<Document> {
                 };
                 let at = xml.get_ref().at;
                 let place = match get.get("format").map_or("ascii", String::as_str) {
-                    "ascii" => Place::Text(at),
-                    "binary" => Place::Base64(at),
-                    "appended" => Place::Appended(get.get("offset").and_then(|o| o.parse().ok()).unwrap_or(0)),
+                    "ascii" => ArrayLocation::Text(at),
+                    "binary" => ArrayLocation::Base64(at),
+                    "appended" => ArrayLocation::Appended(get.get("offset").and_then(|o| o.parse().ok()).unwrap_or(0)),
                     other => return Err(fail(format!("has an array in the format \"{other}\", which cannot be read"))),
                 };
                 let type_name = get.get("type").cloned().unwrap_or_default();
                 let components = get.get("NumberOfComponents").map_or(Some(1), |n| n.parse().ok()).filter(|n| (1..=1024).contains(n));
-                let array = Array {
+                let array = VtiArray {
                     name: get.get("Name").cloned().unwrap_or_default(),
                     scalar: ScalarType::named(&type_name),
                     type_name,
@@ -373,14 +373,14 @@ fn document(path: &Path, reader: BufReader<File>) -> Result<Document> {
 
 struct Values<'a> {
     path: &'a Path,
-    document: &'a Document,
+    document: &'a VtiDocument,
     scalar: ScalarType,
     file_bytes: u64,
     watch: &'a Watch<'a>,
 }
 
 impl Values<'_> {
-    fn read(&self, array: &Array, count: usize) -> Result<Voxels> {
+    fn read(&self, array: &VtiArray, count: usize) -> Result<Voxels> {
         let path = self.path;
         let start = |at: u64| -> Result<BufReader<File>> {
             let (mut reader, _) = buffered(path)?;
@@ -388,9 +388,9 @@ impl Values<'_> {
             Ok(reader)
         };
         match array.place {
-            Place::Text(at) => super::text::values(path, start(at)?, [0, count], self.scalar, self.watch),
-            Place::Base64(at) => self.unpacked(Base64::new(start(at)?), count),
-            Place::Appended(offset) => {
+            ArrayLocation::Text(at) => super::text::values(path, start(at)?, [0, count], self.scalar, self.watch),
+            ArrayLocation::Base64(at) => self.unpacked(Base64::new(start(at)?), count),
+            ArrayLocation::Appended(offset) => {
                 let missing = || Error::file(path, "has no appended data for its values: it is truncated; copy or download it again");
                 let (first, base64) = self.document.appended.ok_or_else(missing)?;
                 let at = first.checked_add(offset).filter(|at| *at < self.file_bytes).ok_or_else(missing)?;
@@ -413,18 +413,18 @@ impl Values<'_> {
             }
             Ok(u64::from_le_bytes(raw))
         };
-        if self.document.packing == Packing::None {
+        if self.document.packing == Compression::None {
             let stated = length(&mut reader)?;
             // A length of 32 bits is cut off in files of more than 4 GiB.
             if stated < bytes && (self.document.wide || bytes <= u64::from(u32::MAX)) {
                 return Err(fail(format!("holds {stated} bytes of values, and {bytes} are needed")));
             }
-            return Source { path: self.path, reader, swap, count, watch: self.watch }.read_as(self.scalar);
+            return ValueReader { path: self.path, reader, swap, count, watch: self.watch }.read_as(self.scalar);
         }
         let [blocks, size, last] = [length(&mut reader)?, length(&mut reader)?, length(&mut reader)?];
         let whole = blocks
             .checked_mul(size)
-            .filter(|_| size <= MOST_BLOCK && last <= size)
+            .filter(|_| size <= MAX_BLOCK_BYTES && last <= size)
             .and_then(|n| if last > 0 { Some(n.checked_sub(size)? + last) } else { Some(n) });
         if whole.is_none_or(|n| n < bytes) || blocks > self.file_bytes {
             return Err(fail(format!("has {blocks} blocks of {size} bytes for {bytes} bytes of values; it is damaged")));
@@ -438,7 +438,7 @@ impl Values<'_> {
         }
         let blocks =
             Blocks { reader, packed: packed.into_iter(), size: size as usize, packing: self.document.packing, ready: Vec::new(), at: [0, 0] };
-        Source { path: self.path, reader: blocks, swap, count, watch: self.watch }.read_as(self.scalar)
+        ValueReader { path: self.path, reader: blocks, swap, count, watch: self.watch }.read_as(self.scalar)
     }
 }
 
@@ -447,7 +447,7 @@ struct Blocks<R> {
     reader: R,
     packed: std::vec::IntoIter<u64>,
     size: usize,
-    packing: Packing,
+    packing: Compression,
     ready: Vec<Vec<u8>>,
     /// Block, and byte in it, that come next.
     at: [usize; 2],
@@ -484,21 +484,21 @@ impl<R: Read> Read for Blocks<R> {
     }
 }
 
-fn unpack(block: &[u8], size: usize, packing: Packing) -> std::io::Result<Vec<u8>> {
+fn unpack(block: &[u8], size: usize, packing: Compression) -> std::io::Result<Vec<u8>> {
     let mut out = Vec::new();
     match packing {
-        Packing::None => out.extend_from_slice(block),
-        Packing::Zlib => {
+        Compression::None => out.extend_from_slice(block),
+        Compression::Zlib => {
             ZlibDecoder::new(block).take(size as u64).read_to_end(&mut out)?;
         }
-        Packing::Lz4 => {
+        Compression::Lz4 => {
             // LZ4 cannot shrink by more than 255.
             out.resize(size.min(block.len().saturating_mul(255)), 0);
             let n =
                 lz4_flex::block::decompress_into(block, &mut out).map_err(|e| std::io::Error::new(std::io::ErrorKind::InvalidData, e.to_string()))?;
             out.truncate(n);
         }
-        Packing::Lzma => {
+        Compression::Lzma => {
             lzma_rust2::XzReader::new(block, false).take(size as u64).read_to_end(&mut out)?;
         }
     }

@@ -2,27 +2,27 @@
 //!
 //! *Geometry*: origin and spacing along the axes, taken as LPS; the format has no directions. Source: VTK file formats, "Simple legacy formats".
 
-use super::Choice;
+use super::ReadOptions;
 use super::image::{Image, Meaning, ScalarType};
-use super::source::{Source, buffered, check_held, count, read_error, usable};
+use super::source::{ValueReader, buffered, check_held, count, read_error, usable};
 use crate::{Error, Result, Watch};
 use glam::{DAffine3, DMat3, DVec3};
 use std::io::{BufRead, Read};
 use std::path::Path;
 
 /// Longest line of a header.
-const MOST_LINE: u64 = 1 << 16;
+const MAX_LINE_BYTES: u64 = 1 << 16;
 /// Most lines of a header.
-const MOST_LINES: usize = 10_000;
+const MAX_HEADER_LINES: usize = 10_000;
 
 /// Reads an image.
-pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
+pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let fail = |problem: String| Error::file(path, problem);
     choice.time_of(1)?;
     let (mut reader, file_bytes) = buffered(path)?;
     let mut line = || -> Result<Option<String>> {
         let mut bytes = Vec::new();
-        let read = (&mut reader).take(MOST_LINE).read_until(b'\n', &mut bytes).map_err(|e| read_error(path, e))?;
+        let read = (&mut reader).take(MAX_LINE_BYTES).read_until(b'\n', &mut bytes).map_err(|e| read_error(path, e))?;
         Ok((read > 0).then(|| String::from_utf8_lossy(&bytes).trim().to_owned()))
     };
     if !line()?.is_some_and(|l| l.starts_with("# vtk DataFile")) {
@@ -38,7 +38,7 @@ pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
     let mut on_cells = false;
     // Type, components and meaning of the first array.
     let mut array = None;
-    for _ in 0..MOST_LINES {
+    for _ in 0..MAX_HEADER_LINES {
         let Some(text) = line()? else { break };
         let words: Vec<&str> = text.split_whitespace().collect();
         let three = || -> Option<[f64; 3]> { words.get(1..4)?.iter().map(|w| w.parse().ok()).collect::<Option<Vec<_>>>()?.try_into().ok() };
@@ -96,7 +96,7 @@ pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
     let total = count(path, &[size[0], size[1], size[2], components], scalar)?;
     let voxels = if binary {
         check_held(path, (total * scalar.bytes()) as u64, file_bytes)?;
-        Source { path, reader, swap: scalar.bytes() > 1 && cfg!(target_endian = "little"), count: total, watch }.read_as(scalar)?
+        ValueReader { path, reader, swap: scalar.bytes() > 1 && cfg!(target_endian = "little"), count: total, watch }.read_as(scalar)?
     } else {
         check_held(path, (total as u64).saturating_mul(2).saturating_sub(1), file_bytes)?;
         super::text::values(path, reader, [0, total], scalar, watch)?

@@ -6,10 +6,10 @@
 use super::image::{Channel, Image, Layout, Meaning, ScalarType};
 use super::source::{count, reserved, with_scalar};
 use super::tiff::mm_of;
-use super::{Choice, Voxels};
+use super::{ReadOptions, Voxels};
 use crate::files::{input, inputs, reference};
-use crate::guard::guarded;
-use crate::{Error, Meter, Result, Watch};
+use crate::panic_guard::catch_panic;
+use crate::{ByteProgress, Error, Result, Watch};
 use glam::{DAffine3, DMat3, DVec3};
 use serde_json::{Value, json};
 use std::ops::Range;
@@ -20,12 +20,12 @@ use zarrs::array::ArraySubset;
 use zarrs::filesystem::FilesystemStore;
 
 /// The most that chunks can have been packed by, and what is believed of any array whose chunks were left out as empty.
-const MOST_RATIO: u64 = 5000;
+const MAX_COMPRESSION_RATIO: u64 = 5000;
 const ALWAYS_BELIEVED: u64 = 64 << 20;
 /// Chunks that may be left out as empty.
-const MOST_MISSING: u64 = 100_000;
+const MAX_MISSING_CHUNKS: u64 = 100_000;
 /// Largest metadata file that is read.
-const MOST_METADATA: u64 = 16 << 20;
+const MAX_METADATA_BYTES: u64 = 16 << 20;
 
 /// Whether a folder is a Zarr group or array.
 pub fn is_zarr(folder: &Path) -> bool {
@@ -37,7 +37,7 @@ fn metadata(path: &Path) -> Result<Value> {
     if !path.exists() {
         return Ok(Value::Null);
     }
-    let bytes = input::bytes(path, MOST_METADATA, "metadata")?;
+    let bytes = input::bytes(path, MAX_METADATA_BYTES, "metadata")?;
     serde_json::from_slice(&bytes).map_err(|e| Error::file(path, format!("is no readable JSON ({e}); it is truncated or damaged")))
 }
 
@@ -52,24 +52,24 @@ fn attributes(folder: &Path) -> Result<Value> {
 }
 
 /// Reads an image.
-pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
+pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let ended = || Error::file(path, "its chunks are damaged; copy it again");
-    guarded(|| read_unguarded(path, choice, watch)).ok_or_else(ended)?
+    catch_panic(|| read_unguarded(path, choice, watch)).ok_or_else(ended)?
 }
 
-fn read_unguarded(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
+fn read_unguarded(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let fail = |problem: String| Error::file(path, problem);
     let mut folder = path.to_owned();
-    let mut said = attributes(&folder)?;
+    let mut attributes_json = attributes(&folder)?;
     // Converted files keep their first image one level down.
-    if !said["multiscales"].is_array() && said.get("bioformats2raw.layout").is_some() {
+    if !attributes_json["multiscales"].is_array() && attributes_json.get("bioformats2raw.layout").is_some() {
         folder = folder.join("0");
-        said = attributes(&folder)?;
+        attributes_json = attributes(&folder)?;
     }
-    if said["plate"].is_object() || said["well"].is_object() {
+    if attributes_json["plate"].is_object() || attributes_json["well"].is_object() {
         return Err(fail("is a plate of many images; name one of them (a folder such as A/1/0 inside)".into()));
     }
-    let multiscale = &said["multiscales"][0];
+    let multiscale = &attributes_json["multiscales"][0];
     let datasets = multiscale["datasets"].as_array().cloned().unwrap_or_default();
     let level = choice.level.unwrap_or(0);
     if datasets.is_empty() && level > 0 {
@@ -107,7 +107,7 @@ fn read_unguarded(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> 
         return Err(fail("has its axes in another order than time, channel, z, y, x; reorder them".into()));
     }
     // One channel is read alone where one is asked for.
-    let one = Choice::index("channel", choice.channel, channels)?;
+    let one = ReadOptions::index("channel", choice.channel, channels)?;
     if one.is_none() && channels > 4 {
         return Err(fail(format!("holds {channels} channels, which cannot be shown together; choose one with --channel 1 to {channels}")));
     }
@@ -139,7 +139,7 @@ fn read_unguarded(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> 
     let layer = z.map_or(1, |z| layout.chunks[z] as usize).clamp(1, size[2]);
     let voxels: Voxels = with_scalar!(layout.scalar, T => {
         let mut values: Vec<T> = reserved(path, total)?;
-        let meter = Meter::new(watch, (total * size_of::<T>()) as u64);
+        let meter = ByteProgress::new(watch, (total * size_of::<T>()) as u64);
         for &channel in &chosen {
             for first in (0..size[2]).step_by(layer) {
                 let region = subset(channel, first..(first + layer).min(size[2]));
@@ -174,8 +174,8 @@ fn read_unguarded(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> 
     let mut image = Image::new(if folder.join("zarr.json").is_file() { "OME-Zarr 0.5" } else { "OME-Zarr 0.4" }, voxels, size, world_from_voxel);
     (image.components, image.layout) = (chosen.len(), Layout::Planar);
     if chosen.len() > 1 {
-        image.meaning = Meaning::Channels(chosen.iter().map(|&n| look(&said["omero"]["channels"][n], n)).collect());
-    } else if folder.parent().is_some_and(|p| p.ends_with("labels")) || said["image-label"].is_object() {
+        image.meaning = Meaning::Channels(chosen.iter().map(|&n| channel_style(&attributes_json["omero"]["channels"][n], n)).collect());
+    } else if folder.parent().is_some_and(|p| p.ends_with("labels")) || attributes_json["image-label"].is_object() {
         image.meaning = Meaning::Labels(Vec::new());
     }
     image.channel_taken = one.is_some();
@@ -247,7 +247,7 @@ impl ArrayLayout {
             }
             let Ok(metadata) = std::fs::metadata(entry.path()) else { continue };
             if metadata.is_file() {
-                inputs::note(entry.path(), &metadata);
+                inputs::register(entry.path(), &metadata);
                 (there, files) = (there + metadata.len(), files + 1);
             } else if !metadata.is_dir() {
                 return Err(Error::file(
@@ -258,26 +258,26 @@ impl ArrayLayout {
         }
         // Each chunk is looked for, whether it is there or not.
         let chunks = self.shape.iter().zip(&self.chunks).try_fold(1u64, |n, (s, c)| n.checked_mul(s.div_ceil(*c)));
-        if chunks.is_none_or(|n| n > MOST_MISSING.saturating_add(files.saturating_mul(64))) {
+        if chunks.is_none_or(|n| n > MAX_MISSING_CHUNKS.saturating_add(files.saturating_mul(64))) {
             return Err(Error::file(path, format!("declares far more chunks than the {files} files in it: its metadata are damaged; copy it again")));
         }
-        let most = there.saturating_mul(MOST_RATIO).max(ALWAYS_BELIEVED);
+        let most = there.saturating_mul(MAX_COMPRESSION_RATIO).max(ALWAYS_BELIEVED);
         let chunk = self.chunks.iter().try_fold(self.scalar.bytes() as u64, |n, &c| n.checked_mul(c));
         super::source::check_held(path, bytes.max(chunk.unwrap_or(u64::MAX)), most)
     }
 }
 
-struct Axis {
+struct ZarrAxis {
     name: String,
     mm: f64,
 }
 
 /// Names and units of the axes; those of 0.1 and 0.2 are always t, c, z, y, x.
-fn axes(multiscale: &Value, rank: usize) -> Result<Vec<Axis>, String> {
+fn axes(multiscale: &Value, rank: usize) -> Result<Vec<ZarrAxis>, String> {
     let Some(stated) = multiscale["axes"].as_array() else {
         let names: &[&str] = if multiscale.is_null() { &["t", "c", "z", "y", "x"][5 - rank.min(5)..] } else { &["t", "c", "z", "y", "x"] };
         return if names.len() == rank {
-            Ok(names.iter().map(|n| Axis { name: (*n).to_owned(), mm: 1.0 }).collect())
+            Ok(names.iter().map(|n| ZarrAxis { name: (*n).to_owned(), mm: 1.0 }).collect())
         } else {
             Err("does not name its axes; its metadata are damaged".into())
         };
@@ -287,7 +287,7 @@ fn axes(multiscale: &Value, rank: usize) -> Result<Vec<Axis>, String> {
     }
     Ok(stated
         .iter()
-        .map(|a| Axis {
+        .map(|a| ZarrAxis {
             name: a.as_str().or(a["name"].as_str()).unwrap_or("").to_ascii_lowercase(),
             mm: a["unit"].as_str().and_then(mm_of).unwrap_or(1.0),
         })
@@ -324,9 +324,9 @@ fn placement(multiscale: &Value, dataset: &Value, rank: usize) -> Result<(Option
 }
 
 /// Colour and window of a channel.
-fn look(said: &Value, n: usize) -> Channel {
-    let color = said["color"].as_str().filter(|t| t.len() == 6).and_then(|t| u32::from_str_radix(t, 16).ok());
+fn channel_style(attributes_json: &Value, n: usize) -> Channel {
+    let color = attributes_json["color"].as_str().filter(|t| t.len() == 6).and_then(|t| u32::from_str_radix(t, 16).ok());
     let [_, r, g, b] = color.unwrap_or(0).to_be_bytes();
-    let window = said["window"]["start"].as_f64().zip(said["window"]["end"].as_f64()).filter(|(a, b)| a < b);
+    let window = attributes_json["window"]["start"].as_f64().zip(attributes_json["window"]["end"].as_f64()).filter(|(a, b)| a < b);
     Channel { color: if color.is_some() { [r, g, b] } else { super::super::colors::CHANNELS[n % 4] }, window: window.map(|(a, b)| [a, b]) }
 }

@@ -14,9 +14,9 @@ pub use scan::is_dicom;
 
 use super::image::{Image, Meaning};
 use super::source::{usable, zeroed};
-use super::{Choice, Voxels};
-use crate::volume::{Misplaced, Rescale};
-use crate::{Error, Meter, Result, Watch};
+use super::{ReadOptions, Voxels};
+use crate::volume::{Rescale, SliceDisplacement};
+use crate::{ByteProgress, Error, Result, Watch};
 use glam::{DAffine3, DMat3, DVec3};
 use pixels::{Pixel, check_syntax, decode};
 use rayon::prelude::*;
@@ -24,24 +24,24 @@ use scan::{Frame, Object, PixelFormat, SegmentsAs, scan};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
-use syntax::{most_ratio, syntax_name};
+use syntax::{max_compression_ratio, syntax_name};
 
 /// Steps that differ by more than this, mm or share of the step, are uneven.
 const UNEVEN: [f64; 2] = [0.01, 0.01];
 /// Frames closer than this, mm, are at the same place.
 const SAME_PLACE: f64 = 1e-3;
 /// Most slices that a segmentation is believed to have left out empty ones among.
-const MOST_LEFT_OUT: f64 = 10_000.0;
+const MAX_EMPTY_SLICES: f64 = 10_000.0;
 /// Positions named in one message.
-const MOST_NAMED: usize = 8;
+const MAX_NAMED_POSITIONS: usize = 8;
 /// Packed syntaxes whose decoders give colours as they were stored: RLE, lossless JPEG, JPEG-LS.
 const AS_STORED: [&str; 5] =
     ["1.2.840.10008.1.2.5", "1.2.840.10008.1.2.4.57", "1.2.840.10008.1.2.4.70", "1.2.840.10008.1.2.4.80", "1.2.840.10008.1.2.4.81"];
 /// An evened-out series has at most this many times the slices.
-const MOST_RESAMPLED: f64 = 16.0;
+const MAX_RESAMPLING_FACTOR: f64 = 16.0;
 
 /// Frames that make one volume, or one for each time.
-struct Series {
+struct DicomSeries {
     /// First object of it.
     object: usize,
     /// By time, each sorted along the normal.
@@ -85,7 +85,7 @@ pub fn list(path: &Path, patient: bool, watch: &Watch) -> Result<Vec<SeriesInfo>
     Ok(all.iter().enumerate().map(|(n, s)| info(n, s, &found.objects, patient)).collect())
 }
 
-fn info(n: usize, series: &Series, objects: &[Object], patient: bool) -> SeriesInfo {
+fn info(n: usize, series: &DicomSeries, objects: &[Object], patient: bool) -> SeriesInfo {
     let object = &objects[series.object];
     SeriesInfo {
         number: n + 1,
@@ -100,7 +100,7 @@ fn info(n: usize, series: &Series, objects: &[Object], patient: bool) -> SeriesI
 }
 
 /// What to say where there is no picture.
-fn nothing(path: &Path, found: scan::Found) -> Error {
+fn nothing(path: &Path, found: scan::ScanResult) -> Error {
     match found.complaint {
         Some(complaint) => complaint,
         None if path.is_dir() => Error::file(
@@ -130,7 +130,7 @@ pub fn any(path: &Path, watch: &Watch) -> Result<bool> {
 }
 
 /// Reads one series.
-pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
+pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     // Headers take a tenth of the time.
     let scanning = |share: f32| (watch.progress)(0.1 * share);
     let found = scan(path, &Watch { progress: &scanning, cancel: watch.cancel })?;
@@ -179,7 +179,7 @@ pub fn read(path: &Path, choice: &Choice, watch: &Watch) -> Result<Image> {
     Ok(image)
 }
 
-fn named(series: &Series, objects: &[Object]) -> String {
+fn named(series: &DicomSeries, objects: &[Object]) -> String {
     let object = &objects[series.object];
     let number = object.series_number.map_or_else(|| "without a number".to_owned(), |n| n.to_string());
     let description = if object.description.is_empty() { String::new() } else { format!(" \"{}\"", object.description) };
@@ -187,17 +187,18 @@ fn named(series: &Series, objects: &[Object]) -> String {
 }
 
 /// The series of a number, a UID or a part of a description.
-fn chosen(wanted: &str, all: &[Series], objects: &[Object]) -> Result<usize> {
-    let known = || all.iter().enumerate().take(MOST_NAMED).map(|(n, s)| format!("{}: {}", n + 1, named(s, objects))).collect::<Vec<_>>().join("; ");
+fn chosen(wanted: &str, all: &[DicomSeries], objects: &[Object]) -> Result<usize> {
+    let valid_names =
+        || all.iter().enumerate().take(MAX_NAMED_POSITIONS).map(|(n, s)| format!("{}: {}", n + 1, named(s, objects))).collect::<Vec<_>>().join("; ");
     if let Ok(n) = wanted.parse::<usize>() {
         return if (1..=all.len()).contains(&n) {
             Ok(n - 1)
         } else {
-            Err(Error::value("series", format!("{n} is none of {}: {}", all.len(), known())))
+            Err(Error::value("series", format!("{n} is none of {}: {}", all.len(), valid_names())))
         };
     }
-    let fits = |s: &Series| objects[s.object].series == wanted || objects[s.object].description.to_lowercase().contains(&wanted.to_lowercase());
-    all.iter().position(fits).ok_or_else(|| Error::value("series", format!("\"{wanted}\" is none of {}: {}", all.len(), known())))
+    let fits = |s: &DicomSeries| objects[s.object].series == wanted || objects[s.object].description.to_lowercase().contains(&wanted.to_lowercase());
+    all.iter().position(fits).ok_or_else(|| Error::value("series", format!("\"{wanted}\" is none of {}: {}", all.len(), valid_names())))
 }
 
 /// Unit normal of a frame's plane.
@@ -206,7 +207,7 @@ fn normal(frame: &Frame) -> DVec3 {
 }
 
 /// Frames by what they have in common, the largest series first.
-fn series(objects: &[Object]) -> Vec<Series> {
+fn series(objects: &[Object]) -> Vec<DicomSeries> {
     let mut groups: HashMap<String, Vec<Frame>> = HashMap::new();
     for object in objects {
         let f = &object.format;
@@ -221,8 +222,8 @@ fn series(objects: &[Object]) -> Vec<Series> {
             groups.entry(key).or_default().push(frame.clone());
         }
     }
-    let mut all: Vec<(String, Series)> = groups.into_iter().map(|(key, frames)| (key, sorted(frames, objects))).collect();
-    let voxels = |s: &Series| {
+    let mut all: Vec<(String, DicomSeries)> = groups.into_iter().map(|(key, frames)| (key, sorted(frames, objects))).collect();
+    let voxels = |s: &DicomSeries| {
         let f = &objects[s.object].format;
         places(&s.times[0]).len() * usize::from(f.rows) * usize::from(f.columns)
     };
@@ -243,7 +244,7 @@ fn places(frames: &[Frame]) -> Vec<f64> {
 }
 
 /// A group of frames along its normal, shared out over times where every place occurs equally often.
-fn sorted(mut frames: Vec<Frame>, objects: &[Object]) -> Series {
+fn sorted(mut frames: Vec<Frame>, objects: &[Object]) -> DicomSeries {
     let object = frames.first().map_or(0, |f| f.object);
     let by_order = |a: &Frame, b: &Frame| {
         let order = a.order.iter().zip(&b.order).map(|(a, b)| a.total_cmp(b)).find(|o| o.is_ne()).unwrap_or(std::cmp::Ordering::Equal);
@@ -253,13 +254,13 @@ fn sorted(mut frames: Vec<Frame>, objects: &[Object]) -> Series {
     if !placed {
         // By instance number, as nothing better is known.
         frames.sort_by(|a, b| a.order[4].total_cmp(&b.order[4]).then_with(|| by_order(a, b)));
-        return Series { object, times: vec![frames], duplicates: 0 };
+        return DicomSeries { object, times: vec![frames], duplicates: 0 };
     }
     let at = |f: &Frame| f.position.map_or(0.0, |p| p.dot(normal(f)));
     frames.sort_by(|a, b| at(a).total_cmp(&at(b)).then_with(|| by_order(a, b)));
     if objects[object].segmentation {
         // Segments share places.
-        return Series { object, times: vec![frames], duplicates: 0 };
+        return DicomSeries { object, times: vec![frames], duplicates: 0 };
     }
     let mut stacks: Vec<Vec<Frame>> = Vec::new();
     for frame in frames {
@@ -274,11 +275,11 @@ fn sorted(mut frames: Vec<Frame>, objects: &[Object]) -> Series {
     let times = if even { often } else { 1 };
     let duplicates = stacks.iter().map(|s| s.len() - times).sum();
     let times = (0..times).map(|t| stacks.iter().map(|s| s[t].clone()).collect()).collect();
-    Series { object, times, duplicates }
+    DicomSeries { object, times, duplicates }
 }
 
 /// Where the slices of a volume lie.
-struct Placement {
+struct SlicePlacement {
     world_from_voxel: DAffine3,
     /// Position of every slice in slices from the first one; whole numbers where they are even.
     at: Vec<f64>,
@@ -287,7 +288,7 @@ struct Placement {
     off_mm: [f64; 2],
 }
 
-fn placement(frames: &[&Frame], object: &Object, resample: bool, warnings: &mut Vec<String>) -> Placement {
+fn placement(frames: &[&Frame], object: &Object, resample: bool, warnings: &mut Vec<String>) -> SlicePlacement {
     let (first, last) = (frames[0], frames[frames.len() - 1]);
     let n = frames.len();
     let [columns, rows] = first.spacing;
@@ -315,7 +316,7 @@ fn placement(frames: &[&Frame], object: &Object, resample: bool, warnings: &mut 
         let least = at.windows(2).map(|w| w[1] - w[0]).fold(f64::INFINITY, f64::min);
         let count = at.last().map_or(0.0, |last| last / least);
         let whole = |a: &f64| (a / least - (a / least).round()).abs() < 0.05;
-        if at.len() == n && least > SAME_PLACE && count < MOST_LEFT_OUT && at.iter().all(whole) {
+        if at.len() == n && least > SAME_PLACE && count < MAX_EMPTY_SLICES && at.iter().all(whole) {
             step = step * (n - 1) as f64 / count.round();
         }
     }
@@ -334,8 +335,8 @@ fn placement(frames: &[&Frame], object: &Object, resample: bool, warnings: &mut 
         let missing: Vec<usize> = (0..gaps.len()).filter(|&k| gaps[k] > 1.5 * usual).collect();
         let whole = |g: f64| (g / usual - (g / usual).round()).abs() < 0.05;
         let list = |ks: &[usize]| {
-            let some: Vec<String> = ks.iter().take(MOST_NAMED).map(|&k| format!("{} to {}", place(k), place(k + 1))).collect();
-            if ks.len() > MOST_NAMED { format!("{} and {} more", some.join(", "), ks.len() - MOST_NAMED) } else { some.join(", ") }
+            let some: Vec<String> = ks.iter().take(MAX_NAMED_POSITIONS).map(|&k| format!("{} to {}", place(k), place(k + 1))).collect();
+            if ks.len() > MAX_NAMED_POSITIONS { format!("{} and {} more", some.join(", "), ks.len() - MAX_NAMED_POSITIONS) } else { some.join(", ") }
         };
         if !missing.is_empty() && gaps.iter().all(|g| whole(*g)) {
             let count: f64 = missing.iter().map(|&k| (gaps[k] / usual).round() - 1.0).sum();
@@ -365,11 +366,11 @@ fn placement(frames: &[&Frame], object: &Object, resample: bool, warnings: &mut 
     }
     let matrix3 = DMat3::from_cols(first.along[0] * columns, first.along[1] * rows, step);
     let off_mm = [if uneven { off } else { 0.0 }, if is_aside { aside } else { 0.0 }];
-    Placement { world_from_voxel: DAffine3 { matrix3, translation: start }, at: along, even: !uneven, off_mm }
+    SlicePlacement { world_from_voxel: DAffine3 { matrix3, translation: start }, at: along, even: !uneven, off_mm }
 }
 
 /// The volume of a sorted set of frames.
-fn volume(path: &Path, objects: &[Object], frames: &[Frame], choice: &Choice, watch: &Watch, warnings: &mut Vec<String>) -> Result<Image> {
+fn volume(path: &Path, objects: &[Object], frames: &[Frame], choice: &ReadOptions, watch: &Watch, warnings: &mut Vec<String>) -> Result<Image> {
     let object = &objects[frames[0].object];
     for o in frames.iter().map(|f| f.object).collect::<std::collections::BTreeSet<_>>() {
         check_syntax(&objects[o])?;
@@ -400,7 +401,7 @@ fn volume(path: &Path, objects: &[Object], frames: &[Frame], choice: &Choice, wa
     let total = size.iter().product::<usize>().checked_mul(samples).ok_or_else(|| Error::file(path, "is larger than can be addressed"))?;
     check_pixels(path, objects, frames)?;
     let one_rescale = frames.iter().all(|f| f.rescale == frames[0].rescale);
-    let job = Job { path, objects, frames, slot: &slot, total, watch };
+    let job = DecodeJob { path, objects, frames, slot: &slot, total, watch };
     let mut rescale = if one_rescale { frames[0].rescale } else { Rescale::NONE };
     let palette = format.photometric == "PALETTE COLOR";
     let (voxels, components): (Voxels, usize) = if object.segmentation {
@@ -443,7 +444,7 @@ fn volume(path: &Path, objects: &[Object], frames: &[Frame], choice: &Choice, wa
     let [along, aside] = placement.off_mm;
     let along = if choice.resample { 0.0 } else { along };
     if along.max(aside) > 0.0 {
-        image.misplaced = Some(Misplaced { by_mm: along.max(aside), resampling_helps: along > 0.0 && components == 1 });
+        image.misplaced = Some(SliceDisplacement { by_mm: along.max(aside), resampling_helps: along > 0.0 && components == 1 });
     }
     Ok(image)
 }
@@ -460,7 +461,7 @@ fn check_pixels(path: &Path, objects: &[Object], frames: &[Frame]) -> Result<()>
     }
     for (object, bytes) in needed {
         let object = &objects[object];
-        let ratio = most_ratio(&object.syntax, object.format.frame_bytes());
+        let ratio = max_compression_ratio(&object.syntax, object.format.frame_bytes());
         // Single bits are not padded to bytes between frames.
         let bytes = if object.format.allocated == 1 { bytes.saturating_sub(frames.len()) } else { bytes };
         let most = object.source.bytes().saturating_mul(ratio);
@@ -473,7 +474,7 @@ fn check_pixels(path: &Path, objects: &[Object], frames: &[Frame]) -> Result<()>
 }
 
 /// Frames to be decoded into one array.
-struct Job<'a> {
+struct DecodeJob<'a> {
     path: &'a Path,
     objects: &'a [Object],
     frames: &'a [Frame],
@@ -483,7 +484,7 @@ struct Job<'a> {
     watch: &'a Watch<'a>,
 }
 
-impl Job<'_> {
+impl DecodeJob<'_> {
     fn format(&self) -> &PixelFormat {
         &self.objects[self.frames[0].object].format
     }
@@ -492,7 +493,7 @@ impl Job<'_> {
     fn run<T: Pixel>(&self, convert: &(dyn Fn(&Frame, T) -> T + Sync)) -> Result<Vec<T>> {
         let mut values: Vec<T> = zeroed(self.path, self.total)?;
         let plane = self.format().values();
-        let meter = Meter::new(self.watch, (self.frames.len() * plane * size_of::<T>()) as u64);
+        let meter = ByteProgress::new(self.watch, (self.frames.len() * plane * size_of::<T>()) as u64);
         // What each object has to fill.
         let mut jobs: HashMap<usize, Vec<(&Frame, &mut [T])>> = HashMap::new();
         for (frame, out) in self.frames.iter().zip(values.chunks_mut(plane)) {
@@ -570,7 +571,7 @@ impl Job<'_> {
         for (n, frame) in self.frames.iter().enumerate() {
             by_object.entry(frame.object).or_default().push(n);
         }
-        let meter = Meter::new(self.watch, (self.frames.len() * plane) as u64);
+        let meter = ByteProgress::new(self.watch, (self.frames.len() * plane) as u64);
         let mut overlaps = 0usize;
         for (index, frames) in by_object {
             let object = &self.objects[index];
@@ -602,14 +603,14 @@ impl Job<'_> {
 }
 
 /// Interpolates unevenly spaced slices onto an even grid of the usual step.
-fn evened(path: &Path, image: &mut Image, placement: &Placement, warnings: &mut Vec<String>) -> Result<()> {
+fn evened(path: &Path, image: &mut Image, placement: &SlicePlacement, warnings: &mut Vec<String>) -> Result<()> {
     if image.components > 1 {
         return Err(Error::file(path, "is in colour: its slices cannot be evened out"));
     }
     let at = &placement.at;
     let mut gaps: Vec<f64> = at.windows(2).map(|w| w[1] - w[0]).collect();
     gaps.sort_by(f64::total_cmp);
-    let step = gaps[gaps.len() / 2].max((at.len() - 1) as f64 / (MOST_RESAMPLED * at.len() as f64));
+    let step = gaps[gaps.len() / 2].max((at.len() - 1) as f64 / (MAX_RESAMPLING_FACTOR * at.len() as f64));
     let count = ((at.len() - 1) as f64 / step).round() as usize + 1;
     let step = (at.len() - 1) as f64 / (count - 1) as f64;
     let plane = image.size[0] * image.size[1];

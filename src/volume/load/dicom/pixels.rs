@@ -4,10 +4,10 @@
 //! 2000 they also need OpenJPEG, in C or in what was translated from it, where `hayro-jpeg2000` is safe Rust. RLE and (as an option) JPEG-LS
 //! are left to the registry.
 
-use super::super::source::{Stored, read_error};
+use super::super::source::{RawScalar, read_error};
 use super::scan::{Frame, Object, PixelFormat, one_line, open, whole};
-use super::syntax::{JPEG, JPEG_2000, most_ratio, syntax_name};
-use crate::guard::guarded;
+use super::syntax::{JPEG, JPEG_2000, max_compression_ratio, syntax_name};
+use crate::panic_guard::catch_panic;
 use crate::{Error, Result};
 use dicom_core::header::HasLength;
 use dicom_core::{Length, Tag};
@@ -60,12 +60,12 @@ pub fn read(object: &Object) -> Result<Pixels> {
     let native_bytes =
         if object.format.allocated == 1 { (object.format.values() * frames).div_ceil(8) } else { object.format.frame_bytes() * frames };
     if object.format.float {
-        let whole = guarded(|| whole(&object.source)).ok_or_else(ended)??;
+        let whole = catch_panic(|| whole(&object.source)).ok_or_else(ended)??;
         let element = |tag: Tag| whole.get(tag).and_then(|e| e.to_bytes().ok().map(Cow::into_owned));
         let bytes = element(tags::FLOAT_PIXEL_DATA).or_else(|| element(tags::DOUBLE_FLOAT_PIXEL_DATA)).ok_or_else(ended)?;
         return native(path, bytes, native_bytes, cfg!(target_endian = "big"));
     }
-    let read = guarded(|| -> Result<(Vec<u32>, Vec<Vec<u8>>, bool)> {
+    let read = catch_panic(|| -> Result<(Vec<u32>, Vec<Vec<u8>>, bool)> {
         let uid = object.syntax.as_str();
         let packed = JPEG.contains(&uid)
             || JPEG_2000.contains(&uid)
@@ -179,7 +179,7 @@ fn frames_of(table: &[u32], fragments: Vec<Vec<u8>>, frames: usize) -> Option<Ve
 }
 
 /// The sample type that a format's values have when they are read as stored.
-pub trait Pixel: Stored {
+pub trait Pixel: RawScalar {
     /// Whether it is of floating point.
     const FLOAT: bool;
     /// The lowest `bits` bits of `raw` as a value, with their sign if they have one.
@@ -270,11 +270,11 @@ fn unpacked(object: &Object, packed: &[u8]) -> Result<Vec<u8>> {
     let format = &object.format;
     let needed = format.frame_bytes();
     let damaged = |e: String| Error::file(object.source.path(), format!("its pixels cannot be decoded ({e}); copy or export it again"));
-    if needed / most_ratio(&object.syntax, needed) as usize > packed.len() {
+    if needed / max_compression_ratio(&object.syntax, needed) as usize > packed.len() {
         return Err(damaged(format!("{} bytes do not make a picture of {} x {}", packed.len(), format.columns, format.rows)));
     }
     let uid = object.syntax.as_str();
-    let decoded = guarded(|| {
+    let decoded = catch_panic(|| {
         if JPEG.contains(&uid) {
             jpeg(format, packed)
         } else if JPEG_2000.contains(&uid) {

@@ -1,11 +1,11 @@
 //! Finding DICOM objects in a file, a folder or a zip, and what their headers say: one [`Frame`] for every plane of pixels.
 
 use super::super::source::{DEFLATE_LIMIT, open_file};
-use super::syntax::most_ratio;
+use super::syntax::max_compression_ratio;
 use crate::files::{input, reference};
-use crate::guard::guarded;
+use crate::panic_guard::catch_panic;
 use crate::volume::{Label, Rescale};
-use crate::{Error, Meter, Result, Watch};
+use crate::{ByteProgress, Error, Result, Watch};
 use dicom_core::Tag;
 use dicom_core::header::HasLength;
 use dicom_dictionary_std::tags;
@@ -30,44 +30,44 @@ const DEFLATED: &str = "1.2.840.10008.1.2.1.99";
 /// Segmentation storage, and the newer kind whose pixels are labels.
 const SEGMENTATION: [&str; 2] = ["1.2.840.10008.5.1.4.1.1.66.4", "1.2.840.10008.5.1.4.1.1.66.7"];
 /// Bytes of a deflated object in which its header must end.
-const MOST_HEADER: u64 = 64 << 20;
+const MAX_HEADER_BYTES: u64 = 64 << 20;
 /// Most bytes of the meta information.
-const MOST_META: u64 = 1 << 20;
+const MAX_META_BYTES: u64 = 1 << 20;
 /// Most files and folders that are looked at.
-const MOST_FILES: usize = 1 << 20;
+const MAX_FILES: usize = 1 << 20;
 /// Deepest folder in a folder.
-const MOST_DEPTH: usize = 32;
+const MAX_FOLDER_DEPTH: usize = 32;
 /// Deepest sequence in a sequence.
-const MOST_NESTED: usize = 64;
+const MAX_NESTED_SEQUENCES: usize = 64;
 /// Most frames of one object.
-const MOST_FRAMES: usize = 1 << 20;
+const MAX_FRAMES: usize = 1 << 20;
 
 /// Where an object's bytes are.
 #[derive(Clone)]
-pub enum Source {
+pub enum ObjectLocation {
     File(PathBuf),
     /// A member of a zip: its name, which one it is, and how long it says to be.
     Member {
         name: PathBuf,
-        archive: ZipArchive<Again>,
+        archive: ZipArchive<ReopenableFile>,
         index: usize,
         bytes: u64,
     },
 }
 
 /// A file that everyone who has a copy of this opens for himself, when he first reads it.
-pub struct Again {
+pub struct ReopenableFile {
     path: PathBuf,
     file: Option<BufReader<File>>,
 }
 
-impl Clone for Again {
+impl Clone for ReopenableFile {
     fn clone(&self) -> Self {
         Self { path: self.path.clone(), file: None }
     }
 }
 
-impl Again {
+impl ReopenableFile {
     fn file(&mut self) -> std::io::Result<&mut BufReader<File>> {
         if self.file.is_none() {
             let (file, _) = open_file(&self.path).map_err(|e| std::io::Error::other(e.to_string()))?;
@@ -77,13 +77,13 @@ impl Again {
     }
 }
 
-impl Read for Again {
+impl Read for ReopenableFile {
     fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
         self.file()?.read(bytes)
     }
 }
 
-impl Seek for Again {
+impl Seek for ReopenableFile {
     fn seek(&mut self, to: SeekFrom) -> std::io::Result<u64> {
         self.file()?.seek(to)
     }
@@ -94,7 +94,7 @@ pub trait ReadSeek: Read + Seek + Send {}
 impl<T: Read + Seek + Send> ReadSeek for T {}
 type Bytes = BufReader<Box<dyn ReadSeek>>;
 
-impl Source {
+impl ObjectLocation {
     /// Its name for messages.
     pub fn path(&self) -> &Path {
         match self {
@@ -189,7 +189,7 @@ pub enum SegmentsAs {
 
 /// What an object's header says.
 pub struct Object {
-    pub source: Source,
+    pub source: ObjectLocation,
     pub syntax: String,
     pub instance: String,
     pub series: String,
@@ -210,7 +210,7 @@ pub struct Object {
 }
 
 /// What was found.
-pub struct Found {
+pub struct ScanResult {
     pub objects: Vec<Object>,
     /// Files that are DICOM and hold no picture, and files that are no DICOM.
     pub others: usize,
@@ -237,14 +237,14 @@ fn bare_dataset(start: &[u8]) -> bool {
 }
 
 /// The objects in a file, in a folder and all folders in it, or in a zip.
-pub fn scan(path: &Path, watch: &Watch) -> Result<Found> {
+pub fn scan(path: &Path, watch: &Watch) -> Result<ScanResult> {
     let (sources, notes) = if path.is_dir() {
         files_in(path, watch)?
     } else {
-        (members(path, watch)?.unwrap_or_else(|| vec![Source::File(path.to_owned())]), Vec::new())
+        (members(path, watch)?.unwrap_or_else(|| vec![ObjectLocation::File(path.to_owned())]), Vec::new())
     };
     let single = !path.is_dir() && sources.len() == 1;
-    let meter = Meter::new(watch, sources.len() as u64);
+    let meter = ByteProgress::new(watch, sources.len() as u64);
     let read: Vec<Result<Option<Object>>> = sources
         .into_par_iter()
         .map(|source| {
@@ -255,7 +255,7 @@ pub fn scan(path: &Path, watch: &Watch) -> Result<Found> {
             object(source)
         })
         .collect();
-    let mut found = Found { objects: Vec::new(), others: 0, damaged: 0, complaint: None, notes };
+    let mut found = ScanResult { objects: Vec::new(), others: 0, damaged: 0, complaint: None, notes };
     let mut seen = HashSet::new();
     for result in read {
         match result {
@@ -277,23 +277,23 @@ pub fn scan(path: &Path, watch: &Watch) -> Result<Found> {
     Ok(found)
 }
 
-fn looks_like_dicom(source: &Source) -> bool {
+fn looks_like_dicom(source: &ObjectLocation) -> bool {
     let mut start = Vec::new();
     source.open(132).is_ok_and(|reader| reader.take(132).read_to_end(&mut start).is_ok()) && is_dicom(&start)
 }
 
 /// All files in a folder and its folders, each once however often links lead to it, and what is to be said of what was left out. Links are followed
 /// inside the folder only: what lies elsewhere may be another patient.
-fn files_in(folder: &Path, watch: &Watch) -> Result<(Vec<Source>, Vec<String>)> {
+fn files_in(folder: &Path, watch: &Watch) -> Result<(Vec<ObjectLocation>, Vec<String>)> {
     let follow = reference::outside_is_allowed();
     let root = folder.canonicalize().map_err(|e| Error::io(folder, "reading", e))?;
     let (mut files, mut seen) = (Vec::new(), HashSet::new());
     let (mut left_out, mut too_deep) = (Vec::new(), 0usize);
-    for entry in walkdir::WalkDir::new(folder).follow_links(follow).max_depth(MOST_DEPTH).sort_by_file_name() {
+    for entry in walkdir::WalkDir::new(folder).follow_links(follow).max_depth(MAX_FOLDER_DEPTH).sort_by_file_name() {
         watch.check()?;
         // Links in a loop, and what may not be read, are passed over.
         let Ok(entry) = entry else { continue };
-        too_deep += usize::from(entry.depth() == MOST_DEPTH && entry.file_type().is_dir());
+        too_deep += usize::from(entry.depth() == MAX_FOLDER_DEPTH && entry.file_type().is_dir());
         let hidden = entry.depth() > 0 && entry.file_name().to_string_lossy().starts_with('.');
         if hidden || entry.file_name() == "DICOMDIR" || !(entry.file_type().is_file() || entry.path_is_symlink()) {
             continue;
@@ -312,31 +312,31 @@ fn files_in(folder: &Path, watch: &Watch) -> Result<(Vec<Source>, Vec<String>)> 
             own = target;
         }
         if seen.insert(own) {
-            files.push(Source::File(entry.into_path()));
+            files.push(ObjectLocation::File(entry.into_path()));
         }
-        if files.len() > MOST_FILES {
-            return Err(Error::file(folder, format!("holds more than {MOST_FILES} files; name the folder of one study")));
+        if files.len() > MAX_FILES {
+            return Err(Error::file(folder, format!("holds more than {MAX_FILES} files; name the folder of one study")));
         }
     }
     let mut notes: Vec<String> = reference::links_left_out(&left_out).into_iter().collect();
     if too_deep > 0 {
-        notes.push(format!("{too_deep} folders more than {MOST_DEPTH} levels down were not searched; name the folder that is meant"));
+        notes.push(format!("{too_deep} folders more than {MAX_FOLDER_DEPTH} levels down were not searched; name the folder that is meant"));
     }
     Ok((files, notes))
 }
 
 /// The members of a zip; none if the file is no zip. They are unpacked one at a time, when they are read.
-fn members(path: &Path, watch: &Watch) -> Result<Option<Vec<Source>>> {
+fn members(path: &Path, watch: &Watch) -> Result<Option<Vec<ObjectLocation>>> {
     let (mut file, length) = open_file(path)?;
     let mut magic = [0u8; 4];
     if file.read_exact(&mut magic).is_err() || &magic != b"PK\x03\x04" {
         return Ok(None);
     }
     let damaged = |e: String| Error::file(path, format!("is a zip that cannot be read ({e}); copy or download it again"));
-    let reader = Again { path: path.to_owned(), file: None };
-    let mut archive = guarded(|| ZipArchive::new(reader)).ok_or_else(|| damaged("it is damaged".into()))?.map_err(|e| damaged(e.to_string()))?;
+    let reader = ReopenableFile { path: path.to_owned(), file: None };
+    let mut archive = catch_panic(|| ZipArchive::new(reader)).ok_or_else(|| damaged("it is damaged".into()))?.map_err(|e| damaged(e.to_string()))?;
     let mut members = Vec::new();
-    for index in 0..archive.len().min(MOST_FILES) {
+    for index in 0..archive.len().min(MAX_FILES) {
         watch.check()?;
         let member = archive.by_index(index).map_err(|e| damaged(e.to_string()))?;
         let name = member.name().map_err(|e| damaged(e.to_string()))?.into_owned();
@@ -347,7 +347,7 @@ fn members(path: &Path, watch: &Watch) -> Result<Option<Vec<Source>>> {
         // What it says of its length is believed as far as the zip can hold it.
         let bytes = member.size().min(length.saturating_mul(DEFLATE_LIMIT));
         drop(member);
-        members.push(Source::Member { name: path.join(name), archive: archive.clone(), index, bytes });
+        members.push(ObjectLocation::Member { name: path.join(name), archive: archive.clone(), index, bytes });
     }
     Ok(Some(members))
 }
@@ -401,8 +401,8 @@ fn check_lengths(opened: Opened) -> Result<(), String> {
             LazyDataToken::LazyValue { header, decoder } => pass(decoder, header.length().0, end)?,
             LazyDataToken::LazyItemValue { len, decoder } => pass(decoder, len, end)?,
             // What reads it afterwards goes down by calling itself.
-            LazyDataToken::SequenceStart { .. } | LazyDataToken::PixelSequenceStart if depth == MOST_NESTED => {
-                return Err(format!("its sequences are more than {MOST_NESTED} deep"));
+            LazyDataToken::SequenceStart { .. } | LazyDataToken::PixelSequenceStart if depth == MAX_NESTED_SEQUENCES => {
+                return Err(format!("its sequences are more than {MAX_NESTED_SEQUENCES} deep"));
             }
             LazyDataToken::SequenceStart { .. } | LazyDataToken::PixelSequenceStart => depth += 1,
             LazyDataToken::SequenceEnd => depth = depth.saturating_sub(1),
@@ -413,7 +413,7 @@ fn check_lengths(opened: Opened) -> Result<(), String> {
 }
 
 /// Opens an object; `most` bounds what a deflated one is unpacked to.
-pub fn open(source: &Source, most: u64) -> Result<Opened> {
+pub fn open(source: &ObjectLocation, most: u64) -> Result<Opened> {
     let path = source.path();
     let damaged = |e: String| Error::file(path, format!("is no DICOM file that can be read ({e}); copy or export it again"));
     let io = |e: std::io::Error| Error::io(path, "reading", e);
@@ -447,7 +447,7 @@ pub fn open(source: &Source, most: u64) -> Result<Opened> {
 /// refuses files for faults in elements that do not matter, such as a title that is too long.
 fn meta(reader: &mut impl Read) -> Option<(String, u64)> {
     let (mut syntax, mut at) = (String::new(), 0u64);
-    while at < MOST_META {
+    while at < MAX_META_BYTES {
         let mut head = [0u8; 8];
         if reader.read_exact(&mut head).is_err() {
             break;
@@ -465,7 +465,7 @@ fn meta(reader: &mut impl Read) -> Option<(String, u64)> {
         } else {
             (8, u32::from(u16::from_le_bytes([head[6], head[7]])))
         };
-        if u64::from(length) > MOST_META {
+        if u64::from(length) > MAX_META_BYTES {
             return None;
         }
         let mut value = Vec::new();
@@ -494,13 +494,13 @@ pub fn one_line(error: &dyn std::error::Error) -> String {
 }
 
 /// An object's header; none if it holds no picture.
-fn object(source: Source) -> Result<Option<Object>> {
+fn object(source: ObjectLocation) -> Result<Option<Object>> {
     let path = source.path().to_owned();
     let ended = || Error::file(&path, "is a damaged DICOM file; copy or export it again");
-    guarded(|| -> Result<Option<Object>> {
+    catch_panic(|| -> Result<Option<Object>> {
         let damaged = |e: String| Error::file(source.path(), format!("is a damaged DICOM file ({e}); copy or export it again"));
-        check_lengths(open(&source, MOST_HEADER)?).map_err(damaged)?;
-        let opened = open(&source, MOST_HEADER)?;
+        check_lengths(open(&source, MAX_HEADER_BYTES)?).map_err(damaged)?;
+        let opened = open(&source, MAX_HEADER_BYTES)?;
         let syntax = opened.syntax.clone();
         let mut dataset = InMemDicomObject::new_empty();
         opened.collector().read_dataset_up_to_pixeldata(&mut dataset).map_err(|e| damaged(one_line(&e)))?;
@@ -532,7 +532,7 @@ fn item(set: &InMemDicomObject, tag: Tag) -> Option<&InMemDicomObject> {
     set.get(tag)?.items()?.first()
 }
 
-fn described(source: Source, syntax: String, set: &InMemDicomObject) -> Result<Option<Object>> {
+fn described(source: ObjectLocation, syntax: String, set: &InMemDicomObject) -> Result<Option<Object>> {
     let whole = |tag: Tag| number(set, tag).filter(|n| (0.0..=65_535.0).contains(n)).map(|n| n as u16);
     let (Some(rows), Some(columns)) = (whole(tags::ROWS), whole(tags::COLUMNS)) else { return Ok(None) };
     let fail = |problem: String| Error::file(source.path(), problem);
@@ -563,8 +563,8 @@ fn described(source: Source, syntax: String, set: &InMemDicomObject) -> Result<O
     let class = text(set, tags::SOP_CLASS_UID);
     let segmentation = SEGMENTATION.contains(&class.as_str()) || text(set, tags::MODALITY) == "SEG";
     // No more frames are believed than the object's bytes can make up.
-    let ratio = most_ratio(&syntax, format.frame_bytes());
-    let most = if ratio <= most_ratio(DEFLATED, 0) && allocated > 1 {
+    let ratio = max_compression_ratio(&syntax, format.frame_bytes());
+    let most = if ratio <= max_compression_ratio(DEFLATED, 0) && allocated > 1 {
         source.bytes().saturating_mul(ratio) / format.frame_bytes() as u64
     } else {
         // A packed frame has a head of eight bytes; single bits are not padded.
@@ -609,7 +609,7 @@ fn described(source: Source, syntax: String, set: &InMemDicomObject) -> Result<O
 /// Planes of an object, with the geometry that holds for each.
 fn frames(set: &InMemDicomObject, format: &PixelFormat, segmentation: bool, most: u64) -> Result<Vec<Frame>, String> {
     let count = number(set, tags::NUMBER_OF_FRAMES).unwrap_or(1.0);
-    if !(1.0..=(MOST_FRAMES as u64).min(most) as f64).contains(&count) {
+    if !(1.0..=(MAX_FRAMES as u64).min(most) as f64).contains(&count) {
         return Err(format!("declares {count} frames, which it cannot hold: it is truncated or its header is damaged; copy or export it again"));
     }
     let count = count as usize;
@@ -732,7 +732,7 @@ fn palette(set: &InMemDicomObject) -> Option<[(i64, Vec<u8>); 3]> {
 }
 
 /// A whole data set in memory: for the few objects whose pixels are not in the usual element.
-pub fn whole(source: &Source) -> Result<InMemDicomObject> {
+pub fn whole(source: &ObjectLocation) -> Result<InMemDicomObject> {
     let damaged = |e: String| Error::file(source.path(), format!("is a damaged DICOM file ({e}); copy or export it again"));
     check_lengths(open(source, u64::MAX)?).map_err(damaged)?;
     let mut set = InMemDicomObject::new_empty();

@@ -19,7 +19,7 @@ pub const JPEG_2000: [&str; 4] = ["1.2.840.10008.1.2.4.90", "1.2.840.10008.1.2.4
 const SMALL_FRAME: usize = 64 << 20;
 
 /// The most that pixels can have been packed by in a transfer syntax, in frames of some bytes.
-pub fn most_ratio(syntax: &str, frame_bytes: usize) -> u64 {
+pub fn max_compression_ratio(syntax: &str, frame_bytes: usize) -> u64 {
     match syntax {
         "1.2.840.10008.1.2" | "1.2.840.10008.1.2.1" | "1.2.840.10008.1.2.2" => 1,
         "1.2.840.10008.1.2.1.99" => DEFLATE_LIMIT,

@@ -3,34 +3,34 @@
 
 use super::atlas::Atlas;
 use super::prepare::{MapBounds, SampledMap};
-use super::surfaces::{KeptObject, Layer};
+use super::surfaces::{CachedObject, Layer};
 use super::uniforms::{CutShapeUniform, FrameUniform, PLACED_MAPS, PlacedMapUniform};
-use super::work::{Made, Tally};
+use super::work::{ResourceKind, WorkCounters};
 use super::{Renderer, extent};
 use crate::deform::cut::MAX_CUTS;
 use crate::deform::{DisplacementMap, MAX_MAPS, Stack, Storage};
 use crate::prepare::Prepared;
-use crate::transfer::{GRADIENT_ENTRIES, PREINTEGRATED_SIZE, Preintegrated, TABLE_ENTRIES, Table};
+use crate::transfer::{GRADIENT_ENTRIES, PREINTEGRATED_SIZE, Preintegrated, TABLE_ENTRIES, TransferTable};
 use crate::{Error, Result};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use wgpu::{BufferUsages, TextureFormat, TextureUsages};
 
 /// Maps that are kept at most, and their bytes. A stack in use is kept whole.
-const KEPT_MAPS: usize = 32;
-const KEPT_MAP_BYTES: usize = 256 << 20;
+const MAX_CACHED_MAPS: usize = 32;
+const MAX_CACHED_MAP_BYTES: usize = 256 << 20;
 /// Targets of one purpose that are kept: a live view changes between a coarse and a fine picture.
-const KEPT_SIZES: usize = 2;
+const MAX_CACHED_SIZES: usize = 2;
 /// Bind groups that are kept: with nothing behind, with each layer of surfaces, and those of targets.
-const KEPT_GROUPS: usize = 8;
+const MAX_CACHED_BIND_GROUPS: usize = 8;
 
 /// A texture with its view.
 #[derive(Clone, PartialEq)]
-pub(super) struct Target {
+pub(super) struct RenderTexture {
     pub texture: wgpu::Texture,
     pub view: wgpu::TextureView,
 }
 
-impl Target {
+impl RenderTexture {
     pub(super) fn new(texture: wgpu::Texture) -> Self {
         let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
         Self { texture, view }
@@ -38,7 +38,7 @@ impl Target {
 }
 
 /// A displacement map on the GPU. The map itself is kept, so that nothing else can take its address.
-struct KeptMap {
+struct CachedMap {
     map: Arc<DisplacementMap>,
     texture: wgpu::Texture,
     /// Once something has asked for them.
@@ -47,24 +47,24 @@ struct KeptMap {
 
 /// What the shaders' shared functions read, with the content that was last written.
 #[derive(Default)]
-pub(super) struct Kept {
+pub(super) struct SceneCache {
     uniforms: Option<[wgpu::Buffer; 3]>,
-    table: Option<(Target, Vec<[f32; 4]>)>,
-    cells: Option<(Target, Vec<u8>)>,
+    table: Option<(RenderTexture, Vec<[f32; 4]>)>,
+    cells: Option<(RenderTexture, Vec<u8>)>,
     /// Made for a curve and a step.
-    preintegrated: Option<(Target, Vec<[f32; 4]>, f32)>,
-    nothing_preintegrated: Option<Target>,
+    preintegrated: Option<(RenderTexture, Vec<[f32; 4]>, f32)>,
+    nothing_preintegrated: Option<RenderTexture>,
     /// The most recently used last.
-    maps: Mutex<Vec<KeptMap>>,
+    maps: Mutex<Vec<CachedMap>>,
     /// What shaders read of them: of half and of single precision.
     atlases: Mutex<[Atlas; 2]>,
     /// By purpose, the most recently used last.
-    targets: Vec<(&'static str, Target)>,
+    targets: Vec<(&'static str, RenderTexture)>,
     groups: Vec<Group>,
     /// By purpose: what is written for every use and grows.
     scratch: Mutex<Vec<(&'static str, wgpu::Buffer)>>,
     /// Surfaces, by their place in the scene.
-    pub(super) objects: Vec<Option<KeptObject>>,
+    pub(super) objects: Vec<Option<CachedObject>>,
     readback: Option<wgpu::Buffer>,
     vertices: Option<wgpu::Buffer>,
 }
@@ -77,7 +77,7 @@ struct Group {
 }
 
 /// What a picture binds: handles of what is kept.
-pub(super) struct Shared {
+pub(super) struct SceneBindings {
     uniforms: [wgpu::Buffer; 3],
     table: wgpu::TextureView,
     cells: wgpu::TextureView,
@@ -99,7 +99,7 @@ fn bytes_of(texture: &wgpu::Texture) -> usize {
     texels * texture.format().block_copy_size(None).unwrap_or(0) as usize
 }
 
-impl Kept {
+impl SceneCache {
     /// The atlases of maps.
     pub(super) fn atlases(&self) -> MutexGuard<'_, [Atlas; 2]> {
         lock(&self.atlases)
@@ -114,7 +114,7 @@ impl Kept {
 impl Renderer {
     /// A buffer, counted.
     pub(super) fn buffer(&self, label: &str, size: u64, usage: BufferUsages) -> wgpu::Buffer {
-        self.tally.count(Made::Buffer);
+        self.tally.count(ResourceKind::Buffer);
         self.device.device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false })
     }
 
@@ -127,20 +127,20 @@ impl Renderer {
 
     /// A bind group, counted.
     pub(super) fn bind_group(&self, label: &str, layout: &wgpu::BindGroupLayout, entries: &[wgpu::BindGroupEntry]) -> wgpu::BindGroup {
-        self.tally.count(Made::BindGroup);
+        self.tally.count(ResourceKind::BindGroup);
         self.device.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some(label), layout, entries })
     }
 
     /// A texture, counted.
     pub(super) fn texture(&self, descriptor: &wgpu::TextureDescriptor) -> wgpu::Texture {
-        self.tally.count(Made::Texture);
+        self.tally.count(ResourceKind::Texture);
         self.device.device.create_texture(descriptor)
     }
 
     /// A 2D texture to draw into and to read, kept by purpose, size and format. Its content is what it was.
-    pub(super) fn target(&mut self, purpose: &'static str, width: u32, height: u32, format: TextureFormat) -> Target {
-        let fits = |t: &Target| (t.texture.width(), t.texture.height(), t.texture.format()) == (width, height, format);
-        let targets = &mut self.kept.targets;
+    pub(super) fn target(&mut self, purpose: &'static str, width: u32, height: u32, format: TextureFormat) -> RenderTexture {
+        let fits = |t: &RenderTexture| (t.texture.width(), t.texture.height(), t.texture.format()) == (width, height, format);
+        let targets = &mut self.cache.targets;
         if let Some(at) = targets.iter().position(|(p, t)| *p == purpose && fits(t)) {
             let found = targets.remove(at);
             let target = found.1.clone();
@@ -149,13 +149,13 @@ impl Renderer {
         }
         let mut same = targets.iter().enumerate().filter(|(_, (p, _))| *p == purpose).map(|(n, _)| n);
         if let (Some(oldest), others) = (same.next(), same.count())
-            && others + 1 >= KEPT_SIZES
+            && others + 1 >= MAX_CACHED_SIZES
         {
             targets.remove(oldest);
-            self.kept.forget_groups();
+            self.cache.forget_groups();
         }
         let storable = format == TextureFormat::Rgba16Float && self.device.computes();
-        let target = Target::new(self.texture(&wgpu::TextureDescriptor {
+        let target = RenderTexture::new(self.texture(&wgpu::TextureDescriptor {
             label: Some(purpose),
             size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
             mip_level_count: 1,
@@ -169,24 +169,24 @@ impl Renderer {
                 | if storable { TextureUsages::STORAGE_BINDING } else { TextureUsages::empty() },
             view_formats: &[],
         }));
-        self.kept.targets.push((purpose, target.clone()));
+        self.cache.targets.push((purpose, target.clone()));
         target
     }
 
     /// A buffer to read a picture back through, kept until a picture is larger.
     pub(super) fn readback(&mut self, size: u64) -> wgpu::Buffer {
-        match &self.kept.readback {
+        match &self.cache.readback {
             Some(buffer) if buffer.size() >= size => buffer.clone(),
             _ => {
                 let buffer = self.buffer("readback", size, BufferUsages::COPY_DST | BufferUsages::MAP_READ);
-                self.kept.readback.insert(buffer).clone()
+                self.cache.readback.insert(buffer).clone()
             }
         }
     }
 
     /// Corners of slices, in a buffer that grows.
     pub(super) fn slice_vertices(&mut self, contents: &[u8]) -> wgpu::Buffer {
-        match &self.kept.vertices {
+        match &self.cache.vertices {
             Some(buffer) if buffer.size() >= contents.len() as u64 => {
                 self.device.queue.write_buffer(buffer, 0, contents);
                 buffer.clone()
@@ -195,7 +195,7 @@ impl Renderer {
                 let size = (contents.len() as u64).next_power_of_two().max(1 << 14);
                 let buffer = self.buffer("slices", size, BufferUsages::VERTEX | BufferUsages::COPY_DST);
                 self.device.queue.write_buffer(&buffer, 0, contents);
-                self.kept.vertices.insert(buffer).clone()
+                self.cache.vertices.insert(buffer).clone()
             }
         }
     }
@@ -210,34 +210,34 @@ impl Renderer {
 
     /// A map by its identity, in a texture of its own: what bounds on its texels are found from, and what goes into an atlas.
     pub(super) fn map(&self, map: &Arc<DisplacementMap>) -> Result<wgpu::Texture> {
-        let mut kept = lock(&self.kept.maps);
+        let mut kept = lock(&self.cache.maps);
         if let Some(at) = kept.iter().position(|k| Arc::ptr_eq(&k.map, map)) {
             let entry = kept.remove(at);
             let texture = entry.texture.clone();
             kept.push(entry);
             return Ok(texture);
         }
-        self.tally.count(Made::Map);
+        self.tally.count(ResourceKind::Map);
         let made = map.recipe().filter(|_| self.strategy.prepare).and_then(|r| Some((r, r.formula()?)));
         let (texture, bounds) = match made {
             // Made by a renderer that is gone, or let go of.
             Some((recipe, formula)) => self.sampled_map(recipe, &formula).map(|made| (made.texture, Some(made.bounds)))?,
             None => (self.upload_map(map)?, None),
         };
-        kept.push(KeptMap { map: map.clone(), texture: texture.clone(), bounds });
+        kept.push(CachedMap { map: map.clone(), texture: texture.clone(), bounds });
         Ok(texture)
     }
 
     /// Lets go of the maps that were used longest ago, beyond what is kept.
     fn forget_maps(&self, in_use: &Stack) {
-        let mut kept = lock(&self.kept.maps);
-        let kept_bytes = |k: &KeptMap| bytes_of(&k.texture) + k.bounds.as_ref().map_or(0, MapBounds::bytes);
-        let mut bytes: usize = kept.iter().map(kept_bytes).sum();
+        let mut kept = lock(&self.cache.maps);
+        let cached_bytes = |k: &CachedMap| bytes_of(&k.texture) + k.bounds.as_ref().map_or(0, MapBounds::bytes);
+        let mut bytes: usize = kept.iter().map(cached_bytes).sum();
         let mut count = kept.len();
         kept.retain(|k| {
-            let goes = (bytes > KEPT_MAP_BYTES || count > KEPT_MAPS) && !in_use.all_maps().any(|m| Arc::ptr_eq(&m.map, &k.map));
+            let goes = (bytes > MAX_CACHED_MAP_BYTES || count > MAX_CACHED_MAPS) && !in_use.all_maps().any(|m| Arc::ptr_eq(&m.map, &k.map));
             if goes {
-                bytes -= kept_bytes(k);
+                bytes -= cached_bytes(k);
                 count -= 1;
             }
             !goes
@@ -245,19 +245,19 @@ impl Renderer {
     }
 
     /// Maps on the device now.
-    pub fn maps_kept(&self) -> usize {
-        lock(&self.kept.maps).len()
+    pub fn cached_map_count(&self) -> usize {
+        lock(&self.cache.maps).len()
     }
 
     /// Keeps a map that was made here.
-    pub(super) fn keep_map(&self, map: &Arc<DisplacementMap>, made: SampledMap) {
-        self.tally.count(Made::Map);
-        lock(&self.kept.maps).push(KeptMap { map: map.clone(), texture: made.texture, bounds: Some(made.bounds) });
+    pub(super) fn cache_map(&self, map: &Arc<DisplacementMap>, made: SampledMap) {
+        self.tally.count(ResourceKind::Map);
+        lock(&self.cache.maps).push(CachedMap { map: map.clone(), texture: made.texture, bounds: Some(made.bounds) });
     }
 
     /// Bounds on boxes of the texels of a map that is kept.
     pub(super) fn bounds_of(&self, map: &Arc<DisplacementMap>) -> Result<MapBounds> {
-        let mut kept = lock(&self.kept.maps);
+        let mut kept = lock(&self.cache.maps);
         let found = kept.iter_mut().find(|k| Arc::ptr_eq(&k.map, map)).ok_or_else(|| Error::Gpu("a map was let go of".into()))?;
         match &found.bounds {
             Some(bounds) => Ok(bounds.clone()),
@@ -277,7 +277,7 @@ impl Renderer {
 
     /// A buffer of a purpose and at least a size, kept; its content is what it was.
     pub(super) fn scratch_of(&self, purpose: &'static str, size: u64, usage: BufferUsages) -> wgpu::Buffer {
-        let mut kept = lock(&self.kept.scratch);
+        let mut kept = lock(&self.cache.scratch);
         if let Some((_, buffer)) = kept.iter().find(|(p, b)| *p == purpose && b.size() >= size) {
             return buffer.clone();
         }
@@ -308,12 +308,12 @@ impl Renderer {
     }
 
     /// Uploads what of the shared shader functions' inputs has changed.
-    pub(super) fn shared(&mut self, scene: &Prepared) -> Result<Shared> {
+    pub(super) fn shared(&mut self, scene: &Prepared) -> Result<SceneBindings> {
         let volume = self.volume.as_ref().ok_or_else(|| Error::Gpu("no volume was uploaded".into()))?;
-        let frame = FrameUniform::new(scene, [volume.scale, volume.offset, volume.gradient_scale(scene)], volume.spanned);
+        let frame = FrameUniform::new(scene, [volume.scale, volume.offset, volume.gradient_scale(scene)], volume.texture_span_voxels);
         let (maps, placed, replaced) = self.upload_maps(&scene.stack)?;
         if replaced {
-            self.kept.forget_groups();
+            self.cache.forget_groups();
         }
         let mut shapes = [bytemuck::Zeroable::zeroed(); MAX_CUTS];
         for (shape, cut) in shapes.iter_mut().zip(scene.cuts.primitives()) {
@@ -321,47 +321,47 @@ impl Renderer {
         }
         let contents: [&[u8]; 3] =
             [bytemuck::bytes_of(&frame), bytemuck::cast_slice::<PlacedMapUniform, u8>(&placed), bytemuck::cast_slice::<CutShapeUniform, u8>(&shapes)];
-        let uniforms = match &self.kept.uniforms {
+        let uniforms = match &self.cache.uniforms {
             Some(buffers) => {
                 buffers.iter().zip(contents).for_each(|(buffer, bytes)| self.device.queue.write_buffer(buffer, 0, bytes));
                 buffers.clone()
             }
             None => {
                 let buffers = contents.map(|bytes| self.buffer_of("uniforms", bytes, BufferUsages::UNIFORM));
-                self.kept.uniforms.insert(buffers).clone()
+                self.cache.uniforms.insert(buffers).clone()
             }
         };
         let nothing = self.layer(["nothing: colour", "nothing: distance", "nothing: depth"], 1, 1);
         let (table, cells, preintegrated) = (self.table(&scene.volume().table), self.cells(scene)?, self.preintegrated(scene));
-        Ok(Shared { uniforms, table, cells, preintegrated, maps, nothing })
+        Ok(SceneBindings { uniforms, table, cells, preintegrated, maps, nothing })
     }
 
     /// The macrocells' texture.
     fn cells(&mut self, scene: &Prepared) -> Result<wgpu::TextureView> {
         let (size, blocks) = (scene.volume().macrocells.size.to_array().map(|n| n as usize), scene.volume().macrocells.blocks());
-        let target = match self.kept.cells.take() {
+        let target = match self.cache.cells.take() {
             Some((target, written)) if target.texture.size() == extent(size) => {
                 if written == blocks {
                     let view = target.view.clone();
-                    self.kept.cells = Some((target, written));
+                    self.cache.cells = Some((target, written));
                     return Ok(view);
                 }
                 target
             }
             _ => {
-                self.kept.forget_groups();
-                Target::new(self.texture_3d("macrocells", size, TextureFormat::R8Uint)?)
+                self.cache.forget_groups();
+                RenderTexture::new(self.texture_3d("macrocells", size, TextureFormat::R8Uint)?)
             }
         };
-        self.tally.count(Made::Cells);
+        self.tally.count(ResourceKind::Cells);
         self.write_layers(&target.texture, 0, blocks, size);
         let view = target.view.clone();
-        self.kept.cells = Some((target, blocks.to_vec()));
+        self.cache.cells = Some((target, blocks.to_vec()));
         Ok(view)
     }
 
     /// Row 0: colour and optical depth; row 1: gradient factors; row 2: the optical depth's integral from the first entry.
-    fn table(&mut self, table: &Table) -> wgpu::TextureView {
+    fn table(&mut self, table: &TransferTable) -> wgpu::TextureView {
         let mut texels = table.entries.clone();
         texels.resize(3 * TABLE_ENTRIES, [0.0; 4]);
         let mut sum = 0.0;
@@ -372,14 +372,14 @@ impl Renderer {
         for (n, factor) in table.gradient.iter().take(GRADIENT_ENTRIES).enumerate() {
             texels[TABLE_ENTRIES + n][0] = *factor;
         }
-        let target = match self.kept.table.take() {
+        let target = match self.cache.table.take() {
             Some((target, written)) if written == texels => {
                 let view = target.view.clone();
-                self.kept.table = Some((target, written));
+                self.cache.table = Some((target, written));
                 return view;
             }
             Some((target, _)) => target,
-            None => Target::new(self.texture(&wgpu::TextureDescriptor {
+            None => RenderTexture::new(self.texture(&wgpu::TextureDescriptor {
                 label: Some("transfer function"),
                 size: wgpu::Extent3d { width: TABLE_ENTRIES as u32, height: 3, depth_or_array_layers: 1 },
                 mip_level_count: 1,
@@ -390,7 +390,7 @@ impl Renderer {
                 view_formats: &[],
             })),
         };
-        self.tally.count(Made::Table);
+        self.tally.count(ResourceKind::TransferTable);
         self.device.queue.write_texture(
             target.texture.as_image_copy(),
             bytemuck::cast_slice(&texels),
@@ -398,14 +398,14 @@ impl Renderer {
             target.texture.size(),
         );
         let view = target.view.clone();
-        self.kept.table = Some((target, texels));
+        self.cache.table = Some((target, texels));
         view
     }
 
     /// The table of segments, if the scene wants one.
     fn preintegrated(&mut self, scene: &Prepared) -> wgpu::TextureView {
         let table_of = |renderer: &Self, edge: usize| {
-            Target::new(renderer.texture(&wgpu::TextureDescriptor {
+            RenderTexture::new(renderer.texture(&wgpu::TextureDescriptor {
                 label: Some("pre-integrated transfer function"),
                 size: wgpu::Extent3d { width: edge as u32, height: edge as u32, depth_or_array_layers: 1 },
                 mip_level_count: 1,
@@ -417,17 +417,17 @@ impl Renderer {
             }))
         };
         if !scene.preintegrated() {
-            if let Some(target) = &self.kept.nothing_preintegrated {
+            if let Some(target) = &self.cache.nothing_preintegrated {
                 return target.view.clone();
             }
             let target = table_of(self, 1);
-            return self.kept.nothing_preintegrated.insert(target).view.clone();
+            return self.cache.nothing_preintegrated.insert(target).view.clone();
         }
         let length = scene.frame.steps.step_mm / scene.frame.steps.reference_mm;
-        let target = match self.kept.preintegrated.take() {
+        let target = match self.cache.preintegrated.take() {
             Some((target, entries, of)) if of == length && entries == scene.volume().table.entries => {
                 let view = target.view.clone();
-                self.kept.preintegrated = Some((target, entries, of));
+                self.cache.preintegrated = Some((target, entries, of));
                 return view;
             }
             Some((target, ..)) => target,
@@ -435,7 +435,7 @@ impl Renderer {
         };
         let made = Preintegrated::new(&scene.volume().table, length);
         let halves: Vec<u16> = made.entries.as_flattened().iter().map(|v| half::f16::from_f32(*v).to_bits()).collect();
-        self.tally.count(Made::Table);
+        self.tally.count(ResourceKind::TransferTable);
         self.device.queue.write_texture(
             target.texture.as_image_copy(),
             bytemuck::cast_slice(&halves),
@@ -447,12 +447,12 @@ impl Renderer {
             target.texture.size(),
         );
         let view = target.view.clone();
-        self.kept.preintegrated = Some((target, scene.volume().table.entries.clone(), length));
+        self.cache.preintegrated = Some((target, scene.volume().table.entries.clone(), length));
         view
     }
 
     /// The shared bindings, with what lies behind.
-    pub(super) fn group(&mut self, shared: &Shared, behind: Option<&Layer>) -> wgpu::BindGroup {
+    pub(super) fn group(&mut self, shared: &SceneBindings, behind: Option<&Layer>) -> wgpu::BindGroup {
         let volume = self.volume.as_ref().map_or(&shared.maps[0], |v| &v.view);
         let colors = self.volume.as_ref().and_then(|v| v.colors.as_ref()).unwrap_or(&shared.maps[0]);
         let gradients = self.volume.as_ref().and_then(|v| v.gradients.as_ref()).unwrap_or(&shared.maps[0]);
@@ -470,23 +470,23 @@ impl Renderer {
         let sampler = (3, wgpu::BindingResource::Sampler(&self.sampler));
         let buffers = [0, 1, 14].into_iter().zip(&shared.uniforms).map(|(n, b)| (n, b.as_entire_binding()));
         let others: Vec<_> = std::iter::once(sampler).chain(buffers).collect();
-        Self::group_of(&mut self.kept.groups, &self.tally, &self.device.device, "scene", &self.shared_layout, views, &others)
+        Self::group_of(&mut self.cache.groups, &self.tally, &self.device.device, "scene", &self.shared_layout, views, &others)
     }
 
     /// A bind group by its purpose and the views that it binds, by number of binding; what else it binds stays the same.
-    pub(super) fn kept_group(
+    pub(super) fn cached_bind_group(
         &mut self,
         purpose: &'static str,
         layout: &wgpu::BindGroupLayout,
         views: Vec<(u32, wgpu::TextureView)>,
         others: &[(u32, wgpu::BindingResource)],
     ) -> wgpu::BindGroup {
-        Self::group_of(&mut self.kept.groups, &self.tally, &self.device.device, purpose, layout, views, others)
+        Self::group_of(&mut self.cache.groups, &self.tally, &self.device.device, purpose, layout, views, others)
     }
 
     fn group_of(
         groups: &mut Vec<Group>,
-        tally: &Tally,
+        tally: &WorkCounters,
         device: &wgpu::Device,
         purpose: &'static str,
         layout: &wgpu::BindGroupLayout,
@@ -499,9 +499,9 @@ impl Renderer {
         }
         let of_views = views.iter().map(|(n, view)| (*n, wgpu::BindingResource::TextureView(view)));
         let entries: Vec<_> = of_views.chain(others.iter().cloned()).map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource }).collect();
-        tally.count(Made::BindGroup);
+        tally.count(ResourceKind::BindGroup);
         let group = device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some(purpose), layout, entries: &entries });
-        if groups.len() >= KEPT_GROUPS {
+        if groups.len() >= MAX_CACHED_BIND_GROUPS {
             groups.remove(0);
         }
         groups.push(Group { purpose, views: key, group: group.clone() });

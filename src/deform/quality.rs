@@ -2,7 +2,7 @@
 
 use super::PlacedMap;
 use super::compose::grid_of;
-use super::invert::{self, Report};
+use super::invert::{self, InversionReport};
 use super::transform::VectorField;
 use glam::{DVec3, Mat3, Vec3};
 use rayon::prelude::*;
@@ -10,7 +10,7 @@ use serde::Serialize;
 
 /// The statistics of a field.
 #[derive(Clone, Debug, Serialize)]
-pub struct Health {
+pub struct FieldQuality {
     /// Points of the grid.
     pub points: usize,
     /// Points that are cut away, percent; the figures below leave them out.
@@ -31,20 +31,20 @@ pub struct Health {
     pub border_mm: f64,
     /// How well the field can be inverted, if that was asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub inverse: Option<Report>,
+    pub inverse: Option<InversionReport>,
 }
 
 /// A field with its mask, as health looks at it.
-pub struct Examined {
+pub struct CheckedField {
     /// The displacement.
     pub field: VectorField,
     /// Whether matter is there.
-    pub seen: Vec<bool>,
+    pub is_valid: Vec<bool>,
     /// det J per point.
     pub determinants: Vec<f32>,
 }
 
-impl Examined {
+impl CheckedField {
     /// The field of a map.
     pub fn of_map(placed: &PlacedMap) -> Self {
         let size = placed.map.size;
@@ -58,26 +58,27 @@ impl Examined {
                 (linear * t.displacement, t.alpha >= 0.5)
             })
             .collect();
-        let (vectors, seen): (Vec<Vec3>, Vec<bool>) = texels.into_iter().unzip();
-        Self::new(VectorField::new(grid_of(&placed.placement, size), vectors), seen)
+        let (vectors, is_valid): (Vec<Vec3>, Vec<bool>) = texels.into_iter().unzip();
+        Self::new(VectorField::new(grid_of(&placed.placement, size), vectors), is_valid)
     }
 
     /// A field, seen where the mask says.
-    pub fn new(field: VectorField, seen: Vec<bool>) -> Self {
+    pub fn new(field: VectorField, is_valid: Vec<bool>) -> Self {
         let [nx, ny, _] = field.grid.size;
-        let determinants = (0..seen.len()).into_par_iter().map(|n| field.jacobian(n % nx, n / nx % ny, n / (nx * ny)).determinant() as f32).collect();
-        Self { field, seen, determinants }
+        let determinants =
+            (0..is_valid.len()).into_par_iter().map(|n| field.jacobian(n % nx, n / nx % ny, n / (nx * ny)).determinant() as f32).collect();
+        Self { field, is_valid, determinants }
     }
 
     /// The statistics.
-    pub fn health(&self, with_inverse: bool) -> Health {
+    pub fn health(&self, with_inverse: bool) -> FieldQuality {
         let size = self.field.grid.size;
-        let points = self.seen.len();
-        let kept = (0..points).filter(|&n| self.seen[n]);
+        let points = self.is_valid.len();
+        let valid = (0..points).filter(|&n| self.is_valid[n]);
         let (mut count, mut folds) = (0usize, 0usize);
         let (mut low, mut high, mut sum) = (f64::INFINITY, f64::NEG_INFINITY, 0.0);
         let (mut largest, mut mean, mut border) = (0.0f64, 0.0, 0.0f64);
-        for n in kept {
+        for n in valid {
             let det = f64::from(self.determinants[n]);
             let length = f64::from(self.field.vectors[n].length());
             let at = [n % size[0], n / size[0] % size[1], n / (size[0] * size[1])];
@@ -90,7 +91,7 @@ impl Examined {
             }
         }
         let of = |v: f64| if count > 0 { v / count as f64 } else { 0.0 };
-        Health {
+        FieldQuality {
             points,
             cut_percent: 100.0 * (points - count) as f64 / points.max(1) as f64,
             det_min: if count > 0 { low } else { 1.0 },
@@ -108,10 +109,10 @@ impl Examined {
     /// above 1 (shrunk), red: folded, black: cut away.
     pub fn picture(&self) -> (usize, usize, Vec<u8>) {
         let size = self.field.grid.size;
-        let worst = (0..self.seen.len())
-            .filter(|&n| self.seen[n])
+        let worst = (0..self.is_valid.len())
+            .filter(|&n| self.is_valid[n])
             .min_by(|&a, &b| self.determinants[a].total_cmp(&self.determinants[b]))
-            .unwrap_or(self.seen.len() / 2);
+            .unwrap_or(self.is_valid.len() / 2);
         let at = [worst % size[0], worst / size[0] % size[1], worst / (size[0] * size[1])];
         let panels = [(0, 1, 2), (0, 2, 1), (1, 2, 0)];
         let scale = (256 / size.iter().max().copied().unwrap_or(1)).max(1);
@@ -125,7 +126,7 @@ impl Examined {
                     let mut c = [0; 3];
                     (c[across], c[up], c[fixed]) = (x / scale, y / scale, at[fixed]);
                     let n = (c[2] * size[1] + c[1]) * size[0] + c[0];
-                    let color = color(self.determinants[n], self.seen[n]);
+                    let color = color(self.determinants[n], self.is_valid[n]);
                     let row = size[up] * scale - 1 - y;
                     let to = (row * width + left + x) * 3;
                     rgb[to..to + 3].copy_from_slice(&color);
@@ -141,7 +142,7 @@ impl Examined {
         use std::fmt::Write as _;
         let size = self.field.grid.size;
         let mut out = String::from("i,j,k,x_mm,y_mm,z_mm,dx_mm,dy_mm,dz_mm,det_j,seen\n");
-        for n in 0..self.seen.len() {
+        for n in 0..self.is_valid.len() {
             let [i, j, k] = [n % size[0], n / size[0] % size[1], n / (size[0] * size[1])];
             let p = self.field.grid.world_from_voxel.transform_point3(DVec3::new(i as f64, j as f64, k as f64));
             let d = self.field.vectors[n];
@@ -155,15 +156,15 @@ impl Examined {
                 d.y,
                 d.z,
                 self.determinants[n],
-                u8::from(self.seen[n])
+                u8::from(self.is_valid[n])
             );
         }
         out
     }
 }
 
-fn color(det: f32, seen: bool) -> [u8; 3] {
-    if !seen {
+fn color(det: f32, is_valid: bool) -> [u8; 3] {
+    if !is_valid {
         return [0; 3];
     }
     if det <= 0.0 {
@@ -181,12 +182,12 @@ mod tests {
     use crate::volume::GridGeometry;
     use glam::{DAffine3, DMat3};
 
-    fn field(f: impl Fn(DVec3) -> DVec3 + Sync) -> Examined {
+    fn field(f: impl Fn(DVec3) -> DVec3 + Sync) -> CheckedField {
         let grid = GridGeometry {
             size: [17; 3],
             world_from_voxel: DAffine3 { matrix3: DMat3::from_diagonal(DVec3::splat(2.0)), translation: DVec3::splat(-16.0) },
         };
-        Examined::new(VectorField::sampled(grid, f), vec![true; 17 * 17 * 17])
+        CheckedField::new(VectorField::sampled(grid, f), vec![true; 17 * 17 * 17])
     }
 
     #[test]

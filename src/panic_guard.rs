@@ -1,5 +1,5 @@
 //! Panics. Decoders of others may panic on damaged data: behind [`guarded`] they cannot take the program with them, nor write a word of their own.
-//! A fault of this program itself is one line, however many threads run into it, and may end the program at once ([`on_fault`]).
+//! A fault of this program itself is one line, however many threads run into it, and may end the program at once ([`on_panic`]).
 
 use std::cell::Cell;
 use std::panic::{AssertUnwindSafe, PanicHookInfo, catch_unwind};
@@ -20,8 +20,8 @@ type Respond = Box<dyn Fn(&str) + Send + Sync>;
 static RESPOND: OnceLock<Respond> = OnceLock::new();
 
 /// The last fault that was told: many threads run into the same.
-static TOLD: Mutex<Option<Instant>> = Mutex::new(None);
-const AGAIN_AFTER: Duration = Duration::from_secs(2);
+static LAST_REPORT: Mutex<Option<Instant>> = Mutex::new(None);
+const REPORT_INTERVAL: Duration = Duration::from_secs(2);
 
 fn install() {
     static ONCE: Once = Once::new();
@@ -36,9 +36,9 @@ fn install() {
                 // Whoever put up the guard says what is wrong with the data.
                 Some(_) if UP.load(Ordering::SeqCst) > 0 => {}
                 Some(respond) => {
-                    let mut told = TOLD.lock().unwrap_or_else(PoisonError::into_inner);
-                    if told.is_none_or(|t| t.elapsed() > AGAIN_AFTER) {
-                        *told = Some(Instant::now());
+                    let mut last_report = LAST_REPORT.lock().unwrap_or_else(PoisonError::into_inner);
+                    if last_report.is_none_or(|t| t.elapsed() > REPORT_INTERVAL) {
+                        *last_report = Some(Instant::now());
                         respond(&line(info));
                     }
                 }
@@ -55,13 +55,13 @@ fn line(info: &PanicHookInfo) -> String {
 
 /// From now on a fault of the program is given to `respond` as one line, once, instead of being printed by every thread. For programs; only the
 /// first call counts.
-pub fn on_fault(respond: impl Fn(&str) + Send + Sync + 'static) {
+pub fn on_panic(respond: impl Fn(&str) + Send + Sync + 'static) {
     install();
     let _only_the_first = RESPOND.set(Box::new(respond));
 }
 
 /// Runs a decoder; `None` if it panicked.
-pub(crate) fn guarded<T>(decode: impl FnOnce() -> T) -> Option<T> {
+pub(crate) fn catch_panic<T>(decode: impl FnOnce() -> T) -> Option<T> {
     install();
     let before = GUARDED.replace(true);
     UP.fetch_add(1, Ordering::SeqCst);
@@ -77,7 +77,7 @@ mod tests {
 
     #[test]
     fn a_panic_stays_inside() {
-        assert_eq!(guarded(|| 3), Some(3));
-        assert_eq!(guarded(|| -> u8 { panic!("quiet") }), None);
+        assert_eq!(catch_panic(|| 3), Some(3));
+        assert_eq!(catch_panic(|| -> u8 { panic!("quiet") }), None);
     }
 }

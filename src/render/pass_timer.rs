@@ -1,35 +1,44 @@
 //! Time by the GPU's own clock: each pass of a picture writes when it began and when it ended.
 
 use super::Renderer;
-use super::work::{Made, Tally};
+use super::work::{ResourceKind, WorkCounters};
 use crate::Result;
 use crate::gpu::read_buffer;
 use std::sync::atomic::{AtomicU32, Ordering};
 use wgpu::{BufferUsages, Features};
 
 /// Passes of a picture that are timed at most.
-const MOST_PASSES: u32 = 1024;
+const MAX_TIMED_PASSES: u32 = 1024;
 
 /// Timestamps of one picture's passes.
-pub(super) struct Clock {
+pub(super) struct PassTimer {
     set: wgpu::QuerySet,
     resolved: wgpu::Buffer,
     back: wgpu::Buffer,
     passes: AtomicU32,
 }
 
-impl Clock {
+impl PassTimer {
     /// None if the device has no timestamps.
-    pub fn new(device: &wgpu::Device, tally: &Tally) -> Option<Self> {
+    pub fn new(device: &wgpu::Device, tally: &WorkCounters) -> Option<Self> {
         if !device.features().contains(Features::TIMESTAMP_QUERY) {
             return None;
         }
         let buffer = |label, usage| {
-            tally.count(Made::Buffer);
-            device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size: u64::from(MOST_PASSES) * 16, usage, mapped_at_creation: false })
+            tally.count(ResourceKind::Buffer);
+            device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some(label),
+                size: u64::from(MAX_TIMED_PASSES) * 16,
+                usage,
+                mapped_at_creation: false,
+            })
         };
         Some(Self {
-            set: device.create_query_set(&wgpu::QuerySetDescriptor { label: Some("passes"), ty: wgpu::QueryType::Timestamp, count: 2 * MOST_PASSES }),
+            set: device.create_query_set(&wgpu::QuerySetDescriptor {
+                label: Some("passes"),
+                ty: wgpu::QueryType::Timestamp,
+                count: 2 * MAX_TIMED_PASSES,
+            }),
             resolved: buffer("timestamps", BufferUsages::QUERY_RESOLVE | BufferUsages::COPY_SRC),
             back: buffer("timestamps, to read", BufferUsages::MAP_READ | BufferUsages::COPY_DST),
             passes: AtomicU32::new(0),
@@ -61,13 +70,13 @@ impl Clock {
 
     fn next_pass(&self) -> Option<[u32; 2]> {
         let pass = self.passes.fetch_add(1, Ordering::Relaxed);
-        (pass < MOST_PASSES).then_some([2 * pass, 2 * pass + 1])
+        (pass < MAX_TIMED_PASSES).then_some([2 * pass, 2 * pass + 1])
     }
 
     /// Time of all passes since the restart, milliseconds; none if there were too many, or none.
     pub fn milliseconds(&self, renderer: &Renderer) -> Result<Option<f64>> {
         let passes = self.passes.load(Ordering::Relaxed);
-        if !(1..=MOST_PASSES).contains(&passes) {
+        if !(1..=MAX_TIMED_PASSES).contains(&passes) {
             return Ok(None);
         }
         let (device, queue) = (&renderer.device.device, &renderer.device.queue);

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 /// What to take of a file, and what it leaves out. By default all of it, or the first or largest part.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
-pub struct Choice {
+pub struct ReadOptions {
     /// Of several DICOM series: its number in `incise info` (from 1), its UID, or a part of its description. The largest by default.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub series: Option<String>,
@@ -73,7 +73,7 @@ fn identity() -> [[f64; 3]; 3] {
     [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 }
 
-impl Choice {
+impl ReadOptions {
     /// No choice made.
     pub fn is_default(&self) -> bool {
         *self == Self::default()

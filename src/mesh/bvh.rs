@@ -18,7 +18,7 @@ const SLACK: f32 = 1e-6;
 /// Deepest path: a median split halves its triangles.
 const STACK: usize = 64;
 
-struct Node {
+struct BvhNode {
     bounds: Bounds,
     /// First triangle of a leaf, or the second child (the first follows its parent).
     start: u32,
@@ -41,8 +41,8 @@ struct Dipole {
 }
 
 /// Triangles by place.
-pub struct Tree {
-    nodes: Vec<Node>,
+pub struct TriangleBvh {
+    nodes: Vec<BvhNode>,
     corners: Vec<[Vec3; 3]>,
     /// Index in the mesh of each.
     index: Vec<u32>,
@@ -55,7 +55,7 @@ pub struct Nearest {
     pub squared: f32,
     /// The point.
     pub point: Vec3,
-    /// Its triangle in the tree's own order; for [`Tree::nearest_from`].
+    /// Its triangle in the tree's own order; for [`TriangleBvh::nearest_from`].
     pub slot: u32,
 }
 
@@ -72,7 +72,7 @@ pub struct MeshHit {
     pub front: bool,
 }
 
-impl Tree {
+impl TriangleBvh {
     /// Sorts the triangles of a mesh.
     pub fn new(mesh: &Mesh) -> Self {
         let mut order: Vec<(Vec3, u32)> = (0..mesh.triangles.len()).map(|t| (mesh.corners(t).iter().sum::<Vec3>() / 3.0, t as u32)).collect();
@@ -88,7 +88,7 @@ impl Tree {
         let bounds = order.iter().flat_map(|o| mesh.corners(o.1 as usize)).fold(Bounds::EMPTY, |b, p| Bounds::new(b.min.min(p), b.max.max(p)));
         let dipole = Dipole::of(order.iter().map(|o| mesh.corners(o.1 as usize)));
         let leaf = order.len() <= LEAF;
-        self.nodes.push(Node { bounds, start: self.corners.len() as u32, count: if leaf { order.len() as u32 } else { 0 }, dipole });
+        self.nodes.push(BvhNode { bounds, start: self.corners.len() as u32, count: if leaf { order.len() as u32 } else { 0 }, dipole });
         if leaf {
             for (_, t) in order.iter() {
                 self.corners.push(mesh.corners(*t as usize));
@@ -371,7 +371,7 @@ mod tests {
         #[test]
         fn the_tree_finds_what_a_search_of_all_finds(p in prop::array::uniform3(-5.0f32..15.0), q in prop::array::uniform3(-1.0f32..1.0), seed in prop::array::uniform3(0.0f32..1.0)) {
             let mesh = soup(seed, 90);
-            let tree = Tree::new(&mesh);
+            let tree = TriangleBvh::new(&mesh);
             let p = Vec3::from(p);
             let all = (0..mesh.triangles.len()).map(|t| mesh.corners(t));
             let want = all.clone().map(|c| nearest_on_triangle(p, &c).distance(p)).fold(f32::INFINITY, f32::min);

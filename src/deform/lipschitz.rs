@@ -13,7 +13,7 @@ use glam::{Mat3, Vec3, Vec4};
 use rayon::prelude::*;
 
 /// Bounds for every map of a stack.
-pub struct Slopes<'a> {
+pub struct LipschitzBounds<'a> {
     stack: &'a Stack,
     /// None for a map that only cuts.
     of_maps: Vec<Option<MinMaxPyramid<1>>>,
@@ -47,21 +47,21 @@ impl PlacedMap {
         let y = world_from_map.y_axis.reject_from_normalized(x).normalize_or(x.any_orthonormal_vector());
         let turned = Mat3::from_cols(x, y, x.cross(y));
         let (linear, inverse) = (turned.transpose() * world_from_map * self.map.scale, Mat3::from(map_from_world.matrix3) * turned);
-        let shared = Shared { linear, inverse, norm_of_inverse: spectral_norm(inverse), per_unit: Vec3::from(cells.map(|n| n as f32)) };
+        let shared = MapConstants { linear, inverse, norm_of_inverse: spectral_norm(inverse), per_unit: Vec3::from(cells.map(|n| n as f32)) };
         let mut bounds = vec![0.0; cells.iter().product()];
         bounds.par_chunks_mut(cells[0]).enumerate().for_each(|(n, bounds)| {
             let (j, k) = (n % cells[1], n / cells[1]);
             // A flat axis has one texel on both sides.
             let (up, on) = ((j + 1).min(size[1] - 1), (k + 1).min(size[2] - 1));
             let row = |j: usize, k: usize| &texels[(k * size[1] + j) * size[0]..][..size[0]];
-            with_simd(Row { rows: [row(j, k), row(up, k), row(j, on), row(up, on)], shared: &shared, bounds });
+            with_simd(CellRow { rows: [row(j, k), row(up, k), row(j, on), row(up, on)], shared: &shared, bounds });
         });
         MinMaxPyramid::new(cells, 1, |i, j, k| [bounds[(k * cells[1] + j) * cells[0] + i]])
     }
 }
 
 /// What all rows of a map share.
-struct Shared {
+struct MapConstants {
     /// Stored displacements to mm, in axes of its own.
     linear: Mat3,
     /// Mm to map units, and its norm.
@@ -72,13 +72,13 @@ struct Shared {
 }
 
 /// A row of a map's cells: the four rows of texels around it (along y, then z), and a bound for each cell.
-struct Row<'a> {
+struct CellRow<'a> {
     rows: [&'a [Vec4]; 4],
-    shared: &'a Shared,
+    shared: &'a MapConstants,
     bounds: &'a mut [f32],
 }
 
-impl OverSimd for Row<'_> {
+impl SimdKernel for CellRow<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -147,8 +147,8 @@ fn column<S: Simd>(unit: Vec3, [x, y, z]: [Vec3x8<S>; 3], v: Vec3) -> Vec3x8<S> 
 
 /// Bounds on |J_G| in eight cells of a row: |M| by [`largest_eigenvalue`], and what the deviations add.
 #[inline(always)]
-fn bound_of_eight<S: Simd>(simd: S, [a, b, c, d]: [&[Vec4]; 4], first: usize, shared: &Shared) -> f32x8<S> {
-    let Shared { linear, inverse, norm_of_inverse, per_unit } = shared;
+fn bound_of_eight<S: Simd>(simd: S, [a, b, c, d]: [&[Vec4]; 4], first: usize, shared: &MapConstants) -> f32x8<S> {
+    let MapConstants { linear, inverse, norm_of_inverse, per_unit } = shared;
     let (a0, a1) = (displacements(simd, a, first, linear), displacements(simd, a, first + 1, linear));
     let (b0, b1) = (displacements(simd, b, first, linear), displacements(simd, b, first + 1, linear));
     let (c0, c1) = (displacements(simd, c, first, linear), displacements(simd, c, first + 1, linear));
@@ -163,10 +163,10 @@ fn bound_of_eight<S: Simd>(simd: S, [a, b, c, d]: [&[Vec4]; 4], first: usize, sh
     largest.sqrt() + (of_x + of_y + of_z).sqrt() * *norm_of_inverse
 }
 
-impl<'a> Slopes<'a> {
+impl<'a> LipschitzBounds<'a> {
     /// Prepares the bounds of a stack.
     pub fn new(stack: &'a Stack) -> Self {
-        Self { stack, of_maps: stack.maps().iter().map(|m| m.map.moves_matter().then(|| m.slopes())).collect() }
+        Self { stack, of_maps: stack.maps().iter().map(|m| m.map.has_displacement().then(|| m.slopes())).collect() }
     }
 
     /// A bound on how far two source points can lie apart per millimetre between their deformed points, over a box of the deformed scene.
@@ -174,7 +174,7 @@ impl<'a> Slopes<'a> {
         let (mut b, mut at) = (*deformed, *deformed);
         let (mut whole, mut here, mut together) = (1.0f32, 1.0f32, true);
         for (map, slopes) in self.stack.maps().iter().zip(&self.of_maps).rev() {
-            let (own, moved) = slopes.as_ref().map_or((1.0, Bounds::new(Vec3::ZERO, Vec3::ZERO)), |s| map.slope_over(&at, s));
+            let (own, moved) = slopes.as_ref().map_or((1.0, Bounds::new(Vec3::ZERO, Vec3::ZERO)), |s| map.lipschitz_over(&at, s));
             // A map that follows one added to it sees a point that the walk has left: its displacement alone counts, J - I.
             whole = if together { own * here } else { whole + (own + 1.0) * here };
             b = Bounds::new(b.min + moved.min, b.max + moved.max);
@@ -189,7 +189,7 @@ impl<'a> Slopes<'a> {
 
 impl PlacedMap {
     /// The bound over a box, and the box of displacements there.
-    fn slope_over(&self, b: &Bounds, slopes: &MinMaxPyramid<1>) -> (f32, Bounds) {
+    fn lipschitz_over(&self, b: &Bounds, slopes: &MinMaxPyramid<1>) -> (f32, Bounds) {
         let moved = self.displacement_bounds(b);
         let inside = b.transformed(&self.placement.map_from_world).grown(1e-4).intersection(&Bounds::new(-self.reach, Vec3::ONE + self.reach));
         if inside.is_empty() {
@@ -224,11 +224,11 @@ mod tests {
             ];
             maps[1].added = added;
             let stack = Stack::new(maps);
-            let slopes = Slopes::new(&stack);
+            let slopes = LipschitzBounds::new(&stack);
             let low = Vec3::from(corner);
             let (p, q) = (low + Vec3::from(a) * edge, low + Vec3::from(b) * edge);
             let bound = slopes.bound(&Bounds::new(low, low + edge));
-            let apart = stack.walk_through(p).0.distance(stack.walk_through(q).0);
+            let apart = stack.source_and_alpha_unclipped(p).0.distance(stack.source_and_alpha_unclipped(q).0);
             prop_assert!(apart <= bound * p.distance(q) * 1.001 + 1e-3, "{} apart, {} x {}", apart, bound, p.distance(q));
         }
     }
@@ -241,7 +241,7 @@ mod tests {
                 let map = DisplacementMap::from_fn(size, Storage::F32, |x| TexelSample { displacement: f(x - 0.5), alpha: 1.0 });
                 let placement = Placement::new(Vec3::X, Vec3::splat(40.0), Vec3::new(20.0, 40.0, -10.0)).unwrap_or_else(|e| panic!("{e}"));
                 let stack = Stack::new(vec![PlacedMap::new(Arc::new(map), placement)]);
-                Slopes::new(&stack).bound(&Bounds::new(Vec3::splat(-4.0), Vec3::splat(4.0)))
+                LipschitzBounds::new(&stack).bound(&Bounds::new(Vec3::splat(-4.0), Vec3::splat(4.0)))
             };
             let stretched = bound(|x| Vec3::new(0.75 * x.x, 0.0, 0.5 * x.z));
             assert!((stretched - 1.75).abs() < 1e-5, "{size:?}: {stretched}");
