@@ -1,7 +1,12 @@
 //! Pictures as every renderer returns them, with what they cost: time by stage and samples.
 
+use crate::files::OutputFile;
 use crate::math::lanes::*;
+use crate::{Error, Result};
+use image::codecs::png::PngEncoder;
+use image::{ExtendedColorType, ImageEncoder};
 use rayon::prelude::*;
+use std::path::Path;
 use std::time::Instant;
 
 /// Largest edge of a picture, pixels.
@@ -91,6 +96,29 @@ impl Picture {
         Self { width, height, pixels: (0..width * height).map(average).collect() }
     }
 
+    /// The picture over a background as PNG: 8 bits per channel, RGB if the background is opaque, else RGBA (not premultiplied).
+    ///
+    /// # Errors
+    /// The encoder's.
+    pub fn png(&self, background: [f32; 4]) -> Result<Vec<u8>> {
+        let mut rgba = self.over(background);
+        let color = if background[3] >= 1.0 {
+            rgba = rgba.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect();
+            ExtendedColorType::Rgb8
+        } else {
+            ExtendedColorType::Rgba8
+        };
+        encode_png(&rgba, [self.width, self.height], color)
+    }
+
+    /// Writes [`Self::png`] to a file; one that is there is replaced by the whole of it, or not at all.
+    ///
+    /// # Errors
+    /// The encoder's; a file that cannot be written.
+    pub fn save_png(&self, path: impl AsRef<Path>, background: [f32; 4]) -> Result<()> {
+        OutputFile::create(path.as_ref())?.finish(&self.png(background)?)
+    }
+
     /// The picture over a background (red, green, blue, alpha, not premultiplied), as 8-bit RGBA, not premultiplied.
     pub fn over(&self, background: [f32; 4]) -> Vec<u8> {
         let [r, g, b, back_alpha] = background;
@@ -99,6 +127,18 @@ impl Picture {
         bytes.par_chunks_mut(1 << 14).zip(self.pixels.par_chunks(1 << 14)).for_each(|(bytes, pixels)| with_simd(Over { behind, pixels, bytes }));
         bytes.into_flattened()
     }
+}
+
+/// Rows of 8-bit colours as PNG.
+///
+/// # Errors
+/// The encoder's.
+pub fn encode_png(bytes: &[u8], [width, height]: [u32; 2], color: ExtendedColorType) -> Result<Vec<u8>> {
+    let mut png = Vec::new();
+    PngEncoder::new(&mut png)
+        .write_image(bytes, width, height, color)
+        .map_err(|e| Error::value("output", format!("could not be encoded as PNG: {e}")))?;
+    Ok(png)
 }
 
 /// Pixels over what is behind them, premultiplied both, as bytes that are not.
@@ -121,5 +161,17 @@ impl SimdKernel for Over<'_> {
             let [r, g, b, a] = (share * 255.0 + 0.5).to_int::<i32x4<S>>().to_array();
             *byte = [r as u8, g as u8, b as u8, a as u8];
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn background_shows_where_the_picture_does_not() {
+        let picture = Picture { width: 2, height: 1, pixels: vec![[0.5, 0.0, 0.0, 0.5], [0.0; 4]] };
+        assert_eq!(picture.over([0.0, 0.0, 1.0, 1.0]), [128, 0, 128, 255, 0, 0, 255, 255]);
+        assert_eq!(picture.over([0.0; 4]), [255, 0, 0, 128, 0, 0, 0, 0]);
     }
 }

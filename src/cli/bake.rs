@@ -3,7 +3,7 @@
 use super::arguments;
 use super::progress::TerminalProgress;
 use crate::export::{bake, protect};
-use crate::files::Output;
+use crate::files::OutputFile;
 use crate::files::path_text::text_of;
 use crate::prepare::{Assets, Deformed, LoadOptions};
 use crate::scene::Scene;
@@ -63,7 +63,7 @@ pub fn run(arguments: &BakeArguments) -> Result<()> {
     if arguments.fill.is_some_and(|f| !f.is_finite()) {
         return Err(Error::value("--fill", "must be a finite number"));
     }
-    let output = Output::create(&arguments.output)?;
+    let output = OutputFile::create(&arguments.output)?;
     let bar = TerminalProgress::new(arguments.quiet);
     if scene.volume.is_none() {
         return Err(Error::file(&arguments.input, "has no volume to bake; its meshes are rendered, not baked"));

@@ -2,7 +2,7 @@
 
 use super::arguments;
 use super::progress::TerminalProgress;
-use crate::files::Output;
+use crate::files::OutputFile;
 use crate::files::path_text::{path_of, text_of};
 use crate::prepare::{Assets, LoadOptions};
 use crate::scene::surface::CutModel;
@@ -235,15 +235,15 @@ impl Common {
     ///
     /// # Errors
     /// A place that cannot be written.
-    pub fn stats_file(&self) -> Result<Option<Output>> {
-        self.stats.as_deref().filter(|p| *p != Path::new("-")).map(Output::create).transpose()
+    pub fn stats_file(&self) -> Result<Option<OutputFile>> {
+        self.stats.as_deref().filter(|p| *p != Path::new("-")).map(OutputFile::create).transpose()
     }
 
     /// Writes what `--stats` and `--json` ask for.
     ///
     /// # Errors
     /// A full disk.
-    pub fn write_stats(&self, text: &str, file: Option<Output>) -> Result<()> {
+    pub fn write_stats(&self, text: &str, file: Option<OutputFile>) -> Result<()> {
         if self.reports_to_standard_output() {
             super::print(text)?;
         }

@@ -7,7 +7,7 @@ use crate::compare::lab::{self, Plan, REFERENCE_STEP};
 use crate::compare::plot::number;
 use crate::compare::{Report, write_files};
 use crate::export::protect;
-use crate::files::{Output, check_distinct};
+use crate::files::{OutputFile, check_distinct};
 use crate::scene::{Mode, Scene, View};
 use crate::{Error, Result};
 use clap::{Args, ValueEnum};
@@ -143,10 +143,10 @@ impl CompareArguments {
         }
         let names = ["index.html", "report.json", "runs.csv", "pairs.csv", "picture.png"];
         if folder.is_dir() {
-            names.iter().try_for_each(|name| Output::create(&folder.join(name)).map(|_tried| ()))?;
+            names.iter().try_for_each(|name| OutputFile::create(&folder.join(name)).map(|_tried| ()))?;
         } else {
             // It holds none of them yet; whether it can be made shows where it will be.
-            Output::create(&nearest.join(".incise"))?;
+            OutputFile::create(&nearest.join(".incise"))?;
         }
         self.protect(scene, names.into_iter())
     }

@@ -2,9 +2,8 @@
 
 use super::progress::TerminalProgress;
 use crate::deform::kinds::{self, Kind, Unit};
-use crate::export::png;
 use crate::export::protect;
-use crate::files::Output;
+use crate::files::OutputFile;
 use crate::files::path_text::text_of;
 use crate::prepare::{Assets, Prepared};
 use crate::scene::{Scene, example};
@@ -63,7 +62,7 @@ pub fn run(arguments: &GalleryArguments) -> Result<()> {
             match picture {
                 Ok(picture) => {
                     let file = format!("{}-{label}.png", kind.name);
-                    Output::create(&arguments.output.join(&file))?.finish(&png(&picture, scene.render.background)?)?;
+                    OutputFile::create(&arguments.output.join(&file))?.finish(&picture.png(scene.render.background)?)?;
                     cells.push_str(&format!("<td><img src=\"{file}\" alt=\"{} on the {label}\"></td>", kind.name));
                 }
                 // Some kinds follow what a volume need not have: a surface, labels.
@@ -92,7 +91,7 @@ pub fn run(arguments: &GalleryArguments) -> Result<()> {
          td{{vertical-align:top;padding:.5em 1em .5em 0}}h2{{margin:.2em 0}}dt{{font-weight:bold}}dd{{margin:0 0 .2em 1em}}td:first-child{{max-width:28em}}</style>\
          <h1>Deformations</h1><table>{rows}</table></html>\n"
     );
-    Output::create(&arguments.output.join("index.html"))?.finish(page.as_bytes())?;
+    OutputFile::create(&arguments.output.join("index.html"))?.finish(page.as_bytes())?;
     bar.finish();
     if !arguments.quiet {
         for note in notes {

@@ -6,10 +6,11 @@ use crate::deform::file_kinds::FILE_KINDS;
 use crate::deform::quality::CheckedField;
 use crate::deform::transform::{Transform, TransformContext, TransformStep, VectorField};
 use crate::deform::{PlacedMap, Storage, compose, invert, saved};
-use crate::export::{png_rgb, protect};
+use crate::export::protect;
 use crate::files::path_text::text_of;
-use crate::files::{Output, check_distinct};
+use crate::files::{OutputFile, check_distinct};
 use crate::math::Bounds;
+use crate::picture::encode_png;
 use crate::prepare::{Assets, Deformed};
 use crate::scene::Scene;
 use crate::volume::load::{self, ReadOptions};
@@ -97,7 +98,7 @@ pub fn run(arguments: &MapArguments) -> Result<()> {
     if let Some(n) = arguments.resolution.filter(|n| !(8..=512).contains(n)) {
         return Err(Error::value("--resolution", format!("{n} is outside 8 to 512 points")));
     }
-    let output = Output::create(path)?;
+    let output = OutputFile::create(path)?;
     let bar = TerminalProgress::new(arguments.quiet);
     let note = |text: String| {
         if !arguments.quiet {
@@ -241,8 +242,8 @@ fn run_check(arguments: &CheckArguments) -> Result<()> {
     if let (Some(csv), Some(picture)) = (&arguments.csv, &arguments.picture) {
         check_distinct(csv, "--picture", picture)?;
     }
-    let csv = arguments.csv.as_deref().map(Output::create_or_standard).transpose()?;
-    let picture = arguments.picture.as_deref().map(Output::create_or_standard).transpose()?;
+    let csv = arguments.csv.as_deref().map(OutputFile::create_or_standard).transpose()?;
+    let picture = arguments.picture.as_deref().map(OutputFile::create_or_standard).transpose()?;
     let to_standard_output = [&csv, &picture].into_iter().flatten().filter(|o| o.is_standard_output()).count();
     if to_standard_output + usize::from(arguments.json) > 1 {
         return Err(Error::value("--csv, --picture, --json", "only one of them can go to standard output; write the others to files"));
@@ -265,7 +266,7 @@ fn run_check(arguments: &CheckArguments) -> Result<()> {
     }
     if let Some(file) = picture {
         let (width, height, rgb) = examined.picture();
-        file.finish(&png_rgb(width, height, &rgb)?)?;
+        file.finish(&encode_png(&rgb, [width as u32, height as u32], image::ExtendedColorType::Rgb8)?)?;
     }
     let grid = examined.field.grid;
     let report = json!({ "file": path.display().to_string(), "size": grid.size, "health": health, "warnings": warnings });

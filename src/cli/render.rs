@@ -4,8 +4,8 @@ use super::common::{Common, warnings};
 use super::progress::TerminalProgress;
 use crate::deform::quality::CheckedField;
 use crate::engine::{Backend, DeviceInfo, Engine, EngineOptions, RenderRequest};
-use crate::export::{png, protect};
-use crate::files::{Output, check_distinct, memory};
+use crate::export::protect;
+use crate::files::{OutputFile, check_distinct, memory};
 use crate::picture::{Picture, RenderStats, Rendered, StageTimes};
 use crate::prepare::Prepared;
 use crate::scene::Scene;
@@ -56,7 +56,7 @@ pub fn run(arguments: &RenderArguments) -> Result<()> {
     let mut stages = assets.stages.clone();
     stages.0.extend(prepared.stages.0.iter().copied());
     stages.0.extend(rendered.stages.0.iter().copied());
-    let bytes = stages.time("encode", || png(&rendered.picture, scene.render.background))?;
+    let bytes = stages.time("encode", || rendered.picture.png(scene.render.background))?;
     stages.time("write", || output.finish(&bytes))?;
     let total = start.elapsed().as_secs_f64() * 1e3;
     if needs_stats {
@@ -71,7 +71,7 @@ pub fn run(arguments: &RenderArguments) -> Result<()> {
 }
 
 /// Where the picture and the report go: never to a file that is read, nor both to one file.
-fn outputs(arguments: &RenderArguments, scene: &Scene) -> Result<(Output, Option<Output>)> {
+fn outputs(arguments: &RenderArguments, scene: &Scene) -> Result<(OutputFile, Option<OutputFile>)> {
     let (picture, common) = (&arguments.output, &arguments.common);
     let read = scene.files();
     let written = [Some(("--output", picture)), common.stats.as_ref().map(|s| ("--stats", s))];
@@ -81,13 +81,13 @@ fn outputs(arguments: &RenderArguments, scene: &Scene) -> Result<(Output, Option
     if let Some(stats) = common.stats.as_ref().filter(|s| *s != Path::new("-")) {
         check_distinct(picture, "--stats", stats)?;
     }
-    let output = Output::create_or_standard(picture)?;
+    let output = OutputFile::create_or_standard(picture)?;
     let is_png = || picture.extension().is_some_and(|e| e.eq_ignore_ascii_case("png"));
     if output.is_file() && !is_png() {
         return Err(Error::value(format!("--output {}", picture.display()), "pictures are written as PNG; give a name that ends in .png"));
     }
     let stats = common.stats_file()?;
-    if output.is_standard_output() && (common.reports_to_standard_output() || stats.as_ref().is_some_and(Output::is_standard_output)) {
+    if output.is_standard_output() && (common.reports_to_standard_output() || stats.as_ref().is_some_and(OutputFile::is_standard_output)) {
         return Err(Error::value("--stats, --json", "the picture and the report cannot both go to standard output; write one of them to a file"));
     }
     Ok((output, stats))

@@ -3,7 +3,7 @@
 use super::progress::TerminalProgress;
 use crate::Watch;
 use crate::export::protect;
-use crate::files::Output;
+use crate::files::OutputFile;
 use crate::math::Bounds;
 use crate::mesh::field::{FieldSettings, MeshField};
 use crate::mesh::load;
@@ -56,7 +56,7 @@ pub fn run(arguments: &SdfArguments) -> Result<()> {
         return Err(Error::value("--cell", "must be a positive number of millimetres"));
     }
     let region = arguments.part.as_deref().map(corners).transpose()?;
-    let output = Output::create(&arguments.output)?;
+    let output = OutputFile::create(&arguments.output)?;
     let start = Instant::now();
     let mesh = load::mesh(&arguments.mesh)?;
     output.check()?;

@@ -4,8 +4,7 @@ use super::curves::{EqualError, RendererCost, equal_errors};
 use super::metrics::difference_picture;
 use super::report::{Encoded, Report, RunPair, VERSION};
 use super::run::{Run, mode_name, samples, stage_milliseconds};
-use crate::export::png;
-use crate::files::Output;
+use crate::files::OutputFile;
 use crate::{Error, Result};
 use serde_json::{Value, json};
 use std::collections::HashSet;
@@ -33,14 +32,14 @@ impl Report {
         let mut taken = HashSet::new();
         let mut pictures = Vec::new();
         for run in &self.runs {
-            pictures.push(Encoded { file: file_name(&plain(&run.name), &mut taken), png: png(&run.picture, self.background)? });
+            pictures.push(Encoded { file: file_name(&plain(&run.name), &mut taken), png: run.picture.png(self.background)? });
         }
         let mut differences = Vec::new();
         for pair in &self.pairs {
             let [a, b] = [pair.a, pair.b].map(|n| &self.runs[n]);
             let file = file_name(&format!("difference-{}-{}", plain(&a.name), plain(&b.name)), &mut taken);
             let shown = difference_picture(&a.picture, &b.picture, self.amplify)?;
-            differences.push(Encoded { file, png: png(&shown, [0.0, 0.0, 0.0, 1.0])? });
+            differences.push(Encoded { file, png: shown.png([0.0, 0.0, 0.0, 1.0])? });
         }
         let equal = equal_errors(&self.runs);
         let json = format!("{:#}\n", self.json(&pictures, &differences, &equal));
@@ -175,7 +174,7 @@ pub fn write_files(folder: &Path, files: &[(String, Vec<u8>)]) -> Result<()> {
         return Err(Error::file(&path, "is a folder where a file is to be written; remove it, or choose another folder"));
     }
     std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "making", e))?;
-    let outputs = files.iter().map(|(file, _)| Output::create(&folder.join(file))).collect::<Result<Vec<_>>>()?;
+    let outputs = files.iter().map(|(file, _)| OutputFile::create(&folder.join(file))).collect::<Result<Vec<_>>>()?;
     outputs.into_iter().zip(files).try_for_each(|(output, (_, content))| output.finish(content))
 }
 

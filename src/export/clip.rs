@@ -6,7 +6,7 @@
 //!
 //! As of any output, nothing partial is left: neither where the work is stopped nor where a frame fails.
 
-use crate::files::Output;
+use crate::files::OutputFile;
 use crate::files::unfinished::PartFolder;
 use crate::{Error, Result, Watch};
 use image::codecs::gif::{GifEncoder, Repeat};
@@ -123,7 +123,7 @@ impl Clip<'_> {
         }
         let path = self.path;
         let failed = |e: ImageError| encoding(path, "GIF", e);
-        Output::create(path)?.finish_with(|file| {
+        OutputFile::create(path)?.finish_with(|file| {
             let mut encoder = GifEncoder::new_with_speed(file, GIF_SPEED);
             encoder.set_repeat(Repeat::Infinite).map_err(failed)?;
             for n in 0..self.count {
@@ -144,7 +144,7 @@ impl Clip<'_> {
             e => Error::file(path, format!("could not be encoded as animated PNG: {e}")),
         };
         let (numerator, denominator) = seconds(self.frames_per_second);
-        Output::create(path)?.finish_with(|file| {
+        OutputFile::create(path)?.finish_with(|file| {
             let mut encoder = png::Encoder::new(file, self.size[0], self.size[1]);
             encoder.set_color(png::ColorType::Rgba);
             encoder.set_depth(png::BitDepth::Eight);
@@ -188,7 +188,7 @@ impl Clip<'_> {
     }
 
     fn mp4(&mut self) -> Result<()> {
-        Output::create(self.path)?.finish_by_path(|file| self.encoded(file))
+        OutputFile::create(self.path)?.finish_by_path(|file| self.encoded(file))
     }
 
     /// Has ffmpeg write a video into a file.

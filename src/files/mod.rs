@@ -1,8 +1,8 @@
 //! Files in and files out, and the promises that hold for all of them:
 //!
-//! - **Nothing that is read is ever written.** Whatever [`input`] opens is noted in [`inputs`] by device and inode; an [`Output`] that would
+//! - **Nothing that is read is ever written.** Whatever [`input`] opens is noted in [`inputs`] by device and inode; an [`OutputFile`] that would
 //!   replace one of these files is refused, whatever name or link leads to it.
-//! - **Nothing is written by halves.** An [`Output`] is made beside its destination and renamed into place when it is complete. What an
+//! - **Nothing is written by halves.** An [`OutputFile`] is made beside its destination and renamed into place when it is complete. What an
 //!   interrupted run leaves behind is removed by [`unfinished`].
 //! - **What is no ordinary file is left what it is.** Pipes, sockets and devices are written through, never replaced; as inputs they are refused,
 //!   since a reader needs a length and a device has no end.
@@ -18,4 +18,4 @@ pub mod path_text;
 pub mod reference;
 pub mod unfinished;
 
-pub use output::{Output, check_distinct, standard_output};
+pub use output::{OutputFile, check_distinct, standard_output};

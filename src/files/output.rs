@@ -14,7 +14,7 @@ const MAX_LINKS: usize = 40;
 
 /// Something that will be written. Its place is tried before the work starts, so that an output that cannot be written is known at once; nothing
 /// lies there while the work goes on.
-pub struct Output {
+pub struct OutputFile {
     /// As it was named.
     path: PathBuf,
     destination: Destination,
@@ -34,8 +34,8 @@ enum Destination {
 }
 
 /// What `-` and the system's names for it write to.
-pub fn standard_output() -> Output {
-    Output { path: PathBuf::from("standard output"), destination: Destination::StandardOutput, replaces_read: false }
+pub fn standard_output() -> OutputFile {
+    OutputFile { path: PathBuf::from("standard output"), destination: Destination::StandardOutput, replaces_read: false }
 }
 
 /// Whether two outputs would be written to one file.
@@ -97,7 +97,7 @@ fn check_replaceable(path: &Path, there: &Metadata) -> Result<()> {
     if there.permissions().readonly() { Err(Error::file(path, "is read-only; choose another name, or make it writable")) } else { Ok(()) }
 }
 
-impl Output {
+impl OutputFile {
     /// Tries the place of `path`.
     ///
     /// # Errors
@@ -322,13 +322,13 @@ mod tests {
     fn no_partial_file_is_left() {
         let folder = tempfile::tempdir().unwrap_or_else(|e| panic!("{e}"));
         let path = folder.path().join("a.png");
-        drop(Output::create(&path));
+        drop(OutputFile::create(&path));
         assert_eq!(std::fs::read_dir(folder.path()).map(Iterator::count).ok(), Some(0));
-        Output::create(&path).and_then(|o| o.finish(b"x")).unwrap_or_else(|e| panic!("{e}"));
+        OutputFile::create(&path).and_then(|o| o.finish(b"x")).unwrap_or_else(|e| panic!("{e}"));
         assert_eq!(std::fs::read(&path).ok().as_deref(), Some(&b"x"[..]));
-        assert!(Output::create(&folder.path().join("no/such/a.png")).is_err());
-        assert!(Output::create(folder.path()).is_err());
-        let failing = Output::create(&path)
+        assert!(OutputFile::create(&folder.path().join("no/such/a.png")).is_err());
+        assert!(OutputFile::create(folder.path()).is_err());
+        let failing = OutputFile::create(&path)
             .and_then(|o| o.finish_with(|f| f.write_all(b"half").map_err(|e| Error::io(&path, "", e)).and(Err(Error::Cancelled))));
         assert!(failing.is_err());
         assert_eq!(std::fs::read(&path).ok().as_deref(), Some(&b"x"[..]));
@@ -340,12 +340,12 @@ mod tests {
         let folder = tempfile::tempdir().unwrap_or_else(|e| panic!("{e}"));
         let path = folder.path().join("scene.toml");
         std::fs::write(&path, "x").unwrap_or_else(|e| panic!("{e}"));
-        let late = Output::create(&path).unwrap_or_else(|e| panic!("{e}"));
+        let late = OutputFile::create(&path).unwrap_or_else(|e| panic!("{e}"));
         super::super::input::text(&path, 10, "scene").unwrap_or_else(|e| panic!("{e}"));
         let error_text = |r: Result<()>| r.err().map(|e| e.to_string()).unwrap_or_default();
         assert!(error_text(late.finish(b"y")).contains("is an input"));
-        assert!(error_text(Output::create(&path).map(drop)).contains("is an input"));
-        assert_eq!(error_text(Output::replacing(&path).and_then(|o| o.finish(b"y"))), "");
+        assert!(error_text(OutputFile::create(&path).map(drop)).contains("is an input"));
+        assert_eq!(error_text(OutputFile::replacing(&path).and_then(|o| o.finish(b"y"))), "");
         assert_eq!(std::fs::read(&path).ok().as_deref(), Some(&b"y"[..]));
     }
 
@@ -371,7 +371,7 @@ mod tests {
         ];
         for (name, make, refusal) in made {
             let path = folder.path().join(name);
-            let output = Output::create(&path).unwrap_or_else(|e| panic!("{e}"));
+            let output = OutputFile::create(&path).unwrap_or_else(|e| panic!("{e}"));
             make(&path);
             let before = std::fs::symlink_metadata(&path).map(|m| m.file_type()).ok();
             let error_text = output.finish(b"new").err().map(|e| e.to_string());
@@ -398,6 +398,6 @@ mod tests {
             assert_eq!(check_distinct(&at(one), "--stats", &at(other)).is_err(), same, "{one} {other}");
         }
         assert!(check_distinct(Path::new("/dev/null"), "--stats", Path::new("/dev/null")).is_ok());
-        assert!(Output::create(&at("loop")).is_err());
+        assert!(OutputFile::create(&at("loop")).is_err());
     }
 }

@@ -8,9 +8,9 @@ use super::tasks::report_when_done;
 use crate::compare::Report;
 use crate::deform::{Stack, saved};
 use crate::engine::{Backend, Engine, EngineOptions, RenderRequest};
-use crate::export::{bake, clip, png, protect};
+use crate::export::{bake, clip, protect};
 use crate::files::path_text::text_of;
-use crate::files::{Output, input};
+use crate::files::{OutputFile, input};
 use crate::picture::Picture;
 use crate::prepare::measure;
 use crate::prepare::{Assets, Deformed};
@@ -53,9 +53,9 @@ impl Workstation {
         let Some(assets) = self.doc.as_ref().map(|d| d.assets.clone()) else { return };
         let render = self.renderer();
         self.start(ctx, "Exporting a picture", move |watch| {
-            let output = Output::create(&path)?;
+            let output = OutputFile::create(&path)?;
             let picture = render(&scene, &assets, watch)?;
-            output.finish(&png(&picture, scene.render.background)?)?;
+            output.finish(&picture.png(scene.render.background)?)?;
             Ok(report_when_done(format!("Exported {}", path.display())))
         });
     }
@@ -127,7 +127,7 @@ impl Workstation {
             if !assets.has_volume {
                 return Err(Error::value("bake", "there is no volume in this scene; meshes are rendered, not baked"));
             }
-            let output = Output::create(&path)?;
+            let output = OutputFile::create(&path)?;
             let exact = Deformed::exact(&scene, &assets, true, watch)?;
             let deformation = exact.stack_and_cuts();
             let volume = &assets.volume;
@@ -197,7 +197,7 @@ impl Workstation {
         let rows: Vec<_> =
             self.measured.iter().zip(all).map(|(m, now)| (now.clone(), m.quantities.clone().unwrap_or_else(|_| vec![unknown.clone()]))).collect();
         let path = with_ending(path, "csv");
-        match Output::create(&path).and_then(|o| o.finish(measure::csv(&rows).as_bytes())) {
+        match OutputFile::create(&path).and_then(|o| o.finish(measure::csv(&rows).as_bytes())) {
             Ok(()) => self.report(LogLevel::Info, format!("Exported {}", path.display())),
             Err(error) => self.report_error(&error),
         }
@@ -244,7 +244,7 @@ impl Workstation {
             let section = toml::Value::try_from(&doc.scene.transfer).map_err(|e| Error::value("transfer", e.to_string()))?;
             table.insert("transfer".into(), section);
             let text = toml::to_string_pretty(&table).map_err(|e| Error::value("transfer", e.to_string()))?;
-            Output::create(&path)?.finish(text.as_bytes())
+            OutputFile::create(&path)?.finish(text.as_bytes())
         };
         match write() {
             Ok(()) => self.report(LogLevel::Info, format!("Exported {}", path.display())),
@@ -298,7 +298,7 @@ impl Workstation {
                     composed.placed
                 }
             };
-            Output::create(&path)?.finish(&saved::encode(&placed)?)?;
+            OutputFile::create(&path)?.finish(&saved::encode(&placed)?)?;
             Ok(report_when_done(format!("Saved to the library: {}{exactness}", path.file_stem().unwrap_or_default().to_string_lossy())))
         });
     }

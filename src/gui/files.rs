@@ -5,7 +5,7 @@ use super::document::Document;
 use super::log::LogLevel;
 use super::session::Recovered;
 use crate::export::protect;
-use crate::files::Output;
+use crate::files::OutputFile;
 use crate::files::path_text::text_of;
 use crate::prepare::{AssetKey, Assets, LoadOptions, Prepared};
 use crate::scene::{Mode, Scene, VolumeSource};
@@ -564,7 +564,7 @@ impl Workstation {
             let moved = doc.scene.moved_to(folder)?;
             let text = moved.to_toml()?;
             // The scene's own file was read and is written again; what it names is not.
-            Output::replacing(&path)?.finish(text.as_bytes())?;
+            OutputFile::replacing(&path)?.finish(text.as_bytes())?;
             Ok::<Scene, Error>(moved)
         })();
         match result {

@@ -4,7 +4,7 @@
 //! holds was left behind by a crash, and the next window offers it. Every file is written beside its place and renamed: whatever moment the
 //! program ends at, the last complete one is there.
 
-use crate::files::{Output, input};
+use crate::files::{OutputFile, input};
 use crate::scene::Scene;
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
@@ -145,7 +145,7 @@ impl Session {
         }
         let text = toml::to_string_pretty(&self.settings).map_err(|e| Error::value("settings", e.to_string()))?;
         self.written = self.settings.clone();
-        Output::replacing(&self.folder.join("settings.toml"))?.finish(text.as_bytes())
+        OutputFile::replacing(&self.folder.join("settings.toml"))?.finish(text.as_bytes())
     }
 
     /// Notes a file that was opened.
@@ -177,7 +177,7 @@ impl Session {
         if self.saved.as_ref() == Some(&text) {
             return Ok(());
         }
-        Output::replacing(&path)?.finish(text.as_bytes())?;
+        OutputFile::replacing(&path)?.finish(text.as_bytes())?;
         self.saved = Some(text);
         Ok(())
     }
@@ -227,7 +227,7 @@ impl Session {
             // A scene reads the files beside it.
             let same = std::fs::metadata(&path).is_ok_and(|m| m.len() == bytes.len() as u64);
             if !same {
-                Output::replacing(&path)?.finish(bytes)?;
+                OutputFile::replacing(&path)?.finish(bytes)?;
             }
         }
         let path = folder.join(name);

@@ -7,6 +7,7 @@ pub mod command;
 pub mod example;
 pub mod file;
 mod keys;
+pub mod kinds;
 mod limits;
 pub mod measure;
 mod paths;

@@ -4,20 +4,13 @@
 //! sin ks). Angle and radius about the centre of the arc give x and s back exactly. Above the upper face the bend goes on straight. Matter
 //! beyond the centre of the arc would pass through itself; it is cut away.
 
-use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter, Unit};
+use super::{Backward, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter};
 use glam::{Vec2, Vec3};
 
 pub(super) const KIND: Kind = Kind {
     name: "bend",
     about: "bends the box's z axis towards its +x, the lower face staying in place",
-    parameters: &[Parameter {
-        name: "angle",
-        unit: Unit::Degrees,
-        default: BoxLength::Fixed(50.0),
-        min: BoxLength::Fixed(-170.0),
-        max: BoxLength::Fixed(170.0),
-        about: "turn of the upper face",
-    }],
+    parameters: &[Parameter::degrees("angle", 50.0, [-170.0, 170.0], "turn of the upper face")],
     progressive: true,
     size: DefaultSize::Share([1.8, 1.1, 1.1]),
     cube_scale: 1.0,
@@ -27,7 +20,7 @@ pub(super) const KIND: Kind = Kind {
     locked_to_view: false,
     shape: None,
     build: FieldBuilder::Formula(|c| {
-        let angle = (c.values[0] * c.progress).to_radians();
+        let angle = (c.value("angle") * c.progress).to_radians();
         Box::new(Bend { curvature: angle.abs() / c.size_mm.z, sense: angle.signum(), half_z: c.half().z, height: c.size_mm.z })
     }),
 };

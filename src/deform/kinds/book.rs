@@ -4,7 +4,7 @@
 //! lies behind the spine, [90°, 180°], is compressed into what is left. Radius and y stay; the inverse is exact. Unlike `seam` nothing
 //! fades: the box should enclose the matter with room for the covers.
 
-use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, GapResolution, Kind, Parameter, Unit};
+use super::{Backward, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, GapResolution, Kind, Parameter};
 use glam::{Vec2, Vec3};
 use std::f32::consts::{FRAC_PI_2, PI};
 
@@ -12,22 +12,8 @@ pub(super) const KIND: Kind = Kind {
     name: "book",
     about: "splits along the plane x = 0 and opens the halves like a book, spine below",
     parameters: &[
-        Parameter {
-            name: "angle",
-            unit: Unit::Degrees,
-            default: BoxLength::Fixed(40.0),
-            min: BoxLength::Fixed(0.0),
-            max: BoxLength::Fixed(85.0),
-            about: "swing of each half",
-        },
-        Parameter {
-            name: "spine",
-            unit: Unit::None,
-            default: BoxLength::Fixed(0.3),
-            min: BoxLength::Fixed(0.0),
-            max: BoxLength::Fixed(0.9),
-            about: "height of the spine in the box: 0 the lower face, 1 the upper",
-        },
+        Parameter::degrees("angle", 40.0, [0.0, 85.0], "swing of each half"),
+        Parameter::number("spine", 0.3, [0.0, 0.9], "height of the spine in the box: 0 the lower face, 1 the upper"),
     ],
     progressive: true,
     size: DefaultSize::Share([2.0, 1.1, 1.5]),
@@ -38,7 +24,7 @@ pub(super) const KIND: Kind = Kind {
     locked_to_view: false,
     shape: None,
     build: FieldBuilder::Formula(|c| {
-        Box::new(Book { angle: (c.values[0] * c.progress).to_radians(), spine_z: (c.values[1] - 0.5) * c.size_mm.z, gaps: c.gaps() })
+        Box::new(Book { angle: (c.value("angle") * c.progress).to_radians(), spine_z: (c.value("spine") - 0.5) * c.size_mm.z, gaps: c.gaps() })
     }),
 };
 

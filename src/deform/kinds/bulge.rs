@@ -3,20 +3,13 @@
 //! With u the position over the half sizes and ρ = |u|, the source of u is u (1 - a (1 - ρ²)²): at the centre matter is 1 / (1 - a) times as
 //! large. ρ (1 - a (1 - ρ²)²) rises for -1.25 < a < 1, so along each ray from the centre the inverse is one monotone equation.
 
-use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter, Unit, solve_rising};
+use super::{Backward, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter, solve_rising};
 use glam::Vec3;
 
 pub(super) const KIND: Kind = Kind {
     name: "bulge",
     about: "magnifies the middle of the box like a lens",
-    parameters: &[Parameter {
-        name: "amount",
-        unit: Unit::None,
-        default: BoxLength::Fixed(0.45),
-        min: BoxLength::Fixed(-1.0),
-        max: BoxLength::Fixed(0.9),
-        about: "at the centre, matter is 1 / (1 - amount) times as large",
-    }],
+    parameters: &[Parameter::number("amount", 0.45, [-1.0, 0.9], "at the centre, matter is 1 / (1 - amount) times as large")],
     progressive: true,
     size: DefaultSize::Share([0.8; 3]),
     cube_scale: 1.0,
@@ -25,7 +18,7 @@ pub(super) const KIND: Kind = Kind {
     nonzero_faces: [false; 6],
     locked_to_view: false,
     shape: None,
-    build: FieldBuilder::Formula(|c| Box::new(Bulge { amount: c.values[0] * c.progress, half: c.half() })),
+    build: FieldBuilder::Formula(|c| Box::new(Bulge { amount: c.value("amount") * c.progress, half: c.half() })),
 };
 
 struct Bulge {

@@ -5,8 +5,8 @@
 //! what is cut away.
 
 use super::{
-    Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, Kind, NO_CUT_DISTANCE_MM, Parameter, Setting, SettingFormat,
-    Unit, forward_numerically,
+    Backward, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, Kind, NO_CUT_DISTANCE_MM, Parameter, Setting, SettingFormat,
+    forward_numerically,
 };
 use crate::deform::Argument;
 use crate::deform::elastic::{Grab, Incision, Setup, Solver};
@@ -23,14 +23,7 @@ const RESIDUAL: f64 = 1e-5;
 pub(super) const KIND: Kind = Kind {
     name: "elastic",
     about: "drags places of an elastic lattice, with cuts; looks elastic, no more is claimed",
-    parameters: &[Parameter {
-        name: "nodes",
-        unit: Unit::None,
-        default: BoxLength::Fixed(20.0),
-        min: BoxLength::Fixed(5.0),
-        max: BoxLength::Fixed(40.0),
-        about: "along the box's longest axis (whole number)",
-    }],
+    parameters: &[Parameter::number("nodes", 20.0, [5.0, 40.0], "along the box's longest axis (whole number)")],
     progressive: true,
     size: DefaultSize::Share([0.9; 3]),
     cube_scale: 1.0,
@@ -106,7 +99,7 @@ fn build(c: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
         by_label.iter().find(|r| f64::from(r[0]) == label).map_or(1.0, |r| r[1])
     };
     let longest = c.size_mm.max_element();
-    let count = c.values[0].round();
+    let count = c.value("nodes").round();
     let nodes = c.size_mm.to_array().map(|s| ((s / longest * count).round() as usize).max(4));
     let mut solver = Solver::new(&Setup { size_mm: c.size_mm, nodes, grabs: &grabs, fixed: &fixed, incisions: &incisions, stiffness: &stiffness });
     if let Some(n) = solver.caught().iter().position(|c| *c == 0) {

@@ -3,25 +3,18 @@
 //! Each axis is independent: with n pieces and a gap g, the box holds n pieces of (L - (n-1) g) / n and the gaps between them, so that everything
 //! in it is seen; a piece keeps its shape, and in a gap D goes on from one piece's end, which is the next one's beginning.
 
-use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, GapResolution, Kind, Parameter, Unit};
+use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, GapResolution, Kind, Parameter};
 use glam::Vec3;
 
 const fn pieces(name: &'static str, about: &'static str) -> Parameter {
-    Parameter { name, unit: Unit::None, default: BoxLength::Fixed(2.0), min: BoxLength::Fixed(1.0), max: BoxLength::Fixed(16.0), about }
+    Parameter::number(name, 2.0, [1.0, 16.0], about)
 }
 
 pub(super) const KIND: Kind = Kind {
     name: "explode",
     about: "cuts into pieces along the axes and moves them apart",
     parameters: &[
-        Parameter {
-            name: "gap",
-            unit: Unit::Mm,
-            default: BoxLength::OfRadius(0.25),
-            min: BoxLength::Fixed(0.0),
-            max: BoxLength::OfRadius(0.9),
-            about: "between two pieces",
-        },
+        Parameter::mm("gap", BoxLength::OfRadius(0.25), [BoxLength::Fixed(0.0), BoxLength::OfRadius(0.9)], "between two pieces"),
         pieces("pieces-x", "pieces along x (whole number)"),
         pieces("pieces-y", "pieces along y"),
         pieces("pieces-z", "pieces along z"),
@@ -36,10 +29,10 @@ pub(super) const KIND: Kind = Kind {
     shape: None,
     build: FieldBuilder::Formula(|c| {
         let axis = |a: usize| {
-            let count = c.values[1 + a].round().max(1.0);
+            let count = c.value(["pieces-x", "pieces-y", "pieces-z"][a]).round().max(1.0);
             // Gaps may take at most two thirds of the box.
             let most = if count > 1.0 { c.size_mm[a] * 0.66 / (count - 1.0) } else { 0.0 };
-            let gap = (c.values[0] * c.progress).min(most);
+            let gap = (c.value("gap") * c.progress).min(most);
             ExplodeAxis { count, gap, piece: (c.size_mm[a] - gap * (count - 1.0)) / count }
         };
         Box::new(Explode { axes: [axis(0), axis(1), axis(2)], gaps: c.gaps() })

@@ -6,7 +6,6 @@
 
 use super::{
     Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, Kind, NO_CUT_DISTANCE_MM, Parameter, Setting, SettingFormat,
-    Unit,
 };
 use crate::deform::Argument;
 use crate::math::DistanceGrid;
@@ -23,14 +22,7 @@ const MAX_LABELS: usize = 24;
 pub(super) const KIND: Kind = Kind {
     name: "explode-labels",
     about: "moves labels apart; what has none of them is hidden, or stays",
-    parameters: &[Parameter {
-        name: "gap",
-        unit: Unit::Mm,
-        default: BoxLength::OfRadius(0.35),
-        min: BoxLength::Fixed(0.0),
-        max: BoxLength::OfRadius(2.0),
-        about: "way of the outermost label",
-    }],
+    parameters: &[Parameter::mm("gap", BoxLength::OfRadius(0.35), [BoxLength::Fixed(0.0), BoxLength::OfRadius(2.0)], "way of the outermost label")],
     progressive: true,
     size: DefaultSize::Share([1.6; 3]),
     cube_scale: 1.0,
@@ -72,11 +64,11 @@ fn build(c: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
         .into_iter()
         .zip(&middles)
         .map(|(distance, m)| {
-            let way = ((*m - center) / farthest).as_vec3() * (c.values[0] * c.progress);
+            let way = ((*m - center) / farthest).as_vec3() * (c.value("gap") * c.progress);
             LabelPiece { distance, way: local_from_world * way }
         })
         .collect();
-    let acts = c.values[0] * c.progress > 0.0;
+    let acts = c.value("gap") * c.progress > 0.0;
     Ok(Box::new(ExplodeLabels { pieces, keeps_unlabeled, world_from_local: inputs.world_from_local, acts, margin: 2.0 * c.texel_mm }))
 }
 

@@ -12,7 +12,7 @@
 use super::peel::Peel;
 use super::{
     Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, GapResolution, Kind, NO_CUT_DISTANCE_MM, Parameter, Setting,
-    SettingFormat, Unit, forward_numerically,
+    SettingFormat, forward_numerically,
 };
 use crate::Result;
 use crate::deform::Argument;
@@ -32,14 +32,7 @@ fn example(_: &Bounds) -> Vec<(&'static str, Argument)> {
 }
 
 const fn depth(default: f32) -> Parameter {
-    Parameter {
-        name: "depth",
-        unit: Unit::Mm,
-        default: BoxLength::Fixed(default),
-        min: BoxLength::Fixed(0.0),
-        max: BoxLength::Fixed(500.0),
-        about: "below the surface",
-    }
+    Parameter::mm("depth", BoxLength::Fixed(default), [BoxLength::Fixed(0.0), BoxLength::Fixed(500.0)], "below the surface")
 }
 
 const fn kind(
@@ -67,26 +60,22 @@ const fn kind(
 pub(super) const STRIP: Kind = Kind {
     cube_scale: 1.1,
     ..kind("strip", "removes what lies above a depth below a surface, within the box", &[depth(8.0)], |c, inputs| {
-        Ok(Box::new(SurfaceStrip { surface: Surface::new(inputs)?, depth: c.values[0] * c.progress, half: c.half(), acts: c.progress > 0.0 }))
+        Ok(Box::new(SurfaceStrip { surface: Surface::new(inputs)?, depth: c.value("depth") * c.progress, half: c.half(), acts: c.progress > 0.0 }))
     })
 };
 
 pub(super) const LIFT: Kind = kind(
     "lift",
     "lifts the layer above a depth below a surface off along its normals",
-    &[
-        depth(10.0),
-        Parameter {
-            name: "height",
-            unit: Unit::Mm,
-            default: BoxLength::OfRadius(0.2),
-            min: BoxLength::Fixed(0.0),
-            max: BoxLength::OfRadius(0.45),
-            about: "by which it is lifted",
-        },
-    ],
+    &[depth(10.0), Parameter::mm("height", BoxLength::OfRadius(0.2), [BoxLength::Fixed(0.0), BoxLength::OfRadius(0.45)], "by which it is lifted")],
     |c, inputs| {
-        Ok(Box::new(Lift { surface: Surface::new(inputs)?, depth: c.values[0], height: c.values[1] * c.progress, half: c.half(), gaps: c.gaps() }))
+        Ok(Box::new(Lift {
+            surface: Surface::new(inputs)?,
+            depth: c.value("depth"),
+            height: c.value("height") * c.progress,
+            half: c.half(),
+            gaps: c.gaps(),
+        }))
     },
 );
 
@@ -96,26 +85,17 @@ pub(super) const OFFSET: Kind = Kind {
         "offset",
         "pushes a surface and what is near it outwards, or inwards",
         &[
-            Parameter {
-                name: "amount",
-                unit: Unit::Mm,
-                default: BoxLength::OfRadius(0.06),
-                min: BoxLength::OfRadius(-0.25),
-                max: BoxLength::OfRadius(0.25),
-                about: "outwards; negative inwards",
-            },
-            Parameter {
-                name: "band",
-                unit: Unit::Mm,
-                default: BoxLength::OfRadius(0.35),
-                min: BoxLength::OfRadius(0.02),
-                max: BoxLength::OfRadius(1.0),
-                about: "to either side of the surface that moves with it; at least 2.5 times the amount is used",
-            },
+            Parameter::mm("amount", BoxLength::OfRadius(0.06), [BoxLength::OfRadius(-0.25), BoxLength::OfRadius(0.25)], "outwards; negative inwards"),
+            Parameter::mm(
+                "band",
+                BoxLength::OfRadius(0.35),
+                [BoxLength::OfRadius(0.02), BoxLength::OfRadius(1.0)],
+                "to either side of the surface that moves with it; at least 2.5 times the amount is used",
+            ),
         ],
         |c, inputs| {
-            let amount = c.values[0] * c.progress;
-            Ok(Box::new(Offset { surface: Surface::new(inputs)?, amount, band: c.values[1].max(2.5 * amount.abs()), half: c.half() }))
+            let amount = c.value("amount") * c.progress;
+            Ok(Box::new(Offset { surface: Surface::new(inputs)?, amount, band: c.value("band").max(2.5 * amount.abs()), half: c.half() }))
         },
     )
 };
@@ -129,14 +109,12 @@ pub(super) const PEEL: Kind = Kind {
         "cuts a flap at a depth below a surface and rolls it back, towards the box's -x",
         &[
             depth(8.0),
-            Parameter {
-                name: "radius",
-                unit: Unit::Mm,
-                default: BoxLength::OfX(0.14),
-                min: BoxLength::OfX(0.02),
-                max: BoxLength::OfX(0.4),
-                about: "of the roll's outer side; at least 1.2 times the depth is used",
-            },
+            Parameter::mm(
+                "radius",
+                BoxLength::OfX(0.14),
+                [BoxLength::OfX(0.02), BoxLength::OfX(0.4)],
+                "of the roll's outer side; at least 1.2 times the depth is used",
+            ),
         ],
         |c, inputs| {
             let surface = Surface::new(inputs)?;

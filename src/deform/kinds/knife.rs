@@ -3,37 +3,16 @@
 //! The half opening o(y, z) is a lens along the cut, widest in the middle, growing from nothing at the cut's floor to `opening`/2 at
 //! the box's upper part. Matter from the plane x = 0 to the box's side is compressed linearly into what is left: x = X (|x'| - o)/(X - o).
 
-use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, GapResolution, Kind, Parameter, Unit};
+use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, GapResolution, Kind, Parameter};
 use glam::Vec3;
 
 pub(super) const KIND: Kind = Kind {
     name: "knife",
     about: "an incision along the box's y axis, held open",
     parameters: &[
-        Parameter {
-            name: "length",
-            unit: Unit::Mm,
-            default: BoxLength::OfY(0.8),
-            min: BoxLength::OfY(0.02),
-            max: BoxLength::OfY(0.95),
-            about: "of the cut",
-        },
-        Parameter {
-            name: "depth",
-            unit: Unit::Mm,
-            default: BoxLength::OfZ(0.6),
-            min: BoxLength::OfZ(0.02),
-            max: BoxLength::OfZ(0.95),
-            about: "of the cut below the box's upper face",
-        },
-        Parameter {
-            name: "opening",
-            unit: Unit::Mm,
-            default: BoxLength::OfX(0.25),
-            min: BoxLength::Fixed(0.0),
-            max: BoxLength::OfX(0.7),
-            about: "between the lips at the widest place",
-        },
+        Parameter::mm("length", BoxLength::OfY(0.8), [BoxLength::OfY(0.02), BoxLength::OfY(0.95)], "of the cut"),
+        Parameter::mm("depth", BoxLength::OfZ(0.6), [BoxLength::OfZ(0.02), BoxLength::OfZ(0.95)], "of the cut below the box's upper face"),
+        Parameter::mm("opening", BoxLength::OfX(0.25), [BoxLength::Fixed(0.0), BoxLength::OfX(0.7)], "between the lips at the widest place"),
     ],
     progressive: true,
     size: DefaultSize::Share([0.5, 0.6, 0.4]),
@@ -46,9 +25,9 @@ pub(super) const KIND: Kind = Kind {
     build: FieldBuilder::Formula(|c| {
         let half = c.half();
         Box::new(Knife {
-            half_length: c.values[0] / 2.0,
-            depth: c.values[1],
-            half_opening: c.values[2] * c.progress / 2.0,
+            half_length: c.value("length") / 2.0,
+            depth: c.value("depth"),
+            half_opening: c.value("opening") * c.progress / 2.0,
             half_x: half.x,
             top: half.z,
             gaps: c.gaps(),

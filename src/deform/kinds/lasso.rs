@@ -4,7 +4,7 @@
 //! outline widens away from it, as the picture's perspective does.
 
 use super::outline::Outline;
-use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, Kind, Parameter, Setting, SettingFormat, Unit};
+use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, Kind, Parameter, Setting, SettingFormat};
 use crate::deform::Argument;
 use crate::math::Bounds;
 use crate::{Error, Result};
@@ -13,14 +13,12 @@ use glam::{Vec2, Vec3, Vec3Swizzles};
 pub(super) const KIND: Kind = Kind {
     name: "lasso",
     about: "removes what lies behind a closed outline, along the view",
-    parameters: &[Parameter {
-        name: "eye",
-        unit: Unit::Mm,
-        default: BoxLength::Fixed(0.0),
-        min: BoxLength::Fixed(0.0),
-        max: BoxLength::Fixed(1e5),
-        about: "distance of the eye from the box's centre, for an outline drawn in perspective; 0 for a parallel one",
-    }],
+    parameters: &[Parameter::mm(
+        "eye",
+        BoxLength::Fixed(0.0),
+        [BoxLength::Fixed(0.0), BoxLength::Fixed(1e5)],
+        "distance of the eye from the box's centre, for an outline drawn in perspective; 0 for a parallel one",
+    )],
     progressive: true,
     size: DefaultSize::Across(1.05),
     cube_scale: 1.0,
@@ -72,7 +70,7 @@ fn build(c: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
         return Err(Error::value("points", format!("the outline crosses itself: its edges {} and {} meet", a + 1, b + 1)));
     }
     let side = if inputs.settings.flag("invert")? { -1.0 } else { 1.0 };
-    Ok(Box::new(LassoCut { outline, eye: c.values[0], side, progress: c.progress, reach: c.size_mm.length() }))
+    Ok(Box::new(LassoCut { outline, eye: c.value("eye"), side, progress: c.progress, reach: c.size_mm.length() }))
 }
 
 /// How much wider than in its own plane an outline is at a height `z` towards the viewer, by the distance of the eye (0: parallel).

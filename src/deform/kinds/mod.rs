@@ -135,6 +135,23 @@ pub struct Parameter {
     pub about: &'static str,
 }
 
+impl Parameter {
+    /// A length, mm.
+    const fn mm(name: &'static str, default: BoxLength, [min, max]: [BoxLength; 2], about: &'static str) -> Self {
+        Self { name, unit: Unit::Mm, default, min, max, about }
+    }
+
+    /// An angle, degrees.
+    const fn degrees(name: &'static str, default: f32, [min, max]: [f32; 2], about: &'static str) -> Self {
+        Self { name, unit: Unit::Degrees, default: BoxLength::Fixed(default), min: BoxLength::Fixed(min), max: BoxLength::Fixed(max), about }
+    }
+
+    /// A pure number.
+    const fn number(name: &'static str, default: f32, [min, max]: [f32; 2], about: &'static str) -> Self {
+        Self { name, unit: Unit::None, default: BoxLength::Fixed(default), min: BoxLength::Fixed(min), max: BoxLength::Fixed(max), about }
+    }
+}
+
 /// Size of the box when none is given.
 #[derive(Clone, Copy, Debug)]
 pub enum DefaultSize {
@@ -190,8 +207,8 @@ pub enum FieldBuilder {
 
 /// What a kind's constructor gets.
 pub struct FieldContext<'a> {
-    /// Values by the order of the kind's parameters.
-    pub values: &'a [f32],
+    parameters: &'static [Parameter],
+    values: &'a [f32],
     /// 0 to 1.
     pub progress: f32,
     /// Extent of the box, mm.
@@ -215,6 +232,11 @@ pub struct FieldInputs<'a> {
 }
 
 impl FieldContext<'_> {
+    /// The value of one of the kind's parameters; not a number if it has none of that name.
+    fn value(&self, name: &str) -> f32 {
+        self.parameters.iter().zip(self.values).find(|(p, _)| p.name == name).map_or(f32::NAN, |(_, v)| *v)
+    }
+
     fn half(&self) -> Vec3 {
         self.size_mm / 2.0
     }
@@ -370,7 +392,7 @@ impl Kind {
         let cube_mm = size_mm * self.cube_scale;
         let texel_mm = (0..3).filter(|&a| grid[a] > 1).map(|a| cube_mm[a] / (grid[a] - 1) as f32).fold(0.0, f32::max);
         let ramp_mm = sampling.min_ramp_mm.max(2.0 * texel_mm);
-        (grid, FieldContext { values, progress, size_mm, grid, texel_mm, ramp_mm })
+        (grid, FieldContext { parameters: self.parameters, values, progress, size_mm, grid, texel_mm, ramp_mm })
     }
 
     /// The field itself, for tests and for tools that need the formula rather than its samples.

@@ -8,7 +8,7 @@
 //! neither in the *slot* (where the layer used to lie) nor within a thin band around the roll above the layer. The band keeps rolled
 //! and undisplaced matter from touching: between them D must run from the roll's value to zero, and that may only happen unseen.
 
-use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter, Unit};
+use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter};
 use glam::{Vec2, Vec3};
 use std::f32::consts::{FRAC_PI_2, TAU};
 
@@ -23,22 +23,13 @@ pub(super) const KIND: Kind = Kind {
     name: "peel",
     about: "cuts a flap free and rolls it back about a hinge, towards the box's -x",
     parameters: &[
-        Parameter {
-            name: "depth",
-            unit: Unit::Mm,
-            default: BoxLength::OfZ(0.25),
-            min: BoxLength::OfZ(0.01),
-            max: BoxLength::OfZ(0.366),
-            about: "thickness of the layer",
-        },
-        Parameter {
-            name: "radius",
-            unit: Unit::Mm,
-            default: BoxLength::OfZ(0.38),
-            min: BoxLength::OfZ(0.05),
-            max: BoxLength::OfZ(0.44),
-            about: "of the roll's outer side; at least 1.2 times the depth is used",
-        },
+        Parameter::mm("depth", BoxLength::OfZ(0.25), [BoxLength::OfZ(0.01), BoxLength::OfZ(0.366)], "thickness of the layer"),
+        Parameter::mm(
+            "radius",
+            BoxLength::OfZ(0.38),
+            [BoxLength::OfZ(0.05), BoxLength::OfZ(0.44)],
+            "of the roll's outer side; at least 1.2 times the depth is used",
+        ),
     ],
     progressive: true,
     size: DefaultSize::Share([0.8, 0.6, 0.5]),
@@ -81,8 +72,8 @@ impl Peel {
     /// The peel of a box; depth and radius are the first two values.
     pub(super) fn new(c: &FieldContext) -> Self {
         let half = c.half();
-        let depth = c.values[0];
-        let radius = c.values[1].max(1.2 * depth);
+        let depth = c.value("depth");
+        let radius = c.value("radius").max(1.2 * depth);
         let end = half.x - MARGIN * c.size_mm.x;
         // The roll must stay inside the box behind the hinge, and within its turn.
         let length = (end + half.x - radius - MARGIN * c.size_mm.x).min(MAX_TURN_RAD * radius).max(0.0);

@@ -2,7 +2,7 @@
 
 use super::{
     Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, Kind, NO_CUT_DISTANCE_MM, Parameter, Setting, SettingFormat,
-    Unit, forward_numerically, window,
+    forward_numerically, window,
 };
 use crate::deform::Argument;
 use crate::deform::points::{Interpolant, Method, PointPair, read_pairs, read_points};
@@ -14,22 +14,13 @@ pub(super) const KIND: Kind = Kind {
     name: "points",
     about: "moves given points to given places, and what lies between smoothly",
     parameters: &[
-        Parameter {
-            name: "fade",
-            unit: Unit::None,
-            default: BoxLength::Fixed(0.0),
-            min: BoxLength::Fixed(0.0),
-            max: BoxLength::Fixed(1.0),
-            about: "share of the way to the box's faces over which the displacement fades",
-        },
-        Parameter {
-            name: "width",
-            unit: Unit::Mm,
-            default: BoxLength::Fixed(0.0),
-            min: BoxLength::Fixed(0.0),
-            max: BoxLength::Fixed(10_000.0),
-            about: "of the Gaussians; 0 takes the points' distance",
-        },
+        Parameter::number("fade", 0.0, [0.0, 1.0], "share of the way to the box's faces over which the displacement fades"),
+        Parameter::mm(
+            "width",
+            BoxLength::Fixed(0.0),
+            [BoxLength::Fixed(0.0), BoxLength::Fixed(10_000.0)],
+            "of the Gaussians; 0 takes the points' distance",
+        ),
     ],
     progressive: true,
     size: DefaultSize::Share([1.4; 3]),
@@ -107,12 +98,12 @@ fn build(c: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
     let local_from_world = inputs.world_from_local.inverse();
     let local = |p: DVec3| local_from_world.transform_point3(p.as_vec3()).as_dvec3();
     let own: Vec<PointPair> = pairs(inputs)?.into_iter().map(|p| PointPair { from: local(p.from), to: local(p.to) }).collect();
-    let width = (c.values[1] > 0.0).then(|| f64::from(c.values[1]));
+    let width = (c.value("width") > 0.0).then(|| f64::from(c.value("width")));
     let (interpolant, notice) = Interpolant::new(&own, method, width)?;
     if let Some(notice) = notice {
         inputs.library.notice(format!("points: {notice}"));
     }
-    Ok(Box::new(Points { interpolant, strength: c.progress, fade: c.values[0], half: c.half() }))
+    Ok(Box::new(Points { interpolant, strength: c.progress, fade: c.value("fade"), half: c.half() }))
 }
 
 struct Points {

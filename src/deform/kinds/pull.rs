@@ -3,29 +3,15 @@
 //! The paper's amplitude (the whole box on the axis) maps the axis to one point; here it is the length `amount` by which matter at
 //! the upper face has been pulled, so that the pull stays invertible while `amount` is less than the box is high. σ is a length.
 
-use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter, Unit};
+use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter};
 use glam::{Vec3, Vec3Swizzles};
 
 pub(super) const KIND: Kind = Kind {
     name: "pull",
     about: "pulls matter out along the box's z axis in a Gaussian bump",
     parameters: &[
-        Parameter {
-            name: "amount",
-            unit: Unit::Mm,
-            default: BoxLength::OfZ(0.5),
-            min: BoxLength::OfZ(-1.0),
-            max: BoxLength::OfZ(1.0),
-            about: "pull at the upper face, on the axis",
-        },
-        Parameter {
-            name: "sigma",
-            unit: Unit::Mm,
-            default: BoxLength::OfRadius(0.4),
-            min: BoxLength::OfRadius(0.05),
-            max: BoxLength::OfRadius(0.4),
-            about: "width of the Gaussian",
-        },
+        Parameter::mm("amount", BoxLength::OfZ(0.5), [BoxLength::OfZ(-1.0), BoxLength::OfZ(1.0)], "pull at the upper face, on the axis"),
+        Parameter::mm("sigma", BoxLength::OfRadius(0.4), [BoxLength::OfRadius(0.05), BoxLength::OfRadius(0.4)], "width of the Gaussian"),
     ],
     progressive: true,
     size: DefaultSize::Share([0.6; 3]),
@@ -36,7 +22,7 @@ pub(super) const KIND: Kind = Kind {
     locked_to_view: false,
     shape: None,
     build: FieldBuilder::Formula(|c| {
-        let [amount, sigma] = [c.values[0], c.values[1]];
+        let [amount, sigma] = [c.value("amount"), c.value("sigma")];
         Box::new(Pull { half_z: c.half().z, strength: amount * c.progress / c.size_mm.z, sigma })
     }),
 };

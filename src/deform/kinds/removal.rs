@@ -3,7 +3,7 @@
 //! The map's cube is larger than the shape (`cube_scale`), so that the cut lies inside the map; the half-space's is as large as the scene
 //! at any angle. The distances are those of `deform::cut`, which takes over where nothing moves afterwards. `progress` grows the shape from nothing (for the half-space: moves the plane down from the box's top).
 
-use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter, Unit};
+use super::{Backward, DefaultSize, Field, FieldBuilder, FieldContext, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter};
 use crate::deform::cut::{CutShape, CutShapeKind};
 use glam::{Affine3A, Vec3};
 
@@ -65,14 +65,7 @@ pub(super) const CYLINDER: Kind =
     removal("cylinder", "removes a cylinder along the box's z axis", CutShapeKind::Cylinder, |c| Removal::field(CutShapeKind::Cylinder, c));
 
 const fn angle(default: f32, min: f32, max: f32, about: &'static str) -> Parameter {
-    Parameter {
-        name: "angle",
-        unit: Unit::Degrees,
-        default: BoxLength::Fixed(default),
-        min: BoxLength::Fixed(min),
-        max: BoxLength::Fixed(max),
-        about,
-    }
+    Parameter::degrees("angle", default, [min, max], about)
 }
 
 pub(super) const WEDGE: Kind = Kind {

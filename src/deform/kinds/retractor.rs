@@ -4,7 +4,7 @@
 //! μ of its own. Matter from μ = 0 to the ellipse that just fits the box is compressed linearly into μ0 to there: the lips stay smooth, the
 //! ends tear nowhere, and the inverse is exact. The opening narrows with depth to nothing at the cut's floor.
 
-use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, GapResolution, Kind, NO_CUT_DISTANCE_MM, Parameter, Unit};
+use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, GapResolution, Kind, NO_CUT_DISTANCE_MM, Parameter};
 use crate::math::smoothstep;
 use glam::{Vec2, Vec3};
 
@@ -12,30 +12,9 @@ pub(super) const KIND: Kind = Kind {
     name: "retractor",
     about: "an incision along the box's x axis held open to an ellipse",
     parameters: &[
-        Parameter {
-            name: "length",
-            unit: Unit::Mm,
-            default: BoxLength::OfX(0.5),
-            min: BoxLength::OfX(0.05),
-            max: BoxLength::OfX(0.8),
-            about: "of the incision",
-        },
-        Parameter {
-            name: "opening",
-            unit: Unit::Mm,
-            default: BoxLength::OfY(0.35),
-            min: BoxLength::Fixed(0.0),
-            max: BoxLength::OfY(0.7),
-            about: "between the lips at the widest place",
-        },
-        Parameter {
-            name: "depth",
-            unit: Unit::Mm,
-            default: BoxLength::OfZ(0.6),
-            min: BoxLength::OfZ(0.05),
-            max: BoxLength::OfZ(0.95),
-            about: "of the incision below the box's upper face",
-        },
+        Parameter::mm("length", BoxLength::OfX(0.5), [BoxLength::OfX(0.05), BoxLength::OfX(0.8)], "of the incision"),
+        Parameter::mm("opening", BoxLength::OfY(0.35), [BoxLength::Fixed(0.0), BoxLength::OfY(0.7)], "between the lips at the widest place"),
+        Parameter::mm("depth", BoxLength::OfZ(0.6), [BoxLength::OfZ(0.05), BoxLength::OfZ(0.95)], "of the incision below the box's upper face"),
     ],
     progressive: true,
     size: DefaultSize::Share([0.6, 0.6, 0.4]),
@@ -47,11 +26,11 @@ pub(super) const KIND: Kind = Kind {
     shape: None,
     build: FieldBuilder::Formula(|c| {
         let half = c.half();
-        let focus = c.values[0] / 2.0;
+        let focus = c.value("length") / 2.0;
         // The outermost ellipse stays inside the box.
         let last = (0.96 * half.x / focus).acosh().min((0.96 * half.y / focus).asinh());
-        let open = (c.values[1] * c.progress / 2.0 / focus).asinh().min(0.75 * last);
-        Box::new(Retractor { focus, last, open, depth: c.values[2], top: half.z, gaps: c.gaps() })
+        let open = (c.value("opening") * c.progress / 2.0 / focus).asinh().min(0.75 * last);
+        Box::new(Retractor { focus, last, open, depth: c.value("depth"), top: half.z, gaps: c.gaps() })
     }),
 };
 

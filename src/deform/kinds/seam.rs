@@ -5,7 +5,7 @@
 //! linearly: matter swings aside and is compressed towards β_e, below which nothing moves. φ fades with the radius and towards the
 //! ends of the seam; r and y stay, so the inverse is exact.
 
-use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, GapResolution, Kind, Parameter, Unit, window};
+use super::{Backward, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, GapResolution, Kind, Parameter, window};
 use crate::math::smoothstep;
 use glam::{Vec2, Vec3};
 
@@ -19,14 +19,7 @@ const RIGID: f32 = 0.75;
 pub(super) const KIND: Kind = Kind {
     name: "seam",
     about: "splits along a seam (the box's y axis) and swings the halves open",
-    parameters: &[Parameter {
-        name: "angle",
-        unit: Unit::Degrees,
-        default: BoxLength::Fixed(40.0),
-        min: BoxLength::Fixed(0.0),
-        max: BoxLength::Fixed(75.0),
-        about: "swing of each half",
-    }],
+    parameters: &[Parameter::degrees("angle", 40.0, [0.0, 75.0], "swing of each half")],
     progressive: true,
     size: DefaultSize::Share([0.9, 0.7, 0.6]),
     cube_scale: 1.0,
@@ -42,7 +35,7 @@ pub(super) const KIND: Kind = Kind {
         let to_floor = (HINGE * c.size_mm.z / radius).min(1.0);
         Box::new(Seam {
             last_angle: LAST_ANGLE.min((-to_floor).acos()),
-            angle: (c.values[0] * c.progress).to_radians(),
+            angle: (c.value("angle") * c.progress).to_radians(),
             half_y: half.y,
             hinge_z: -half.z + HINGE * c.size_mm.z,
             radius,

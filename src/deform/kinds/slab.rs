@@ -4,37 +4,16 @@
 //! source plane), so the map is continuous and the mask alone says where the gaps are. What lies beyond the last gap moves with it:
 //! the box should enclose the matter, with room for the spread.
 
-use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, GapResolution, Kind, Parameter, Unit};
+use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, GapResolution, Kind, Parameter};
 use glam::Vec3;
 
 pub(super) const KIND: Kind = Kind {
     name: "slab",
     about: "cuts into slabs across the box's z axis and spreads them apart",
     parameters: &[
-        Parameter {
-            name: "thickness",
-            unit: Unit::Mm,
-            default: BoxLength::OfZ(0.12),
-            min: BoxLength::OfZ(0.01),
-            max: BoxLength::OfZ(1.0),
-            about: "of one slab",
-        },
-        Parameter {
-            name: "gap",
-            unit: Unit::Mm,
-            default: BoxLength::OfZ(0.05),
-            min: BoxLength::Fixed(0.0),
-            max: BoxLength::OfZ(1.0),
-            about: "between two slabs",
-        },
-        Parameter {
-            name: "anchor",
-            unit: Unit::None,
-            default: BoxLength::Fixed(0.5),
-            min: BoxLength::Fixed(0.0),
-            max: BoxLength::Fixed(1.0),
-            about: "height that stays in place: 0 the lower face, 1 the upper",
-        },
+        Parameter::mm("thickness", BoxLength::OfZ(0.12), [BoxLength::OfZ(0.01), BoxLength::OfZ(1.0)], "of one slab"),
+        Parameter::mm("gap", BoxLength::OfZ(0.05), [BoxLength::Fixed(0.0), BoxLength::OfZ(1.0)], "between two slabs"),
+        Parameter::number("anchor", 0.5, [0.0, 1.0], "height that stays in place: 0 the lower face, 1 the upper"),
     ],
     progressive: true,
     size: DefaultSize::Share([1.05, 1.05, 1.6]),
@@ -45,7 +24,12 @@ pub(super) const KIND: Kind = Kind {
     locked_to_view: false,
     shape: None,
     build: FieldBuilder::Formula(|c| {
-        Box::new(Slab { thickness: c.values[0], gap: c.values[1] * c.progress, fixed_z: (c.values[2] - 0.5) * c.size_mm.z, gaps: c.gaps() })
+        Box::new(Slab {
+            thickness: c.value("thickness"),
+            gap: c.value("gap") * c.progress,
+            fixed_z: (c.value("anchor") - 0.5) * c.size_mm.z,
+            gaps: c.gaps(),
+        })
     }),
 };
 

@@ -4,20 +4,13 @@
 //! at the lower face, the upper side has twice that support, as of elastic matter that is squeezed ahead of the pull. The product vanishes
 //! on all six faces. Along z the inverse is one monotone equation.
 
-use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter, Unit, solve_rising};
+use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter, solve_rising};
 use glam::Vec3;
 
 pub(super) const KIND: Kind = Kind {
     name: "spline-pull",
     about: "pulls matter up along the box's z axis, squeezing what is above",
-    parameters: &[Parameter {
-        name: "amount",
-        unit: Unit::Mm,
-        default: BoxLength::OfZ(0.14),
-        min: BoxLength::OfZ(-0.3),
-        max: BoxLength::OfZ(0.16),
-        about: "displacement at the peak",
-    }],
+    parameters: &[Parameter::mm("amount", BoxLength::OfZ(0.14), [BoxLength::OfZ(-0.3), BoxLength::OfZ(0.16)], "displacement at the peak")],
     progressive: true,
     size: DefaultSize::Share([0.6; 3]),
     cube_scale: 1.0,
@@ -26,7 +19,7 @@ pub(super) const KIND: Kind = Kind {
     nonzero_faces: [false; 6],
     locked_to_view: false,
     shape: None,
-    build: FieldBuilder::Formula(|c| Box::new(SplinePull { amount: c.values[0] * c.progress, half: c.half() })),
+    build: FieldBuilder::Formula(|c| Box::new(SplinePull { amount: c.value("amount") * c.progress, half: c.half() })),
 };
 
 /// A uniform quadratic B-spline scaled to the support (-1, 1) and to 1 at its peak.

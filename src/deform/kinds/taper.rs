@@ -1,19 +1,12 @@
 //! Taper and shear: linear in x and y, by the height above the box's lower face (Barr 1984; \[GG42\]). Both inverses are exact.
 
-use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter, Unit};
+use super::{Backward, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter};
 use glam::Vec3;
 
 pub(super) const TAPER: Kind = Kind {
     name: "taper",
     about: "narrows or widens the box towards its upper face",
-    parameters: &[Parameter {
-        name: "factor",
-        unit: Unit::None,
-        default: BoxLength::Fixed(0.5),
-        min: BoxLength::Fixed(0.1),
-        max: BoxLength::Fixed(4.0),
-        about: "width of the upper face, 1 being as it was",
-    }],
+    parameters: &[Parameter::number("factor", 0.5, [0.1, 4.0], "width of the upper face, 1 being as it was")],
     progressive: true,
     size: DefaultSize::Share([1.1, 1.1, 1.05]),
     cube_scale: 1.0,
@@ -22,7 +15,7 @@ pub(super) const TAPER: Kind = Kind {
     nonzero_faces: [true, true, true, true, false, true],
     locked_to_view: false,
     shape: None,
-    build: FieldBuilder::Formula(|c| Box::new(Taper { growth: (c.values[0] - 1.0) * c.progress, height: c.size_mm.z })),
+    build: FieldBuilder::Formula(|c| Box::new(Taper { growth: (c.value("factor") - 1.0) * c.progress, height: c.size_mm.z })),
 };
 
 struct Taper {
@@ -56,22 +49,8 @@ pub(super) const SHEAR: Kind = Kind {
     name: "shear",
     about: "slides the box's upper face along x and y, the lower one staying in place",
     parameters: &[
-        Parameter {
-            name: "angle",
-            unit: Unit::Degrees,
-            default: BoxLength::Fixed(25.0),
-            min: BoxLength::Fixed(-75.0),
-            max: BoxLength::Fixed(75.0),
-            about: "of the box's edges along x",
-        },
-        Parameter {
-            name: "angle-y",
-            unit: Unit::Degrees,
-            default: BoxLength::Fixed(0.0),
-            min: BoxLength::Fixed(-75.0),
-            max: BoxLength::Fixed(75.0),
-            about: "of the box's edges along y",
-        },
+        Parameter::degrees("angle", 25.0, [-75.0, 75.0], "of the box's edges along x"),
+        Parameter::degrees("angle-y", 0.0, [-75.0, 75.0], "of the box's edges along y"),
     ],
     progressive: true,
     size: DefaultSize::Share([1.6, 1.2, 1.05]),
@@ -82,8 +61,8 @@ pub(super) const SHEAR: Kind = Kind {
     locked_to_view: false,
     shape: None,
     build: FieldBuilder::Formula(|c| {
-        let slope = |n: usize| c.values[n].to_radians().tan() * c.progress;
-        Box::new(Shear { slope: Vec3::new(slope(0), slope(1), 0.0), half_z: c.half().z })
+        let slope = |name: &str| c.value(name).to_radians().tan() * c.progress;
+        Box::new(Shear { slope: Vec3::new(slope("angle"), slope("angle-y"), 0.0), half_z: c.half().z })
     }),
 };
 

@@ -3,29 +3,15 @@
 //! Height and radius do not change, so the inverse is the twist by the opposite angle, exactly (not the negated displacement that
 //! \[DS07\] prints), and volume is preserved: det J = 1.
 
-use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter, Unit, window};
+use super::{Backward, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter, window};
 use glam::{Vec2, Vec3, Vec3Swizzles};
 
 pub(super) const KIND: Kind = Kind {
     name: "twist",
     about: "turns the upper end of the box against the lower one",
     parameters: &[
-        Parameter {
-            name: "angle",
-            unit: Unit::Degrees,
-            default: BoxLength::Fixed(60.0),
-            min: BoxLength::Fixed(-720.0),
-            max: BoxLength::Fixed(720.0),
-            about: "turn of the upper face",
-        },
-        Parameter {
-            name: "falloff",
-            unit: Unit::None,
-            default: BoxLength::Fixed(0.25),
-            min: BoxLength::Fixed(0.02),
-            max: BoxLength::Fixed(1.0),
-            about: "share of the radius over which the turn fades",
-        },
+        Parameter::degrees("angle", 60.0, [-720.0, 720.0], "turn of the upper face"),
+        Parameter::number("falloff", 0.25, [0.02, 1.0], "share of the radius over which the turn fades"),
     ],
     progressive: true,
     size: DefaultSize::Share([1.5, 1.5, 1.1]),
@@ -37,8 +23,8 @@ pub(super) const KIND: Kind = Kind {
     shape: None,
     build: FieldBuilder::Formula(|c| {
         Box::new(Twist {
-            angle: (c.values[0] * c.progress).to_radians(),
-            falloff: c.values[1],
+            angle: (c.value("angle") * c.progress).to_radians(),
+            falloff: c.value("falloff"),
             size_z: c.size_mm.z,
             radius: c.half().x.min(c.half().y),
         })

@@ -4,8 +4,8 @@
 //! monotone equation in one unknown.
 
 use super::{
-    Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter, Unit,
-    solve_rising, window,
+    Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter, solve_rising,
+    window,
 };
 use glam::{Vec3, Vec3Swizzles};
 
@@ -15,37 +15,16 @@ const FADE_Z: f32 = 0.5;
 const FADE_R: f32 = 0.3;
 
 const PARAMETERS: &[Parameter] = &[
-    Parameter {
-        name: "amplitude",
-        unit: Unit::Mm,
-        default: BoxLength::OfZ(0.05),
-        min: BoxLength::OfZ(-0.15),
-        max: BoxLength::OfZ(0.15),
-        about: "largest rise",
-    },
-    Parameter {
-        name: "wavelength",
-        unit: Unit::Mm,
-        default: BoxLength::OfRadius(0.5),
-        min: BoxLength::OfRadius(0.1),
-        max: BoxLength::OfRadius(10.0),
-        about: "distance from crest to crest",
-    },
-    Parameter {
-        name: "phase",
-        unit: Unit::Degrees,
-        default: BoxLength::Fixed(0.0),
-        min: BoxLength::Fixed(-360.0),
-        max: BoxLength::Fixed(360.0),
-        about: "phase on the axis",
-    },
+    Parameter::mm("amplitude", BoxLength::OfZ(0.05), [BoxLength::OfZ(-0.15), BoxLength::OfZ(0.15)], "largest rise"),
+    Parameter::mm("wavelength", BoxLength::OfRadius(0.5), [BoxLength::OfRadius(0.1), BoxLength::OfRadius(10.0)], "distance from crest to crest"),
+    Parameter::degrees("phase", 0.0, [-360.0, 360.0], "phase on the axis"),
 ];
 
 fn wave(c: &FieldContext, radial: bool) -> Box<dyn Field> {
     Box::new(Wave {
-        amplitude: c.values[0] * c.progress,
-        wave_number: std::f32::consts::TAU / c.values[1],
-        phase: c.values[2].to_radians(),
+        amplitude: c.value("amplitude") * c.progress,
+        wave_number: std::f32::consts::TAU / c.value("wavelength"),
+        phase: c.value("phase").to_radians(),
         half: c.half(),
         radial,
     })

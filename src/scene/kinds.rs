@@ -1,0 +1,539 @@
+//! The kinds of deformation as types: what is typed as `peel:size=80,progress=0.7` is `Peel::new().size(80.0).progress(0.7)` here. Lengths are in
+//! millimetres, angles in degrees, positions in the patient's world (LPS). What is not set has the kind's default ([`crate::deform::kinds`]).
+
+use super::{Deformation, Size};
+use crate::deform::Argument;
+
+macro_rules! kinds {
+    ($($(#[$about:meta])* $kind:ident = $name:literal {
+        numbers { $($(#[$number_about:meta])* $number:ident = $number_name:literal,)* }
+        settings { $($(#[$setting_about:meta])* $setting:ident = $setting_name:literal,)* }
+    })*) => {
+        $(
+            $(#[$about])*
+            #[derive(Clone, Debug, PartialEq)]
+            pub struct $kind(Deformation);
+
+            impl Default for $kind {
+                fn default() -> Self {
+                    Self(Deformation::new($name))
+                }
+            }
+
+            impl From<$kind> for Deformation {
+                fn from(kind: $kind) -> Self {
+                    kind.0
+                }
+            }
+
+            impl $kind {
+                /// With all its defaults.
+                pub fn new() -> Self {
+                    Self::default()
+                }
+
+                $(
+                    $(#[$number_about])*
+                    #[must_use]
+                    pub fn $number(mut self, value: f32) -> Self {
+                        self.0.parameters.insert($number_name, value);
+                        self
+                    }
+                )*
+
+                $(
+                    $(#[$setting_about])*
+                    #[must_use]
+                    pub fn $setting(mut self, value: impl Into<Argument>) -> Self {
+                        self.0.parameters.insert($setting_name, value);
+                        self
+                    }
+                )*
+
+                /// Centre of its box, mm; the volume's centre by default.
+                #[must_use]
+                pub fn center(mut self, center: impl Into<[f32; 3]>) -> Self {
+                    self.0.center = Some(center.into());
+                    self
+                }
+
+                /// Extent of its box, mm: one length, or one along each of x, y, z.
+                #[must_use]
+                pub fn size(mut self, size: impl Into<Size>) -> Self {
+                    self.0.size = Some(size.into());
+                    self
+                }
+
+                /// Turn about x, then y, then z, degrees.
+                #[must_use]
+                pub fn rotate(mut self, degrees: impl Into<[f32; 3]>) -> Self {
+                    self.0.rotate = Some(degrees.into());
+                    self
+                }
+
+                /// From nothing (0) to full (1).
+                #[must_use]
+                pub fn progress(mut self, progress: f32) -> Self {
+                    self.0.progress = Some(progress);
+                    self
+                }
+            }
+        )*
+
+        /// Every type's kind, with its numbers and its settings.
+        #[cfg(test)]
+        const ALL: &[(&str, &[&str], &[&str])] = &[$(($name, &[$($number_name),*], &[$($setting_name),*])),*];
+    };
+}
+
+impl From<f32> for Size {
+    fn from(edge: f32) -> Self {
+        Self::Cube(edge)
+    }
+}
+
+impl From<[f32; 3]> for Size {
+    fn from(edges: [f32; 3]) -> Self {
+        Self::Box(edges)
+    }
+}
+
+kinds! {
+    /// Pulls matter out along the box's z axis in a Gaussian bump.
+    Pull = "pull" {
+        numbers {
+            /// Pull at the upper face, on the axis, mm.
+            amount = "amount",
+            /// Width of the Gaussian, mm.
+            sigma = "sigma",
+        }
+        settings {
+        }
+    }
+    /// Pulls matter up along the box's z axis, squeezing what is above.
+    SplinePull = "spline-pull" {
+        numbers {
+            /// Displacement at the peak, mm.
+            amount = "amount",
+        }
+        settings {
+        }
+    }
+    /// A circular wave along the box's z axis.
+    RadialWave = "wave" {
+        numbers {
+            /// Largest rise, mm.
+            amplitude = "amplitude",
+            /// Distance from crest to crest, mm.
+            wavelength = "wavelength",
+            /// Phase on the axis, degrees.
+            phase = "phase",
+        }
+        settings {
+        }
+    }
+    /// A wave along the box's z axis that runs along its x.
+    PlanarWave = "planar-wave" {
+        numbers {
+            /// Largest rise, mm.
+            amplitude = "amplitude",
+            /// Distance from crest to crest, mm.
+            wavelength = "wavelength",
+            /// Phase on the axis, degrees.
+            phase = "phase",
+        }
+        settings {
+        }
+    }
+    /// Turns the upper end of the box against the lower one.
+    Twist = "twist" {
+        numbers {
+            /// Turn of the upper face, degrees.
+            angle = "angle",
+            /// Share of the radius over which the turn fades.
+            falloff = "falloff",
+        }
+        settings {
+        }
+    }
+    /// Bends the box's z axis towards its +x, the lower face staying in place.
+    Bend = "bend" {
+        numbers {
+            /// Turn of the upper face, degrees.
+            angle = "angle",
+        }
+        settings {
+        }
+    }
+    /// Narrows or widens the box towards its upper face.
+    Taper = "taper" {
+        numbers {
+            /// Width of the upper face, 1 being as it was.
+            factor = "factor",
+        }
+        settings {
+        }
+    }
+    /// Slides the box's upper face along x and y, the lower one staying in place.
+    Shear = "shear" {
+        numbers {
+            /// Of the box's edges along x, degrees.
+            angle = "angle",
+            /// Of the box's edges along y, degrees.
+            angle_y = "angle-y",
+        }
+        settings {
+        }
+    }
+    /// Magnifies the middle of the box like a lens.
+    Bulge = "bulge" {
+        numbers {
+            /// At the centre, matter is 1 / (1 - amount) times as large.
+            amount = "amount",
+        }
+        settings {
+        }
+    }
+    /// Cuts a flap free and rolls it back about a hinge, towards the box's -x.
+    Peel = "peel" {
+        numbers {
+            /// Thickness of the layer, mm.
+            depth = "depth",
+            /// Of the roll's outer side; at least 1.2 times the depth is used, mm.
+            radius = "radius",
+        }
+        settings {
+        }
+    }
+    /// Cuts into slabs across the box's z axis and spreads them apart.
+    Slab = "slab" {
+        numbers {
+            /// Of one slab, mm.
+            thickness = "thickness",
+            /// Between two slabs, mm.
+            gap = "gap",
+            /// Height that stays in place: 0 the lower face, 1 the upper.
+            anchor = "anchor",
+        }
+        settings {
+        }
+    }
+    /// Cuts into pieces along the axes and moves them apart.
+    Explode = "explode" {
+        numbers {
+            /// Between two pieces, mm.
+            gap = "gap",
+            /// Pieces along x (whole number).
+            pieces_x = "pieces-x",
+            /// Pieces along y.
+            pieces_y = "pieces-y",
+            /// Pieces along z.
+            pieces_z = "pieces-z",
+        }
+        settings {
+        }
+    }
+    /// Splits along a seam (the box's y axis) and swings the halves open.
+    Seam = "seam" {
+        numbers {
+            /// Swing of each half, degrees.
+            angle = "angle",
+        }
+        settings {
+        }
+    }
+    /// Splits along the plane x = 0 and opens the halves like a book, spine below.
+    Book = "book" {
+        numbers {
+            /// Swing of each half, degrees.
+            angle = "angle",
+            /// Height of the spine in the box: 0 the lower face, 1 the upper.
+            spine = "spine",
+        }
+        settings {
+        }
+    }
+    /// An incision along the box's y axis, held open.
+    Knife = "knife" {
+        numbers {
+            /// Of the cut, mm.
+            length = "length",
+            /// Of the cut below the box's upper face, mm.
+            depth = "depth",
+            /// Between the lips at the widest place, mm.
+            opening = "opening",
+        }
+        settings {
+        }
+    }
+    /// An incision along the box's x axis held open to an ellipse.
+    Retractor = "retractor" {
+        numbers {
+            /// Of the incision, mm.
+            length = "length",
+            /// Between the lips at the widest place, mm.
+            opening = "opening",
+            /// Of the incision below the box's upper face, mm.
+            depth = "depth",
+        }
+        settings {
+        }
+    }
+    /// Removes a box.
+    RemoveBox = "box" {
+        numbers {
+        }
+        settings {
+        }
+    }
+    /// Removes a sphere (an ellipsoid, in a box of unequal sides).
+    RemoveSphere = "sphere" {
+        numbers {
+        }
+        settings {
+        }
+    }
+    /// Removes a cylinder along the box's z axis.
+    RemoveCylinder = "cylinder" {
+        numbers {
+        }
+        settings {
+        }
+    }
+    /// Removes a slice of cake about the box's z axis.
+    RemoveWedge = "wedge" {
+        numbers {
+            /// Of the wedge, about the box's z axis, centred on +x, degrees.
+            angle = "angle",
+        }
+        settings {
+        }
+    }
+    /// Removes everything above the plane through the box's centre, across its z axis.
+    RemoveHalfSpace = "half-space" {
+        numbers {
+        }
+        settings {
+        }
+    }
+    /// Removes a sphere whose box turns with the camera.
+    RemoveViewSphere = "view-sphere" {
+        numbers {
+        }
+        settings {
+        }
+    }
+    /// Removes a cone that opens from the box's centre towards the viewer.
+    RemoveViewCone = "view-cone" {
+        numbers {
+            /// Between the cone's sides, degrees.
+            angle = "angle",
+        }
+        settings {
+        }
+    }
+    /// Removes what lies behind a closed outline, along the view.
+    Lasso = "lasso" {
+        numbers {
+            /// Distance of the eye from the box's centre, for an outline drawn in perspective; 0 for a parallel one, mm.
+            eye = "eye",
+        }
+        settings {
+            /// X,y of the outline in the box's plane through its centre, mm (x right, y up in the view).
+            points = "points",
+            /// True removes what lies around the outline instead.
+            invert = "invert",
+        }
+    }
+    /// Drags matter by a lattice of control points.
+    Lattice = "lattice" {
+        numbers {
+        }
+        settings {
+            /// Control points along x, y, z; 4,4,4 by default.
+            lattice = "lattice",
+            /// Bernstein or b-spline.
+            basis = "basis",
+            /// I,j,k,dx,dy,dz (indices from 0, mm), point after point; or a .csv file of six columns.
+            offsets = "offsets",
+        }
+    }
+    /// Moves given points to given places, and what lies between smoothly.
+    ControlPoints = "points" {
+        numbers {
+            /// Share of the way to the box's faces over which the displacement fades.
+            fade = "fade",
+            /// Of the Gaussians; 0 takes the points' distance, mm.
+            width = "width",
+        }
+        settings {
+            /// From x,y,z and to x,y,z in mm, pair after pair; or a .csv file of six columns.
+            pairs = "pairs",
+            /// File of the points (.mrk.json, .fcsv, .csv), in the order of to.
+            from_file = "from",
+            /// File of the target points.
+            to_file = "to",
+            /// Tps (thin-plate spline), rbf (Gaussians) or idw (inverse distances).
+            method = "method",
+        }
+    }
+    /// Drags places of an elastic lattice, with cuts; looks elastic, no more is claimed.
+    Elastic = "elastic" {
+        numbers {
+            /// Along the box's longest axis (whole number).
+            nodes = "nodes",
+        }
+        settings {
+            /// X,y,z,radius,dx,dy,dz in mm: a ball that is dragged, and its displacement; repeat for more.
+            grab = "grab",
+            /// X,y,z,radius: what is held, besides the box's faces.
+            fixed = "fixed",
+            /// X,y,z,nx,ny,nz,radius: a round cut and its normal.
+            incision = "incision",
+            /// Label,stiffness: relative to 1, by the labels of `labels`.
+            stiffness = "stiffness",
+        }
+    }
+    /// Removes what lies above a depth below a surface, within the box.
+    StripSurface = "strip" {
+        numbers {
+            /// Below the surface, mm.
+            depth = "depth",
+        }
+        settings {
+            /// Labels whose surface is followed.
+            labels = "label",
+            /// A file whose voxels above 0 are inside.
+            mask = "mask",
+            /// Threshold of the body's surface; automatic if not set.
+            iso = "iso",
+        }
+    }
+    /// Lifts the layer above a depth below a surface off along its normals.
+    LiftSurface = "lift" {
+        numbers {
+            /// Below the surface, mm.
+            depth = "depth",
+            /// By which it is lifted, mm.
+            height = "height",
+        }
+        settings {
+            /// Labels whose surface is followed.
+            labels = "label",
+            /// A file whose voxels above 0 are inside.
+            mask = "mask",
+            /// Threshold of the body's surface; automatic if not set.
+            iso = "iso",
+        }
+    }
+    /// Pushes a surface and what is near it outwards, or inwards.
+    OffsetSurface = "offset" {
+        numbers {
+            /// Outwards; negative inwards, mm.
+            amount = "amount",
+            /// To either side of the surface that moves with it; at least 2.5 times the amount is used, mm.
+            band = "band",
+        }
+        settings {
+            /// Labels whose surface is followed.
+            labels = "label",
+            /// A file whose voxels above 0 are inside.
+            mask = "mask",
+            /// Threshold of the body's surface; automatic if not set.
+            iso = "iso",
+        }
+    }
+    /// Cuts a flap at a depth below a surface and rolls it back, towards the box's -x.
+    SurfacePeel = "surface-peel" {
+        numbers {
+            /// Below the surface, mm.
+            depth = "depth",
+            /// Of the roll's outer side; at least 1.2 times the depth is used, mm.
+            radius = "radius",
+        }
+        settings {
+            /// Labels whose surface is followed.
+            labels = "label",
+            /// A file whose voxels above 0 are inside.
+            mask = "mask",
+            /// Threshold of the body's surface; automatic if not set.
+            iso = "iso",
+        }
+    }
+    /// Moves labels apart; what has none of them is hidden, or stays.
+    ExplodeLabels = "explode-labels" {
+        numbers {
+            /// Way of the outermost label, mm.
+            gap = "gap",
+        }
+        settings {
+            /// The labels.
+            labels = "label",
+            /// Hide or keep what has none of the labels.
+            rest = "rest",
+        }
+    }
+    /// Painted by strokes: push, smooth, cut, restore, and outlines cut out or put back.
+    Brush = "brush" {
+        numbers {
+        }
+        settings {
+            /// One text each: push, smooth, cut or restore with RADIUS STRENGTH x y z ..., lasso-cut or lasso-restore with EYE, a point, right, up and x y ...; mm.
+            strokes = "strokes",
+        }
+    }
+    /// A registration's transform or displacement field.
+    ExternalField = "field" {
+        numbers {
+        }
+        settings {
+            /// File, or files that a deformed point goes through in order.
+            path = "path",
+            /// The image that is deformed, for FSL's files.
+            moving = "moving",
+            /// The image onto which it was registered, for FSL's files.
+            reference = "reference",
+            /// Of vectors: lps, ras, fsl or fsl-absolute, where the file does not say.
+            convention = "convention",
+            /// True uses the inverse.
+            invert = "invert",
+        }
+    }
+    /// A displacement map made by incise map; placed anew where center, size or rotate are given.
+    SavedMap = "map" {
+        numbers {
+        }
+        settings {
+            /// File.
+            path = "path",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::deform::file_kinds::FILE_KINDS;
+    use crate::deform::kinds;
+
+    /// Every kind has its type, with all of its parameters and settings, and no other.
+    #[test]
+    fn every_kind_has_its_type() {
+        let formulas = kinds::list().map(|k| {
+            let settings = k.own_settings().iter().map(|s| s.name).collect::<Vec<_>>();
+            (k.name, k.parameters.iter().map(|p| p.name).collect::<Vec<_>>(), settings)
+        });
+        let files = FILE_KINDS.iter().map(|k| (k.name, Vec::new(), k.settings.iter().map(|s| s.name).collect()));
+        let expected: Vec<_> = formulas.chain(files).collect();
+        let typed: Vec<_> = ALL.iter().map(|(kind, numbers, settings)| (*kind, numbers.to_vec(), settings.to_vec())).collect();
+        assert_eq!(typed, expected);
+    }
+
+    #[test]
+    fn a_typed_kind_is_what_is_typed() {
+        let typed: Deformation = Peel::new().center([1.0, 2.0, 3.0]).size(80.0).progress(0.7).radius(9.0).into();
+        let mut stated = Deformation { center: Some([1.0, 2.0, 3.0]), size: Some(Size::Cube(80.0)), progress: Some(0.7), ..Deformation::new("peel") };
+        stated.parameters.insert("radius", 9.0);
+        assert_eq!(typed, stated);
+    }
+}
