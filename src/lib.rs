@@ -2,27 +2,44 @@
 //! A displacement map (a small 3D grid) says, for every point of the deformed scene, which point of the volume it shows and
 //! whether anything is there at all; slicing and ray casting look it up at every sample.
 //!
+//! A scan, a peel, a picture:
+//!
+//! ```
+//! use incise::{Engine, Scene, kinds::Peel, scene::View};
+//! # fn main() -> incise::Result<()> {
+//! let mut scene = Scene::of_volume("volumes/colin27-head-t1.nii.gz");
+//! scene.camera.view = View { azimuth_deg: 40.0, elevation_deg: 20.0 };
+//! scene.deformation.push(Peel::new().center([0.0, -30.0, 60.0]).size([150.0, 120.0, 90.0]).progress(0.7).into());
+//! let rendered = Engine::auto().render_scene(&scene)?;
+//! let file = std::env::temp_dir().join("head.png");
+//! rendered.picture.save_png(&file, scene.render.background)?;
+//! # assert!(std::fs::read(&file).is_ok_and(|png| png.starts_with(b"\x89PNG")) && !rendered.picture.is_blank());
+//! # std::fs::remove_file(&file).map_err(|e| incise::Error::io(&file, "removing", e))
+//! # }
+//! ```
+//!
+//! A [`Scene`] is plain data, the same that a scene file states ([`Scene::load`]). An [`Engine`] renders it on a GPU or on the CPU. Who renders many
+//! pictures of one scene keeps its [`Assets`] ([`engine::AssetCache`]) and asks with a [`RenderRequest`], which can also be stopped ([`Watch`]).
+//!
 //! ```text
 //!   file, phantom ── volume ──┐
 //!   file ──────────── mesh ───┤
-//!   preset, curve ── transfer ┤                      ┌── cpu    (the reference; always there)
-//!   kind, parameters ─ deform ┼── scene ── Prepared ─┤                                        ── Picture ── export
-//!   camera, light ────────────┘                      └── render (slices and rays on a GPU, on top of gpu)
+//!   preset, curve ── transfer ┤                                ┌── cpu    (the reference; always there)
+//!   kind, parameters ─ deform ┼── scene ── prepare ── engine ──┤                                        ── Picture ── export
+//!   camera, light ────────────┘                                └── render (slices and rays on a GPU, on top of gpu)
 //! ```
 //!
-//! Modules, each knowing only those before it: [`files`] ← [`math`] ← [`volume`], [`mesh`] ← [`transfer`], [`deform`] ← [`scene`] ← [`cpu`],
-//! ([`gpu`] ← [`render`]) ← [`export`] ← [`compare`] ← [`cli`], [`gui`] (the workstation), which do not know each other.
+//! Modules, each knowing only those before it (a test holds it): [`files`], [`math`] ← [`volume`] ← [`picture`], [`mesh`] ← [`transfer`], [`deform`] ←
+//! [`scene`] ← [`prepare`] ← [`cpu`], ([`gpu`] ← [`render`]) ← [`engine`] ← [`export`] ← [`compare`] ← [`cli`], [`gui`] (the workstation), which do not
+//! know each other.
 //!
 //! *Theory*: backward displacement maps with a discontinuity mask, \[DDM06\] = Correa, Silver, Chen, "Discontinuous Displacement
 //! Mapping for Volume Graphics", Volume Graphics 2006; \[DS07\] = Correa, Silver, "Programmable Shaders for Deformation Rendering",
 //! Graphics Hardware 2007; \[GG42\] = d'Eon, "Deformers", GPU Gems chapter 42, 2004; \[RVD01\] = Westermann, Rezk-Salama, "Real-Time Volume
-//! Deformations", Eurographics 2001. Where we differ from them, the module that differs says so in its first lines.
+//! Deformations", Eurographics 2001. The formulas are in [`model`]. Where we differ from the papers, the module that differs says so in its first lines.
 //!
 //! *Spaces*: voxel (indices, centres at integers), world (millimetres, patient LPS), map (the unit cube of one displacement
 //! map), view. Transforms are named `target_from_source`.
-//!
-//! *How to call it*: [`scene::Scene`] is plain data, [`scene::Prepared::new`] loads what it names, [`cpu::render`] and
-//! [`render::Renderer::render`] turn it into a [`scene::Picture`].
 
 pub mod cli;
 pub mod compare;
@@ -38,6 +55,7 @@ pub mod gpu;
 pub mod gui;
 pub mod math;
 pub mod mesh;
+pub mod model;
 mod panic_guard;
 pub mod picture;
 pub mod prepare;
@@ -48,8 +66,11 @@ pub mod transfer;
 pub mod volume;
 mod watch;
 
-pub use engine::Engine;
+pub use engine::{Backend, Engine, RenderRequest};
 pub use error::{Error, Result};
-pub use picture::Picture;
-pub use scene::Scene;
+pub use mesh::Mesh;
+pub use picture::{Picture, Rendered};
+pub use prepare::{Assets, Prepared};
+pub use scene::{Deformation, Scene, kinds};
+pub use volume::Volume;
 pub use watch::{ByteProgress, Watch};

@@ -1,0 +1,265 @@
+//! The mathematics that every part of the program agrees with: spaces, formulas, conventions.
+//!
+//! This module holds no code. CPU code, shaders, readers and tests follow it. Where two papers
+//! disagree, the choice made here stands.
+//!
+//! | | |
+//! |---|---|
+//! | \[DDM06\] | Correa, Silver, Chen, *Discontinuous Displacement Mapping for Volume Graphics*, Volume Graphics 2006 |
+//! | \[DS07\] | Correa, Silver, *Programmable Shaders for Deformation Rendering*, Graphics Hardware 2007 |
+//! | \[GG42\] | d'Eon, *Deformers*, GPU Gems chapter 42, 2004 |
+//! | \[RVD01\] | Westermann, Rezk-Salama, *Real-Time Volume Deformations*, Eurographics 2001 |
+//!
+//! # Spaces
+//!
+//! | space | unit | |
+//! |---|---|---|
+//! | voxel | index (i, j, k), centres at integers | i varies fastest in memory |
+//! | world | millimetres, patient LPS | whatever the file uses; NIfTI's RAS is flipped in x and y on reading and writing |
+//! | texture | the unit cube over a volume's grid, texel centres at (i + 1/2)/n | within the renderers only |
+//! | map | the unit cube of one displacement map, grid points at i/(n-1), so on its faces | where D and alpha are defined |
+//! | local | millimetres from the centre of a deformation's box, along its axes | where kinds are stated |
+//! | view, clip | wgpu's conventions | camera |
+//!
+//! A volume carries an affine `world_from_voxel`: spacing, direction and origin. Anisotropic and oblique
+//! grids are normal. A placement `world_from_map` puts a map into the world; A is its linear part.
+//! Transforms are named `target_from_source`.
+//!
+//! # Displacement maps
+//!
+//! A map is a 3D grid of four numbers over its unit cube: the *inverse* displacement D and the alpha
+//! mask ([`DisplacementMap`](crate::deform::DisplacementMap)). An axis of one grid point does not vary.
+//! It says where the sample at a deformed point p' came from:
+//!
+//! ```text
+//! p = p' + A D(world_from_map⁻¹ p')     inside the map's cube
+//! p = p'                                outside it                        [DDM06 eq 3], [DS07 eq 2]
+//! ```
+//!
+//! - D is in map units. It is stored divided by its largest component, so in \[-1, 1\], with one scale
+//!   a map: as 16-bit floats by default, or 16-bit or 8-bit steps, or 32-bit floats (fields from files).
+//!   Eight bits show (\[DDM06\] section 8).
+//! - alpha = 1: something is there. alpha = 0: nothing is. Below 1/2 a sample is cut away
+//!   (\[DDM06\] 4.2).
+//! - D is continuous, also across a cut: the *pseudo-inverse* of \[DDM06\] 4.1. The discontinuity lies
+//!   in alpha alone, so that interpolation never mixes values from both sides.
+//! - The mask is a ramp of the signed distance d to the nearest cut, in millimetres, positive where
+//!   something stays. \[DDM06\] section 5 blurs a binary mask instead, which moves the contour where a
+//!   cut bends.
+//!
+//! ```text
+//! alpha = clamp(1/2 + d / 2w)      w = max(2 texels, 1.2 times the reach of the blend of normals)
+//! ```
+//!
+//! - D should vanish on the faces of the cube. A kind names the faces on which it does not
+//!   ([`Kind::leaks`](crate::deform::kinds::Kind::leaks)): there the box should end in empty space.
+//! - A field from a registration, a saved map and a composite are maps like any other. A field's
+//!   outermost vectors hold to the faces of their voxels, half a voxel beyond the cube.
+//!
+//! **Cylindrical coordinates** (\[DS07\] 3.2) are applied when a map is sampled, so that renderers know
+//! Cartesian maps only. With the box's extents X, Y, Z and R half the shorter of X and Y, the kind is
+//! asked at
+//!
+//! ```text
+//! u = (atan2(x, y) X / 2π,  z Y / Z,  (r / R - 1/2) Z)          r = √(x² + y²)
+//! ```
+//!
+//! so that its x runs around the box's z axis, its y along it, its z outwards.
+//!
+//! # Composition
+//!
+//! Maps form an ordered stack. A sample walks from the last applied to the first
+//! ([`Stack::walk`](crate::deform::Stack::walk)). With G_k(p) = p + A_k D_k(M_k⁻¹ p):
+//!
+//! ```text
+//! p = G_1(G_2(... G_n(p')))        alpha = min over k of alpha_k, each at the point where map k is evaluated
+//!                                                                               [DDM06 eq 9]
+//! ```
+//!
+//! The walk ends where a mask is below 1/2. The minimum, not the product: where smoothed masks overlap
+//! a product moves the contour (0.6 · 0.6 < 0.5). Order matters.
+//!
+//! A map may be *added* to the one before it (\[DS07\] section 4). Both are evaluated at the same point
+//! and their displacements add.
+//!
+//! On the fly, every sample walks all maps. With an error bound, a single composite map stands for the
+//! stack wherever its error is within the bound; cells where it is not are marked, and there the maps
+//! are walked ([`compose`](crate::deform::compose)).
+//!
+//! Removals at the end of the stack are no maps but shapes with a signed distance of Lipschitz
+//! constant 1 ([`cut`](crate::deform::cut)). Along a ray the retained part of each step is found
+//! exactly, and the step counts for its length.
+//!
+//! # Normals
+//!
+//! ```text
+//! J_G   = I + A J_D A⁻¹ = A (I + J_D) A⁻¹                      one map          d_source_d_deformed
+//! J     = J_1(p_1) J_2(p_2) ··· J_n(p_n)                       the stack, p_k where map k is evaluated
+//! g'    = Jᵀ g                                                 gradient         [DDM06 eq 6, 10], [DS07 eq 5]
+//! n'    = normalise(ω c n + (1 - ω) n_cut)                     beside a cut     [DDM06 eq 7]
+//! ```
+//!
+//! J_D is taken by central differences over one texel to each side, shortened at the cube's faces. g is
+//! the scan's gradient in world millimetres: the gradient per voxel times the transposed inverse of the
+//! voxel axes. n is Jᵀ g normalised, pointing out of what is seen. n_cut is the unit normal of the
+//! nearest cut, out of it as well.
+//!
+//! - ω rises from 0 to 1 (smoothstep) with the distance from the cut, between s and 2.5 s, where s is
+//!   the step or the reference length, whichever is longer. The paper blends over the mask's value,
+//!   which depends on a map's resolution.
+//! - c is the surface confidence: 0 where the change of the transfer function's coordinate over one
+//!   reference length is below 0.004, 1 above 0.04. A uniform region has no surface.
+//! - The cut's normal counts only where the ray comes out of the cut, and where something at least half
+//!   as dense lies behind its face. The six faces of the volume's box are cuts as well.
+//!
+//! For a linear map D(x) = Lx the rule is exact.
+//!
+//! **Forward deformers** of meshes (\[GG42\]) move a vertex to f(x); J = df/dx. Its normal is the
+//! direction of J⁻ᵀ n, or of J t × J b for a tangent t and binormal b. Check value: the radial wave
+//! f = (x, y + sin(2 √(x² + z²)), z) at (3, 0, 4) with n = (0, 1, 0), t = (-1, 0, 1), b = (1, 0, 1)
+//! gives
+//!
+//! ```text
+//! J t × J b = (2.01377, 2, 2.68503)        n' = (0.515426, 0.511902, 0.687235)
+//! ```
+//!
+//! # Light
+//!
+//! One directional light, Blinn-Phong, in deformed space. With base colour C, half vector h between the
+//! light and the eye, and the weights of the scene's `[light]`:
+//!
+//! ```text
+//! even = C (ambient + 0.6 diffuse)
+//! lit  = C (ambient + diffuse max(n·l, 0)) + specular max(n·h, 0)^shininess        highlight only if n·l > 0
+//! out  = even + (lit - even) c
+//! ```
+//!
+//! The result is held to 0..1. Two-sided light turns n towards the eye. Surfaces have c = 1 and a highlight of their own. MIP,
+//! MinIP and average take no light.
+//!
+//! # Opacity and compositing
+//!
+//! Opacity is stated for one reference length Δ₀, the smallest voxel spacing. The table holds optical
+//! depth τ = -log₂(1 - a₀). A sample that stands for a length ℓ has the opacity
+//!
+//! ```text
+//! a = 1 - 2^(-τ ℓ/Δ₀) = 1 - (1 - a₀)^(ℓ/Δ₀)
+//! ```
+//!
+//! Samples are composited front to back, premultiplied. A ray ends when less than 1/512 of the light
+//! passes. With a pre-integrated transfer function (Engel, Kraus, Ertl 2001), τ and colour are those of
+//! the segment between two samples.
+//!
+//! **Rays** have samples at t = (i + 1/2) Δ from the eye. **Slices** are view-aligned planes at depth
+//! (i + 1/2) Δ, so that a ray meets them at t = (i + 1/2) Δ / cos θ, θ being its angle to the view
+//! direction, and ℓ = Δ / cos θ. Both are anchored at the eye, so that the box does not move them. In an
+//! orthographic view they are the same points.
+//!
+//! On a GPU, slices are drawn front to back in slabs of 32 (\[DDM06\] section 4 draws them back to front
+//! and one by one). A polygon covers the slab's sections of the proxy box, which is the box of the
+//! occupied cells; a fragment composites 32 samples. If the proxy is a closed mesh (\[RVD01\] section
+//! 2), its sections are filled contours, one slice at a time. On a CPU slices are rays with the step
+//! Δ / cos θ.
+//!
+//! - Where a ray enters a surface, the point is found by bisection between two samples, and colour and
+//!   light are taken there.
+//! - An iso-surface (`render.iso`) is the first sample at or above the value, refined by bisection. It
+//!   is lit by the transformed gradient, or by the difference of the deformed volume towards the light
+//!   (\[RVD01\] 3.3).
+//! - Next to a cut, a sample stands for the part of its length on its own side, so that a planar cut is
+//!   exact wherever samples fall.
+//!
+//! # Surfaces
+//!
+//! f is a signed distance in millimetres, **positive inside** (\[DS07\] section 3). It comes from a mesh
+//! or from labels (a grid), from a value of a volume, from formulas, or from depth maps. A ray through
+//! deformed space carries every sample back through the stack; the first change of sign is a hit,
+//! refined by bisection. The cut function is A = 1/2 - alpha, positive in a cut.
+//!
+//! | cut model | |
+//! |---|---|
+//! | hollow | a hit in a cut is passed by; both sides of the shell show |
+//! | solid | a hit in a cut is passed by; the face of the cut (A = 0) is a hit where f > 0 |
+//! | thick | solid, of f̂ = τ - f where f > τ/2, else f, τ being the thickness (\[DS07\] eq 7) |
+//!
+//! Both changes of sign within a step are taken in their order along the ray. On a face the normal is
+//! the cut's; elsewhere it is Jᵀ ∇f, out of the solid. The sign of a mesh is that of its generalised
+//! winding number above 1/2.
+//!
+//! | steps | δt |
+//! |---|---|
+//! | uniform | δs |
+//! | threshold | δs/4 near the surface, else δs |
+//! | jacobian | δs / b (\[DS07\] eq 4), b a bound on \|J v\| over the cell |
+//! | sphere | 0.9 \|f\| / b, at least δs / (4 max(1, b)); even steps through depth maps and within cuts |
+//!
+//! A depth map's f is the depth below a face minus the map's; a cube of six maps is ρ min \|f_i\|, ρ = 1
+//! where all are positive, else -1 (\[DS07\] 6.1). It is no distance, so that rays take even steps through
+//! it. In *two stages* (\[DS07\] section 3) triangles outside the deformations' boxes are drawn and rays
+//! cast within; their colours are blended over a seam.
+//!
+//! # Kinds of deformation
+//!
+//! Each kind is a function in local space, with parameters in millimetres and degrees: for a deformed
+//! point the source, and the signed distance to the nearest cut. Strength 0 is the identity.
+//!
+//! | kind | inverse |
+//! |---|---|
+//! | `pull` (\[DDM06\] eq 8), `spline-pull` (\[RVD01\] 3.2), `wave`, `planar-wave`, `bulge` | exact, or one monotone equation |
+//! | `twist`, `bend`, `taper`, `shear` | exact; a twist's inverse is the twist by the opposite angle |
+//! | `peel`, `slab`, `explode`, `seam`, `book`, `knife`, `retractor` | exact, with a mask where they cut |
+//! | `box`, `sphere`, `cylinder`, `wedge`, `half-space`, `view-sphere`, `view-cone`, `lasso` | no displacement, mask alone |
+//! | `lattice`, `elastic`, `points`, `brush` | numeric, or an interpolation of what is given |
+//! | `strip`, `lift`, `offset`, `surface-peel`, `explode-labels` | along a distance field |
+//! | `field`, `map` | as the file has it |
+//!
+//! Pull, with z counted from the box's lower face, H its height, `amount` and σ lengths:
+//!
+//! ```text
+//! source = (x, y, z (1 - (amount / H) exp(-(x² + y²) / σ²)))
+//! ```
+//!
+//! Peel, in its (x, z) plane: a layer z0 to z0 + h is rolled from the hinge x_h on into an arc of outer
+//! radius R about c = (x_h, z0 + R), its outer side inwards. With ρ = \|p' - c\| and
+//! θ = atan2(x' - x_h, z0 + R - z'):
+//!
+//! ```text
+//! in the roll (R - h <= ρ <= R, 0 <= θ <= length / R):   source = (x_h + R θ, z0 + R - ρ)
+//! where the layer was and no roll is:                    cut away
+//! elsewhere:                                             source = p'
+//! ```
+//!
+//! Progress moves the hinge. Where roll and undisplaced tissue overlap the roll wins, and a thin band
+//! around it is cut away, in which D runs from one to the other. `surface-peel` has the height above a
+//! surface for z.
+//!
+//! Forward fields are inverted by a fixed-point iteration (Chen et al. 2008), finished by Newton's
+//! method ([`invert`](crate::deform::invert)). What does not converge, or converges where det J <= 0,
+//! lies in a fold and is cut away.
+//!
+//! # Empty space
+//!
+//! A coarse grid of cells lies over the deformed scene. A cell's box C is carried backwards through the
+//! stack by interval arithmetic:
+//!
+//! ```text
+//! B_n = C      B_(k-1) = B_k + [least, greatest displacement of map k over B_k]      alpha_max = min over k
+//! ```
+//!
+//! The bounds of D come from a min/max pyramid of the map's texels: a trilinear sample lies between the
+//! texels that it mixes. A second bound, from the differences of neighbouring texels (the mean value
+//! form), is intersected with it. A box partly inside a cube goes on in two parts, a few times. Outside
+//! every cube a box does not move.
+//!
+//! B_0 lies in the source. The volume's min/max pyramid bounds its values, and a range-maximum table of
+//! the transfer function bounds their opacity. The cell is empty if alpha_max < 1/2 or that opacity is 0.
+//! Every bound is conservative: skipping changes no picture. Where samples look back a step for what
+//! they show, cells are grown by it. A similar walk bounds |J v| for Jacobian and sphere steps
+//! ([`slope`](crate::deform::slope)).
+//!
+//! # Accuracy
+//!
+//! Maps and points are in single precision on both sides; geometry as read from files is in double.
+//! Tests hold statements about accuracy against closed forms: transmittance of a uniform ball, normals
+//! under linear maps and a twist, the path through a cut slab, a translated volume against a
+//! translation map, a deformed sphere as an ellipsoid.
