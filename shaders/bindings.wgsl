@@ -36,18 +36,15 @@ override BEHIND: u32 = 0u;
 override CUTS: u32 = 8u;
 // 1: the faces of cuts are painted grey.
 override GREY_FACES: u32 = 0u;
-// 0 the volume; its surface at frame.iso, lit 1 by the gradient, 2 by the derivative towards the light.
-override ISO: u32 = 0u;
+// ISO_NONE shows the volume; else its surface at frame.iso, and how that is lit.
+override ISO: u32 = ISO_NONE;
 // Number of maps in the stack.
 override MAPS: u32 = 64u;
 // 1: the map behind the last one stands for all of them wherever its texels are not marked.
 override PRECOMPOSED: u32 = 0u;
-// 0 none, 1 source, 2 transformed, 3 blended.
-override NORMALS: u32 = 3u;
-// 0 composite, 1 MIP, 2 MinIP, 3 average.
-override BLEND: u32 = 0u;
-// 0 central differences, 1 Sobel.
-override GRADIENT: u32 = 0u;
+override NORMALS: u32 = NORMALS_BLENDED;
+override BLEND: u32 = BLEND_COMPOSITE;
+override GRADIENT: u32 = GRADIENT_CENTRAL;
 // 1: colour and opacity are those of segments between samples.
 override PREINTEGRATED: u32 = 0u;
 // Slices of one slab; 1 for slices of a mesh.

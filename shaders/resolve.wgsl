@@ -10,7 +10,7 @@ fn vertex(@builtin(vertex_index) index: u32) -> @builtin(position) vec4<f32> {
 @fragment
 fn fragment(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
     let g = textureLoad(projection_values, vec2<i32>(position.xy), 0);
-    let color = projection_color(select(g.r, -g.r, BLEND == 2u), g.g);
+    let color = projection_color(select(g.r, -g.r, BLEND == BLEND_MINIP), g.g);
     if BEHIND == 0u {
         return color;
     }

@@ -35,10 +35,10 @@ fn fragment(slab: Slab) -> @location(0) vec4<f32> {
         end = min(end, first_sample_after(textureLoad(behind_t, vec2<i32>(slab.position.xy), 0).r - shift, step));
     }
     let all = composite(slab.position.xy, ray, first, end, step);
-    if BLEND == 0u {
+    if BLEND == BLEND_COMPOSITE {
         return all.color;
     }
     // Red: the value (negated for the minimum), for the blend unit's maximum or sum; green: whether, or how often.
-    let value = select(-1e4, select(all.projected, -all.projected, BLEND == 2u), all.matter > 0.0);
-    return vec4<f32>(select(value, all.projected, BLEND == 3u), select(min(all.matter, 1.0), all.matter, BLEND == 3u), 0.0, 0.0);
+    let value = select(-1e4, select(all.projected, -all.projected, BLEND == BLEND_MINIP), all.matter > 0.0);
+    return vec4<f32>(select(value, all.projected, BLEND == BLEND_AVERAGE), select(min(all.matter, 1.0), all.matter, BLEND == BLEND_AVERAGE), 0.0, 0.0);
 }

@@ -7,7 +7,7 @@ use incise::render::uniforms::{
 };
 
 fn module(program: Program, counting: bool) -> naga::Module {
-    let source = program.source(counting);
+    let source = program.source(incise::render::constants::wgsl_constants(), counting);
     naga::front::wgsl::parse_str(&source).unwrap_or_else(|e| panic!("{program:?}: {}", e.emit_to_string(&source)))
 }
 

@@ -37,10 +37,10 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Ray
     let inverse_direction = 1.0 / ray.direction;
     let length = step / frame.reference_mm;
     let half = half_vector(ray.direction);
-    let needs_gradients = BLEND == 0u && ISO == 0u && (is_lit() || uses_gradient_opacity());
+    let needs_gradients = BLEND == BLEND_COMPOSITE && ISO == ISO_NONE && (is_lit() || uses_gradient_opacity());
     var i = first;
     var color = vec4<f32>(0.0);
-    var projected = select(0.0, select(-1e30, 1e30, BLEND == 2u), BLEND != 3u);
+    var projected = select(0.0, select(-1e30, 1e30, BLEND == BLEND_MINIP), BLEND != BLEND_AVERAGE);
     var matter = 0.0;
     var taken = 0u;
     var skipped = 0u;
@@ -86,17 +86,17 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Ray
             // Matter comes in runs: what lies behind something visible is likely to be shaded too.
             at = sample_scene_and_gradient(sampled, needs_gradients && i - 1 == last_at && last_depth > 0.0);
             // The same point, to the bit, whether or not it was looked at.
-            front = PreviousSample(sampled - ray.direction * step, -3.0);
+            front = PreviousSample(sampled - ray.direction * step, NOT_SAMPLED);
             if share == 1.0 {
                 front.point = ray.origin + ray.direction * ((f32(i) - 1.5) * step);
-                front.depth = select(-3.0, last_depth, last_at == i - 1);
+                front.depth = select(NOT_SAMPLED, last_depth, last_at == i - 1);
             }
-            if BLEND != 0u {
+            if BLEND != BLEND_COMPOSITE {
                 if at.present {
                     matter += 1.0;
                     switch BLEND {
-                        case 1u: { projected = max(projected, at.value); }
-                        case 2u: { projected = min(projected, at.value); }
+                        case BLEND_MIP: { projected = max(projected, at.value); }
+                        case BLEND_MINIP: { projected = min(projected, at.value); }
                         default: { projected += at.value; }
                     }
                 }
@@ -105,7 +105,7 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Ray
             if PREINTEGRATED == 0u {
                 found = visible_sample(at, sampled);
                 if share == 1.0 {
-                    last_depth = select(-2.0, found.depth, at.present);
+                    last_depth = select(ABSENT, found.depth, at.present);
                     last_at = i;
                 }
             } else {
@@ -122,7 +122,7 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Ray
                 }
                 found = visible_segment_sample(at, front, sampled);
             }
-            if ISO != 0u {
+            if ISO != ISO_NONE {
                 stop = (at.present && at.value >= frame.iso) || (GREY_FACES != 0u && at.present && is_near_cut_face(at, sampled, step));
             } else {
                 stop = found.depth > 0.0 || is_near_mask_edge(at) || (GREY_FACES != 0u && at.present && is_near_cut_face(at, sampled, step));
@@ -135,7 +135,7 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Ray
                 terminated += u32(max(end - i, 0));
                 break;
             }
-            if ISO != 0u {
+            if ISO != ISO_NONE {
                 continue;
             }
             color += shaded_sample(at, found, front, cut_free, ray.direction, half, step, length * share) * (1.0 - color.a);

@@ -10,10 +10,10 @@ fn to_box(p: vec3<f32>, half: vec3<f32>) -> f32 {
 fn solid_distance(k: u32, p: vec3<f32>) -> f32 {
     let n = solids[k].numbers;
     switch solids[k].solid {
-        case 0u: { return n.x - length(p); }
-        case 1u: { return -to_box(p, n.xyz); }
-        case 2u: { return n.y - length(vec2<f32>(length(p.xy) - n.x, p.z)); }
-        case 3u: {
+        case SOLID_SPHERE: { return n.x - length(p); }
+        case SOLID_BOX: { return -to_box(p, n.xyz); }
+        case SOLID_TORUS: { return n.y - length(vec2<f32>(length(p.xy) - n.x, p.z)); }
+        case SOLID_CYLINDER: {
             let d = vec2<f32>(length(p.xy) - n.x, abs(p.z) - n.y);
             return -(length(max(d, vec2<f32>(0.0))) + min(max(d.x, d.y), 0.0));
         }
@@ -31,8 +31,8 @@ fn formula_distance(world: vec3<f32>) -> f32 {
     for (var k = 0u; k < object.solids; k += 1u) {
         let d = solid_distance(k, transform_point(solids[k].local_from_world, world));
         switch solids[k].join {
-            case 0u: { all = max(all, d); }
-            case 1u: { all = min(all, d); }
+            case JOIN_UNION: { all = max(all, d); }
+            case JOIN_INTERSECT: { all = min(all, d); }
             default: { all = min(all, -d); }
         }
     }

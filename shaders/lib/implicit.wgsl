@@ -47,8 +47,8 @@ fn depth_value(world: vec3<f32>) -> f32 {
 
 fn implicit_value(world: vec3<f32>) -> f32 {
     switch object.kind {
-        case 0u: { return grid_distance(world); }
-        case 1u: { return formula_distance(world); }
+        case IMPLICIT_GRID: { return grid_distance(world); }
+        case IMPLICIT_FORMULA: { return formula_distance(world); }
         default: { return depth_value(world); }
     }
 }

@@ -262,21 +262,21 @@ fn removal(q: vec3<f32>) -> vec4<f32> {
 
 fn backward_of(q: vec3<f32>) -> vec4<f32> {
     switch recipe.kind {
-        case 0u: { return pull(q); }
-        case 1u: { return spline_pull(q); }
-        case 2u: { return wave(q); }
-        case 3u: { return twist(q); }
-        case 4u: { return bend(q); }
-        case 5u: { return taper(q); }
-        case 6u: { return shear(q); }
-        case 7u: { return bulge(q); }
-        case 8u: { return peel(q); }
-        case 9u: { return slab(q); }
-        case 10u: { return explode(q); }
-        case 11u: { return seam(q); }
-        case 12u: { return book(q); }
-        case 13u: { return knife(q); }
-        case 14u: { return retractor(q); }
+        case FORMULA_PULL: { return pull(q); }
+        case FORMULA_SPLINE_PULL: { return spline_pull(q); }
+        case FORMULA_WAVE: { return wave(q); }
+        case FORMULA_TWIST: { return twist(q); }
+        case FORMULA_BEND: { return bend(q); }
+        case FORMULA_TAPER: { return taper(q); }
+        case FORMULA_SHEAR: { return shear(q); }
+        case FORMULA_BULGE: { return bulge(q); }
+        case FORMULA_PEEL: { return peel(q); }
+        case FORMULA_SLAB: { return slab(q); }
+        case FORMULA_EXPLODE: { return explode(q); }
+        case FORMULA_SEAM: { return seam(q); }
+        case FORMULA_BOOK: { return book(q); }
+        case FORMULA_KNIFE: { return knife(q); }
+        case FORMULA_RETRACTOR: { return retractor(q); }
         default: { return removal(q); }
     }
 }

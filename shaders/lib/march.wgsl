@@ -70,7 +70,7 @@ fn opaque_face(at: SceneSample, deformed: vec3<f32>, direction: vec3<f32>, step:
             return vec4<f32>(vec3<f32>(grey), 1.0);
         }
     }
-    if ISO != 0u && at.present && at.value >= frame.iso {
+    if ISO != ISO_NONE && at.present && at.value >= frame.iso {
         return vec4<f32>(iso_surface(deformed, direction, step), 1.0);
     }
     return vec4<f32>(0.0);

@@ -4,7 +4,7 @@ fn projection_color(projected: f32, matter: f32) -> vec4<f32> {
     if matter < 0.5 {
         return vec4<f32>(0.0);
     }
-    let t = lookup(select(projected, projected / matter, BLEND == 3u));
+    let t = lookup(select(projected, projected / matter, BLEND == BLEND_AVERAGE));
     let alpha = 1.0 - exp2(-t.a);
     return vec4<f32>(t.rgb * alpha, alpha);
 }

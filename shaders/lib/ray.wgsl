@@ -18,7 +18,7 @@ fn ray_color(position: vec2<f32>) -> vec4<f32> {
     let step = frame.step_mm;
     let all = composite(position, ray, first_sample_after(range.x, step), first_sample_after(range.y, step), step);
     var color = all.color;
-    if BLEND != 0u {
+    if BLEND != BLEND_COMPOSITE {
         color = projection_color(all.projected, all.matter);
     }
     return color + surface * (1.0 - color.a);

@@ -27,7 +27,7 @@ struct Normal {
 }
 
 fn is_lit() -> bool {
-    return NORMALS != 0u;
+    return NORMALS != NORMALS_NONE;
 }
 
 fn uses_gradient_opacity() -> bool {
@@ -64,14 +64,19 @@ fn path_fraction(cut: NearestCut, deformed: vec3<f32>, direction: vec3<f32>, ste
     return 0.5 + clamp(cut.distance_mm / across, 0.0, 1.0);
 }
 
-// depth: that of the sample there if it is dense enough, -1 if it is thinner, -2 if nothing is there at all.
+// What stands for an optical depth where there is none: matter, but less than half as dense; no matter; no sample was taken.
+const THINNER: f32 = -1.0;
+const ABSENT: f32 = -2.0;
+const NOT_SAMPLED: f32 = -3.0;
+
+// The sample there, if it is at least half as dense as `depth`; else its depth is THINNER or ABSENT.
 fn dense_sample(deformed: vec3<f32>, depth: f32) -> VisibleSample {
     let v = sample_scene(deformed);
     if !v.present {
-        return VisibleSample(deformed, v.in_voxel, vec3<f32>(0.0), -2.0, 0.0, NOT_FETCHED, false);
+        return VisibleSample(deformed, v.in_voxel, vec3<f32>(0.0), ABSENT, 0.0, NOT_FETCHED, false);
     }
     let t = lookup(v.value);
-    return VisibleSample(deformed, v.in_voxel, t.rgb, select(-1.0, t.a, t.a >= 0.5 * depth), v.value, v.gradient, v.has_gradient);
+    return VisibleSample(deformed, v.in_voxel, t.rgb, select(THINNER, t.a, t.a >= 0.5 * depth), v.value, v.gradient, v.has_gradient);
 }
 
 struct SurfaceEntry {
@@ -83,20 +88,20 @@ struct SurfaceEntry {
 // What is known of the point one step in front of a sample.
 struct PreviousSample {
     point: vec3<f32>,
-    // Its optical depth; -2 if nothing is there, -3 if it has not been looked at.
+    // Its optical depth, ABSENT or NOT_SAMPLED.
     depth: f32,
 }
 
 // Where the ray entered the matter that a sample lies in, if it did so within the last step.
 fn entry(s: VisibleSample, front: PreviousSample, direction: vec3<f32>, step_mm: f32) -> SurfaceEntry {
     var before = front.depth;
-    if before < -2.5 {
+    if before == NOT_SAMPLED {
         before = dense_sample(front.point, s.depth).depth;
     }
     if before >= 0.5 * s.depth {
         return SurfaceEntry(s, false, false);
     }
-    var through_cut = before < -1.5;
+    var through_cut = before == ABSENT;
     var first = s;
     var width = step_mm;
     for (var n = 0; n < ENTRY_STEPS; n += 1) {
@@ -105,7 +110,7 @@ fn entry(s: VisibleSample, front: PreviousSample, direction: vec3<f32>, step_mm:
         if nearer.depth >= 0.0 {
             first = nearer;
         } else {
-            through_cut = nearer.depth < -1.5;
+            through_cut = nearer.depth == ABSENT;
         }
     }
     if PREINTEGRATED != 0u {
@@ -122,7 +127,7 @@ fn surface_confidence(gradient_in_source: vec3<f32>) -> f32 {
 
 fn shaded_normal(d_source_d_deformed: mat3x3<f32>, gradient_in_source: vec3<f32>, cut: NearestCut, direction: vec3<f32>) -> Normal {
     var g = gradient_in_source;
-    if NORMALS >= 2u {
+    if NORMALS == NORMALS_TRANSFORMED || NORMALS == NORMALS_BLENDED {
         g = transpose(d_source_d_deformed) * g;
     }
     var confidence = surface_confidence(gradient_in_source);
@@ -130,7 +135,7 @@ fn shaded_normal(d_source_d_deformed: mat3x3<f32>, gradient_in_source: vec3<f32>
     if frame.two_sided != 0u && dot(normal, direction) > 0.0 {
         normal = -normal;
     }
-    if NORMALS == 3u && cut.distance_mm < frame.blend_far_mm {
+    if NORMALS == NORMALS_BLENDED && cut.distance_mm < frame.blend_far_mm {
         let own = smoothstep(frame.blend_near_mm, frame.blend_far_mm, cut.distance_mm);
         normal = normalize_or(normal * (own * confidence) + cut.normal * (1.0 - own), cut.normal);
         confidence = max(own * confidence, 1.0 - own);
@@ -138,20 +143,10 @@ fn shaded_normal(d_source_d_deformed: mat3x3<f32>, gradient_in_source: vec3<f32>
     return Normal(normal, confidence);
 }
 
-// Where highlights are: half-way between the light and the eye.
-fn half_vector(direction: vec3<f32>) -> vec3<f32> {
-    return normalize_or(frame.to_light - direction, frame.to_light);
-}
-
 fn light(n: Normal, half: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
     let even = frame.ambient + ISOTROPIC_DIFFUSE * frame.diffuse;
-    let facing = dot(n.normal, frame.to_light);
-    let diffuse = frame.ambient + frame.diffuse * max(facing, 0.0);
-    var highlight = 0.0;
-    if facing > 0.0 {
-        highlight = frame.specular * pow(max(dot(n.normal, half), 0.0), frame.shininess);
-    }
-    let lit = color * diffuse + highlight;
+    let shone = shine(dot(n.normal, frame.to_light), dot(n.normal, half), frame.specular, frame.shininess);
+    let lit = color * shone.x + shone.y;
     return clamp(mix(color * even, lit, n.confidence), vec3<f32>(0.0), vec3<f32>(1.0));
 }
 
@@ -270,7 +265,7 @@ fn iso_surface(deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> vec3<
     if !is_lit() {
         return color;
     }
-    if ISO == 2u && !through_cut {
+    if ISO == ISO_DERIVATIVE && !through_cut {
         return clamp(color * (frame.ambient + frame.diffuse * light_cosine_by_derivative(inside)), vec3<f32>(0.0), vec3<f32>(1.0));
     }
     let j = jet(inside);
@@ -301,7 +296,7 @@ const CUT_LOOKBACK_STEPS: i32 = 4;
 
 // A cut near a sample in the midst of matter, if the ray came out of it; none if it came through another surface since, or goes towards it.
 fn cut_in_front(cut: NearestCut, s: VisibleSample, direction: vec3<f32>) -> NearestCut {
-    if NORMALS != 3u || cut.distance_mm >= frame.blend_far_mm {
+    if NORMALS != NORMALS_BLENDED || cut.distance_mm >= frame.blend_far_mm {
         return cut;
     }
     let facing = -dot(cut.normal, direction);
@@ -314,7 +309,7 @@ fn cut_in_front(cut: NearestCut, s: VisibleSample, direction: vec3<f32>) -> Near
         if back >= 0.0 {
             return cut;
         }
-        if back > -1.5 {
+        if back == THINNER {
             return NO_CUT;
         }
         way *= 0.5;

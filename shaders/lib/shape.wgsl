@@ -5,17 +5,17 @@ const HALF_PI: f32 = 1.5707964;
 // Distance from a shape, mm, positive outside; q in the shape's own millimetres.
 fn outside_shape(shape: u32, q: vec3<f32>, half: vec3<f32>, half_angle: f32) -> f32 {
     switch shape {
-        case 0u: { return half.z - q.z; }
-        case 1u: {
+        case SHAPE_HALF_SPACE: { return half.z - q.z; }
+        case SHAPE_BOX: {
             let d = abs(q) - half;
             return length(max(d, vec3<f32>(0.0))) + min(max(d.x, max(d.y, d.z)), 0.0);
         }
-        case 2u: { return (length(q / half) - 1.0) * min(half.x, min(half.y, half.z)); }
-        case 3u: {
+        case SHAPE_ELLIPSOID: { return (length(q / half) - 1.0) * min(half.x, min(half.y, half.z)); }
+        case SHAPE_CYLINDER: {
             let d = vec2<f32>(length(q.xy) - half.x, abs(q.z) - half.z);
             return length(max(d, vec2<f32>(0.0))) + min(max(d.x, d.y), 0.0);
         }
-        case 4u: {
+        case SHAPE_WEDGE: {
             let r = length(q.xy);
             let beyond = atan2(abs(q.y), q.x) - half_angle;
             let side = select(r * sign(beyond), r * sin(beyond), abs(beyond) < HALF_PI);

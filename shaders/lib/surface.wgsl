@@ -140,11 +140,11 @@ fn step_length(here: SurfaceSample, slope: f32, exit: f32) -> f32 {
     let even = object.step_mm;
     let room = max(exit - here.t, 0.0) + 0.01 * even + MIN_ADVANCE * here.t;
     switch object.steps {
-        case 0u: { return even; }
-        case 1u: { return select(even, even * THRESHOLD_STEP, abs(here.f) < object.threshold_mm); }
-        case 2u: { return min(even / slope, room); }
+        case STEPS_UNIFORM: { return even; }
+        case STEPS_THRESHOLD: { return select(even, even * THRESHOLD_STEP, abs(here.f) < object.threshold_mm); }
+        case STEPS_JACOBIAN: { return min(even / slope, room); }
         default: {
-            if object.kind == 2u {
+            if object.kind == IMPLICIT_DEPTH {
                 return even;
             }
             let shortest = MIN_SPHERE_STEP * even / max(slope, 1.0);
@@ -228,8 +228,6 @@ fn surface_normal(p: vec3<f32>, side: u32) -> vec3<f32> {
 fn surface_light(normal_in: vec3<f32>, direction: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
     let away = max(dot(normal_in, direction), 0.0);
     let normal = normalize_or(normal_in - direction * away, -direction);
-    let facing = dot(normal, frame.to_light);
-    let half = half_vector(direction);
-    let highlight = select(0.0, object.highlight * pow(max(dot(normal, half), 0.0), object.shininess), facing > 0.0);
-    return clamp(color * (frame.ambient + frame.diffuse * max(facing, 0.0)) + highlight, vec3<f32>(0.0), vec3<f32>(1.0));
+    let shone = shine(dot(normal, frame.to_light), dot(normal, half_vector(direction)), object.highlight, object.shininess);
+    return clamp(color * shone.x + shone.y, vec3<f32>(0.0), vec3<f32>(1.0));
 }

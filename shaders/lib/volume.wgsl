@@ -29,7 +29,7 @@ fn sample_scene_and_gradient(deformed: vec3<f32>, with_gradient: bool) -> SceneS
     if source.w < 0.5 || any(in_voxel < vec3<f32>(-0.5)) || any(in_voxel > frame.grid_size - 0.5) {
         return SceneSample(in_voxel, 0.0, false, source.w, NOT_FETCHED, false);
     }
-    if with_gradient && GRADIENT == 0u && frame.gradient_scale != 0.0 {
+    if with_gradient && GRADIENT == GRADIENT_CENTRAL && frame.gradient_scale != 0.0 {
         let both = sample_gradients(in_voxel);
         return SceneSample(in_voxel, both.w, frame.has_holes == 0u || both.w >= -1e-4, source.w, both.xyz * frame.gradient_scale, is_in_grid(in_voxel));
     }
@@ -55,7 +55,7 @@ fn is_in_grid(p: vec3<f32>) -> bool {
 
 // Gradient of the normalised value per voxel along i, j, k.
 fn gradient(p: vec3<f32>) -> vec3<f32> {
-    if GRADIENT == 0u {
+    if GRADIENT == GRADIENT_CENTRAL {
         if frame.gradient_scale != 0.0 && is_in_grid(p) {
             return sample_gradients(p).xyz * frame.gradient_scale;
         }

@@ -39,7 +39,7 @@
 //! and 298 for the CT twisted. Packets go down columns of 16 rows, so that what one has fetched of the volume the next still finds in the cache: an
 //! eighth of haze's time. Fetches check a lane's cell once, not each of its rows ([`crate::math::cells::Strides`]), and no structure of registers is
 //! copied by a call: a tenth each. Rays are made and meet the box in lanes. Values come alone where most looks show nothing, with differences and
-//! colours where most show something ([`packet::FetchPolicy`]); in haze half of the lanes are enough to shade, and in the midst of matter macrocells are not
+//! colours where most show something ([`march::FetchPolicy`]); in haze half of the lanes are enough to shade, and in the midst of matter macrocells are not
 //! asked ([`crate::prepare::Macrocells::blocks_lanes`]). Without any volume of gradients surfaces now take the same time, and haze a tenth more.
 //!
 //! Then, alternating in one run again: 157 became 128 and 221 became 182 as haze, 20 became 19 and 32 became 31 as surfaces, and 221 became 198 for the
@@ -61,7 +61,9 @@
 //!
 //! `shaders/lib` says the same in the same words.
 
-pub mod packet;
+pub mod march;
+mod packet;
+mod packet_shading;
 pub mod pick;
 pub mod section;
 pub mod shading;
@@ -75,7 +77,8 @@ use crate::transfer::Blend;
 use crate::volume::{VolumeSampler, Voxel, VoxelGridValues};
 use crate::{Result, Watch};
 use glam::Vec3;
-use packet::{FetchPolicy, RayMarcher, RayPacket};
+use march::{FetchPolicy, RayPacket};
+use packet::RayMarcher;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -197,7 +200,7 @@ impl<T: Voxel> SimdKernel for RowStrip<'_, T> {
                     // Samples are shifted by moving where the ray is measured from.
                     let direction = direction.lane(n);
                     let slant = if scene.settings.mode == Mode::Slice { direction.dot(frame.view.forward) } else { 1.0 };
-                    let shift = packet::pixel_shift((x + n % 4) as u32, (self.top + y + n / 4) as u32) * frame.steps.step_mm / slant;
+                    let shift = march::pixel_shift((x + n % 4) as u32, (self.top + y + n / 4) as u32) * frame.steps.step_mm / slant;
                     rays.origin.set(n, origin.lane(n) + direction * shift);
                     rays.until[n] = (rays.until[n] - shift).max(0.0);
                 }

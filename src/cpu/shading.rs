@@ -400,15 +400,13 @@ pub fn normal(scene: &Prepared, d_source_d_deformed: &Mat3, gradient_in_source: 
     Normal { normal, confidence }
 }
 
-/// Blinn-Phong under one directional light.
+/// The light on a sample; even where it has no normal.
 fn light(scene: &Prepared, n: Normal, direction: Vec3, color: Vec3) -> Vec3 {
     let light = &scene.light;
     let to_light = scene.frame.to_light;
     let even = light.ambient + ISOTROPIC_DIFFUSE * light.diffuse;
-    let facing = n.normal.dot(to_light);
-    let diffuse = light.ambient + light.diffuse * facing.max(0.0);
     let half = normalize_or(to_light - direction, to_light);
-    let highlight = if facing > 0.0 { light.specular * n.normal.dot(half).max(0.0).powf(light.shininess) } else { 0.0 };
+    let (diffuse, highlight) = light.blinn_phong().shine(n.normal.dot(to_light), n.normal.dot(half));
     let lit = color * diffuse + highlight;
     (color * even + (lit - color * even) * n.confidence).clamp(Vec3::ZERO, Vec3::ONE)
 }

@@ -20,6 +20,7 @@
 //! `shaders/surface.wgsl` and `shaders/lib/surface.wgsl` say the same.
 
 use crate::deform::{Jet, NearestCut};
+use crate::math::light::BlinnPhong;
 use crate::math::{normalize_or, smoothstep};
 use crate::mesh::MeshHit;
 use crate::prepare::Prepared;
@@ -358,10 +359,10 @@ fn shade_triangle(scene: &Prepared, object: &SurfaceObject, triangles: &Triangle
 fn light(scene: &Prepared, object: &SurfaceObject, normal: Vec3, direction: Vec3, color: Vec3) -> Vec3 {
     let away = normal.dot(direction).max(0.0);
     let normal = normalize_or(normal - direction * away, -direction);
-    let (light, to_light) = (&scene.light, scene.frame.to_light);
-    let facing = normal.dot(to_light);
+    let to_light = scene.frame.to_light;
     let half = normalize_or(to_light - direction, to_light);
-    let [strength, exponent] = object.look.highlight;
-    let highlight = if facing > 0.0 { strength * normal.dot(half).max(0.0).powf(exponent) } else { 0.0 };
-    (color * (light.ambient + light.diffuse * facing.max(0.0)) + highlight).clamp(Vec3::ZERO, Vec3::ONE)
+    let [specular, shininess] = object.look.highlight;
+    let light = BlinnPhong { specular, shininess, ..scene.light.blinn_phong() };
+    let (diffuse, highlight) = light.shine(normal.dot(to_light), normal.dot(half));
+    (color * diffuse + highlight).clamp(Vec3::ZERO, Vec3::ONE)
 }

@@ -39,10 +39,11 @@ macro_rules! piece {
     };
 }
 
-const SHARED: [&str; 9] = [
+const SHARED: [&str; 10] = [
     piece!("types/frame.wgsl"),
     piece!("bindings.wgsl"),
     piece!("lib/math.wgsl"),
+    piece!("lib/light.wgsl"),
     piece!("lib/stack.wgsl"),
     piece!("lib/shape.wgsl"),
     piece!("lib/cut.wgsl"),
@@ -77,8 +78,8 @@ impl Program {
         Self::Mesh,
     ];
 
-    /// The program's whole text; `counting` keeps the sample counts.
-    pub fn source(self, counting: bool) -> String {
+    /// The program's whole text, `constants` first; `counting` keeps the sample counts.
+    pub fn source(self, constants: &str, counting: bool) -> String {
         let count = if counting { piece!("lib/count.wgsl") } else { piece!("lib/count_disabled.wgsl") };
         let own: &[&str] = match self {
             Self::Raycast => &[MARCH, COMPOSITE, piece!("lib/projection.wgsl"), piece!("lib/ray.wgsl"), count, piece!("raycast.wgsl")],
@@ -102,6 +103,6 @@ impl Program {
         };
         // What makes maps reads no scene.
         let shared: &[&str] = if matches!(self, Self::Sample | Self::Encode | Self::Bounds) { &[] } else { &SHARED };
-        shared.iter().chain(of_surfaces).chain(own).copied().collect::<Vec<_>>().join("\n")
+        std::iter::once(constants).chain(shared.iter().chain(of_surfaces).chain(own).copied()).collect::<Vec<_>>().join("\n")
     }
 }

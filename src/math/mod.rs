@@ -6,6 +6,7 @@ pub mod distance;
 mod distance_grid;
 pub mod interpolate;
 pub mod lanes;
+pub mod light;
 pub mod pyramid;
 mod redistance;
 

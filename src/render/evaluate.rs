@@ -1,5 +1,6 @@
 //! The shaders' functions at many points: numbers for tests, and stacks composed on the device.
 
+use super::constants::wgsl_constants;
 use super::uniforms::{CutShapeUniform, PlacedMapUniform};
 use super::work::ResourceKind;
 use super::{Renderer, overrides};
@@ -143,7 +144,7 @@ impl Renderer {
         let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor { label: None, bind_group_layouts: &layouts, immediate_size: 0 });
         let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some(&format!("{program:?}")),
-            source: wgpu::ShaderSource::Wgsl(program.source(counting).into()),
+            source: wgpu::ShaderSource::Wgsl(program.source(wgsl_constants(), counting).into()),
         });
         device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label: Some(&format!("{program:?}")),

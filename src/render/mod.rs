@@ -37,6 +37,7 @@
 
 mod atlas;
 mod cache;
+pub mod constants;
 mod draw;
 mod evaluate;
 mod pass_timer;
@@ -60,6 +61,7 @@ use crate::transfer::Blend;
 use crate::volume::GradientFilter;
 use crate::{Error, Result, Watch};
 use cache::SceneCache;
+use constants::wgsl_constants;
 use draw::Draw;
 use pass_timer::PassTimer;
 use std::collections::HashMap;
@@ -81,13 +83,13 @@ struct Variant {
     maps: usize,
     precomposed: bool,
     normals: Normals,
-    blend: u32,
+    blend: Blend,
     gradient: GradientFilter,
     slab: u32,
     preintegrated: bool,
     cuts: usize,
     grey_faces: bool,
-    iso: u32,
+    iso: Option<IsoLight>,
     behind: bool,
     colors: bool,
     exact: bool,
@@ -278,22 +280,12 @@ impl Renderer {
             maps: scene.stack.maps().len(),
             precomposed: scene.stack.precomposed().is_some(),
             normals: if scene.is_lit() { scene.settings.normals } else { Normals::None },
-            blend: match scene.volume().blend {
-                Blend::Composite => 0,
-                Blend::Mip => 1,
-                Blend::Minip => 2,
-                Blend::Average => 3,
-            },
+            blend: scene.volume().blend,
             gradient: scene.gradient_filter(),
             slab: if program != Program::Slice || scene.proxy_mesh.is_some() { 1 } else { slices::SLICES_PER_SLAB as u32 },
             cuts: scene.cuts.primitives().len(),
             grey_faces: scene.grey_faces(),
-            iso: match (scene.volume().iso, scene.settings.iso_light) {
-                _ if scene.volume().blend != Blend::Composite => 0,
-                (None, _) => 0,
-                (Some(_), IsoLight::Gradient) => 1,
-                (Some(_), IsoLight::Derivative) => 2,
-            },
+            iso: scene.volume().iso.filter(|_| scene.volume().blend == Blend::Composite).map(|_| scene.settings.iso_light),
             colors: scene.volume().colors.is_some(),
             preintegrated: scene.preintegrated() && march,
             behind: (march || matches!(program, Program::Resolve | Program::SurfacesBehind)) && !scene.surfaces.objects.is_empty(),
@@ -329,7 +321,7 @@ impl Renderer {
         let device = &self.device.device;
         let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some(&format!("{:?}", variant.program)),
-            source: wgpu::ShaderSource::Wgsl(variant.program.source(variant.counting).into()),
+            source: wgpu::ShaderSource::Wgsl(variant.program.source(wgsl_constants(), variant.counting).into()),
         });
         let constants = overrides(&variant);
         let options = wgpu::PipelineCompilationOptions { constants: &constants, ..Default::default() };
@@ -345,12 +337,12 @@ impl Renderer {
             wgpu::BlendState { color: component, alpha: component }
         };
         let (format, blend) = match (variant.program, variant.blend) {
-            (Program::Slice | Program::SurfacesBehind, 0) => (TextureFormat::Rgba16Float, Some(under)),
-            (Program::Slice, 3) => (PROJECTION_FORMAT, Some(gather(wgpu::BlendOperation::Add))),
+            (Program::Slice | Program::SurfacesBehind, Blend::Composite) => (TextureFormat::Rgba16Float, Some(under)),
+            (Program::Slice, Blend::Average) => (PROJECTION_FORMAT, Some(gather(wgpu::BlendOperation::Add))),
             (Program::Slice, _) => (PROJECTION_FORMAT, Some(gather(wgpu::BlendOperation::Max))),
             _ => (TextureFormat::Rgba16Float, None),
         };
-        let masked = matches!((variant.program, variant.blend), (Program::Slice, 0) | (Program::Opaque, _));
+        let masked = matches!((variant.program, variant.blend), (Program::Slice, Blend::Composite) | (Program::Opaque, _));
         let has_corners = matches!(variant.program, Program::Slice | Program::Opaque);
         let color = [Some(wgpu::ColorTargetState { format, blend, write_mask: wgpu::ColorWrites::ALL })];
         let own_layout = match variant.program {
@@ -413,24 +405,17 @@ impl Renderer {
 
 /// Values of the shaders' `override` constants.
 fn overrides(variant: &Variant) -> [(&'static str, f64); 13] {
-    let normals = match variant.normals {
-        Normals::None => 0.0,
-        Normals::Source => 1.0,
-        Normals::Transformed => 2.0,
-        Normals::Blended => 3.0,
-    };
-    let gradient = if variant.gradient == GradientFilter::Sobel { 1.0 } else { 0.0 };
     [
         ("MAPS", variant.maps as f64),
         ("PRECOMPOSED", f64::from(u8::from(variant.precomposed))),
-        ("NORMALS", normals),
-        ("BLEND", f64::from(variant.blend)),
-        ("GRADIENT", gradient),
+        ("NORMALS", f64::from(variant.normals as u32)),
+        ("BLEND", f64::from(variant.blend as u32)),
+        ("GRADIENT", f64::from(variant.gradient as u32)),
         ("SLAB", f64::from(variant.slab)),
         ("PREINTEGRATED", f64::from(u8::from(variant.preintegrated))),
         ("CUTS", variant.cuts as f64),
         ("GREY_FACES", f64::from(u8::from(variant.grey_faces))),
-        ("ISO", f64::from(variant.iso)),
+        ("ISO", f64::from(constants::iso(variant.iso))),
         ("COLORS", f64::from(u8::from(variant.colors))),
         ("BEHIND", f64::from(u8::from(variant.behind))),
         ("EXACT", f64::from(u8::from(variant.exact))),

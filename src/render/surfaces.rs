@@ -6,6 +6,7 @@
 //! An object in two stages has its triangles drawn into a layer beside, which its rays read and blend with.
 
 use super::cache::{RenderTexture, SceneBindings};
+use super::constants::wgsl_constants;
 use super::pass_timer::PassTimer;
 use super::uniforms::{DeformerUniform, PlacedSolidUniform, SurfaceObjectUniform};
 use super::work::ResourceKind;
@@ -318,7 +319,7 @@ impl Renderer {
         let device = &self.device.device;
         let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some(&format!("{:?}", variant.program)),
-            source: wgpu::ShaderSource::Wgsl(variant.program.source(variant.counting).into()),
+            source: wgpu::ShaderSource::Wgsl(variant.program.source(wgsl_constants(), variant.counting).into()),
         });
         let constants = overrides(&variant);
         let options = wgpu::PipelineCompilationOptions { constants: &constants, ..Default::default() };

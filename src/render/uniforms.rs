@@ -1,10 +1,11 @@
 //! What the shaders read besides textures: `shaders/types/frame.wgsl` in Rust. A test compares names, offsets and sizes.
 
+use super::constants::{DeformKind, ImplicitKind, SolidKind};
 use crate::deform::cut::CutShape;
 use crate::deform::{FORMULA_NUMBERS, MAX_MAPS, PlacedMap};
 use crate::mesh::Implicit;
-use crate::mesh::deformer::{Deformer, DeformerKind, NormalMethod};
-use crate::mesh::formula::{CsgOperation, PlacedSolid, Solid};
+use crate::mesh::deformer::{Deformer, DeformerKind};
+use crate::mesh::formula::{PlacedSolid, Solid};
 use crate::prepare::objects::{Stage, SurfaceObject};
 use crate::prepare::{CellGrid, Prepared, VisibilityCriteria};
 use crate::scene::Projection;
@@ -260,11 +261,7 @@ impl SurfaceObjectUniform {
             rigid: u32::from(object.rigid),
             both: u32::from(matches!(object.stage, Stage::Both(_))),
             deformers: object.deformers.len() as u32,
-            normal_method: match object.normals {
-                NormalMethod::InverseTranspose => 0,
-                NormalMethod::Tangent => 1,
-                NormalMethod::Numeric => 2,
-            },
+            normal_method: object.normals as u32,
             vertex_offset_mm: crate::mesh::deformer::vertex_offset_mm(&object.deformers),
             ..Self::zeroed()
         };
@@ -274,9 +271,9 @@ impl SurfaceObjectUniform {
                 u.world_from_grid = affine(&g.world_from_grid);
                 u.size = g.size.map(|n| n as f32);
             }
-            Some(Implicit::Formula(f)) => (u.kind, u.solids) = (1, f.0.len() as u32),
+            Some(Implicit::Formula(f)) => (u.kind, u.solids) = (ImplicitKind::Formula as u32, f.0.len() as u32),
             Some(Implicit::Depth(d)) => {
-                (u.kind, u.face) = (2, d.faces[0]);
+                (u.kind, u.face) = (ImplicitKind::Depth as u32, d.faces[0]);
                 u.size = [d.size, d.size, d.faces.len()].map(|n| n as f32);
                 (u.low, u.high) = (d.bounds.min.into(), d.bounds.max.into());
             }
@@ -303,17 +300,13 @@ impl PlacedSolidUniform {
     /// One solid.
     pub fn new(s: &PlacedSolid) -> Self {
         let (solid, numbers, period, wall) = match s.solid {
-            Solid::Sphere(r) => (0, [r, 0.0, 0.0, 0.0], 0.0, 0.0),
-            Solid::Box(half) => (1, half.extend(0.0).to_array(), 0.0, 0.0),
-            Solid::Torus(ring, tube) => (2, [ring, tube, 0.0, 0.0], 0.0, 0.0),
-            Solid::Cylinder(radius, half) => (3, [radius, half, 0.0, 0.0], 0.0, 0.0),
-            Solid::Gyroid(period, wall, half) => (4, half.extend(0.0).to_array(), period, wall),
+            Solid::Sphere(r) => (SolidKind::Sphere, [r, 0.0, 0.0, 0.0], 0.0, 0.0),
+            Solid::Box(half) => (SolidKind::Box, half.extend(0.0).to_array(), 0.0, 0.0),
+            Solid::Torus(ring, tube) => (SolidKind::Torus, [ring, tube, 0.0, 0.0], 0.0, 0.0),
+            Solid::Cylinder(radius, half) => (SolidKind::Cylinder, [radius, half, 0.0, 0.0], 0.0, 0.0),
+            Solid::Gyroid(period, wall, half) => (SolidKind::Gyroid, half.extend(0.0).to_array(), period, wall),
         };
-        let join = match s.join {
-            CsgOperation::Union => 0,
-            CsgOperation::Intersect => 1,
-            CsgOperation::Subtract => 2,
-        };
+        let (solid, join) = (solid as u32, s.join as u32);
         Self { local_from_world: affine(&s.local_from_world), numbers, solid, join, period, wall }
     }
 }
@@ -335,18 +328,19 @@ impl DeformerUniform {
     pub fn new(d: &Deformer) -> Self {
         let mut u = Self { local_from_world: affine(&d.local_from_world), half: d.half.into(), ..Self::zeroed() };
         let three = |a: f32, b: f32, c: f32| [a, b, c, 0.0];
-        (u.kind, u.numbers) = match &d.deform {
-            DeformerKind::Twist(rate) => (0, three(*rate, 0.0, 0.0)),
-            DeformerKind::Bend(rate) => (1, three(*rate, 0.0, 0.0)),
-            DeformerKind::Taper(factor) => (2, three(*factor, 0.0, 0.0)),
-            DeformerKind::Shear(share) => (3, three(*share, 0.0, 0.0)),
-            DeformerKind::Bulge(amount, width) => (4, three(*amount, *width, 0.0)),
-            DeformerKind::Wave(amplitude, frequency, phase) => (5, three(*amplitude, *frequency, *phase)),
+        let (kind, numbers) = match &d.deform {
+            DeformerKind::Twist(rate) => (DeformKind::Twist, three(*rate, 0.0, 0.0)),
+            DeformerKind::Bend(rate) => (DeformKind::Bend, three(*rate, 0.0, 0.0)),
+            DeformerKind::Taper(factor) => (DeformKind::Taper, three(*factor, 0.0, 0.0)),
+            DeformerKind::Shear(share) => (DeformKind::Shear, three(*share, 0.0, 0.0)),
+            DeformerKind::Bulge(amount, width) => (DeformKind::Bulge, three(*amount, *width, 0.0)),
+            DeformerKind::Wave(amplitude, frequency, phase) => (DeformKind::Wave, three(*amplitude, *frequency, *phase)),
             DeformerKind::Lattice(offsets) => {
                 u.offsets.iter_mut().zip(offsets.iter()).for_each(|(u, o)| *u = o.extend(0.0).to_array());
-                (6, [0.0; 4])
+                (DeformKind::Lattice, [0.0; 4])
             }
         };
+        (u.kind, u.numbers) = (kind as u32, numbers);
         u
     }
 }

@@ -18,6 +18,7 @@ pub use camera::{Camera, Projection, View, ViewFrame};
 
 use crate::deform::{Arguments, Storage};
 use crate::files::path_text::path_of;
+use crate::math::light::BlinnPhong;
 use crate::transfer::{TransferSettings, default_preset};
 use crate::volume::load::ReadOptions;
 use crate::volume::{GradientFilter, Volume, phantom};
@@ -204,6 +205,14 @@ pub struct Light {
     pub follows_camera: bool,
     /// Light surfaces from behind as from the front, as scalar volumes (whose gradient has no outside) need.
     pub two_sided: bool,
+}
+
+impl Light {
+    /// Its strengths.
+    pub fn blinn_phong(&self) -> BlinnPhong {
+        let Self { ambient, diffuse, specular, shininess, .. } = *self;
+        BlinnPhong { ambient, diffuse, specular, shininess }
+    }
 }
 
 impl Default for Light {

@@ -1,0 +1,537 @@
+//! Eight rays, four across and two down, marched together.
+//!
+//! *Theory*: neighbouring rays ask the same questions at nearly the same places, so eight of them share every instruction: one lane each
+//! ([`crate::math::lanes`]). As in `shaders/lib/composite.wgsl` there are two loops: lanes look until each has found something to shade or is
+//! through (or, in haze, until half of them have), then those that have found something shade together. A ray thus waits for its neighbours,
+//! never for their shading.
+//!
+//! Most samples are *plain*: farther from every cut than anything that a cut does to light, or, beside a face of the volume's own box, than what it
+//! does to anything but normals. What lanes do for those is what [`shading`] does for one sample, less what is known to change nothing. The
+//! others, beside a cut, are handed to [`shading`] one by one; there are few, since a cut is a surface.
+//!
+//! *What is not computed*: a sample's neighbour in front of it has mostly been looked at just before, so whether the ray enters matter here is
+//! known without a look; the distance to the shapes of cuts changes no faster than the point moves, so that between two evaluations it is
+//! bounded; the Jacobian is the identity outside all maps.
+
+use super::packet::{RayMarcher, SamplePacket};
+use super::packet_shading::{PreviousSamples, ScalarSample, ShadingRays};
+use super::{IntensityProjection, MIN_TRANSMITTANCE};
+use crate::math::lanes::*;
+use crate::picture::RenderStats;
+use crate::scene::Mode;
+use crate::volume::Voxel;
+use glam::{Mat3, Vec3};
+
+/// Eight rays.
+#[derive(Clone, Copy)]
+pub struct RayPacket<S: Simd> {
+    /// Starts.
+    pub origin: Vec3x8<S>,
+    /// Unit directions.
+    pub direction: Vec3x8<S>,
+    /// Where something opaque ends them, mm; negative for a ray that is not wanted.
+    pub until: f32x8<S>,
+}
+
+/// How many steps before a sample its texels are asked into the cache: by one they would come too late.
+const PREFETCH_STEPS: f32 = 2.0;
+
+/// How many of the looks of the packets so far found something to shade. Where few do, differences are fetched for those alone, not beside every value.
+/// The picture is the same either way.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct FetchPolicy {
+    lookups: u32,
+    shaded_lookups: u32,
+}
+
+impl FetchPolicy {
+    /// Whether differences are worth fetching beside values: a value alone costs about half of what it costs with them.
+    fn fetches_gradients(self) -> bool {
+        self.shaded_lookups * 3 >= self.lookups
+    }
+}
+
+/// A pixel's shift of its samples, in steps, -1/2 .. 1/2: a hash by multiplication and shifts, the same integers as in
+/// `shaders/lib/composite.wgsl`.
+pub fn pixel_shift(x: u32, y: u32) -> f32 {
+    let mut h = x.wrapping_mul(0x9E37_79B1) ^ y.wrapping_mul(0x85EB_CA77);
+    h = (h ^ (h >> 16)).wrapping_mul(0x7FEB_352D);
+    h = (h ^ (h >> 15)).wrapping_mul(0x846C_A68B);
+    h ^= h >> 16;
+    (h >> 8) as f32 / 16_777_216.0 - 0.5
+}
+
+/// Index of the first sample at or after `t`, for eight rays.
+#[inline(always)]
+fn first_sample_after<S: Simd>(t: f32x8<S>, step: f32x8<S>) -> f32x8<S> {
+    (t / step - 0.5).ceil().max(0.0)
+}
+
+#[inline(always)]
+fn count<S: Simd>(mask: mask32x8<S>) -> u64 {
+    u64::from(mask.to_bitmask().count_ones())
+}
+
+#[inline(always)]
+fn sum<S: Simd>(v: f32x8<S>) -> u64 {
+    v.as_slice().iter().sum::<f32>() as u64
+}
+
+impl<T: Voxel> RayMarcher<'_, T> {
+    /// The volume along eight rays: premultiplied colours.
+    #[inline(always)]
+    pub fn march<S: Simd>(&self, simd: S, rays: RayPacket<S>, stats: &mut RenderStats, fetch_policy: &mut FetchPolicy) -> [[f32; 4]; LANES] {
+        let Some((rays, mut way)) = self.begin(simd, rays, fetch_policy) else { return [[0.0; 4]; LANES] };
+        let mut blended = Blended {
+            color: Vec3x8::splat(simd, Vec3::ZERO),
+            transmittance: f32x8::splat(simd, 1.0),
+            projection: IntensityProjection::new(simd, self.scene.volume().blend),
+        };
+        while way.live.any_true() {
+            let found = self.collect(simd, &rays, &mut way, &mut blended, stats, fetch_policy);
+            if found.lanes.all_false() {
+                break;
+            }
+            self.blend(simd, &rays, &found, &mut way, &mut blended, fetch_policy);
+        }
+        stats.samples_skipped += sum(way.skipped);
+        stats.samples_terminated += sum(way.terminated);
+        let Blended { color, transmittance, projection } = blended;
+        let mut colors = [[0.0; 4]; LANES];
+        for (n, color_of) in colors.iter_mut().enumerate() {
+            *color_of = if self.composite { [color.x[n], color.y[n], color.z[n], 1.0 - transmittance[n]] } else { projection.color(self.scene, n) };
+        }
+        colors
+    }
+
+    /// Where rays enter and leave what can be seen; none if no ray does.
+    #[inline(always)]
+    fn begin<S: Simd>(&self, simd: S, rays: RayPacket<S>, fetch_policy: &FetchPolicy) -> Option<(MarchRays<S>, March<S>)> {
+        let scene = self.scene;
+        let frame = &scene.frame;
+        let zero = f32x8::splat(simd, 0.0);
+        let RayPacket { origin, direction, until } = rays;
+        let one = f32x8::splat(simd, 1.0);
+        let inverse_direction = Vec3x8 { x: one / direction.x, y: one / direction.y, z: one / direction.z };
+        let step = match scene.settings.mode {
+            Mode::Raycast | Mode::Surface => f32x8::splat(simd, frame.steps.step_mm),
+            Mode::Slice => f32x8::splat(simd, frame.steps.step_mm) / direction.dot(Vec3x8::splat(simd, frame.view.forward)),
+        };
+        let (near, far) = frame.proxy.intersect_rays(simd, origin, inverse_direction);
+        let number = first_sample_after(near, step);
+        let end = first_sample_after(far.min(until), step);
+        let live = near.simd_le(far) & until.simd_ge(0.0) & number.simd_lt(end);
+        if live.all_false() {
+            return None;
+        }
+        let none = number.simd_lt(-1.0);
+        let never = f32x8::splat(simd, f32::NEG_INFINITY);
+        let rays = MarchRays {
+            origin,
+            direction,
+            inverse_direction,
+            half: (Vec3x8::splat(simd, frame.to_light) - direction).normalized(),
+            step,
+            length: step * frame.steps.reference_mm.recip(),
+            end,
+            with_gradients: self.sampler.has_gradients() && fetch_policy.fetches_gradients(),
+            ahead: direction.mapped(&Mat3::from(scene.volume().voxel_from_world.matrix3)) * (step * PREFETCH_STEPS),
+            none,
+        };
+        let march = March {
+            number,
+            live,
+            last: LastSamples { number: f32x8::splat(simd, NO_SAMPLE), present: none, depth: zero, value: zero },
+            cut_distance_t: never,
+            cut_distance_mm: f32x8::splat(simd, -1.0),
+            cut_free: none,
+            cut_free_until: never,
+            skipped: zero,
+            terminated: zero,
+        };
+        Some((rays, march))
+    }
+
+    /// Moves the lanes in empty cells on until every one has something to sample: a sample costs as much for one lane as for eight. Where the samples
+    /// lie along the rays, mm, and in the world; lanes that have left what can be seen search no more.
+    #[inline(always)]
+    fn advance_through_empty_space<S: Simd>(
+        &self,
+        simd: S,
+        rays: &MarchRays<S>,
+        way: &mut March<S>,
+        searching: &mut mask32x8<S>,
+    ) -> (f32x8<S>, Vec3x8<S>) {
+        loop {
+            let t = (way.number + 0.5) * rays.step;
+            let p = rays.origin + rays.direction * t;
+            if (*searching & !t.simd_lt(way.cut_free_until)).all_false() {
+                return (t, p);
+            }
+            let (empty, in_cut_free, exit) = self.scene.volume().macrocells.blocks_lanes(simd, p, rays.origin, rays.inverse_direction);
+            way.cut_free = in_cut_free;
+            way.cut_free_until = in_cut_free.select(exit, f32x8::splat(simd, f32::NEG_INFINITY));
+            let empty = empty & *searching;
+            if empty.all_false() {
+                return (t, p);
+            }
+            let next = first_sample_after(exit, rays.step).max(way.number + 1.0).min(rays.end);
+            way.skipped += empty.select(next - way.number, f32x8::splat(simd, 0.0));
+            way.number = empty.select(next, way.number);
+            *searching &= way.number.simd_lt(rays.end);
+        }
+    }
+
+    /// What the shapes of cuts leave of the steps of eight samples: which lanes have anything left, the share of their step, and which lie near a shape.
+    /// The samples move to the middle of what is left.
+    #[inline(always)]
+    fn retain<S: Simd>(
+        &self,
+        simd: S,
+        rays: &MarchRays<S>,
+        way: &mut March<S>,
+        lanes: mask32x8<S>,
+        t: f32x8<S>,
+        p: &mut Vec3x8<S>,
+    ) -> (mask32x8<S>, f32x8<S>, mask32x8<S>) {
+        let cuts = &self.scene.cuts;
+        let mut share = f32x8::splat(simd, 1.0);
+        // The distance is known to within the way since: evaluate it only where that does not decide.
+        let certain_mm = way.cut_distance_mm.abs() - (t - way.cut_distance_t).abs();
+        let unsure = lanes & !certain_mm.simd_gt(rays.step * 0.5);
+        for n in lanes_of(unsure.to_bitmask()) {
+            let (o, d, t) = (rays.origin.lane(n), rays.direction.lane(n), t[n]);
+            way.cut_distance_t[n] = t;
+            way.cut_distance_mm[n] = cuts.signed_distance_mm(o + d * t);
+            if way.cut_distance_mm[n].abs() <= 0.5 * rays.step[n] {
+                let retained = cuts.retained_part(o, d, t, rays.step[n]);
+                share[n] = retained.share;
+                p.set(n, o + d * retained.at);
+            }
+        }
+        let certain_mm = way.cut_distance_mm.abs() - (t - way.cut_distance_t).abs();
+        let whole = certain_mm.simd_gt(rays.step * 0.5);
+        share = (whole & way.cut_distance_mm.simd_lt(0.0)).select(f32x8::splat(simd, 0.0), share);
+        let left = lanes & share.simd_gt(0.0);
+        let mut near_cut = left & !(certain_mm.simd_gt(self.margin_mm) & way.cut_distance_mm.simd_gt(0.0));
+        // Evaluated again where the bound leaves it open: what a sample is must not depend on where the distance was evaluated before.
+        for n in lanes_of(near_cut.to_bitmask()) {
+            way.cut_distance_t[n] = t[n];
+            way.cut_distance_mm[n] = cuts.signed_distance_mm(rays.origin.lane(n) + rays.direction.lane(n) * t[n]);
+            near_cut.set(n, way.cut_distance_mm[n] <= self.margin_mm);
+        }
+        (left, share, near_cut)
+    }
+
+    /// Samples along the rays until each has found something to shade or is through, or until half of them have where most samples show something.
+    #[inline(always)]
+    fn collect<S: Simd>(
+        &self,
+        simd: S,
+        rays: &MarchRays<S>,
+        way: &mut March<S>,
+        blended: &mut Blended<S>,
+        stats: &mut RenderStats,
+        fetch_policy: &mut FetchPolicy,
+    ) -> FoundSamples<S> {
+        let (origin, direction, step) = (rays.origin, rays.direction, rays.step);
+        let no_sample = f32x8::splat(simd, NO_SAMPLE);
+        let mut found = FoundSamples::nothing(simd, rays);
+        let mut searching = way.live;
+        while searching.any_true() {
+            let (t, mut p) = self.advance_through_empty_space(simd, rays, way, &mut searching);
+            let here = searching;
+            if here.all_false() {
+                break;
+            }
+            stats.samples_taken += count(here);
+            let number = way.number;
+            way.number = here.select(number + 1.0, number);
+            searching &= way.number.simd_lt(rays.end);
+            let (mut lanes, mut share, mut near_cut) = (here, f32x8::splat(simd, 1.0), rays.none);
+            if !self.scene.cuts.is_empty() {
+                (lanes, share, near_cut) = self.retain(simd, rays, way, here, t, &mut p);
+                if lanes.all_false() {
+                    way.last.number = here.select(no_sample, way.last.number);
+                    continue;
+                }
+            }
+            fetch_policy.lookups += 1;
+            let mut sample = self.sample_points(simd, p, lanes, rays.with_gradients);
+            sample.cut_free = way.cut_free;
+            if rays.with_gradients {
+                self.sampler.prefetch(sample.in_voxel + rays.ahead);
+            }
+            if !self.composite {
+                blended.projection.insert(sample.value, sample.present);
+                continue;
+            }
+            let whole = share.simd_eq(1.0);
+            let previous = PreviousSamples {
+                // The same point, to the bit, whether or not it was sampled.
+                point: Vec3x8::select(whole, origin + direction * ((number - 0.5) * step), p - direction * step),
+                sampled: lanes & way.last.number.simd_eq(number - 1.0) & whole,
+                present: way.last.present,
+                depth: way.last.depth,
+            };
+            let own_depth = sample.depth;
+            self.look_up_segments(simd, &mut sample, lanes, &previous, way.last.value);
+            let mut hit = lanes
+                & match self.scene.volume().iso {
+                    Some(iso) => sample.present & sample.value.simd_ge(iso),
+                    None => sample.depth.simd_gt(0.0) | (sample.alpha.simd_gt(0.0) & sample.alpha.simd_lt(1.0)),
+                };
+            if self.grey_faces {
+                hit |= lanes & sample.present & (sample.alpha.simd_lt(1.0) | near_cut);
+            }
+            found.insert(hit, &sample, p, share, near_cut, &previous);
+            searching &= !hit;
+            way.last.number = here.select((lanes & whole).select(number, no_sample), way.last.number);
+            way.last.present = (here & sample.present) | (way.last.present & !here);
+            way.last.depth = here.select(own_depth, way.last.depth);
+            way.last.value = here.select(sample.value, way.last.value);
+            // The others are not waited for where they mostly have something to shade, too: a sample for a few lanes costs as much as one for all.
+            if rays.with_gradients && count(found.lanes) >= LANES as u64 / 2 {
+                break;
+            }
+        }
+        found
+    }
+
+    /// Depths of the segments between eight samples and those before them, where the transfer function is pre-integrated.
+    #[inline(always)]
+    fn look_up_segments<S: Simd>(
+        &self,
+        simd: S,
+        sample: &mut SamplePacket<S>,
+        lanes: mask32x8<S>,
+        previous: &PreviousSamples<S>,
+        last_value: f32x8<S>,
+    ) {
+        let Some(table) = &self.preintegrated else { return };
+        sample.front = (previous.sampled & previous.present).select(last_value, sample.value);
+        let unknown = lanes & sample.present & !previous.sampled;
+        if unknown.any_true() {
+            let earlier = self.sample_points(simd, previous.point, unknown, false);
+            sample.front = earlier.present.select(earlier.value, sample.front);
+        }
+        for n in lanes_of((lanes & sample.present).to_bitmask()) {
+            sample.depth[n] = self.segment(table, sample.front[n], sample.value[n])[3];
+        }
+    }
+
+    /// Shades what was found and blends it behind what is there; rays that have become opaque end.
+    #[inline(always)]
+    fn blend<S: Simd>(
+        &self,
+        simd: S,
+        rays: &MarchRays<S>,
+        found: &FoundSamples<S>,
+        way: &mut March<S>,
+        blended: &mut Blended<S>,
+        fetch_policy: &mut FetchPolicy,
+    ) {
+        let FoundSamples { lanes, sample, deformed, share, .. } = found;
+        let zero = f32x8::splat(simd, 0.0);
+        let mut visible = *lanes & sample.depth.simd_gt(0.0);
+        let mut opaque = rays.none;
+        let (mut rgb, mut depth) = (blended.color, zero);
+        let mut scalar_lanes = self.scalar_lanes(simd, rays, found, visible);
+        let packet_lanes = visible & !scalar_lanes;
+        if packet_lanes.any_true() {
+            fetch_policy.shaded_lookups += 1;
+            let shading_rays = ShadingRays { direction: rays.direction, half: rays.half, step: rays.step };
+            let (shaded, factor, cut) = self.shade(simd, sample, *deformed, shading_rays, packet_lanes, &found.previous);
+            rgb = shaded;
+            depth = sample.depth * factor * *share;
+            scalar_lanes |= cut;
+        }
+        for n in lanes_of((scalar_lanes & *lanes).to_bitmask()) {
+            match self.shade_scalar(sample.lane(n), sample.front[n], deformed.lane(n), rays.direction.lane(n), rays.step[n]) {
+                ScalarSample::Nothing => visible.set(n, false),
+                ScalarSample::Opaque(color) => {
+                    opaque.set(n, true);
+                    rgb.set(n, color);
+                    depth[n] = f32::INFINITY;
+                    visible.set(n, true);
+                }
+                ScalarSample::Visible(color, of_sample) => {
+                    visible.set(n, true);
+                    rgb.set(n, color);
+                    depth[n] = of_sample * share[n];
+                }
+            }
+        }
+        let one = f32x8::splat(simd, 1.0);
+        let pass = opaque.select(zero, exp2(-(depth * rays.length)));
+        let weight = visible.select(blended.transmittance * (one - pass), zero);
+        blended.color = blended.color + Vec3x8::select(visible, rgb, blended.color) * weight;
+        blended.transmittance = visible.select(blended.transmittance * pass, blended.transmittance);
+        let mut through = opaque;
+        if self.scene.settings.early_termination {
+            through |= visible & blended.transmittance.simd_lt(MIN_TRANSMITTANCE);
+        }
+        let through = through & way.live;
+        way.terminated += through.select((rays.end - way.number).max(0.0), zero);
+        way.live &= !through & way.number.simd_lt(rays.end);
+    }
+
+    /// Which of the samples that were found are shaded one by one: those near a cut, and those that end something.
+    #[inline(always)]
+    fn scalar_lanes<S: Simd>(&self, simd: S, rays: &MarchRays<S>, found: &FoundSamples<S>, visible: mask32x8<S>) -> mask32x8<S> {
+        let FoundSamples { lanes, sample, previous, .. } = found;
+        if self.grey_faces || self.scene.volume().iso.is_some() {
+            return *lanes;
+        }
+        let mut scalar_lanes = found.near_cut & *lanes;
+        // Farther than a step from the volume's faces those change the normal alone, unless there are holes.
+        let near_face = *lanes & !sample.inside & !self.far_from_faces(sample.in_voxel, Vec3x8::splat(simd, self.face_margin_voxels));
+        if near_face.any_true() {
+            let near = if self.scene.volume().grid.has_holes { f32x8::splat(simd, self.margin_mm) } else { rays.step * 1.1 };
+            scalar_lanes |= near_face & self.nearest_face(simd, sample.in_voxel).0.simd_lt(near);
+        }
+        // Matter that ends between the sample in front and this one, which both show nothing: only one of the two is present then.
+        let both = (previous.present & sample.present) | !(previous.present | sample.present);
+        scalar_lanes | (*lanes & !visible & !(previous.sampled & (both | previous.depth.simd_gt(0.0))))
+    }
+}
+
+/// A sample's number where there is none.
+const NO_SAMPLE: f32 = -2.0;
+
+/// What does not change along eight rays.
+struct MarchRays<S: Simd> {
+    origin: Vec3x8<S>,
+    direction: Vec3x8<S>,
+    inverse_direction: Vec3x8<S>,
+    /// Half-way between the light and the eye.
+    half: Vec3x8<S>,
+    /// From sample to sample, mm.
+    step: f32x8<S>,
+    /// The same in reference lengths.
+    length: f32x8<S>,
+    /// The number past the last sample.
+    end: f32x8<S>,
+    /// Whether gradients are fetched together with values.
+    with_gradients: bool,
+    /// From a sample to what is fetched into the cache, voxels.
+    ahead: Vec3x8<S>,
+    /// No lane.
+    none: mask32x8<S>,
+}
+
+/// How far eight rays have come.
+struct March<S: Simd> {
+    /// The next sample.
+    number: f32x8<S>,
+    /// Rays that are not through.
+    live: mask32x8<S>,
+    last: LastSamples<S>,
+    /// Where the distance from the shapes of cuts was last evaluated, mm, and what it was.
+    cut_distance_t: f32x8<S>,
+    cut_distance_mm: f32x8<S>,
+    /// Which rays are in macrocells without cuts, and until where.
+    cut_free: mask32x8<S>,
+    cut_free_until: f32x8<S>,
+    /// Samples left out, as numbers.
+    skipped: f32x8<S>,
+    terminated: f32x8<S>,
+}
+
+/// The last sample that was taken on each ray.
+struct LastSamples<S: Simd> {
+    /// Its number, if it stood for its whole step.
+    number: f32x8<S>,
+    present: mask32x8<S>,
+    depth: f32x8<S>,
+    value: f32x8<S>,
+}
+
+/// What eight rays have gathered, front to back.
+struct Blended<S: Simd> {
+    /// Premultiplied.
+    color: Vec3x8<S>,
+    transmittance: f32x8<S>,
+    projection: IntensityProjection<S>,
+}
+
+/// Samples that have something to shade.
+struct FoundSamples<S: Simd> {
+    /// Which rays have found one.
+    lanes: mask32x8<S>,
+    sample: SamplePacket<S>,
+    /// Where they lie in the deformed scene.
+    deformed: Vec3x8<S>,
+    /// The part of their step that they stand for.
+    share: f32x8<S>,
+    /// Which are near a shape that cuts.
+    near_cut: mask32x8<S>,
+    previous: PreviousSamples<S>,
+}
+
+impl<S: Simd> FoundSamples<S> {
+    #[inline(always)]
+    fn nothing(simd: S, rays: &MarchRays<S>) -> Self {
+        let (zero, one, none) = (f32x8::splat(simd, 0.0), f32x8::splat(simd, 1.0), rays.none);
+        let anywhere = rays.origin;
+        let sample = SamplePacket {
+            in_voxel: anywhere,
+            value: zero,
+            present: none,
+            alpha: one,
+            depth: zero,
+            front: zero,
+            inside: none,
+            cut_free: none,
+            differences: anywhere,
+            color: anywhere,
+            with_gradients: rays.with_gradients,
+        };
+        let previous = PreviousSamples { point: anywhere, sampled: none, present: none, depth: zero };
+        Self { lanes: none, sample, deformed: anywhere, share: one, near_cut: none, previous }
+    }
+
+    /// Takes the samples of some lanes.
+    #[inline(always)]
+    fn insert(
+        &mut self,
+        hit: mask32x8<S>,
+        new: &SamplePacket<S>,
+        deformed: Vec3x8<S>,
+        share: f32x8<S>,
+        near_cut: mask32x8<S>,
+        previous: &PreviousSamples<S>,
+    ) {
+        let at = &mut self.sample;
+        if self.lanes.all_false() {
+            // Nothing of other lanes needs to stay. One by one: the whole would be copied by a call, around which all registers are saved.
+            (at.in_voxel, at.value, at.differences, at.color) = (new.in_voxel, new.value, new.differences, new.color);
+            (at.depth, at.front, at.alpha) = (new.depth, new.front, new.alpha);
+            (at.present, at.inside, at.cut_free) = (new.present, new.inside, new.cut_free);
+            (self.deformed, self.share, self.near_cut, self.lanes) = (deformed, share, hit & near_cut, hit);
+            self.previous.point = previous.point;
+            self.previous.sampled = hit & previous.sampled;
+            self.previous.present = hit & previous.present;
+            self.previous.depth = previous.depth;
+        } else if hit.any_true() {
+            at.in_voxel = Vec3x8::select(hit, new.in_voxel, at.in_voxel);
+            at.value = hit.select(new.value, at.value);
+            at.present = (hit & new.present) | (at.present & !hit);
+            at.alpha = hit.select(new.alpha, at.alpha);
+            at.depth = hit.select(new.depth, at.depth);
+            at.front = hit.select(new.front, at.front);
+            at.inside = (hit & new.inside) | (at.inside & !hit);
+            at.cut_free = (hit & new.cut_free) | (at.cut_free & !hit);
+            at.differences = Vec3x8::select(hit, new.differences, at.differences);
+            at.color = Vec3x8::select(hit, new.color, at.color);
+            self.deformed = Vec3x8::select(hit, deformed, self.deformed);
+            self.share = hit.select(share, self.share);
+            self.near_cut |= hit & near_cut;
+            self.previous.point = Vec3x8::select(hit, previous.point, self.previous.point);
+            self.previous.sampled |= hit & previous.sampled;
+            self.previous.present |= hit & previous.present;
+            self.previous.depth = hit.select(previous.depth, self.previous.depth);
+            self.lanes |= hit;
+        }
+    }
+}

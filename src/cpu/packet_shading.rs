@@ -1,0 +1,266 @@
+//! [`super::shading`] for eight samples at once, and for those of them that have to be shaded one by one.
+
+use super::SceneSample;
+use super::packet::{RayMarcher, SamplePacket};
+use super::shading::{
+    self, CUT_LOOKBACK_SHARE, CUT_LOOKBACK_STEPS, ENTRY_STEPS, ISOTROPIC_DIFFUSE, MAX_CUT_LOOKBACK, SURFACE_GRADIENT, VisibleSample,
+};
+use crate::math::lanes::*;
+use crate::scene::Normals;
+use crate::volume::Voxel;
+use glam::Vec3;
+
+/// A colour under light where there is a surface, under even light where there is none.
+#[inline(always)]
+fn lit<S: Simd>(color: f32x8<S>, even: f32, diffuse: f32x8<S>, highlight: f32x8<S>, confidence: f32x8<S>) -> f32x8<S> {
+    let (dull, lit) = (color * even, color.mul_add(diffuse, highlight));
+    (lit - dull).mul_add(confidence, dull).max(0.0).min(1.0)
+}
+
+impl<T: Voxel> RayMarcher<'_, T> {
+    /// A sample that is not plain.
+    #[inline(never)]
+    pub(super) fn shade_scalar(&self, (at, depth): (SceneSample, f32), front: f32, sampled: Vec3, direction: Vec3, step: f32) -> ScalarSample {
+        let (scene, sampler) = (self.scene, self.sampler);
+        if at.present
+            && self.grey_faces
+            && let Some(grey) = shading::grey_face(scene, sampler, &at, sampled, direction, step)
+        {
+            return ScalarSample::Opaque(Vec3::splat(grey));
+        }
+        if let Some(iso) = scene.volume().iso {
+            if at.present && at.value >= iso {
+                return ScalarSample::Opaque(shading::iso_surface(scene, sampler, iso, sampled, direction, step));
+            }
+            return ScalarSample::Nothing;
+        }
+        if depth > 0.0 {
+            let [r, g, b, depth] = match &self.preintegrated {
+                Some(table) => self.segment(table, front, at.value),
+                None => scene.volume().table.lookup(at.value),
+            };
+            let sample = VisibleSample { deformed: sampled, in_voxel: at.in_voxel, color: Vec3::new(r, g, b), depth, value: at.value };
+            let shaded = shading::shade(scene, sampler, &sample, direction, step);
+            return ScalarSample::Visible(shaded.color, depth * shaded.depth_factor);
+        }
+        if at.alpha > 0.0
+            && at.alpha < 1.0
+            && let Some((depth, shaded)) = shading::thin_layer_at_cut(scene, sampler, sampled, at.present, direction, step)
+        {
+            return ScalarSample::Visible(shaded.color, depth * shaded.depth_factor);
+        }
+        ScalarSample::Nothing
+    }
+
+    /// Light on eight visible samples: colours, factors on their depths, and which of `lanes` turn out to lie beside a cut, so that what is said
+    /// of them does not hold.
+    #[inline(always)]
+    pub(super) fn shade<S: Simd>(
+        &self,
+        simd: S,
+        at: &SamplePacket<S>,
+        sampled: Vec3x8<S>,
+        rays: ShadingRays<S>,
+        lanes: mask32x8<S>,
+        front: &PreviousSamples<S>,
+    ) -> (Vec3x8<S>, f32x8<S>, mask32x8<S>) {
+        let scene = self.scene;
+        let one = f32x8::splat(simd, 1.0);
+        let (entry, entered) = self.entry(simd, at, sampled, rays, lanes, front);
+        let (bits, mut cut) = (lanes.to_bitmask(), lanes & !lanes);
+        let mut color = match &self.preintegrated {
+            None if at.with_gradients && !entered.any_true() => at.color,
+            None => scene.volume().table.color_lanes(simd, entry.value),
+            Some(table) => {
+                let mut color = Vec3x8::splat(simd, Vec3::ZERO);
+                for n in lanes_of(bits) {
+                    let [r, g, b, _] = self.segment(table, at.front[n], at.value[n]);
+                    color.set(n, Vec3::new(r, g, b));
+                }
+                color
+            }
+        };
+        if let Some(colors) = scene.volume().colors {
+            for n in lanes_of(bits) {
+                color.set(n, colors.sample(scene.volume().grid.size, entry.in_voxel.lane(n)));
+            }
+        }
+        let (mut gradient, mut magnitude, mut factor) = (Vec3x8::splat(simd, Vec3::ZERO), one, one);
+        if self.lit || self.gradient_opacity {
+            let per_voxel = if at.with_gradients {
+                let mut differences = at.differences;
+                if entered.any_true() {
+                    let there = self.sampler.sample_with_differences(simd, entry.in_voxel).1;
+                    differences = Vec3x8::select(entered, there, differences);
+                }
+                self.sampler.gradient_of(simd, entry.in_voxel, differences, bits)
+            } else {
+                self.sampler.gradient_lanes(simd, entry.in_voxel, scene.gradient_filter(), bits)
+            };
+            gradient = per_voxel.mapped(&self.world_from_covector);
+            magnitude = gradient.length();
+        }
+        if self.gradient_opacity {
+            for n in lanes_of(bits) {
+                factor[n] = scene.volume().table.gradient_factor(magnitude[n]);
+            }
+        }
+        let per_reference = magnitude * (scene.volume().table.scale.abs() * scene.frame.steps.reference_mm);
+        let mut confidence = smoothstep(SURFACE_GRADIENT[0], SURFACE_GRADIENT[1], per_reference);
+        let in_a_map = lanes & (at.inside | entry.inside);
+        let mut jacobian_columns = [Vec3x8::splat(simd, Vec3::X), Vec3x8::splat(simd, Vec3::Y), Vec3x8::splat(simd, Vec3::Z)];
+        // Far from every cut, the deformation matters to what has a normal only.
+        let mut active_lanes = in_a_map & !(at.cut_free & self.far_from_faces(entry.in_voxel, Vec3x8::splat(simd, self.deformed_face_margin_voxels)));
+        if self.lit {
+            active_lanes |= in_a_map & confidence.simd_gt(0.0);
+        }
+        if active_lanes.any_true() {
+            let jets = scene.stack.jets_lanes(simd, entry.deformed, active_lanes);
+            jacobian_columns = jets.columns;
+            // No face of the volume's box is nearer than its distance in the source over the norm of J: mostly far enough to ask no further.
+            let [x, y, z] = jets.columns;
+            let norm = (x.dot(x) + y.dot(y) + z.dot(z)).sqrt();
+            let far = self.far_from_faces(entry.in_voxel, Vec3x8::splat(simd, self.face_margin_voxels) * norm);
+            cut |= active_lanes & jets.cut_distance_mm.simd_lt(self.margin_mm);
+            for n in lanes_of((active_lanes & !far).to_bitmask()) {
+                let jet = scene.stack.jet(entry.deformed.lane(n));
+                let nearest = shading::nearest_cut(scene, &jet, entry.in_voxel.lane(n));
+                cut.set(n, nearest.distance_mm < self.margin_mm);
+                (0..3).for_each(|a| jacobian_columns[a].set(n, jet.d_source_d_deformed.col(a)));
+            }
+        }
+        if !self.lit {
+            return (color, factor, cut);
+        }
+        let mut inward = gradient;
+        if !scene.light.two_sided {
+            for n in lanes_of(bits) {
+                if scene.volume().table.opacity_slope_sign(entry.value[n]) < 0.0 {
+                    inward.set(n, -inward.lane(n));
+                }
+            }
+        }
+        if in_a_map.any_true() && matches!(scene.settings.normals, Normals::Transformed | Normals::Blended) {
+            inward = Vec3x8 { x: jacobian_columns[0].dot(inward), y: jacobian_columns[1].dot(inward), z: jacobian_columns[2].dot(inward) };
+        }
+        let mut normal = -inward.normalized();
+        if scene.light.two_sided {
+            let away = normal.dot(rays.direction).simd_gt(0.0);
+            normal = Vec3x8::select(away, -normal, normal);
+        }
+        // What entered through a surface of the volume's own shows that surface.
+        let near_cut = lanes & !in_a_map & !entered & !self.far_from_faces(at.in_voxel, Vec3x8::splat(simd, self.face_margin_voxels));
+        if scene.settings.normals == Normals::Blended && near_cut.any_true() {
+            let (distance, outward) = self.nearest_face(simd, at.in_voxel);
+            let own = smoothstep(scene.frame.steps.blend_mm[0], scene.frame.steps.blend_mm[1], distance);
+            let facing = -outward.dot(rays.direction);
+            let mut near_cut = near_cut & own.simd_lt(1.0) & facing.simd_gt(0.0);
+            if near_cut.any_true() {
+                // As shading::cut_in_front.
+                let mut way = (distance * CUT_LOOKBACK_SHARE / facing).min(MAX_CUT_LOOKBACK * scene.frame.steps.blend_mm[1]);
+                let mut undecided = near_cut;
+                for _ in 0..CUT_LOOKBACK_STEPS {
+                    let back = self.sample_points(simd, sampled - rays.direction * way, undecided, false);
+                    near_cut &= !(undecided & back.present) | back.depth.simd_ge(at.depth * 0.5);
+                    undecided &= !back.present;
+                    if !undecided.any_true() {
+                        break;
+                    }
+                    way *= 0.5;
+                }
+                let of_face = one - own;
+                let blended = (normal * (own * confidence) + outward * of_face).normalized();
+                normal = Vec3x8::select(near_cut, blended, normal);
+                confidence = near_cut.select((own * confidence).max(of_face), confidence);
+            }
+        }
+        (self.light(simd, normal, confidence, rays.half, color), factor, cut)
+    }
+
+    /// The light on eight samples; even where they have no normal.
+    #[inline(always)]
+    fn light<S: Simd>(&self, simd: S, normal: Vec3x8<S>, confidence: f32x8<S>, half: Vec3x8<S>, color: Vec3x8<S>) -> Vec3x8<S> {
+        let light = &self.scene.light;
+        let to_light = Vec3x8::splat(simd, self.scene.frame.to_light);
+        let even = light.ambient + ISOTROPIC_DIFFUSE * light.diffuse;
+        let (diffuse, highlight) = light.blinn_phong().shine(normal.dot(to_light), normal.dot(half));
+        Vec3x8 {
+            x: lit(color.x, even, diffuse, highlight, confidence),
+            y: lit(color.y, even, diffuse, highlight, confidence),
+            z: lit(color.z, even, diffuse, highlight, confidence),
+        }
+    }
+
+    /// Where rays that enter matter within their last step do, by bisection, else the samples themselves; and which rays do. See [`shading`].
+    #[inline(always)]
+    fn entry<S: Simd>(
+        &self,
+        simd: S,
+        at: &SamplePacket<S>,
+        sampled: Vec3x8<S>,
+        rays: ShadingRays<S>,
+        lanes: mask32x8<S>,
+        front: &PreviousSamples<S>,
+    ) -> (SurfaceEntries<S>, mask32x8<S>) {
+        let enough = at.depth * 0.5;
+        let mut first = SurfaceEntries { deformed: sampled, in_voxel: at.in_voxel, value: at.value, inside: at.inside };
+        let mut enters = lanes & front.sampled & !(front.present & front.depth.simd_ge(enough));
+        let unknown = lanes & !front.sampled;
+        if unknown.any_true() {
+            let before = self.sample_points(simd, front.point, unknown, false);
+            enters |= unknown & !(before.present & before.depth.simd_ge(enough));
+        }
+        if enters.any_true() {
+            let mut width = rays.step;
+            for _ in 0..ENTRY_STEPS {
+                width *= 0.5;
+                let p = first.deformed - rays.direction * width;
+                let look = self.sample_points(simd, p, enters, false);
+                let dense = enters & look.present & look.depth.simd_ge(enough);
+                first = SurfaceEntries {
+                    deformed: Vec3x8::select(dense, p, first.deformed),
+                    in_voxel: Vec3x8::select(dense, look.in_voxel, first.in_voxel),
+                    value: dense.select(look.value, first.value),
+                    inside: first.inside | (dense & look.inside),
+                };
+            }
+        }
+        (first, enters)
+    }
+}
+
+/// Of eight rays, their directions, the vectors half-way between the light and the eye, and the distances of their samples, mm.
+#[derive(Clone, Copy)]
+pub(super) struct ShadingRays<S: Simd> {
+    pub(super) direction: Vec3x8<S>,
+    pub(super) half: Vec3x8<S>,
+    pub(super) step: f32x8<S>,
+}
+
+/// The points one step in front of eight samples.
+pub(super) struct PreviousSamples<S: Simd> {
+    /// Where they lie.
+    pub(super) point: Vec3x8<S>,
+    /// Which of them have been sampled.
+    pub(super) sampled: mask32x8<S>,
+    pub(super) present: mask32x8<S>,
+    pub(super) depth: f32x8<S>,
+}
+
+/// Where eight rays enter matter.
+#[derive(Clone, Copy)]
+struct SurfaceEntries<S: Simd> {
+    pub(super) deformed: Vec3x8<S>,
+    pub(super) in_voxel: Vec3x8<S>,
+    pub(super) value: f32x8<S>,
+    pub(super) inside: mask32x8<S>,
+}
+
+/// What a sample beside a cut shows.
+pub(super) enum ScalarSample {
+    Nothing,
+    /// A surface that hides everything behind it.
+    Opaque(Vec3),
+    /// Its colour and optical depth per reference length.
+    Visible(Vec3, f32),
+}
