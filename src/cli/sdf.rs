@@ -22,7 +22,7 @@ use std::time::Instant;
 pub struct SdfArguments {
     /// A mesh: .stl, .obj, .ply, .off, .gltf, .glb, .gii
     mesh: PathBuf,
-    /// The field to write: .nii.gz, .nii, .nrrd or .mha; mm, positive inside
+    /// The field to write: .nii.gz, .nii, .nrrd, .mha or .vti; mm, positive inside
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
     /// Points along the longest axis.

@@ -1,65 +1,24 @@
-//! The CPU renderer: the truth for tests, and the backend wherever there is no GPU.
+//! The CPU renderer: the reference for tests, and the backend wherever there is no GPU.
 //!
-//! *Theory*: both modes are one march along each pixel's ray. Ray casting puts samples at t = (i + 1/2) Δ from the eye; a
-//! view-aligned slice lies at depth (i + 1/2) Δ, so a ray meets it at t = (i + 1/2) Δ / cos θ, θ being the angle to the view direction. On a
-//! CPU slices are therefore rays with the step Δ / cos θ, and need no polygons; compositing front to back instead of back to front gives
-//! the same colour and can stop early. Samples are anchored at the eye, not at the box, so that a different box (a map more or less,
-//! skipping on or off) samples the same points.
+//! *Theory*: volumes are marched along each pixel's ray, by slices as by rays; surfaces are found by [`surface`] first. Ray casting puts samples at
+//! t = (i + 1/2) Δ from the eye; a view-aligned slice lies at depth (i + 1/2) Δ, so a ray meets it at t = (i + 1/2) Δ / cos θ, θ being the angle to
+//! the view direction. Samples are anchored at the eye, not at the box, so that a different box (a map more or less, skipping on or off) samples the
+//! same points.
 //!
-//! Per sample, cheapest question first: macrocell, mask and source point, value, opacity; only what is visible pays for a gradient,
-//! a Jacobian and light ([`shading`]). From the second picture of a volume on, where most samples show something, differences
-//! are read beside the values ([`GradientVolume`](crate::volume::GradientVolume)). Eight neighbouring rays share every instruction ([`packet`]). Strips of rows are what threads steal from each
-//! other; pixels are independent, so the number of threads changes nothing.
+//! Per sample, cheapest question first: macrocell, mask and source point, value, opacity; only what is visible pays for a gradient, a Jacobian (where
+//! there is a normal or a cut is near) and light ([`shading`]). From the second picture of a volume on, where most samples show something,
+//! differences are read beside the values ([`GradientVolume`](crate::volume::GradientVolume), on huge pages). Eight neighbouring rays share every
+//! instruction ([`march`], [`packet`]): about ten times as fast as one ray at a time.
 //!
-//! *What each step gave*, 512 x 512, step 1, shaded, two threads, milliseconds from the prepared scene to the picture (the scenes of
-//! `benches/peers`: a CT phantom of 256^3 and the head of `volumes/`, by a curve that shows surfaces and by one that shows haze; a shared machine,
-//! figures of one column from one run):
+//! Strips of rows are what threads steal from each other, the middle of the picture first, so that all threads finish together; pixels are
+//! independent, so the number of threads changes nothing. Packets go down columns of 16 rows, so that the next one finds the last one's voxels in the
+//! cache. Pixels whose rays miss everything visible are left out.
 //!
-//! | step | CT surface | CT haze | head surface | head haze |
-//! |---|---|---|---|---|
-//! | a ray at a time, six samples a gradient | 521 | 6800 | 860 | 9650 |
-//! | eight rays at once, the sample in front remembered, 32 voxels a gradient | 50 | 600 | 118 | 800 |
-//! | nothing passed through a function that is not inlined | 46 | 440 | 87 | 575 |
+//! Tried without gain: AVX-512; bounds of blocks of two voxels; bisecting where a ray enters matter by three independent samples instead of two
+//! dependent ones (what counts there is work, not waiting). What was measured when is in `benches/HISTORY.md`; `benches/growth.rs` prints how many
+//! trilinear samples a machine can fetch. Where the only adapter is a software one, `--backend auto` takes this renderer, which is faster there.
 //!
-//! The first attempt at eight rays took 175, 2290, 320 and 2900: closures that were not inlined were compiled for other registers and called for
-//! every operation ([`crate::math::lanes`]). Bounds of the head's voxels went from 105 to 20 to 40 ms by runs of voxels; macrocells, which took 70,
-//! take 20 by asking blocks of cells first, and nothing while neither the deformation nor the transfer function changes.
-//!
-//! Later, in other runs: with differences kept beside the values and the faces of the volume's box asked in lanes, 58, 395, 92 and 499 became 43,
-//! 309, 69 and 448. A twist over a third of the CT, as a surface and as haze: maps fetched for eight points at once 168 to 125, Jacobians as well
-//! 1770 to 650. Registers of AVX-512 cost a tenth, and bounds of blocks of two voxels instead of four gave 2 to 4 in a hundred for twice the time to
-//! make them: neither was kept.
-//!
-//! Deformed frames, in other runs again, the twist and the knife of line 4 there: 73 and 83 became 58 and 63 as a surface by tighter bounds of empty
-//! space ([`crate::prepare::Macrocells`]: 2.5 and 1.7 million samples became 1.5 and 1.0), 489 and 469 became 425 and 426 as haze, and 384 became 318 and
-//! 457 became 387 when Jacobians were taken only for what has a normal or lies beside a cut. On pages of 2 MiB ([`crate::volume::pages`]) gradients take
-//! 29 instead of 67 to make. Of a surface's 33 ms, 10 went to pixels whose rays miss all that can be seen: they are left out.
-//!
-//! Then, each pair alternating in one run: 32 became 24 and 281 became 182 for the CT, 62 and 367 became 44 and 255 for the head, 56 and 465 became 41
-//! and 298 for the CT twisted. Packets go down columns of 16 rows, so that what one has fetched of the volume the next still finds in the cache: an
-//! eighth of haze's time. Fetches check a lane's cell once, not each of its rows ([`crate::math::cells::Strides`]), and no structure of registers is
-//! copied by a call: a tenth each. Rays are made and meet the box in lanes. Values come alone where most looks show nothing, with differences and
-//! colours where most show something ([`march::FetchPolicy`]); in haze half of the lanes are enough to shade, and in the midst of matter macrocells are not
-//! asked ([`crate::prepare::Macrocells::blocks_lanes`]). Without any volume of gradients surfaces now take the same time, and haze a tenth more.
-//!
-//! Then, alternating in one run again: 157 became 128 and 221 became 182 as haze, 20 became 19 and 32 became 31 as surfaces, and 221 became 198 for the
-//! CT twisted, as haze. What eight rays will ask two steps later the cache is told to fetch now: an eighth of haze's time (one step is too late, the maps'
-//! texels are there anyway, surfaces gain nothing). Interpolation by fused operations: a twentieth. Differences beside values from where a third, not a half,
-//! of the looks find something: the fiftieth.
-//!
-//! Strips are begun from the middle of the picture outwards, so that threads end together on what takes little: up to 8 in a hundred. Halving the
-//! way to where a ray enters matter by looks that do not wait for each other, three for every two, cost 1 to 4: what counts there is work, not waiting.
-//!
-//! *The ceiling*: two threads fetch 626 to 665 million trilinear samples a second, eight at once and without anything else (`benches/growth.rs`; 431 to 437
-//! million on a slower day, 301 before the checks were one a cell); rays through surfaces take 32 (256 x 256) to 62 million, 5 to 10 % of it. Of
-//! the haze's time a fifth goes to values and differences, 13 in a hundred to where rays enter matter, 9 to gradients elsewhere, 11 to the transfer
-//! function, 7 to light, 5 to empty space, 4 to what is fetched ahead; the rest is spread over what keeps eight rays together, of which 6.7 look at once.
-//!
-//! What `--backend auto` takes where the only adapter is a software one was decided by the same scenes in runs of `benches/peers`: 72, 470, 94 and 624
-//! ms here against 102, 753, 171 and 1030 ms for rays by Mesa's llvmpipe on the same two cores, and on another machine 25, 217, 38 and 323 against 52,
-//! 428, 109 and 486. The CPU renderer is taken.
-//!
-//! `shaders/lib` says the same in the same words.
+//! `shaders/lib` has the same arithmetic under the same names.
 
 pub mod march;
 mod packet;

@@ -1,4 +1,4 @@
-//! Surfaces by rays: signed distance fields under deformation, and triangles where nothing deforms them (\[DS07\]; `model.md` section 6).
+//! Surfaces by rays: signed distance fields under deformation, and triangles where nothing deforms them (\[DS07\]; [`crate::model`], "Surfaces").
 //!
 //! *Theory*: a ray goes through the deformed scene; every sample is carried back through the stack, and the first place where the source's
 //! field changes its sign is a hit, refined by bisection. The mask decides what a hit is worth: on a hollow surface one in a cut is

@@ -1,4 +1,4 @@
-//! Bounds on what a stack does to boxes, carried backwards map by map (`model.md` section 9), for empty space.
+//! Bounds on what a stack does to boxes, carried backwards map by map ([`crate::model`], "Empty space"), for empty space.
 //!
 //! Two bounds on a map's displacements are known: a box, from the least and greatest texels; and, from the least and greatest differences of
 //! neighbouring texels, how far they are from that of the box's centre. The second, the mean value form of interval arithmetic (Moore 1966), does not
@@ -39,7 +39,7 @@ impl PlacedMap {
         Some(DisplacementRange { all, mask: [range.min[3], range.max[3]], in_map, texel, outside: !self.domain().contains(&in_map) })
     }
 
-    /// Bounds on what this map does to the points of a box that lie in its cube, if any do (`model.md` section 9), and whether some lie outside.
+    /// Bounds on what this map does to the points of a box that lie in its cube, if any do ([`crate::model`], "Empty space"), and whether some lie outside.
     fn affine_enclosure(&self, b: &Bounds) -> (Option<AffineEnclosure>, bool) {
         let Some(DisplacementRange { all, mask, in_map, texel, outside }) = self.displacement_range(b) else {
             return (None, true);

@@ -146,7 +146,7 @@ impl CutShapes {
         Vec3::new(d(Vec3::X), d(Vec3::Y), d(Vec3::Z)) / (2.0 * h)
     }
 
-    /// Highest and lowest value that [`Self::signed_distance_mm`] can have in a box.
+    /// Lowest and highest value that [`Self::signed_distance_mm`] can have in a box.
     pub fn bounds(&self, b: &Bounds) -> [f32; 2] {
         if self.is_empty() {
             return [f32::INFINITY; 2];

@@ -1,5 +1,5 @@
 //! Signed distance fields of a label, a mask or an iso-value of a scan: what feature-aligned deformations follow and spared labels are
-//! known by. Millimetres, positive inside (`model.md` section 6).
+//! known by. Millimetres, positive inside ([`crate::model`], "Surfaces").
 //!
 //! The distance is exact to the voxels' own boxes, and one pass of a 1-2-1 filter takes their stairs off it.
 

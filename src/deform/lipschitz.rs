@@ -1,5 +1,5 @@
 //! How fast the deformation can change: bounds on |J v| for unit v over boxes of the deformed scene, for Jacobian steps and sphere tracing
-//! (`model.md` section 9).
+//! ([`crate::model`], "Empty space").
 //!
 //! Within a cell of a map's grid each column of J lies in the hull of the differences along four edges. With M their mean, |J| ≤ |M| + the
 //! Frobenius norm of the largest deviations; |M| is the root of the largest eigenvalue of MᵀM, approached from above. The product of the maps' bounds, each

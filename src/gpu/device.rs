@@ -39,14 +39,14 @@ impl Device {
     ///
     /// # Errors
     /// No such adapter, or one that cannot be opened.
-    pub fn open(want: AdapterPreference) -> Result<Self> {
-        let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
-        let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
-        adapters.retain(|a| want == AdapterPreference::Any || a.get_info().device_type != DeviceType::Cpu);
-        adapters.retain(|a| a.get_downlevel_capabilities().flags.contains(wgpu::DownlevelFlags::FRAGMENT_WRITABLE_STORAGE));
-        // Surfaces leave their distances in such a texture.
-        let draws = |a: &wgpu::Adapter, format| a.get_texture_format_features(format).allowed_usages.contains(wgpu::TextureUsages::RENDER_ATTACHMENT);
-        adapters.retain(|a| draws(a, wgpu::TextureFormat::R32Float) && draws(a, wgpu::TextureFormat::Rgba16Float));
+    pub fn open(preference: AdapterPreference) -> Result<Self> {
+        let mut adapters = usable_adapters(wgpu::Backends::all() - wgpu::Backends::GL);
+        let is_hardware = |a: &wgpu::Adapter| a.get_info().device_type != DeviceType::Cpu;
+        // OpenGL's drivers look for a display, and complain on standard error where there is none: they are asked last.
+        if !adapters.iter().any(is_hardware) && (adapters.is_empty() || has_display()) {
+            adapters.extend(usable_adapters(wgpu::Backends::GL));
+        }
+        adapters.retain(|a| preference == AdapterPreference::Any || is_hardware(a));
         adapters.sort_by_key(|a| {
             let info = a.get_info();
             let kind = match info.device_type {
@@ -59,7 +59,7 @@ impl Device {
             (kind, info.backend == wgpu::Backend::Gl)
         });
         let adapter = adapters.into_iter().next().ok_or_else(|| {
-            Error::Gpu(match want {
+            Error::Gpu(match preference {
                 AdapterPreference::Hardware => "no hardware GPU found".into(),
                 AdapterPreference::Any => "no usable graphics driver found; install one (on Debian: mesa-vulkan-drivers) or use --backend cpu".into(),
             })
@@ -112,4 +112,26 @@ impl Device {
             "driver_info": self.adapter.driver_info,
         })
     }
+}
+
+/// The adapters of some backends that can do what the renderers need.
+fn usable_adapters(backends: wgpu::Backends) -> Vec<wgpu::Adapter> {
+    let descriptor = wgpu::InstanceDescriptor::new_without_display_handle_from_env();
+    // What the environment asks for (WGPU_BACKEND), of these.
+    let backends = descriptor.backends & backends;
+    if backends.is_empty() {
+        return Vec::new();
+    }
+    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor { backends, ..descriptor });
+    let mut adapters = pollster::block_on(instance.enumerate_adapters(backends));
+    adapters.retain(|a| a.get_downlevel_capabilities().flags.contains(wgpu::DownlevelFlags::FRAGMENT_WRITABLE_STORAGE));
+    // Surfaces leave their distances in such a texture.
+    let draws = |a: &wgpu::Adapter, format| a.get_texture_format_features(format).allowed_usages.contains(wgpu::TextureUsages::RENDER_ATTACHMENT);
+    adapters.retain(|a| draws(a, wgpu::TextureFormat::R32Float) && draws(a, wgpu::TextureFormat::Rgba16Float));
+    adapters
+}
+
+/// Whether the process can reach a display.
+fn has_display() -> bool {
+    cfg!(not(target_os = "linux")) || ["XDG_RUNTIME_DIR", "WAYLAND_DISPLAY", "DISPLAY"].iter().any(|v| std::env::var_os(v).is_some())
 }

@@ -1,4 +1,4 @@
-//! A signed distance on a grid of points, as renderers and deformations sample it: millimetres, positive inside (`model.md` section 6).
+//! A signed distance on a grid of points, as renderers and deformations sample it: millimetres, positive inside ([`crate::model`], "Surfaces").
 
 use super::trilinear;
 use glam::{Affine3A, Mat3, Vec3};

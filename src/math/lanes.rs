@@ -2,12 +2,11 @@
 //!
 //! *Theory*: neighbouring rays do the same to different numbers. `Vec3x8` holds the x of eight points in one register, their y in a second and
 //! their z in a third, so that what is written for one point is done for eight. Points and vectors are transformed by the operations
-//! of scalar code, to the bit. Interpolation and polynomials fuse a multiplication with the addition behind it (`mul_add`), if the machine can: a
-//! twentieth of a picture's time. They differ from scalar code, and machines that fuse from those that do not, in the last bit.
+//! of scalar code, to the bit. Interpolation and polynomials use fused multiply-add (`mul_add`) where the machine has it. They differ from scalar code, and machines that fuse from those that do not, in the last bit.
 //!
 //! *How to call it*: [`with_simd`] runs a function compiled for the best registers that the machine has (AVX2, else the target's least).
 //! Everything below it must be `#[inline(always)]`, closures included, and registers must not pass through functions that are not (`map` of an
-//! array): else it is compiled for the least, and every operation becomes a call. That cost a factor of ten.
+//! array): else it is compiled for the least, and every operation becomes a call, which is ten times slower.
 
 pub use fearless_simd::prelude::{Bytes, ExtractToken, Select, Simd, SimdBase, SimdFloat, SimdInt, SimdMask};
 pub use fearless_simd::{f32x4, f32x8, i16x8, i32x4, i32x8, mask32x8};
@@ -30,8 +29,8 @@ pub trait SimdKernel {
 /// Runs a function on the best registers of this machine.
 pub fn with_simd<F: SimdKernel>(f: F) -> F::Output {
     let level = Level::new();
-    // Two kinds of machine, not the six that `dispatch!` knows: each is a copy of the renderer for each type of voxel. With the masks and the 32
-    // registers of AVX-512 the same vectors of eight took a tenth longer than with AVX2.
+    // Two kinds of machine, not the six that `dispatch!` knows: each is a copy of the renderer for each type of voxel. AVX-512 is
+    // slower than AVX2 for vectors of eight.
     #[cfg(target_arch = "x86_64")]
     if let Some(simd) = level.as_avx2() {
         return simd.vectorize(

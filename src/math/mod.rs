@@ -1,4 +1,4 @@
-//! Boxes and intervals in the spaces of the crate, and the min/max pyramid that bounds a grid's interpolated values.
+//! Boxes, interpolation, min/max pyramids, distance transforms, light, and SIMD lanes: what the rest computes with.
 
 pub mod bounds;
 pub mod cells;

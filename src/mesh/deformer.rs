@@ -189,7 +189,7 @@ mod tests {
         Deformer { deform: DeformerKind::Wave(1.0, 2.0, 0.0), local_from_world, half: Vec3::splat(10.0) }
     }
 
-    /// \[GG42\] 42.5, and `model.md` section 4.
+    /// \[GG42\] 42.5, and [`crate::model`], "Normals".
     #[test]
     fn the_chapters_worked_example() {
         let p = Vec3::new(3.0, 0.0, 4.0);

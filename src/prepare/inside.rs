@@ -40,8 +40,8 @@ pub struct InsideMeshMaps {
     pub proxy: Option<Arc<Mesh>>,
 }
 
-/// What meshes that hold a volume made of it, kept by what it was made of, the last used last: distances and inverses take a second, and no camera changes
-/// them.
+/// What meshes make of the volume inside them, cached by its inputs, the most recently used last: distances and inverses are slow to compute, and no camera
+/// changes them.
 #[derive(Default)]
 pub struct InsideCache(Mutex<Vec<(InsideMeshKey, Arc<InsideMeshMaps>)>>);
 

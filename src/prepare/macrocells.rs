@@ -1,6 +1,6 @@
 //! Empty space under deformation: a coarse grid over the deformed scene that says where nothing can be seen.
 //!
-//! *Theory*: `model.md` section 9. A cell's box is carried backwards through the stack with interval arithmetic; the result bounds
+//! *Theory*: [`crate::model`], "Empty space". A cell's box is carried backwards through the stack with interval arithmetic; the result bounds
 //! the source points, hence the values (from the volume's min/max pyramid), hence the opacity (from the transfer function's range
 //! maximum). Every bound is conservative, so skipping changes no picture.
 //!

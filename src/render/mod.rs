@@ -1,6 +1,6 @@
-//! Renders a scene on a GPU: view-aligned slices (\[DDM06\] section 4) or rays, on one library of WGSL functions.
+//! Renders a scene on a GPU: view-aligned slices (\[DDM06\] section 4), rays, surfaces and triangles, on one library of WGSL functions.
 //!
-//! *Theory*: the shaders in `shaders/` state what `src/cpu` states, function by function. Slices are drawn in slabs of 32: a polygon covers
+//! *Theory*: the shaders in `shaders/lib` have the arithmetic of `src/cpu`, function by function. Slices are drawn in slabs of 32: a polygon covers
 //! 32 planes' sections of the proxy box, a fragment composites their samples in 32 bits, and the hardware blends slabs front to back, under
 //! what is there, into a 16-bit float target, premultiplied. Between slabs the pixels that have become opaque get depth 0, and the depth test
 //! rejects what would be drawn behind them before it is shaded (Krueger and Westermann 2003). Slices of a mesh are drawn one by one. Projections
@@ -24,13 +24,11 @@
 //!
 //! What suits one device does not suit another: whether rays are fragments or invocations, who mixes texels, and who prepares scenes is a [`Strategy`].
 //! Where the device does ([`Accelerator`](crate::prepare::Accelerator)), a map of a formula is not uploaded but sampled there, and empty space is found there by
-//! bounds that are made there: on an H100 with 16 cores beside it an edited peel took 12 ms to the next picture, of which 1 went to the map, 8 to empty
-//! space (before the distances of its cells were found in less than half the time) and 2 to the rays; by the CPU alone 47: 21 to the map, 13 to empty
-//! space, 13 to the rays. What a device keeps for that is counted as well.
+//! bounds that are made there: the next picture of an edited map comes several times as fast as with map and cells from the CPU (`benches/HISTORY.md`).
+//! What a device keeps for that is counted as well.
 //!
 //! The gradient volume takes the place of six fetches at each sample that is lit by one; without room for it, or a format that holds it, those are
-//! made. It holds values too: behind a sample that showed something, where the next is likely to, it is all that is fetched (on llvmpipe rays and slices
-//! through haze take a tenth less for it). On request passes are timed by the GPU's own clock ([`Renderer::time_passes`]).
+//! made. It holds values too: behind a visible sample, where the next one is likely to be visible as well, nothing else is fetched. On request passes are timed by the GPU's own clock ([`Renderer::time_passes`]).
 //!
 //! Large pictures are drawn in bands and many slabs in batches, each its own submission: a driver that watches for hung commands must
 //! not take a long one for it. The next submission is recorded while one is under way.

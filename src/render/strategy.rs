@@ -7,7 +7,7 @@ use crate::gpu::shaders::Program;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Strategy {
     /// Texels are mixed by the shaders. Hardware filters round their weights to 8 bits: positions in a map of 3 mm texels come out in steps, labels and
-    /// holes get a share of their neighbours'. Software drivers filter in 32 bits.
+    /// holes get a share of their neighbours'. Software drivers filter formats of 16 and 32 bits in 32 bits.
     pub exact_filter: bool,
     /// Rays are invocations of a compute shader, not fragments. Server GPUs draw fragments on a small part of their processors; llvmpipe is
     /// faster at fragments.

@@ -225,12 +225,12 @@ impl Default for Light {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Mode {
-    /// View-aligned slices, back to front.
+    /// The volume by view-aligned slices.
     Slice,
-    /// Rays, front to back.
+    /// The volume by rays, front to back.
     #[default]
     Raycast,
-    /// Surfaces alone, by rays through their distance fields.
+    /// Surfaces alone: by rays through distance fields, formulas and depth maps, or as triangles.
     Surface,
 }
 
@@ -275,7 +275,7 @@ pub enum IsoLight {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct RenderSettings {
-    /// Slices or rays.
+    /// Slices, rays or surfaces.
     pub mode: Mode,
     /// Width and height, pixels.
     pub size: [u32; 2],

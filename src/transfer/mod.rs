@@ -2,7 +2,7 @@
 //!
 //! Control points are in data units (Hounsfield units for CT). Opacity is that of one reference length, Δ₀ = the smallest voxel
 //! spacing; the table holds it as optical depth, τ = -log₂(1 - opacity), so that a sample that stands for a length ℓ has the
-//! opacity 1 - 2^(-τ ℓ/Δ₀): the opacity correction of `model.md` section 5 with one exponential.
+//! opacity 1 - 2^(-τ ℓ/Δ₀): the opacity correction of [`crate::model`], "Opacity and compositing" with one exponential.
 
 mod preintegrated;
 mod presets;

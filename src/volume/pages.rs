@@ -1,7 +1,6 @@
 //! Large arrays in memory of their own, on huge pages where the system has them.
 //!
-//! A renderer reads a volume all over the place. On pages of 4 KiB the first touch of each costs a fault, and later ones a walk through the page table:
-//! figures in [`crate::cpu`].
+//! A renderer reads a volume in no order: on pages of 4 KiB the first touch of each costs a fault, and later ones a walk through the page table.
 
 use bytemuck::{AnyBitPattern, NoUninit};
 use memmap2::MmapMut;

@@ -1,6 +1,6 @@
-//! The kinds of deformation, one file each.
+//! The kinds of deformation, a file for each or for a few that share their formula.
 //!
-//! A kind is a formula in its own *local* space: millimetres from the centre of its cube, axes along the cube's. Given the resolved
+//! A kind is a formula (some also read points, labels or files) in its own *local* space: millimetres from the centre of its cube, axes along the cube's. Given the resolved
 //! parameters it makes a [`Field`], which answers, for a deformed point, where its matter came from and how far the nearest cut is;
 //! and, where an exact forward map exists, where a source point goes. [`Kind::map`] samples the field into a
 //! [`DisplacementMap`].

@@ -1,4 +1,4 @@
-//! Peel: a layer of the box is cut free on three sides and rolled back about a hinge (`model.md` section 7; \[DDM06\] fig 1).
+//! Peel: a layer of the box is cut free on three sides and rolled back about a hinge ([`crate::model`], "Kinds of deformation"; \[DDM06\] fig 1).
 //!
 //! In local x, z: the layer z in [z0, z0+h] from the hinge x_h on is rolled into an arc of outer radius R about c = (x_h, z0+R),
 //! its outer side facing inwards; `progress` moves the hinge from the flap's free end inwards. The flap is narrower than the box, so
