@@ -1,23 +1,37 @@
-//! Who may name whom: the order in src/lib.rs, held.
+//! The house, held: who may name whom, no circles between files, files and functions of readable size, files opened in one place.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-const ORDER: [(&str, &[&str]); 14] = [
+/// The modules of the crate, each with those before it that it may name, in the order of `src/lib.rs`. `error`, `watch` and `panic_guard` may be named by
+/// all.
+const ORDER: [(&str, &[&str]); 18] = [
     ("files", &[]),
     ("math", &["files"]),
     ("volume", &["files", "math"]),
+    ("picture", &["files", "math", "volume"]),
     ("mesh", &["files", "math", "volume"]),
     ("transfer", &["files", "math", "volume"]),
     ("deform", &["files", "math", "volume"]),
-    ("scene", &["files", "math", "volume", "mesh", "transfer", "deform"]),
-    ("cpu", &["files", "math", "volume", "mesh", "transfer", "deform", "scene"]),
+    ("scene", &["files", "math", "volume", "picture", "mesh", "transfer", "deform"]),
+    ("prepare", &["files", "math", "volume", "picture", "mesh", "transfer", "deform", "scene"]),
+    ("cpu", &["files", "math", "volume", "picture", "mesh", "transfer", "deform", "scene", "prepare"]),
     ("gpu", &["files", "math"]),
-    ("render", &["files", "math", "volume", "mesh", "transfer", "deform", "scene", "gpu"]),
-    ("export", &["files", "math", "volume", "deform", "scene"]),
-    ("compare", &["files", "math", "volume", "scene", "cpu", "gpu", "render", "export"]),
-    ("cli", &["files", "math", "volume", "mesh", "transfer", "deform", "scene", "cpu", "gpu", "render", "export", "compare"]),
-    ("gui", &["files", "math", "volume", "mesh", "transfer", "deform", "scene", "cpu", "gpu", "render", "export", "compare"]),
+    ("render", &["files", "math", "volume", "picture", "mesh", "transfer", "deform", "scene", "prepare", "gpu"]),
+    ("engine", &["scene", "picture", "prepare", "cpu", "gpu", "render"]),
+    ("export", &["files", "math", "volume", "picture", "deform", "scene", "prepare", "engine"]),
+    ("compare", &["files", "math", "volume", "picture", "scene", "prepare", "engine", "export"]),
+    ("cli", &["files", "math", "volume", "picture", "mesh", "transfer", "deform", "scene", "prepare", "engine", "export", "compare", "gui"]),
+    ("gui", &["files", "math", "volume", "picture", "mesh", "transfer", "deform", "scene", "prepare", "cpu", "engine", "export", "compare"]),
+    ("model", &[]),
 ];
+
+/// Longest file, and longest function, in lines.
+const MAX_FILE_LINES: usize = 700;
+const MAX_FUNCTION_LINES: usize = 100;
+
+/// Functions that are longer, with their reason.
+const LONG_FUNCTIONS: [(&str, &str); 5] = [("deform/kinds/settings.rs", ""), ("", ""), ("", ""), ("", ""), ("", "")];
 
 fn files(folder: &Path, extension: &str) -> Vec<PathBuf> {
     let mut found = Vec::new();
@@ -29,6 +43,7 @@ fn files(folder: &Path, extension: &str) -> Vec<PathBuf> {
             found.push(path);
         }
     }
+    found.sort();
     found
 }
 
@@ -36,29 +51,229 @@ fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
 }
 
-pub fn modules_name_only_those_before_them() {
-    let mut names_seen = 0;
-    for (module, allowed) in ORDER {
-        for file in files(&root().join("src").join(module), "rs") {
-            let text = std::fs::read_to_string(&file).unwrap();
-            for line in text.lines().filter(|l| !l.trim_start().starts_with("//")) {
-                for (at, _) in line.match_indices("crate::") {
-                    let rest = &line[at + 7..];
-                    let grouped: Vec<&str> = if let Some(inner) = rest.strip_prefix('{') {
-                        inner.split([',', '}']).map(|p| p.trim().split(':').next().unwrap_or("")).collect()
-                    } else {
-                        vec![rest.split(|c: char| !c.is_alphanumeric() && c != '_').next().unwrap_or("")]
-                    };
-                    for name in grouped.into_iter().filter(|n| ORDER.iter().any(|o| o.0 == *n)) {
-                        names_seen += 1;
-                        assert!(name == module || allowed.contains(&name), "{}: {module} names {name}: {line}", file.display());
+/// The code of a file before its tests, without comments and with empty strings.
+fn code(path: &Path) -> String {
+    let text = std::fs::read_to_string(path).unwrap();
+    let text = text.split("#[cfg(test)]\nmod tests").next().unwrap().split("#[cfg(test)]\npub(super) mod tests").next().unwrap();
+    let mut out = String::with_capacity(text.len());
+    let mut chars = text.chars().peekable();
+    while let Some(c) = chars.next() {
+        match c {
+            '/' if chars.peek() == Some(&'/') => {
+                chars.by_ref().find(|c| *c == '\n');
+                out.push('\n');
+            }
+            '"' => {
+                out.push('"');
+                while let Some(c) = chars.next() {
+                    match c {
+                        '\\' => drop(chars.next()),
+                        '"' => break,
+                        '\n' => out.push('\n'),
+                        _ => {}
                     }
                 }
-                assert!(module == "gpu" || module == "render" || !line.contains("wgpu::"), "{}: wgpu outside gpu and render", file.display());
+                out.push('"');
+            }
+            // A character, not a lifetime: 'x' or '\x'.
+            '\'' => {
+                let rest: Vec<char> = chars.clone().take(3).collect();
+                let skip = match rest[..] {
+                    ['\\', _, '\''] => 3,
+                    [_, '\'', ..] => 2,
+                    _ => 0,
+                };
+                (0..skip).for_each(|_| drop(chars.next()));
+                out.push('\'');
+            }
+            _ => out.push(c),
+        }
+    }
+    out
+}
+
+/// All paths that a `use` tree names.
+fn expanded(tree: &str) -> Vec<String> {
+    let tree = tree.trim();
+    let Some(open) = tree.find('{') else {
+        return vec![tree.split(" as ").next().unwrap().trim().to_owned()];
+    };
+    let (prefix, inner) = (&tree[..open], &tree[open + 1..tree.rfind('}').unwrap()]);
+    let (mut depth, mut part, mut parts) = (0, String::new(), Vec::new());
+    for c in inner.chars() {
+        match c {
+            '{' => depth += 1,
+            '}' => depth -= 1,
+            ',' if depth == 0 => {
+                parts.push(std::mem::take(&mut part));
+                continue;
+            }
+            _ => {}
+        }
+        part.push(c);
+    }
+    parts.push(part);
+    let named = parts.iter().filter(|p| !p.trim().is_empty());
+    named.flat_map(|p| expanded(p)).map(|p| format!("{prefix}{p}")).collect()
+}
+
+/// The source as a graph: files by module, what each re-exports, and what each names.
+struct House {
+    /// Module path, `a::b`, to file.
+    files: BTreeMap<String, PathBuf>,
+    /// Paths that a module's `use` statements name, with whether they are re-exports, and those in its code.
+    named: BTreeMap<String, Vec<(String, bool)>>,
+}
+
+impl House {
+    fn new() -> Self {
+        let source = root().join("src");
+        let (mut all, mut named) = (BTreeMap::new(), BTreeMap::new());
+        for path in files(&source, "rs") {
+            let relative = path.strip_prefix(&source).unwrap().with_extension("");
+            let mut parts: Vec<String> = relative.iter().map(|p| p.to_string_lossy().into_owned()).collect();
+            if parts.last().is_some_and(|p| p == "mod") {
+                parts.pop();
+            }
+            if parts != ["lib"] && parts != ["main"] {
+                all.insert(parts.join("::"), path);
+            }
+        }
+        for (module, path) in &all {
+            let code = code(path);
+            let mut paths = Vec::new();
+            let mut rest = code.as_str();
+            while let Some(at) = rest.find("use ") {
+                let start = at == 0 || rest[..at].ends_with([' ', '\n']);
+                let is_public = rest[..at].trim_end_matches(' ').ends_with("pub") || rest[..at].trim_end_matches(' ').ends_with("pub(crate)");
+                let tail = &rest[at + 4..];
+                let end = tail.find(';').unwrap_or(tail.len());
+                if start && !tail[..end].contains('(') {
+                    paths.extend(expanded(&tail[..end]).into_iter().map(|p| (p, is_public)));
+                    rest = &tail[end..];
+                } else {
+                    rest = tail;
+                }
+            }
+            for root in ["crate::", "super::"] {
+                for (at, _) in code.match_indices(root) {
+                    if code[..at].ends_with("::") {
+                        continue;
+                    }
+                    let path: String = code[at..].chars().take_while(|c| c.is_alphanumeric() || "_:".contains(*c)).collect();
+                    paths.push((path.trim_end_matches(':').to_owned(), false));
+                }
+            }
+            named.insert(module.clone(), paths);
+        }
+        Self { files: all, named }
+    }
+
+    /// The file that defines what a path names, seen from a module.
+    fn defining(&self, from: &str, path: &str, depth: usize) -> Option<String> {
+        let mut at: Vec<&str> = from.split("::").collect();
+        let mut parts = path.split("::").map(str::trim).peekable();
+        match parts.peek()? {
+            &"crate" => {
+                parts.next();
+                at.clear();
+            }
+            &"super" => {
+                while parts.peek() == Some(&"super") {
+                    parts.next();
+                    at.pop();
+                }
+            }
+            &"self" => drop(parts.next()),
+            first if self.files.contains_key(&format!("{from}::{first}")) => {}
+            _ => return None,
+        }
+        let mut module = at.join("::");
+        for part in parts {
+            let deeper = if module.is_empty() { part.to_owned() } else { format!("{module}::{part}") };
+            if self.files.contains_key(&deeper) {
+                module = deeper;
+                continue;
+            }
+            // What a folder's module re-exports is defined below it.
+            let exported = self.named.get(&module).into_iter().flatten().filter(|(_, public)| *public);
+            let found = exported
+                .clone()
+                .find(|(p, _)| p.rsplit("::").next() == Some(part))
+                .and_then(|(p, _)| if depth < 4 { self.defining(&module, p, depth + 1) } else { None });
+            return found.or(Some(module)).filter(|m| !m.is_empty());
+        }
+        Some(module).filter(|m| !m.is_empty())
+    }
+
+    /// What each file names of others. A folder's own module and the files below it are one room: its `mod.rs` declares them and they extend it.
+    fn arrows(&self) -> BTreeMap<&str, BTreeSet<String>> {
+        let of = |(module, paths): (&'_ String, &Vec<(String, bool)>)| -> BTreeSet<String> {
+            let targets = paths.iter().filter_map(|(p, _)| self.defining(module, p, 0));
+            let is_kin = |t: &String| t == module || module.starts_with(&format!("{t}::")) || t.starts_with(&format!("{module}::"));
+            targets.filter(|t| !is_kin(t)).collect()
+        };
+        self.named.iter().map(|entry| (entry.0.as_str(), of(entry))).collect()
+    }
+}
+
+pub fn modules_name_only_those_before_them() {
+    let house = House::new();
+    let mut seen = 0;
+    for (module, targets) in house.arrows() {
+        let top = module.split("::").next().unwrap();
+        let Some((_, allowed)) = ORDER.iter().find(|(name, _)| *name == top) else {
+            assert!(["error", "watch", "panic_guard"].contains(&top), "{module} is in no place of the order");
+            continue;
+        };
+        for target in targets {
+            let other = target.split("::").next().unwrap();
+            if other != top && ORDER.iter().any(|(name, _)| *name == other) {
+                seen += 1;
+                assert!(allowed.contains(&other), "{module} names {target}");
             }
         }
     }
-    assert!(names_seen > 40, "the test sees only {names_seen} names");
+    assert!(seen > 300, "the test sees only {seen} arrows");
+    for file in files(&root().join("src"), "rs") {
+        let name = file.strip_prefix(root().join("src")).unwrap().to_string_lossy().into_owned();
+        let allowed = name.starts_with("gpu/") || name.starts_with("render/");
+        assert!(allowed || !code(&file).contains("wgpu::"), "{name}: wgpu outside gpu and render");
+        let is_window = name.starts_with("gui/");
+        assert!(is_window || !code(&file).contains("egui"), "{name}: egui outside gui");
+    }
+}
+
+/// Files that name each other, directly or in a loop.
+fn circles(arrows: &BTreeMap<&str, BTreeSet<String>>) -> Vec<BTreeSet<String>> {
+    let reachable = |from: &str| -> BTreeSet<String> {
+        let (mut found, mut open) = (BTreeSet::new(), vec![from.to_owned()]);
+        while let Some(next) = open.pop() {
+            for target in arrows.get(next.as_str()).into_iter().flatten() {
+                if found.insert(target.clone()) {
+                    open.push(target.clone());
+                }
+            }
+        }
+        found
+    };
+    let all: BTreeMap<&str, BTreeSet<String>> = arrows.keys().map(|m| (*m, reachable(m))).collect();
+    let mut found: Vec<BTreeSet<String>> = Vec::new();
+    for (module, reach) in &all {
+        if reach.contains(*module) && !found.iter().any(|c| c.contains(*module)) {
+            found.push(reach.iter().filter(|other| all.get(other.as_str()).is_some_and(|r| r.contains(*module))).cloned().collect());
+        }
+    }
+    found
+}
+
+pub fn no_circles_between_files() {
+    let house = House::new();
+    let found = circles(&house.arrows());
+    assert!(found.is_empty(), "files name each other: {found:#?}");
+    // The test sees a circle where there is one.
+    let arrow = |to: &str| BTreeSet::from([to.to_owned()]);
+    assert_eq!(circles(&BTreeMap::from([("a", arrow("b")), ("b", arrow("c")), ("c", arrow("a")), ("d", arrow("a"))])).len(), 1);
 }
 
 /// Readers open their files, and writers make theirs, in one place: what is promised there holds for all.
@@ -100,9 +315,35 @@ pub fn only_one_module_opens_files() {
     assert!(exceptions >= 5, "{exceptions}");
 }
 
-pub fn files_are_of_readable_size() {
-    for file in files(&root().join("src"), "rs").into_iter().chain(files(&root().join("shaders"), "wgsl")) {
-        let lines = std::fs::read_to_string(&file).unwrap().lines().count();
-        assert!(lines <= 800, "{} has {lines} lines", file.display());
+/// Functions of a file that are longer than most: name and lines.
+fn long_functions(path: &Path) -> Vec<(String, usize)> {
+    let code = code(path);
+    let lines: Vec<&str> = code.lines().collect();
+    let mut found = Vec::new();
+    for (n, line) in lines.iter().enumerate() {
+        let indent = line.len() - line.trim_start().len();
+        let word =
+            ["fn ", "pub fn ", "pub(super) fn ", "pub(crate) fn ", "pub(in crate::gui) fn "].iter().find_map(|w| line.trim_start().strip_prefix(w));
+        let Some(rest) = word else { continue };
+        let end = format!("{}}}", " ".repeat(indent));
+        if let Some(length) = lines[n..].iter().position(|l| **l == end)
+            && length + 1 > MAX_FUNCTION_LINES
+        {
+            found.push((rest.split(['(', '<']).next().unwrap().to_owned(), length + 1));
+        }
     }
+    found
+}
+
+pub fn files_and_functions_are_of_readable_size() {
+    let mut long = Vec::new();
+    for file in files(&root().join("src"), "rs").into_iter().chain(files(&root().join("shaders"), "wgsl")) {
+        let name = file.strip_prefix(root()).unwrap().to_string_lossy().into_owned();
+        let lines = std::fs::read_to_string(&file).unwrap().lines().count();
+        assert!(lines <= MAX_FILE_LINES, "{name} has {lines} lines");
+        long.extend(long_functions(&file).into_iter().map(|(function, lines)| format!("{name}: {function} ({lines} lines)")));
+    }
+    let listed = |function: &String| LONG_FUNCTIONS.iter().any(|(of, _)| !of.is_empty() && function.contains(of));
+    let unlisted: Vec<&String> = long.iter().filter(|f| !listed(f)).collect();
+    assert!(unlisted.is_empty(), "functions of more than {MAX_FUNCTION_LINES} lines: {unlisted:#?}");
 }

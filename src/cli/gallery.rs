@@ -2,12 +2,13 @@
 
 use super::progress::TerminalProgress;
 use crate::deform::kinds::{self, Kind, Unit};
+use crate::engine::{Engine, RenderRequest};
 use crate::export::protect;
 use crate::files::OutputFile;
 use crate::files::path_text::text_of;
-use crate::prepare::{Assets, Prepared};
+use crate::prepare::Assets;
 use crate::scene::{Scene, example};
-use crate::{Error, Result, cpu};
+use crate::{Error, Result};
 use clap::Args;
 use std::path::PathBuf;
 
@@ -50,6 +51,7 @@ pub fn run(arguments: &GalleryArguments) -> Result<()> {
     let loaded = volumes.map(|(_, path)| Assets::load(&Scene::of_volume(path)));
     let [a, b] = loaded;
     let assets = [a?, b?];
+    let mut engine = Engine::cpu();
     let mut rows = String::new();
     let all = wanted.len() * volumes.len();
     let mut notes = Vec::new();
@@ -58,7 +60,7 @@ pub fn run(arguments: &GalleryArguments) -> Result<()> {
         for (m, (label, path)) in volumes.iter().enumerate() {
             bar.set("rendering", (n * volumes.len() + m) as f32 / all as f32);
             let scene = example::of_kind(kind, path, arguments.edge, &assets[m].volume.bounds_in_world());
-            let picture = Prepared::new(&scene, &assets[m]).map(|p| cpu::render(&p).picture);
+            let picture = engine.picture(&scene, &assets[m], &RenderRequest::default()).map(|p| p.rendered.picture);
             match picture {
                 Ok(picture) => {
                     let file = format!("{}-{label}.png", kind.name);

@@ -124,7 +124,7 @@ fn report(
         "mode": prepared.settings.mode,
         "size": [width, height],
         "step_voxels": prepared.settings.step,
-        "step_mm": prepared.frame.steps.step_mm,
+        "step_mm": prepared.frame.spacing.step_mm,
         "samples": samples,
         "notices": notices,
         "maps": maps,

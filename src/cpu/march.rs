@@ -114,8 +114,8 @@ impl<T: Voxel> RayMarcher<'_, T> {
         let one = f32x8::splat(simd, 1.0);
         let inverse_direction = Vec3x8 { x: one / direction.x, y: one / direction.y, z: one / direction.z };
         let step = match scene.settings.mode {
-            Mode::Raycast | Mode::Surface => f32x8::splat(simd, frame.steps.step_mm),
-            Mode::Slice => f32x8::splat(simd, frame.steps.step_mm) / direction.dot(Vec3x8::splat(simd, frame.view.forward)),
+            Mode::Raycast | Mode::Surface => f32x8::splat(simd, frame.spacing.step_mm),
+            Mode::Slice => f32x8::splat(simd, frame.spacing.step_mm) / direction.dot(Vec3x8::splat(simd, frame.view.forward)),
         };
         let (near, far) = frame.proxy.intersect_rays(simd, origin, inverse_direction);
         let number = first_sample_after(near, step);
@@ -132,7 +132,7 @@ impl<T: Voxel> RayMarcher<'_, T> {
             inverse_direction,
             half: (Vec3x8::splat(simd, frame.to_light) - direction).normalized(),
             step,
-            length: step * frame.steps.reference_mm.recip(),
+            length: step * frame.spacing.reference_mm.recip(),
             end,
             with_gradients: self.sampler.has_gradients() && fetch_policy.fetches_gradients(),
             ahead: direction.mapped(&Mat3::from(scene.volume().voxel_from_world.matrix3)) * (step * PREFETCH_STEPS),

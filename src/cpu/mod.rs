@@ -159,7 +159,7 @@ impl<T: Voxel> SimdKernel for RowStrip<'_, T> {
                     // Samples are shifted by moving where the ray is measured from.
                     let direction = direction.lane(n);
                     let slant = if scene.settings.mode == Mode::Slice { direction.dot(frame.view.forward) } else { 1.0 };
-                    let shift = march::pixel_shift((x + n % 4) as u32, (self.top + y + n / 4) as u32) * frame.steps.step_mm / slant;
+                    let shift = march::pixel_shift((x + n % 4) as u32, (self.top + y + n / 4) as u32) * frame.spacing.step_mm / slant;
                     rays.origin.set(n, origin.lane(n) + direction * shift);
                     rays.until[n] = (rays.until[n] - shift).max(0.0);
                 }

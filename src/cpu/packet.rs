@@ -67,7 +67,7 @@ impl<'a, T: Voxel> RayMarcher<'a, T> {
             gradient_opacity: scene.uses_gradient_opacity(),
             preintegrated: scene
                 .preintegrated()
-                .then(|| Preintegrated::new(&scene.volume().table, scene.frame.steps.step_mm / scene.frame.steps.reference_mm)),
+                .then(|| Preintegrated::new(&scene.volume().table, scene.frame.spacing.step_mm / scene.frame.spacing.reference_mm)),
         }
     }
 

@@ -105,7 +105,7 @@ impl<T: Voxel> RayMarcher<'_, T> {
                 factor[n] = scene.volume().table.gradient_factor(magnitude[n]);
             }
         }
-        let per_reference = magnitude * (scene.volume().table.scale.abs() * scene.frame.steps.reference_mm);
+        let per_reference = magnitude * (scene.volume().table.scale.abs() * scene.frame.spacing.reference_mm);
         let mut confidence = smoothstep(SURFACE_GRADIENT[0], SURFACE_GRADIENT[1], per_reference);
         let in_a_map = lanes & (at.inside | entry.inside);
         let mut jacobian_columns = [Vec3x8::splat(simd, Vec3::X), Vec3x8::splat(simd, Vec3::Y), Vec3x8::splat(simd, Vec3::Z)];
@@ -152,12 +152,12 @@ impl<T: Voxel> RayMarcher<'_, T> {
         let near_cut = lanes & !in_a_map & !entered & !self.far_from_faces(at.in_voxel, Vec3x8::splat(simd, self.face_margin_voxels));
         if scene.settings.normals == Normals::Blended && near_cut.any_true() {
             let (distance, outward) = self.nearest_face(simd, at.in_voxel);
-            let own = smoothstep(scene.frame.steps.blend_mm[0], scene.frame.steps.blend_mm[1], distance);
+            let own = smoothstep(scene.frame.spacing.blend_mm[0], scene.frame.spacing.blend_mm[1], distance);
             let facing = -outward.dot(rays.direction);
             let mut near_cut = near_cut & own.simd_lt(1.0) & facing.simd_gt(0.0);
             if near_cut.any_true() {
                 // As shading::cut_in_front.
-                let mut way = (distance * CUT_LOOKBACK_SHARE / facing).min(MAX_CUT_LOOKBACK * scene.frame.steps.blend_mm[1]);
+                let mut way = (distance * CUT_LOOKBACK_SHARE / facing).min(MAX_CUT_LOOKBACK * scene.frame.spacing.blend_mm[1]);
                 let mut undecided = near_cut;
                 for _ in 0..CUT_LOOKBACK_STEPS {
                     let back = self.sample_points(simd, sampled - rays.direction * way, undecided, false);

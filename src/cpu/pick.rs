@@ -79,7 +79,7 @@ fn first_visible_sample<T: Voxel>(
     let frame = &scene.frame;
     let (near, far) = frame.proxy.intersect_ray(origin, direction)?;
     // Half the renderer's step: the point is to lie on the surface, not up to a step behind it.
-    let step = 0.5 * frame.steps.step_mm;
+    let step = 0.5 * frame.spacing.step_mm;
     let (mut i, end) = (first_sample_after(near, step), first_sample_after(far.min(until), step));
     let inverse_direction = direction.recip();
     let mut transmittance = 1.0f32;
@@ -101,7 +101,7 @@ fn first_visible_sample<T: Voxel>(
             continue;
         }
         let depth = scene.volume().table.lookup(at.value)[3];
-        transmittance *= (-depth * step / frame.steps.reference_mm).exp2();
+        transmittance *= (-depth * step / frame.spacing.reference_mm).exp2();
         if 1.0 - transmittance >= MIN_PICK_OPACITY {
             return Some((deformed, at));
         }

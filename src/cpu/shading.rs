@@ -106,14 +106,14 @@ pub(super) const CUT_LOOKBACK_STEPS: u32 = 4;
 
 /// A cut near a sample in the midst of matter, if the ray came out of it; none if it came through another surface since, or goes towards it.
 fn cut_in_front<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, sample: &VisibleSample, cut: NearestCut, direction: Vec3) -> NearestCut {
-    if scene.settings.normals != Normals::Blended || cut.distance_mm >= scene.frame.steps.blend_mm[1] {
+    if scene.settings.normals != Normals::Blended || cut.distance_mm >= scene.frame.spacing.blend_mm[1] {
         return cut;
     }
     let facing = -cut.normal.dot(direction);
     if facing <= 0.0 {
         return NearestCut::NONE;
     }
-    let mut way = (CUT_LOOKBACK_SHARE * cut.distance_mm.max(0.0) / facing).min(MAX_CUT_LOOKBACK * scene.frame.steps.blend_mm[1]);
+    let mut way = (CUT_LOOKBACK_SHARE * cut.distance_mm.max(0.0) / facing).min(MAX_CUT_LOOKBACK * scene.frame.spacing.blend_mm[1]);
     for _ in 0..CUT_LOOKBACK_STEPS {
         let back = super::sample_scene(scene, sampler, sample.deformed - direction * way);
         if back.present {
@@ -271,10 +271,10 @@ pub fn nearest_cut(scene: &Prepared, jet: &Jet, in_voxel: Vec3) -> NearestCut {
 pub fn nearer_cut_shape(scene: &Prepared, cut: NearestCut, deformed: Vec3) -> NearestCut {
     let distance_mm = scene.cuts.signed_distance_mm(deformed);
     // Beyond the reach of the blend it matters no more.
-    if distance_mm > scene.frame.steps.blend_mm[1] {
+    if distance_mm > scene.frame.spacing.blend_mm[1] {
         cut
     } else {
-        cut.nearer_of(distance_mm, scene.cuts.gradient(deformed, 0.05 * scene.frame.steps.reference_mm))
+        cut.nearer_of(distance_mm, scene.cuts.gradient(deformed, 0.05 * scene.frame.spacing.reference_mm))
     }
 }
 
@@ -314,7 +314,7 @@ pub(super) fn grey_face<T: Voxel>(
 /// Cosine of the angle between an iso-surface and the light: the derivative of the deformed volume towards the light over that in all directions,
 /// by differences of looks. Neither the source's gradient nor the Jacobian is needed.
 fn light_cosine_by_derivative<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, at: Vec3) -> f32 {
-    let h = scene.frame.steps.reference_mm;
+    let h = scene.frame.spacing.reference_mm;
     let value = |p: Vec3| {
         let at = super::sample_scene(scene, sampler, p);
         if at.present { at.value } else { 0.0 }
@@ -384,7 +384,7 @@ pub fn normal(scene: &Prepared, d_source_d_deformed: &Mat3, gradient_in_source: 
         Normals::Source | Normals::None => gradient_in_source,
         Normals::Transformed | Normals::Blended => d_source_d_deformed.transpose() * gradient_in_source,
     };
-    let per_reference = gradient_in_source.length() * scene.volume().table.scale.abs() * scene.frame.steps.reference_mm;
+    let per_reference = gradient_in_source.length() * scene.volume().table.scale.abs() * scene.frame.spacing.reference_mm;
     let mut confidence = smoothstep(SURFACE_GRADIENT[0], SURFACE_GRADIENT[1], per_reference);
     // Out of the matter: down the gradient, which the caller has turned to where opacity rises.
     let mut normal = normalize_or(-gradient, Vec3::ZERO);
@@ -392,7 +392,7 @@ pub fn normal(scene: &Prepared, d_source_d_deformed: &Mat3, gradient_in_source: 
         normal = -normal;
     }
     if scene.settings.normals == Normals::Blended {
-        let [near, far] = scene.frame.steps.blend_mm;
+        let [near, far] = scene.frame.spacing.blend_mm;
         let own = smoothstep(near, far, cut.distance_mm);
         normal = normalize_or(normal * (own * confidence) + cut.normal * (1.0 - own), cut.normal);
         confidence = (own * confidence).max(1.0 - own);

@@ -1,7 +1,7 @@
 //! One displacement map: a grid of (D, alpha) over the unit cube, in one of four storage formats.
 
-use super::MapDefinition;
-use super::stack::MARKED_ALPHA;
+use super::field::MapDefinition;
+use super::texel::{MARKED_ALPHA, Storage, TexelSample};
 use crate::math::cells::{Cells, Vec4x8, across, columns, mix_line, mix_texels, mix_with_differences};
 use crate::math::lanes::*;
 use crate::math::pyramid::ChannelRange;
@@ -10,54 +10,7 @@ use crate::{ByteProgress, Result, Watch};
 use glam::{Mat3, Vec3, Vec4, Vec4Swizzles};
 use half::f16;
 use rayon::prelude::*;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 use std::sync::OnceLock;
-
-/// How a texel is stored. \[DDM06\] section 8: eight bits show jagged lines.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "lowercase")]
-pub enum Storage {
-    /// Four half-precision floats.
-    #[default]
-    F16,
-    /// Four 16-bit signed normalised integers.
-    Snorm16,
-    /// Four 8-bit signed normalised integers.
-    Snorm8,
-    /// Four single-precision floats, for fields whose numbers matter.
-    F32,
-}
-
-impl Storage {
-    /// Bytes of one texel.
-    pub fn bytes(self) -> usize {
-        match self {
-            Self::F16 | Self::Snorm16 => 8,
-            Self::Snorm8 => 4,
-            Self::F32 => 16,
-        }
-    }
-
-    /// The nearest value that the format can hold.
-    fn quantise(self, v: f32) -> f32 {
-        match self {
-            Self::F16 => f16::from_f32(v).to_f32(),
-            Self::Snorm16 => (v.clamp(-1.0, 1.0) * 32767.0).round() / 32767.0,
-            Self::Snorm8 => (v.clamp(-1.0, 1.0) * 127.0).round() / 127.0,
-            Self::F32 => v,
-        }
-    }
-}
-
-/// D (map units) and alpha at one point.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TexelSample {
-    /// Inverse displacement, in units of the map's cube.
-    pub displacement: Vec3,
-    /// 1 where matter is, 0 where nothing is; 1/2 on a cut.
-    pub alpha: f32,
-}
 
 /// A grid of inverse displacement and mask over the unit cube.
 pub struct DisplacementMap {
@@ -139,6 +92,19 @@ impl DisplacementMap {
             meter.add(samples.len() as u64)
         })?;
         Ok(Self::from_samples(size, storage, samples))
+    }
+
+    /// The map that a definition says, sampled now.
+    pub fn of(definition: &MapDefinition) -> Self {
+        Self::from_fn(definition.size, definition.storage, |x| definition.sample(x))
+    }
+
+    /// As [`Self::of`], for a caller that may stop it.
+    ///
+    /// # Errors
+    /// [`crate::Error::Cancelled`].
+    pub fn of_watched(definition: &MapDefinition, watch: &Watch) -> Result<Self> {
+        Self::from_fn_until(definition.size, definition.storage, |x| definition.sample(x), watch)
     }
 
     /// Map coordinates of the grid point with a flat index.

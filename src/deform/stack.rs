@@ -9,6 +9,7 @@
 //! A map may be *added* to the one before it (\[DS07\] section 4: detail): both are evaluated at the same point and their displacements
 //! summed, G(p) = p + A_1 D_1(M_1⁻¹ p) + A_2 D_2(M_2⁻¹ p).
 
+use super::texel::{MIN_MARKED_ALPHA, MIN_MARKED_SLOPE};
 use super::{DisplacementMap, Placement};
 use crate::math::Bounds;
 use crate::math::lanes::*;
@@ -58,12 +59,6 @@ pub struct PrecomposedMap {
     /// How far its sources may be from those of the stack, mm.
     pub bound_mm: f32,
 }
-
-/// The mask of marked texels, and the one from which a sample has a part of them. Half precision holds it.
-pub const MARKED_ALPHA: f32 = 60_000.0;
-pub(super) const MIN_MARKED_ALPHA: f32 = 2.0;
-/// A mask that changes by this much over a map is that of marked texels.
-const MIN_MARKED_SLOPE: f32 = 4096.0;
 
 /// The nearest cut to a point of the deformed scene, by the masks' first order.
 #[derive(Clone, Copy, Debug)]

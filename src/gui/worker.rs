@@ -5,6 +5,7 @@
 //! that it never waits for a picture. Coarse pictures and slices leave one core to the interface.
 
 use super::log::LogLevel;
+use super::views::slice_paint::{self, Overlay, SliceStyle};
 use crate::cpu::pick::{self, Pick};
 use crate::cpu::section::{self, Section, SectionPlane};
 use crate::engine::{Backend, DeviceInfo, Engine, EngineOptions, Quality, RenderRequest, ScenePicture};
@@ -58,35 +59,6 @@ impl JobTarget {
     fn stops(self) -> bool {
         !matches!(self, Self::Coarse | Self::Slice(_))
     }
-}
-
-/// What a slice shows over its grey values.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Overlay {
-    /// Nothing.
-    #[default]
-    None,
-    /// Regions of the label map, in their colours.
-    Labels,
-    /// A grid that is straight in the patient.
-    Grid,
-    /// Arrows from where matter was to where it is.
-    Glyphs,
-    /// What the masks cut away.
-    Mask,
-    /// det J of the map that is looked up: folds, compression, stretching.
-    Jacobian,
-}
-
-/// How a slice is shown.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SliceStyle {
-    /// Values that are black and white, data units.
-    pub window: [f64; 2],
-    /// Over it.
-    pub overlay: Overlay,
-    /// Of the source instead of the deformed scene.
-    pub source: bool,
 }
 
 /// What to do.
@@ -461,7 +433,7 @@ fn slice(job: &Job, plane: SectionPlane, style: SliceStyle, watch: &Watch) -> Re
     let maps = deformed.as_ref().map(Deformed::stack_and_cuts);
     let determinants = style.overlay == Overlay::Jacobian;
     let section = section::sample(&assets.volume, assets.grid(), maps, plane, determinants, watch)?;
-    let image = super::views::slice_paint::paint(&section, assets, style);
+    let image = slice_paint::paint(&section, assets, style);
     let deformed = deformed.filter(|d| !d.stack.is_empty());
     Ok(SlicePicture { image, plane, section, style, deformed })
 }

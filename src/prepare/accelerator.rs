@@ -23,7 +23,7 @@ pub trait Accelerator {
     /// # Errors
     /// Whatever the device reports; [`crate::Error::Cancelled`].
     fn map(&self, recipe: MapDefinition, watch: &Watch) -> Result<Arc<DisplacementMap>> {
-        recipe.map_until(watch).map(Arc::new)
+        DisplacementMap::of_watched(&recipe, watch).map(Arc::new)
     }
 
     /// Whether texels are wanted here, also of maps that a device has made before.

@@ -1,7 +1,7 @@
 //! What a scene refers to, loaded once and shared by any number of pictures.
 
 use super::inside::InsideCache;
-use super::objects::ObjectCache;
+use super::object_cache::ObjectCache;
 use super::sampled::SampledVolume;
 use crate::deform::Library;
 use crate::math::Bounds;
@@ -119,7 +119,8 @@ impl Assets {
             assets.separate_labels = Some(stages.time("labels", || assets.library.load_label_map(path))?);
         }
         if !scene.mesh.is_empty() || scene.render.mode == Mode::Surface {
-            assets.mesh_box = stages.time("meshes", || assets.load_objects(scene, &|share| report("distances", share)))?;
+            assets.mesh_box =
+                stages.time("meshes", || assets.objects.load(scene, &assets.library, &assets.volume, &|share| report("distances", share)))?;
         }
         if !assets.has_volume {
             let empty = Volume::empty_over(&assets.mesh_box);

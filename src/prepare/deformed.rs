@@ -2,8 +2,9 @@
 
 use super::accelerator::{Accelerator, CpuOnly};
 use super::assets::Assets;
+use super::spacing::blend_mm;
 use super::stack::{self, Composition, StackInputs};
-use super::{PrepareOptions, blend_mm, inside};
+use super::{PrepareOptions, inside};
 use crate::deform::cut::CutShapes;
 use crate::deform::{Stack, StackAndCuts, Storage, invert};
 use crate::math::Bounds;
@@ -50,7 +51,7 @@ impl Deformed {
         let min_ramp_mm = 1.2 * blend_mm(settings.step, reference_mm)[1];
         let inputs = StackInputs { min_ramp_mm, exact_cuts: settings.exact_cuts, ..Self::inputs(assets, view, options.accelerator, &options.watch) };
         let undeformed = options.more_maps.is_empty() && !scene.deformation.iter().any(|d| d.enabled);
-        let (inside, proxy_mesh) = match inside::of_scene(scene, assets, &inputs.scene_box, min_ramp_mm)? {
+        let (inside, proxy_mesh) = match inside::of_scene(scene, &assets.inside_meshes, &assets.library, &inputs.scene_box, min_ramp_mm)? {
             Some(inside) => (inside.maps.clone(), inside.proxy.clone().filter(|_| undeformed)),
             None => (Vec::new(), None),
         };
@@ -68,7 +69,8 @@ impl Deformed {
         let view = scene.camera.frame(&assets.scene_box(), scene.render.size)?;
         let min_ramp_mm = 1.5 * assets.volume.spacing_mm().min_element() as f32;
         let inputs = StackInputs { min_ramp_mm, storage: Some(Storage::F32), exact_cuts, ..Self::inputs(assets, &view, &CpuOnly, watch) };
-        let inside = inside::of_scene(scene, assets, &inputs.scene_box, min_ramp_mm)?.map_or_else(Vec::new, |i| i.maps.clone());
+        let inside = inside::of_scene(scene, &assets.inside_meshes, &assets.library, &inputs.scene_box, min_ramp_mm)?
+            .map_or_else(Vec::new, |i| i.maps.clone());
         let (stack, cuts) = stack::stack(&scene.deformation, &inputs, inside, Vec::new())?;
         Ok(Self { stack, cuts, composition: None, proxy_mesh: None })
     }

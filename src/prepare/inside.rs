@@ -10,10 +10,9 @@
 //! that the inside depends on the view (its figure 5). Here the deformers' inverse is found numerically on a grid and is the stack's
 //! second map: vertices and inside follow one function from every side.
 
-use super::Assets;
-use super::objects::{deformers, placement};
+use super::mesh_settings::{deformers, placement};
 use crate::Watch;
-use crate::deform::{DisplacementMap, PlacedMap, Placement, Storage, TexelSample, invert};
+use crate::deform::{DisplacementMap, Library, PlacedMap, Placement, Storage, TexelSample, invert};
 use crate::math::Bounds;
 use crate::mesh::deformer::{Deformer, apply_all};
 use crate::mesh::field::{FieldSettings, MeshField};
@@ -55,10 +54,10 @@ const MAX_CACHED_INSIDES: usize = 2;
 ///
 /// # Errors
 /// As [`resolve`].
-pub fn of_scene(scene: &Scene, assets: &Assets, scene_box: &Bounds, min_ramp_mm: f32) -> Result<Option<Arc<InsideMeshMaps>>> {
+pub fn of_scene(scene: &Scene, cache: &InsideCache, library: &Library, scene_box: &Bounds, min_ramp_mm: f32) -> Result<Option<Arc<InsideMeshMaps>>> {
     let Some(mesh) = scene.volume.as_ref().and_then(|v| v.inside.as_ref()) else { return Ok(None) };
     let key = (mesh.clone(), *scene_box, min_ramp_mm);
-    let lock = || assets.inside_meshes.0.lock().unwrap_or_else(PoisonError::into_inner);
+    let lock = || cache.0.lock().unwrap_or_else(PoisonError::into_inner);
     let cached = {
         let mut entries = lock();
         // To the end: it is the one used last.
@@ -71,7 +70,7 @@ pub fn of_scene(scene: &Scene, assets: &Assets, scene_box: &Bounds, min_ramp_mm:
     if cached.is_some() {
         return Ok(cached);
     }
-    let inside = Arc::new(resolve(assets, mesh, scene_box, min_ramp_mm)?);
+    let inside = Arc::new(resolve(library, mesh, scene_box, min_ramp_mm)?);
     let mut entries = lock();
     if entries.len() >= MAX_CACHED_INSIDES {
         entries.remove(0);
@@ -84,9 +83,9 @@ pub fn of_scene(scene: &Scene, assets: &Assets, scene_box: &Bounds, min_ramp_mm:
 ///
 /// # Errors
 /// A mesh that cannot be read or is not closed, a placement or deformer that cannot be used.
-pub fn resolve(assets: &Assets, inside: &InsideMesh, scene_box: &Bounds, min_ramp_mm: f32) -> Result<InsideMeshMaps> {
+pub fn resolve(library: &Library, inside: &InsideMesh, scene_box: &Bounds, min_ramp_mm: f32) -> Result<InsideMeshMaps> {
     let named = |e: Error| e.within("volume.inside");
-    let path = assets.library.path(&inside.path);
+    let path = library.path(&inside.path);
     let mesh = load::mesh(&path)?;
     let placed = placement(&mesh.bounds(), &inside.place).map_err(named)?;
     let mesh = mesh.transformed(&placed);
@@ -109,7 +108,7 @@ pub fn resolve(assets: &Assets, inside: &InsideMesh, scene_box: &Bounds, min_ram
         moved.positions.iter_mut().for_each(|p| *p = apply_all(&deformers, *p).0);
         let (map, missing) = inverse(&deformers, &mesh.bounds().union(&moved.bounds()))?;
         if missing > 0.01 {
-            assets.library.notice(format!(
+            library.notice(format!(
                 "volume.inside: the deformers fold; {:.0} % of the space about the mesh has no source and is cut away",
                 100.0 * missing
             ));

@@ -11,9 +11,12 @@ mod deformed;
 pub mod inside;
 mod macrocells;
 pub mod measure;
+mod mesh_settings;
+mod object_cache;
 pub mod objects;
 mod prepared;
 mod sampled;
+mod spacing;
 pub mod stack;
 pub mod surface_cells;
 mod volume;
@@ -22,12 +25,12 @@ pub use accelerator::{Accelerator, CpuOnly};
 pub use assets::{AssetKey, Assets, LoadOptions};
 pub use deformed::Deformed;
 pub use macrocells::{CellGrid, CellState, Macrocells, VisibilityCriteria};
-pub use prepared::{Frame, Prepared, Steps};
+pub use prepared::{Frame, Prepared};
+pub use spacing::SampleSpacing;
 pub use volume::VolumeObject;
 
 use crate::Watch;
 use crate::deform::PlacedMap;
-use prepared::{blend_mm, cut_margin_mm};
 
 /// How a scene is prepared; the default does all on the CPU, adds nothing and never stops.
 #[derive(Clone, Copy)]

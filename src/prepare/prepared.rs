@@ -4,6 +4,7 @@ use super::PrepareOptions;
 use super::assets::Assets;
 use super::deformed::Deformed;
 use super::objects::Surfaces;
+use super::spacing::{SampleSpacing, blend_mm, cut_margin_mm};
 use super::stack::Composition;
 use super::volume::{Classifier, VolumeObject};
 use crate::Result;
@@ -18,31 +19,6 @@ use crate::volume::{GradientFilter, GradientVolume};
 use glam::Vec3;
 use std::sync::Arc;
 
-/// A cut's normal takes over within one sample of the cut and has faded out after this many.
-const BLEND_SAMPLES: f32 = 2.5;
-
-/// Distance from a cut beyond which it changes nothing about a sample, mm; `slant` is how many times its step a sample's path may be.
-pub(super) fn cut_margin_mm(blend_mm: [f32; 2], step_mm: f32, slant: f32) -> f32 {
-    blend_mm[1] + 2.2 * step_mm * slant
-}
-
-/// Distances from a cut at which its normal stops to rule alone, and to matter at all, mm.
-pub(super) fn blend_mm(step: f32, reference_mm: f32) -> [f32; 2] {
-    let sample_mm = (step * reference_mm).max(reference_mm);
-    [sample_mm, BLEND_SAMPLES * sample_mm]
-}
-
-/// Lengths that a picture is sampled by, mm.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Steps {
-    /// Distance between slices, or between samples along a ray.
-    pub step_mm: f32,
-    /// Δ₀, the length that opacities are stated for: the smallest voxel spacing.
-    pub reference_mm: f32,
-    /// Distances from a cut at which its normal stops to rule alone, and to matter at all.
-    pub blend_mm: [f32; 2],
-}
-
 /// The constants of one picture.
 #[derive(Clone, Debug)]
 pub struct Frame {
@@ -51,7 +27,7 @@ pub struct Frame {
     /// Width and height, pixels.
     pub size: [u32; 2],
     /// Lengths that it is sampled by.
-    pub steps: Steps,
+    pub spacing: SampleSpacing,
     /// The part of the deformed scene that can show anything of its volumes, mm.
     pub proxy: Bounds,
     /// Unit vector towards the light, world.
@@ -107,7 +83,7 @@ impl<'a> Prepared<'a> {
         let scene_box = assets.scene_box();
         let mut view = scene.camera.frame(&scene_box, settings.size)?;
         let reference_mm = assets.volume.spacing_mm().min_element() as f32;
-        let steps = Steps { step_mm: settings.step * reference_mm, reference_mm, blend_mm: blend_mm(settings.step, reference_mm) };
+        let spacing = SampleSpacing { step_mm: settings.step * reference_mm, reference_mm, blend_mm: blend_mm(settings.step, reference_mm) };
         let deformed = stages.time("maps", || -> Result<_> {
             let deformed = Deformed::in_view(scene, assets, &view, options)?;
             if options.accelerator.needs_texels() {
@@ -115,13 +91,13 @@ impl<'a> Prepared<'a> {
             }
             Ok(deformed)
         })?;
-        view.step_back_from(&deformed.stack.deformed_bounds(&scene_box), steps.step_mm);
+        view.step_back_from(&deformed.stack.deformed_bounds(&scene_box), spacing.step_mm);
         let surfaces = stages.time("surfaces", || assets.surfaces(scene, &deformed.stack, &deformed.cuts))?;
-        let volume = stages.time("macrocells", || VolumeObject::new(classifier, scene, assets, &deformed, &steps, options))?;
+        let volume = stages.time("macrocells", || VolumeObject::new(classifier, scene, assets, &deformed, &spacing, options))?;
         let light = scene.light.clone();
         let to_light = to_light(&light, &view);
         let Deformed { stack, cuts, composition, proxy_mesh } = deformed;
-        let frame = Frame { view, size: settings.size.map(|n| n * settings.antialias), steps, proxy: volume.macrocells.occupied, to_light };
+        let frame = Frame { view, size: settings.size.map(|n| n * settings.antialias), spacing, proxy: volume.macrocells.occupied, to_light };
         Ok(Self {
             volumes: vec![volume],
             surfaces,
@@ -171,7 +147,7 @@ impl<'a> Prepared<'a> {
             Mode::Slice => self.frame.view.longest_slant(),
             _ => 1.0,
         };
-        cut_margin_mm(self.frame.steps.blend_mm, self.frame.steps.step_mm, slant)
+        cut_margin_mm(self.frame.spacing.blend_mm, self.frame.spacing.step_mm, slant)
     }
 
     /// The same for the volume's faces, in voxels along each axis.

@@ -5,7 +5,7 @@ use super::assets::Assets;
 use super::deformed::Deformed;
 use super::macrocells::{Macrocells, VisibilityCriteria};
 use super::sampled::SampledVolume;
-use super::{Steps, cut_margin_mm};
+use super::spacing::{SampleSpacing, cut_margin_mm};
 use crate::math::{Bounds, to_f32};
 use crate::scene::{CutFaces, Mode, Scene};
 use crate::transfer::{Blend, OWN_COLORS, TransferFunction, TransferTable};
@@ -89,7 +89,7 @@ impl<'a> VolumeObject<'a> {
         scene: &Scene,
         assets: &Assets,
         deformed: &Deformed,
-        steps: &Steps,
+        spacing: &SampleSpacing,
         options: &PrepareOptions,
     ) -> Result<Self> {
         let volume: &Volume = &assets.volume;
@@ -117,19 +117,26 @@ impl<'a> VolumeObject<'a> {
         };
         if scene.render.mode != Mode::Surface && assets.has_volume {
             let bounds = deformed.stack.deformed_bounds(&volume.bounds_in_world());
-            object.macrocells = object.empty_space(scene, deformed, bounds, steps, options)?;
+            object.macrocells = object.empty_space(scene, deformed, bounds, spacing, options)?;
         }
         Ok(object)
     }
 
     /// Where nothing can be seen of the volume in its deformed box.
-    fn empty_space(&self, scene: &Scene, deformed: &Deformed, bounds: Bounds, steps: &Steps, options: &PrepareOptions) -> Result<Arc<Macrocells>> {
+    fn empty_space(
+        &self,
+        scene: &Scene,
+        deformed: &Deformed,
+        bounds: Bounds,
+        spacing: &SampleSpacing,
+        options: &PrepareOptions,
+    ) -> Result<Arc<Macrocells>> {
         let settings = &scene.render;
         if !settings.empty_space_skipping {
             return Ok(Macrocells::solid(bounds).into());
         }
         let slant = scene.camera.slant(settings.size);
-        let step_back_mm = 1.01 * steps.step_mm * slant;
+        let step_back_mm = 1.01 * spacing.step_mm * slant;
         let grey_faces = settings.cut_faces == CutFaces::Grey;
         let contents = VisibilityCriteria {
             stack: &deformed.stack,
@@ -138,7 +145,7 @@ impl<'a> VolumeObject<'a> {
             grey_faces,
             lookback_mm: if self.iso.is_some() || grey_faces || settings.preintegrated { step_back_mm } else { 0.0 },
             cut_lookback_mm: step_back_mm,
-            cut_margin_mm: cut_margin_mm(steps.blend_mm, steps.step_mm, slant),
+            cut_margin_mm: cut_margin_mm(spacing.blend_mm, spacing.step_mm, slant),
             voxel_from_world: &self.voxel_from_world,
             voxel_box: Bounds::new(Vec3::splat(-0.5), self.grid_size - 0.5),
             value_pyramid: &self.sampled.bounds,
@@ -146,6 +153,6 @@ impl<'a> VolumeObject<'a> {
             blend: self.blend,
         };
         // What looks back a step may lie beyond the box of the scene itself.
-        self.sampled.macrocells(bounds.grown(contents.reach_mm()), steps.reference_mm, &contents, options.accelerator)
+        self.sampled.macrocells(bounds.grown(contents.reach_mm()), spacing.reference_mm, &contents, options.accelerator)
     }
 }

@@ -5,7 +5,7 @@
 //! do not have. What is in an atlas stays there until a map of its size needs its place or a larger texture is made; maps have textures of their own, from
 //! which they are copied, so that a hand that goes back and forth between two states uploads nothing.
 
-use super::cache::RenderTexture;
+use super::target::RenderTexture;
 use super::{Renderer, extent};
 use crate::deform::{DisplacementMap, PlacedMap, Stack, Storage};
 use crate::{Error, Result};

@@ -2,8 +2,9 @@
 //! targets by size, and the bind groups of all of these. A picture rewrites what has changed and makes what is not there.
 
 use super::atlas::Atlas;
+use super::object::CachedObject;
 use super::prepare::{MapBounds, SampledMap};
-use super::surfaces::{CachedObject, Layer};
+use super::target::{Layer, RenderTexture};
 use super::uniforms::{CutShapeUniform, FrameUniform, PLACED_MAPS, PlacedMapUniform};
 use super::work::{ResourceKind, WorkCounters};
 use super::{Renderer, extent};
@@ -22,20 +23,6 @@ const MAX_CACHED_MAP_BYTES: usize = 256 << 20;
 const MAX_CACHED_SIZES: usize = 2;
 /// Bind groups that are kept: with nothing behind, with each layer of surfaces, and those of targets.
 const MAX_CACHED_BIND_GROUPS: usize = 8;
-
-/// A texture with its view.
-#[derive(Clone, PartialEq)]
-pub(super) struct RenderTexture {
-    pub texture: wgpu::Texture,
-    pub view: wgpu::TextureView,
-}
-
-impl RenderTexture {
-    pub(super) fn new(texture: wgpu::Texture) -> Self {
-        let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
-        Self { texture, view }
-    }
-}
 
 /// A displacement map on the GPU. The map itself is kept, so that nothing else can take its address.
 struct CachedMap {
@@ -423,7 +410,7 @@ impl Renderer {
             let target = table_of(self, 1);
             return self.cache.nothing_preintegrated.insert(target).view.clone();
         }
-        let length = scene.frame.steps.step_mm / scene.frame.steps.reference_mm;
+        let length = scene.frame.spacing.step_mm / scene.frame.spacing.reference_mm;
         let target = match self.cache.preintegrated.take() {
             Some((target, entries, of)) if of == length && entries == scene.volume().table.entries => {
                 let view = target.view.clone();

@@ -1,9 +1,8 @@
 //! Submissions: bands of rays, slabs of slices. Two are under way at a time, so that the device need not wait for the next one to be recorded.
 
-use super::cache::RenderTexture;
 use super::pass_timer::PassTimer;
 use super::slices::{self, SLICES_PER_SLAB};
-use super::surfaces::Layer;
+use super::target::{Layer, RenderTexture};
 use super::{Counter, PROJECTION_FORMAT, Renderer, Variant, overrides};
 use crate::gpu::shaders::Program;
 use crate::gpu::{wait, wait_for};

@@ -349,7 +349,7 @@ impl Accelerator for Renderer {
 
     fn map(&self, recipe: MapDefinition, watch: &Watch) -> Result<Arc<DisplacementMap>> {
         let Some(formula) = recipe.formula().filter(|_| self.strategy.prepare && self.samples(&recipe)) else {
-            return recipe.map_until(watch).map(Arc::new);
+            return DisplacementMap::of_watched(&recipe, watch).map(Arc::new);
         };
         let made = checked(&self.device.device, || self.sampled_map(&recipe, &formula))?;
         let map = Arc::new(DisplacementMap::from_device(recipe, made.scale, made.whole));

@@ -47,11 +47,11 @@ pub fn slabs(frame: &Frame, cells: &Macrocells, mesh: Option<&Mesh>) -> Polygons
     if near > far {
         return polygons;
     }
-    let first = (near / frame.steps.step_mm - 0.5).ceil().max(0.0) as i64;
-    let last = (far / frame.steps.step_mm - 0.5).floor() as i64;
+    let first = (near / frame.spacing.step_mm - 0.5).ceil().max(0.0) as i64;
+    let last = (far / frame.spacing.step_mm - 0.5).floor() as i64;
     if let Some(mesh) = mesh {
         let planes = Planes::across(view.forward);
-        let offsets: Vec<f32> = (first..=last).map(|i| (i as f32 + 0.5) * frame.steps.step_mm + view.eye.dot(view.forward)).collect();
+        let offsets: Vec<f32> = (first..=last).map(|i| (i as f32 + 0.5) * frame.spacing.step_mm + view.eye.dot(view.forward)).collect();
         for (section, i) in sections(mesh, &planes, &offsets).iter().zip(first..) {
             polygons.push(section.iter().flatten().copied(), i);
         }
@@ -67,7 +67,7 @@ pub fn slabs(frame: &Frame, cells: &Macrocells, mesh: Option<&Mesh>) -> Polygons
             continue;
         }
         // Half a step more, for samples that are shifted, and a little, so that rounding leaves no slice out.
-        let depths = [(low as f32 - 0.05).max(0.01) * frame.steps.step_mm, (high as f32 + 1.05) * frame.steps.step_mm];
+        let depths = [(low as f32 - 0.05).max(0.01) * frame.spacing.step_mm, (high as f32 + 1.05) * frame.spacing.step_mm];
         let outline = silhouette(frame, &corners, depths);
         let fan = (2..outline.len()).flat_map(|n| [outline[0], outline[n - 1], outline[n]]);
         polygons.push(fan, start);
@@ -123,7 +123,7 @@ fn occupied_depths(frame: &Frame, cells: &Macrocells) -> Vec<bool> {
     let view = &frame.view;
     let depth = |p: Vec3| (p - view.eye).dot(view.forward);
     let near = frame.proxy.corners().iter().map(|&c| depth(c)).fold(f32::INFINITY, f32::min);
-    let first = (near / frame.steps.step_mm - 0.5).ceil().max(0.0) as i64;
+    let first = (near / frame.spacing.step_mm - 0.5).ceil().max(0.0) as i64;
     let reach = cells.cell_mm.dot(view.forward.abs()) / 2.0;
     let mut shown = Vec::new();
     for index in (0..cells.distance.len()).filter(|n| cells.is_occupied(*n)) {
@@ -131,8 +131,8 @@ fn occupied_depths(frame: &Frame, cells: &Macrocells) -> Vec<bool> {
         let cell =
             Vec3::new((index % cells.size.x) as f32, (index / cells.size.x % cells.size.y) as f32, (index / cells.size.x / cells.size.y) as f32);
         let middle = depth(cells.origin + (cell + 0.5) * cells.cell_mm);
-        let low = (((middle - reach) / frame.steps.step_mm - 0.5).floor() as i64 - first).max(0) as usize;
-        let high = (((middle + reach) / frame.steps.step_mm - 0.5).ceil() as i64 - first).max(0) as usize;
+        let low = (((middle - reach) / frame.spacing.step_mm - 0.5).floor() as i64 - first).max(0) as usize;
+        let high = (((middle + reach) / frame.spacing.step_mm - 0.5).ceil() as i64 - first).max(0) as usize;
         if shown.len() <= high {
             shown.resize(high + 1, false);
         }
@@ -168,7 +168,7 @@ mod tests {
         Frame {
             view: camera.frame(&bounds, [64, 64]).unwrap_or_else(|e| panic!("{e}")),
             size: [64, 64],
-            steps: crate::prepare::Steps { step_mm: 0.25, reference_mm: 1.0, blend_mm: [1.0, 2.5] },
+            spacing: crate::prepare::SampleSpacing { step_mm: 0.25, reference_mm: 1.0, blend_mm: [1.0, 2.5] },
             proxy: bounds,
             to_light: Vec3::X,
         }
@@ -197,7 +197,7 @@ mod tests {
                     let inside = sides.windows(2).all(|w| w[0] == w[1]);
                     let first = corners[0][3];
                     let meets = (0..SLICES_PER_SLAB).any(|i| {
-                        let q = origin + direction * ((first + i as f32 + 0.5) * frame.steps.step_mm / slant);
+                        let q = origin + direction * ((first + i as f32 + 0.5) * frame.spacing.step_mm / slant);
                         q.cmpge(bounds.min).all() && q.cmple(bounds.max).all()
                     });
                     met += usize::from(meets);

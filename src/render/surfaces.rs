@@ -5,9 +5,11 @@
 //! their number.
 //! An object in two stages has its triangles drawn into a layer beside, which its rays read and blend with.
 
-use super::cache::{RenderTexture, SceneBindings};
+use super::cache::SceneBindings;
 use super::constants::wgsl_constants;
+use super::object::{CachedObject, Corners, MeshCorner};
 use super::pass_timer::PassTimer;
+use super::target::{Layer, RenderTexture};
 use super::uniforms::{DeformerUniform, PlacedSolidUniform, SurfaceObjectUniform};
 use super::work::ResourceKind;
 use super::{Counter, Renderer, Variant, extent, overrides};
@@ -32,47 +34,6 @@ const FAR_AWAY: f64 = 1e30;
 const MAX_CACHED_FIELD_BYTES: u64 = 256 << 20;
 /// Rows of a picture per submission of rays.
 const ROWS_AT_ONCE: u32 = 128;
-
-/// What surfaces are drawn into.
-pub(super) struct Layer {
-    /// Colour, premultiplied.
-    pub color: wgpu::Texture,
-    color_view: wgpu::TextureView,
-    /// Distance along each pixel's ray, mm.
-    pub distance: wgpu::Texture,
-    distance_view: wgpu::TextureView,
-    depth_view: wgpu::TextureView,
-}
-
-impl Layer {
-    pub(super) fn views(&self) -> [&wgpu::TextureView; 2] {
-        [&self.color_view, &self.distance_view]
-    }
-}
-
-/// A corner of a triangle: position and normal.
-type MeshCorner = [[f32; 3]; 2];
-
-/// Triangles on the device.
-#[derive(Clone)]
-struct Corners {
-    of: Arc<Triangles>,
-    buffer: wgpu::Buffer,
-    count: u32,
-}
-
-/// What the device has of an object, by its place in the scene.
-pub(super) struct CachedObject {
-    /// The object's own, its solids and its deformers.
-    uniforms: [wgpu::Buffer; 3],
-    /// What the field's texture holds; none of formulas.
-    sampled: Option<SolidIdentity>,
-    field: RenderTexture,
-    of_cells: Arc<SurfaceCells>,
-    cells: RenderTexture,
-    corners: Option<Corners>,
-    group: wgpu::BindGroup,
-}
 
 impl Renderer {
     /// A layer of a purpose: its colour, distance and depth by name. Its content is what it was.

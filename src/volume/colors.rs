@@ -4,7 +4,7 @@
 //! volume): luminance, or opacity where the image has it. Colours are mixed weighted by it, so that what is not there lends none.
 
 use super::Voxels;
-use super::grid::block;
+use crate::math::cells::block;
 use glam::{Vec3, Vec4};
 use rayon::prelude::*;
 use std::ops::Range;

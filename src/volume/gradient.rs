@@ -6,10 +6,9 @@
 //! where there is no room for them they are taken as they are needed.
 
 use super::pages::MappedArray;
-use super::{VolumeSampler, Voxel, VoxelGrid, VoxelGridValues};
+use super::{VoxelGrid, VoxelGridValues};
 use crate::files::memory::available_bytes;
 use crate::math::lanes::*;
-use glam::Vec3;
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -23,42 +22,6 @@ pub enum GradientFilter {
     Central,
     /// The same, smoothed by [1 2 1]/4 across the other two axes (Sobel): 24 samples, for noisy volumes.
     Sobel,
-}
-
-impl<T: Voxel> VolumeSampler<'_, T> {
-    /// Gradient of the normalised value per voxel along i, j, k.
-    #[inline(always)]
-    pub fn gradient(&self, p: Vec3, filter: GradientFilter) -> Vec3 {
-        match filter {
-            GradientFilter::Central => {
-                Vec3::new(
-                    self.sample(p + Vec3::X) - self.sample(p - Vec3::X),
-                    self.sample(p + Vec3::Y) - self.sample(p - Vec3::Y),
-                    self.sample(p + Vec3::Z) - self.sample(p - Vec3::Z),
-                ) * 0.5
-            }
-            GradientFilter::Sobel => self.sobel(p),
-        }
-    }
-
-    /// At a voxel, the mean of two samples half a voxel to either side is (f(-1) + 2 f(0) + f(1)) / 4.
-    #[inline(never)]
-    fn sobel(&self, p: Vec3) -> Vec3 {
-        let mut g = Vec3::ZERO;
-        for a in [-0.5, 0.5] {
-            for b in [-0.5, 0.5] {
-                let x = Vec3::new(0.0, a, b);
-                let y = Vec3::new(a, 0.0, b);
-                let z = Vec3::new(a, b, 0.0);
-                g += Vec3::new(
-                    self.sample(p + x + Vec3::X) - self.sample(p + x - Vec3::X),
-                    self.sample(p + y + Vec3::Y) - self.sample(p + y - Vec3::Y),
-                    self.sample(p + z + Vec3::Z) - self.sample(p + z - Vec3::Z),
-                );
-            }
-        }
-        g * 0.125
-    }
 }
 
 /// Most bytes that a [`GradientVolume`] may take; and of the free memory one part in so many.
@@ -197,7 +160,9 @@ fn span<T: Copy + Ord + Send + Sync>(voxels: &[T]) -> Option<(T, T)> {
 mod tests {
     use super::super::{Rescale, Volume};
     use super::*;
+    use crate::volume::{VolumeSampler, Voxel};
     use glam::DAffine3;
+    use glam::Vec3;
 
     #[test]
     fn both_filters_are_exact_on_a_linear_field() {

@@ -4,10 +4,9 @@
 //! an interpolated sample below 0 touches a hole and shows nothing. A hole thus reaches one voxel into its neighbours, to within a
 //! ten-thousandth of a voxel, in which values between theirs and 0 remain.
 
-use super::{Colors, GradientVolume, Rescale, Volume, Voxels};
-use crate::math::cells::Strides;
+use super::{Colors, Rescale, Volume, Voxels};
+use crate::math::cells::{Strides, block};
 use crate::math::lanes::{LANES, Simd, f32x8};
-use glam::{Vec3, Vec4};
 use std::sync::Arc;
 
 /// The normalised value of a voxel that holds nothing.
@@ -146,14 +145,6 @@ impl VoxelGrid {
     }
 }
 
-/// Flat indices of the voxels in a block of a grid.
-pub(super) fn block(size: [usize; 3], factors: [usize; 3], index: usize) -> impl Iterator<Item = usize> {
-    let blocks: [usize; 3] = std::array::from_fn(|a| size[a].div_ceil(factors[a]));
-    let at = [index % blocks[0], index / blocks[0] % blocks[1], index / blocks[0] / blocks[1]];
-    let range = move |a: usize| at[a] * factors[a]..((at[a] + 1) * factors[a]).min(size[a]);
-    range(2).flat_map(move |k| range(1).flat_map(move |j| range(0).map(move |i| (k * size[1] + j) * size[0] + i)))
-}
-
 /// Means of blocks; NaN for a block of holes.
 fn means<T: Voxel, U: Send>(
     v: &[T],
@@ -172,59 +163,6 @@ fn means<T: Voxel, U: Send>(
             finish((sum / f64::from(count)) as f32)
         })
         .collect()
-}
-
-/// Trilinear sampling of one typed grid.
-pub struct VolumeSampler<'a, T> {
-    pub(super) voxels: &'a [T],
-    pub(super) size: [usize; 3],
-    /// Highest sample coordinate per axis, voxels.
-    pub(super) top: Vec3,
-    pub(super) scale: f32,
-    pub(super) offset: f32,
-    /// A gradient volume's.
-    pub(super) texels: Option<&'a [[i16; 4]]>,
-}
-
-impl<'a, T: Voxel> VolumeSampler<'a, T> {
-    /// A sampler over the voxels of `grid`, which must be `grid`'s own.
-    pub fn new(grid: &VoxelGrid, voxels: &'a [T]) -> Self {
-        assert_eq!(voxels.len(), grid.size.iter().product::<usize>());
-        let top = Vec3::from(grid.size.map(|n| (n - 1) as f32));
-        Self { voxels, size: grid.size, top, scale: grid.scale, offset: grid.offset, texels: None }
-    }
-
-    /// The sampler with a gradient volume of the same grid, by which eight samples at once come with their differences; the same to the bit.
-    pub fn with_gradients(self, gradients: Option<&'a GradientVolume>) -> Self {
-        Self { texels: gradients.map(|g| &*g.texels).filter(|texels| texels.len() == self.voxels.len()), ..self }
-    }
-
-    /// Whether samples come with differences.
-    #[inline(always)]
-    pub fn has_gradients(&self) -> bool {
-        self.texels.is_some() && self.size.iter().all(|&n| n >= 4)
-    }
-
-    /// Normalised value at a position in voxels, clamped to the outermost voxel centres as a texture is.
-    #[inline(always)]
-    pub fn sample(&self, point_in_voxel: Vec3) -> f32 {
-        let p = point_in_voxel.clamp(Vec3::ZERO, self.top);
-        // p is not negative: truncation is floor.
-        let (i, j, k) = (p.x as usize, p.y as usize, p.z as usize);
-        let f = p - Vec3::new(i as f32, j as f32, k as f32);
-        let [nx, ny, nz] = self.size;
-        let di = usize::from(i + 1 < nx);
-        let dj = if j + 1 < ny { nx } else { 0 };
-        let dk = if k + 1 < nz { nx * ny } else { 0 };
-        let base = (k * ny + j) * nx + i;
-        let at = |offset: usize| self.voxels[base + offset].to_f32();
-        let low = Vec4::new(at(0), at(dj), at(dk), at(dj + dk));
-        let high = Vec4::new(at(di), at(di + dj), at(di + dk), at(di + dj + dk));
-        let x = low + (high - low) * f.x;
-        let y0 = x.x + (x.y - x.x) * f.y;
-        let y1 = x.z + (x.w - x.z) * f.y;
-        (y0 + (y1 - y0) * f.z) * self.scale + self.offset
-    }
 }
 
 #[cfg(test)]
@@ -266,29 +204,5 @@ mod tests {
         assert_eq!(grid.size, [2, 1, 1]);
         // Means of 1, 3, 7 and of 5 alone, normalised over 1 to 7.
         assert!((grid.value(0, 0, 0) - (11.0 / 3.0 - 1.0) / 6.0).abs() < 1e-6 && (grid.value(1, 0, 0) - 4.0 / 6.0).abs() < 1e-6);
-    }
-
-    #[test]
-    fn samples_beside_a_hole_are_holes_or_honest() {
-        let volume = Volume::new(vec![1.0f32, f32::NAN, 3.0].into(), [3, 1, 1], Rescale::NONE, DAffine3::IDENTITY);
-        let grid = VoxelGrid::new(&volume);
-        let VoxelGridValues::F32(v) = &grid.voxels else { panic!() };
-        let s = VolumeSampler::new(&grid, v);
-        assert!(grid.has_holes);
-        assert!(s.sample(Vec3::new(1.0, 0.0, 0.0)) < 0.0);
-        assert!(s.sample(Vec3::new(0.1, 0.0, 0.0)) < 0.0);
-        assert_eq!(s.sample(Vec3::new(2.0, 0.0, 0.0)), 1.0);
-    }
-
-    #[test]
-    fn linear_functions_are_sampled_exactly() {
-        let voxels: Vec<f32> = (0..60).map(|n| (n % 3) as f32 + 10.0 * (n / 3 % 4) as f32 - 4.0 * (n / 12) as f32).collect();
-        let volume = Volume::new(voxels.into(), [3, 4, 5], Rescale::NONE, DAffine3::IDENTITY);
-        let grid = VoxelGrid::new(&volume);
-        let VoxelGridValues::F32(v) = &grid.voxels else { panic!() };
-        let s = VolumeSampler::new(&grid, v);
-        let p = Vec3::new(1.25, 2.5, 3.125);
-        let want = (p.x + 10.0 * p.y - 4.0 * p.z + 16.0) / 48.0;
-        assert!((s.sample(p) - want).abs() < 1e-6);
     }
 }

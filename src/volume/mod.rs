@@ -12,12 +12,14 @@ mod lanes;
 pub mod load;
 pub mod pages;
 pub mod phantom;
+mod sampler;
 pub mod save;
 mod voxels;
 
 pub use colors::{Colors, Label, straight};
 pub use gradient::{GradientFilter, GradientVolume};
-pub use grid::{HOLE, VolumeSampler, Voxel, VoxelGrid, VoxelGridValues};
+pub use grid::{HOLE, Voxel, VoxelGrid, VoxelGridValues};
+pub use sampler::VolumeSampler;
 pub use voxels::Voxels;
 
 use crate::{Error, Result};

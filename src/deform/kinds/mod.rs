@@ -35,6 +35,7 @@ mod taper;
 mod twist;
 mod wave;
 
+pub use super::field::{Backward, Field};
 pub use modifiers::vary_everywhere;
 pub use settings::{Setting, SettingFormat};
 
@@ -44,29 +45,6 @@ use crate::error::suggestion;
 use crate::math::Bounds;
 use crate::{Error, Result};
 use glam::{Affine3A, Vec3};
-
-/// A kind's answer for one deformed point, in local millimetres.
-#[derive(Clone, Copy, Debug)]
-pub struct Backward {
-    /// Where the matter seen here came from. Continuous everywhere, also where nothing is seen (the pseudo-inverse).
-    pub source: Vec3,
-    /// Signed distance to the nearest cut, mm, positive where matter is: exact on the cut, at least of the right sign elsewhere.
-    pub cut_distance_mm: f32,
-}
-
-/// A kind with its parameters filled in.
-pub trait Field: Send + Sync {
-    /// Where the matter at a deformed point came from.
-    fn backward(&self, deformed: Vec3) -> Backward;
-
-    /// Where a source point goes; none if it is removed or another one covers it.
-    fn forward(&self, source: Vec3) -> Option<Vec3>;
-
-    /// The same as numbers that a device can sample, where they say all.
-    fn formula(&self) -> Option<Formula> {
-        None
-    }
-}
 
 /// A parameter's unit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -420,7 +398,7 @@ impl Kind {
     /// # Errors
     /// As [`Self::field`].
     pub fn map(&self, values: &[f32], progress: f32, size_mm: Vec3, sampling: &Sampling, inputs: &FieldInputs) -> Result<DisplacementMap> {
-        Ok(self.recipe(values, progress, size_mm, sampling, inputs)?.map())
+        Ok(DisplacementMap::of(&self.recipe(values, progress, size_mm, sampling, inputs)?))
     }
 
     /// What [`Self::map`] samples.

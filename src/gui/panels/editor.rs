@@ -7,7 +7,7 @@ use crate::files::path_text::text_of;
 use crate::gui::action::Action;
 use crate::gui::app::Workstation;
 use crate::gui::tool::{Placed, Tool, symbol, tidy, words};
-use crate::gui::worker::Overlay;
+use crate::gui::views::slice_paint::Overlay;
 use crate::scene::{Deformation, Size};
 use eframe::egui::{self, Context, RichText, Slider, Ui};
 use egui_phosphor::regular as icon;

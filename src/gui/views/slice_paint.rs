@@ -1,12 +1,40 @@
 //! What was found on a plane as a picture: grey values by window and level, and over them labels, a grid, masks, det J.
 
 use crate::cpu::section::Section;
-use crate::gui::worker::{Overlay, SliceStyle};
 use crate::prepare::Assets;
 use crate::volume::Colors;
 use eframe::egui::{Color32, ColorImage};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
+
+/// What a slice shows over its grey values.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Overlay {
+    /// Nothing.
+    #[default]
+    None,
+    /// Regions of the label map, in their colours.
+    Labels,
+    /// A grid that is straight in the patient.
+    Grid,
+    /// Arrows from where matter was to where it is.
+    Glyphs,
+    /// What the masks cut away.
+    Mask,
+    /// det J of the map that is looked up: folds, compression, stretching.
+    Jacobian,
+}
+
+/// How a slice is shown.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SliceStyle {
+    /// Values that are black and white, data units.
+    pub window: [f64; 2],
+    /// Over it.
+    pub overlay: Overlay,
+    /// Of the source instead of the deformed scene.
+    pub source: bool,
+}
 
 /// Distance of the grid's lines in the patient, mm.
 const GRID_MM: f32 = 10.0;

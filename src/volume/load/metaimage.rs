@@ -4,7 +4,8 @@
 //! Source: the MetaIO format (ITK, MetaImage documentation).
 
 use super::ReadOptions;
-use super::image::{Image, ScalarType};
+use super::ScalarType;
+use super::image::Image;
 use super::nrrd::{last_bytes, numbered};
 use super::source::{
     ConcatenatedFiles, DEFLATE_LIMIT, OpenPiece, ValueReader, buffered, check_held, count, open_file, read_error, sibling_file, skip, usable,

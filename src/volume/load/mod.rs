@@ -12,6 +12,7 @@ mod nrrd;
 mod planes;
 mod raw;
 mod read_options;
+mod scalar_type;
 mod slices;
 mod source;
 mod text;
@@ -21,8 +22,9 @@ mod vtk;
 mod zarr;
 
 pub use dicom::SeriesInfo;
-pub use image::{Channel, Image, Layout, Meaning, ScalarType};
+pub use image::{Channel, Image, Layout, Meaning};
 pub use read_options::{RawLayout, ReadOptions};
+pub use scalar_type::ScalarType;
 
 use super::{Volume, Voxels, phantom};
 use crate::{Error, Result, Watch};

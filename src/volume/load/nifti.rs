@@ -10,7 +10,8 @@
 
 use super::super::Rescale;
 use super::ReadOptions;
-use super::image::{Image, Layout, Meaning, ScalarType};
+use super::ScalarType;
+use super::image::{Image, Layout, Meaning};
 use super::source::{ValueReader, check_end, check_held, count, open, read_error, skip};
 use crate::{Error, Result, Watch};
 use glam::{DAffine3, DMat3, DQuat, DVec3};

@@ -5,7 +5,8 @@
 //! Source: numpy.lib.format.
 
 use super::ReadOptions;
-use super::image::{Image, Layout, ScalarType};
+use super::ScalarType;
+use super::image::{Image, Layout};
 use super::source::{ValueReader, buffered, check_held, count, read_error, skip};
 use crate::{Error, Result, Watch};
 use glam::DAffine3;

@@ -8,7 +8,8 @@
 use super::super::Voxels;
 use super::super::colors::Label;
 use super::ReadOptions;
-use super::image::{Image, Layout, Meaning, ScalarType};
+use super::ScalarType;
+use super::image::{Image, Layout, Meaning};
 use super::source::{
     BZIP2_LIMIT, ConcatenatedFiles, DEFLATE_LIMIT, OpenPiece, ValueReader, buffered, check_end, check_held, count, open_file, read_error,
     sibling_file, skip, usable,

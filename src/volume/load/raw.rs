@@ -1,7 +1,8 @@
 //! Files that are nothing but values. How they lie is said by the caller, by a file beside it (`NAME.raw.toml`, the keys of [`RawLayout`]), or
 //! by the name itself (`skull_256x256x256_uint8.raw`, as collections of volumes name them). They may be gzipped.
 
-use super::image::{Image, Layout, ScalarType};
+use super::ScalarType;
+use super::image::{Image, Layout};
 use super::read_options::{RawLayout, ReadOptions};
 use super::source::{ValueReader, check_held, count, open, skip, usable};
 use crate::files::input::{MAX_SCENE_BYTES, text};

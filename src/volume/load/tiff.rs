@@ -3,7 +3,8 @@
 //! Source: OME-TIFF specification 6 (PhysicalSize, DimensionOrder); ImageJ's own description (`images=`, `slices=`, `spacing=`, `unit=`), whose
 //! files of more than 4 GiB hold a single directory and all slices one after the other.
 
-use super::image::{Channel, Image, Layout, Meaning, ScalarType};
+use super::ScalarType;
+use super::image::{Channel, Image, Layout, Meaning};
 use super::planes::{ImageSlice, ImageStack};
 use super::source::{ValueReader, check_held, count, open_file, skip};
 use super::{ReadOptions, Voxels};

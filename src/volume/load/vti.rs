@@ -5,7 +5,8 @@
 
 use super::super::Voxels;
 use super::ReadOptions;
-use super::image::{Image, Meaning, ScalarType};
+use super::ScalarType;
+use super::image::{Image, Meaning};
 use super::source::{DEFLATE_LIMIT, ValueReader, buffered, check_held, count, read_error, usable, with_scalar, zeroed};
 use crate::{Error, Result, Watch};
 use base64::Engine;

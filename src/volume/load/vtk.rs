@@ -3,7 +3,8 @@
 //! *Geometry*: origin and spacing along the axes, taken as LPS; the format has no directions. Source: VTK file formats, "Simple legacy formats".
 
 use super::ReadOptions;
-use super::image::{Image, Meaning, ScalarType};
+use super::ScalarType;
+use super::image::{Image, Meaning};
 use super::source::{ValueReader, buffered, check_held, count, read_error, usable};
 use crate::{Error, Result, Watch};
 use glam::{DAffine3, DMat3, DVec3};

@@ -3,7 +3,8 @@
 //!
 //! Source: the OME-NGFF specification 0.4 and 0.5, "multiscales", "coordinateTransformations", "omero".
 
-use super::image::{Channel, Image, Layout, Meaning, ScalarType};
+use super::ScalarType;
+use super::image::{Channel, Image, Layout, Meaning};
 use super::source::{count, reserved, with_scalar};
 use super::tiff::mm_of;
 use super::{ReadOptions, Voxels};

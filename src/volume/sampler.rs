@@ -1,0 +1,124 @@
+//! Trilinear samples of a grid and their gradients, one at a time; [`super::lanes`] takes eight at once.
+
+use super::{GradientFilter, GradientVolume, Voxel, VoxelGrid};
+use glam::{Vec3, Vec4};
+
+/// Trilinear sampling of one typed grid.
+pub struct VolumeSampler<'a, T> {
+    pub(super) voxels: &'a [T],
+    pub(super) size: [usize; 3],
+    /// Highest sample coordinate per axis, voxels.
+    pub(super) top: Vec3,
+    pub(super) scale: f32,
+    pub(super) offset: f32,
+    /// A gradient volume's.
+    pub(super) texels: Option<&'a [[i16; 4]]>,
+}
+
+impl<'a, T: Voxel> VolumeSampler<'a, T> {
+    /// A sampler over the voxels of `grid`, which must be `grid`'s own.
+    pub fn new(grid: &VoxelGrid, voxels: &'a [T]) -> Self {
+        assert_eq!(voxels.len(), grid.size.iter().product::<usize>());
+        let top = Vec3::from(grid.size.map(|n| (n - 1) as f32));
+        Self { voxels, size: grid.size, top, scale: grid.scale, offset: grid.offset, texels: None }
+    }
+
+    /// The sampler with a gradient volume of the same grid, by which eight samples at once come with their differences; the same to the bit.
+    pub fn with_gradients(self, gradients: Option<&'a GradientVolume>) -> Self {
+        Self { texels: gradients.map(|g| &*g.texels).filter(|texels| texels.len() == self.voxels.len()), ..self }
+    }
+
+    /// Whether samples come with differences.
+    #[inline(always)]
+    pub fn has_gradients(&self) -> bool {
+        self.texels.is_some() && self.size.iter().all(|&n| n >= 4)
+    }
+
+    /// Normalised value at a position in voxels, clamped to the outermost voxel centres as a texture is.
+    #[inline(always)]
+    pub fn sample(&self, point_in_voxel: Vec3) -> f32 {
+        let p = point_in_voxel.clamp(Vec3::ZERO, self.top);
+        // p is not negative: truncation is floor.
+        let (i, j, k) = (p.x as usize, p.y as usize, p.z as usize);
+        let f = p - Vec3::new(i as f32, j as f32, k as f32);
+        let [nx, ny, nz] = self.size;
+        let di = usize::from(i + 1 < nx);
+        let dj = if j + 1 < ny { nx } else { 0 };
+        let dk = if k + 1 < nz { nx * ny } else { 0 };
+        let base = (k * ny + j) * nx + i;
+        let at = |offset: usize| self.voxels[base + offset].to_f32();
+        let low = Vec4::new(at(0), at(dj), at(dk), at(dj + dk));
+        let high = Vec4::new(at(di), at(di + dj), at(di + dk), at(di + dj + dk));
+        let x = low + (high - low) * f.x;
+        let y0 = x.x + (x.y - x.x) * f.y;
+        let y1 = x.z + (x.w - x.z) * f.y;
+        (y0 + (y1 - y0) * f.z) * self.scale + self.offset
+    }
+}
+
+impl<T: Voxel> VolumeSampler<'_, T> {
+    /// Gradient of the normalised value per voxel along i, j, k.
+    #[inline(always)]
+    pub fn gradient(&self, p: Vec3, filter: GradientFilter) -> Vec3 {
+        match filter {
+            GradientFilter::Central => {
+                Vec3::new(
+                    self.sample(p + Vec3::X) - self.sample(p - Vec3::X),
+                    self.sample(p + Vec3::Y) - self.sample(p - Vec3::Y),
+                    self.sample(p + Vec3::Z) - self.sample(p - Vec3::Z),
+                ) * 0.5
+            }
+            GradientFilter::Sobel => self.sobel(p),
+        }
+    }
+
+    /// At a voxel, the mean of two samples half a voxel to either side is (f(-1) + 2 f(0) + f(1)) / 4.
+    #[inline(never)]
+    fn sobel(&self, p: Vec3) -> Vec3 {
+        let mut g = Vec3::ZERO;
+        for a in [-0.5, 0.5] {
+            for b in [-0.5, 0.5] {
+                let x = Vec3::new(0.0, a, b);
+                let y = Vec3::new(a, 0.0, b);
+                let z = Vec3::new(a, b, 0.0);
+                g += Vec3::new(
+                    self.sample(p + x + Vec3::X) - self.sample(p + x - Vec3::X),
+                    self.sample(p + y + Vec3::Y) - self.sample(p + y - Vec3::Y),
+                    self.sample(p + z + Vec3::Z) - self.sample(p + z - Vec3::Z),
+                );
+            }
+        }
+        g * 0.125
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::volume::{Rescale, Volume, VoxelGridValues};
+    use glam::DAffine3;
+
+    #[test]
+    fn samples_beside_a_hole_are_holes_or_honest() {
+        let volume = Volume::new(vec![1.0f32, f32::NAN, 3.0].into(), [3, 1, 1], Rescale::NONE, DAffine3::IDENTITY);
+        let grid = VoxelGrid::new(&volume);
+        let VoxelGridValues::F32(v) = &grid.voxels else { panic!() };
+        let s = VolumeSampler::new(&grid, v);
+        assert!(grid.has_holes);
+        assert!(s.sample(Vec3::new(1.0, 0.0, 0.0)) < 0.0);
+        assert!(s.sample(Vec3::new(0.1, 0.0, 0.0)) < 0.0);
+        assert_eq!(s.sample(Vec3::new(2.0, 0.0, 0.0)), 1.0);
+    }
+
+    #[test]
+    fn linear_functions_are_sampled_exactly() {
+        let voxels: Vec<f32> = (0..60).map(|n| (n % 3) as f32 + 10.0 * (n / 3 % 4) as f32 - 4.0 * (n / 12) as f32).collect();
+        let volume = Volume::new(voxels.into(), [3, 4, 5], Rescale::NONE, DAffine3::IDENTITY);
+        let grid = VoxelGrid::new(&volume);
+        let VoxelGridValues::F32(v) = &grid.voxels else { panic!() };
+        let s = VolumeSampler::new(&grid, v);
+        let p = Vec3::new(1.25, 2.5, 3.125);
+        let want = (p.x + 10.0 * p.y - 4.0 * p.z + 16.0) / 48.0;
+        assert!((s.sample(p) - want).abs() < 1e-6);
+    }
+}
