@@ -33,7 +33,7 @@ pub enum Backend {
     /// A hardware GPU if there is one, else the CPU.
     #[default]
     Auto,
-    /// A GPU, a software one included; an error if there is none.
+    /// Any GPU (software adapters included); an error if there is none.
     Gpu,
     /// The CPU.
     Cpu,
@@ -357,7 +357,7 @@ impl Engine {
                         Some(Ok(())) => "incise reconnected",
                         _ => "pictures are now rendered on the CPU",
                     };
-                    self.warnings.push(format!("the GPU stopped answering ({problem}); {outcome}"));
+                    self.warnings.push(format!("the GPU stopped responding ({problem}); {outcome}"));
                     self.fallback = self.gpu.is_none().then(|| Error::Gpu(problem));
                 }
                 // The next scene may be one for it again.

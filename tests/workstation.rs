@@ -250,7 +250,8 @@ pub fn every_panel_is_there() {
     let anatomy: f32 = ["3D view", "Axial view", "Coronal view", "Sagittal view"].iter().map(|l| bench.rect(l)).map(|r| r.area()).sum();
     println!("{:.0} % of the window is anatomy", 100.0 * anatomy / (1280.0 * 800.0));
     assert!(anatomy / (1280.0 * 800.0) > 0.57);
-    for (tab, inside) in [("Maps", "New painted map"), ("Measure", "Distance"), ("Log", "Copy all"), ("Inspector", "Perspective or orthographic")] {
+    for (tab, inside) in [("Maps", "New painted map"), ("Measure", "Distance"), ("Log", "Copy all"), ("Inspector", "Toggle perspective/orthographic")]
+    {
         let app = bench.app();
         let panel = incise::gui::layout::Panel::ALL.into_iter().find(|p| p.title() == tab).unwrap();
         app.show_panel(panel);

@@ -10,25 +10,25 @@ use clap::Args;
 /// Options that say which part of a volume's file is meant.
 #[derive(Args, Clone, Debug)]
 pub struct VolumeArguments {
-    /// Of several DICOM series: its number in incise info, its UID, or part of its description; the largest by default.
+    /// DICOM series to load: its number from incise info, its UID, or part of its description; the largest by default.
     #[arg(long, value_name = "N|UID|TEXT")]
     series: Option<String>,
-    /// Of several volumes in time: which one, from 1.
+    /// Time point to load, counted from 1.
     #[arg(long, value_name = "N")]
     time: Option<usize>,
-    /// Of several channels: which one, from 1, as a scalar volume.
+    /// Channel to load as a scalar volume, counted from 1.
     #[arg(long, value_name = "N")]
     channel: Option<usize>,
-    /// Of a multiscale image (OME-Zarr): which resolution, from 0, the full one.
+    /// Resolution level of a multiscale image (OME-Zarr); 0 is full resolution.
     #[arg(long, value_name = "N")]
     resolution: Option<usize>,
     /// Voxel spacing along i, j, k in mm, instead of the file's.
     #[arg(long, value_name = "X,Y,Z", value_parser = spacing)]
     spacing: Option<[f64; 3]>,
-    /// Interpolate unevenly spaced slices onto an even grid.
+    /// Resample unevenly spaced slices onto a regular grid.
     #[arg(long)]
     resample: bool,
-    /// How raw values lie, e.g. 256x256x128:u16[:be][:skip=BYTES][:components=N].
+    /// Layout of a raw file, e.g. 256x256x128:u16[:be][:skip=BYTES][:components=N].
     #[arg(long, value_name = "WxHxD:TYPE", value_parser = RawLayout::parse)]
     raw: Option<RawLayout>,
 }
@@ -59,7 +59,7 @@ impl VolumeArguments {
             None => {
                 return Err(Error::value(
                     "--series, --time, --channel, --resolution, --spacing, --resample, --raw",
-                    "are of volumes, and there is none",
+                    "apply to volumes, but this input has none",
                 ));
             }
         }
@@ -73,7 +73,7 @@ fn spacing(text: &str) -> Result<[f64; 3], String> {
     match numbers[..] {
         [s] if !text.contains(',') => Ok([s; 3]),
         [x, y, z] if text.split(',').count() == 3 => Ok([x, y, z]),
-        _ => Err(format!("\"{text}\" is no spacing; write X,Y,Z in mm, e.g. 0.5,0.5,2")),
+        _ => Err(format!("\"{text}\" is not a spacing; write X,Y,Z in mm, e.g. 0.5,0.5,2")),
     }
 }
 

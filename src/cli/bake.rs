@@ -30,19 +30,19 @@ pub struct BakeArguments {
     /// The file to write: .nii.gz, .nii, .nrrd, .mha or .vti.
     #[arg(short, long, value_name = "OUT.nii.gz")]
     output: PathBuf,
-    /// A deformation, applied after those of the scene; repeatable, in order.
+    /// Add a deformation after the scene's own; repeat for more, applied in order.
     #[arg(long, value_name = "KIND[:name=value,...]")]
     deform: Vec<OsString>,
     /// Write the composed displacement (source minus deformed point, mm, LPS) instead of the volume.
     #[arg(long)]
     field: bool,
-    /// How values between voxels are found: nearest by default for label maps, else linear.
+    /// Interpolation between voxels: nearest by default for label maps, otherwise linear.
     #[arg(long, value_enum)]
     interpolation: Option<InterpolationName>,
-    /// Enlarge the grid so that nothing deformed is clipped; else the grid is the input's.
+    /// Enlarge the grid so that the deformed volume is not clipped; by default, the input's grid is used.
     #[arg(long)]
     enlarge: bool,
-    /// Value where nothing is; the volume's lowest by default.
+    /// Fill value outside the deformed volume and in cuts; the volume's lowest value by default.
     #[arg(long, allow_hyphen_values = true)]
     fill: Option<f64>,
     /// No notices, no progress.
@@ -81,7 +81,7 @@ pub fn run(arguments: &BakeArguments) -> Result<()> {
     }
     if volume.colors.is_some() && !arguments.field && !arguments.quiet {
         super::print_to_stderr(format_args!(
-            "{}: colours are not baked; the file gets their brightness (--channel chooses one channel)",
+            "{}: colours are not baked; brightness is written instead (use --channel to choose one channel)",
             scene.volume_name()
         ));
     }
@@ -106,7 +106,7 @@ pub fn run(arguments: &BakeArguments) -> Result<()> {
     bar.finish();
     if cut > 0 && !arguments.quiet {
         super::print_to_stderr(format_args!(
-            "{cut} points of the field lie in cuts, which a displacement field cannot hold; the displacements around them were continued there"
+            "{cut} points of the field lie in cuts, which a displacement field cannot represent; they were filled by extrapolation"
         ));
     }
     Ok(())

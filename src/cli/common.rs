@@ -15,11 +15,11 @@ use std::path::{Path, PathBuf};
 /// How the scene is sampled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum ModeName {
-    /// The volume by slices.
+    /// Volume rendering by view-aligned slices.
     Slice,
-    /// The volume by rays.
+    /// Volume rendering by ray casting.
     Raycast,
-    /// The surface of a signed distance field.
+    /// Surface rendering of signed distance fields.
     Surface,
 }
 
@@ -37,9 +37,9 @@ impl From<ModeName> for Mode {
 enum CutModelName {
     /// Nothing: a thin shell.
     Hollow,
-    /// Matter.
+    /// Filled with material.
     Solid,
-    /// A thick skin around nothing.
+    /// A shell of finite thickness, empty inside.
     Thick,
 }
 
@@ -56,7 +56,7 @@ pub struct Common {
     pub input: PathBuf,
     #[command(flatten)]
     volume: arguments::VolumeArguments,
-    /// The volume by slices or by rays, or surfaces.
+    /// Rendering mode: slices, rays or surfaces.
     #[arg(long, value_enum)]
     pub mode: Option<ModeName>,
     /// Size of the picture.
@@ -65,7 +65,7 @@ pub struct Common {
     /// Sampling distance in voxels (of the smallest spacing).
     #[arg(long)]
     pub step: Option<f32>,
-    /// Average this many by this many samples into each pixel (1 to 4).
+    /// Antialias with N by N samples per pixel (1 to 4).
     #[arg(long, value_name = "N")]
     antialias: Option<u32>,
     /// anterior, posterior, left, right, superior, inferior or AZ,EL in degrees.
@@ -74,19 +74,19 @@ pub struct Common {
     /// 1 shows the whole volume.
     #[arg(long)]
     zoom: Option<f32>,
-    /// Kind of camera.
+    /// Camera projection.
     #[arg(long, value_enum)]
     projection: Option<ProjectionName>,
     /// Transfer function by name (see incise list).
     #[arg(long)]
     preset: Option<String>,
-    /// Width of the value range that the transfer function spans.
+    /// Window width: the range of values that the transfer function spans.
     #[arg(long)]
     window: Option<f64>,
-    /// Middle of that range.
+    /// Window level: the centre of that range.
     #[arg(long, allow_hyphen_values = true)]
     level: Option<f64>,
-    /// A deformation, applied after those of the scene; repeatable, in order.
+    /// Add a deformation after the scene's own; repeat for more, applied in order.
     #[arg(long, value_name = "KIND[:name=value,...]")]
     deform: Vec<OsString>,
     /// Replace all deformations by one precomputed map wherever its error is at most this, mm.
@@ -98,16 +98,16 @@ pub struct Common {
     /// Look of surfaces by name (see incise list).
     #[arg(long, value_name = "NAME")]
     look: Option<String>,
-    /// What lies under a surface where it is cut.
+    /// Interior of surfaces where they are cut.
     #[arg(long, value_enum)]
     cut_model: Option<CutModelName>,
-    /// A closed mesh: the volume is shown inside of it.
+    /// Show the volume only inside this closed mesh.
     #[arg(long, value_name = "MESH")]
     inside: Option<PathBuf>,
     /// R,G,B[,A] (0..1 or 0..255), #rrggbb or transparent.
     #[arg(long, value_parser = arguments::background)]
     background: Option<[f32; 4]>,
-    /// Write a JSON report of what was done to a file, or to standard output (-).
+    /// Write rendering statistics as JSON to a file, or to standard output (-).
     #[arg(long, value_name = "FILE|-")]
     pub stats: Option<PathBuf>,
     /// The same report on standard output.
@@ -119,7 +119,7 @@ pub struct Common {
     /// No notices, no progress.
     #[arg(short, long)]
     pub quiet: bool,
-    /// Say what was done.
+    /// Print a summary.
     #[arg(short, long)]
     pub verbose: bool,
 }

@@ -16,9 +16,9 @@ use std::path::{Path, PathBuf};
 /// Where pictures are computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum CompareBackends {
-    /// The CPU, and any graphics adapter there is, software ones included.
+    /// The CPU and, if available, a GPU (software adapters included).
     Auto,
-    /// A graphics adapter, software ones included; an error if there is none. References are rendered on the CPU all the same.
+    /// A GPU (software adapters included); an error if there is none. References are still rendered on the CPU.
     Gpu,
     /// The CPU.
     Cpu,
@@ -29,11 +29,11 @@ enum CompareBackends {
 #[command(after_long_help = "\
 Every combination of --modes, --steps, --sizes and --cameras is rendered on every backend and timed. Each picture is measured against a
 reference, rays on the CPU at a step of 1/16 voxel (surfaces against surfaces); over two steps or more, the report says what each renderer
-costs where all are equally wrong. The protocol is that of Meissner et al., Volume Visualization 2000: same optical model, same view, same
+costs at equal error. The protocol follows Meissner et al., Volume Visualization 2000: same optical model, same view, same
 transfer function.
 
 DIR gets every picture, difference pictures, report.json, runs.csv, pairs.csv and index.html, a page that holds all of it. Files of these
-names are replaced, the page last.
+names are replaced; the page is written last.
 
     incise compare scan.nii.gz -o lab
     incise compare scene.toml -o lab --steps 0.5,1,2 --sizes 256x256,512x512 --cameras 'anterior;40,20'
@@ -47,7 +47,7 @@ pub struct CompareArguments {
     /// Where to compute.
     #[arg(long, value_enum, default_value = "auto")]
     backend: CompareBackends,
-    /// Only these modes; by default slice and raycast where there is a volume, surface where the scene has a surface.
+    /// Modes to compare; by default slice and raycast if there is a volume, and surface if the scene has a surface.
     #[arg(long, value_enum, value_name = "MODE,...", value_delimiter = ',', conflicts_with = "mode")]
     modes: Vec<ModeName>,
     /// Sampling distances in voxels, e.g. 0.5,1,2.
@@ -59,13 +59,13 @@ pub struct CompareArguments {
     /// Cameras, e.g. 'anterior;left;40,20': names and pairs AZ,EL with ; or , between them, or the option repeated.
     #[arg(long, value_name = "CAMERA;...", allow_hyphen_values = true, value_parser = cameras, conflicts_with = "camera")]
     cameras: Vec<CameraList>,
-    /// Times are the median of this many renderings.
+    /// Number of timed renderings per run; the median is reported.
     #[arg(long, value_name = "N", default_value_t = 3)]
     repeat: usize,
     /// Step of the references, voxels; at most half of the finest step.
     #[arg(long, value_name = "STEP", default_value_t = REFERENCE_STEP)]
     reference: f32,
-    /// No references, and so no errors; much faster.
+    /// Skip the references; no errors are reported, but the run is much faster.
     #[arg(long, conflicts_with = "reference")]
     no_reference: bool,
 }
@@ -179,7 +179,7 @@ pub fn run(arguments: &CompareArguments) -> Result<()> {
         CompareBackends::Auto => match lab::open_gpu() {
             Ok(gpu) => Some(gpu),
             Err(error) => {
-                common.report([format!("{error}; comparing on the CPU alone")]);
+                common.report([format!("{error}; comparing on the CPU only")]);
                 None
             }
         },

@@ -21,10 +21,10 @@ pub struct GalleryArguments {
     /// The volume that is shown beside the checker phantom.
     #[arg(long, default_value = "phantom:head-ct")]
     volume: PathBuf,
-    /// Edge of a picture, pixels.
+    /// Edge length of each picture, in pixels.
     #[arg(long, default_value_t = 320)]
     edge: u32,
-    /// Only these kinds.
+    /// Render only these kinds of deformation.
     #[arg(long)]
     kind: Vec<String>,
     /// No progress.
@@ -70,7 +70,7 @@ pub fn run(arguments: &GalleryArguments) -> Result<()> {
                 // Some kinds follow what a volume need not have: a surface, labels.
                 Err(e) => {
                     notes.push(format!("{} on {path}: {e}", kind.name));
-                    cells.push_str("<td>needs what this volume does not have</td>");
+                    cells.push_str("<td>not available for this volume</td>");
                 }
             }
         }

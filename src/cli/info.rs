@@ -245,7 +245,7 @@ pub fn catalogue() -> String {
             out.push_str(&format!("    {:<20} {}\n", s.name, s.about));
         }
     }
-    out.push_str("\nLooks of surfaces (--look)\n");
+    out.push_str("\nSurface looks (--look)\n");
     for (name, about, _) in LOOKS {
         out.push_str(&format!("  {name:<22} {about}\n"));
     }

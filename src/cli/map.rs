@@ -28,13 +28,13 @@ use std::path::{Path, PathBuf};
 pub struct MapArguments {
     #[command(subcommand)]
     action: Option<MapAction>,
-    /// A kind with its parameters (as --deform takes it), or a file: a map, a field, a transform.
+    /// A kind with its parameters (as in --deform), or a file: a map, a field or a transform.
     #[arg(required = true, value_name = "KIND|FILE")]
     what: Option<OsString>,
     /// The file to write. A kind as .nrrd keeps its mask (a displacement map); other endings hold the displacement alone.
     #[arg(short, long, required = true, value_name = "OUT")]
     output: Option<PathBuf>,
-    /// The volume that the map is for: boxes, label surfaces and FSL's files need one.
+    /// Reference volume; needed for default boxes, label surfaces and FSL files.
     #[arg(long, value_name = "FILE")]
     volume: Option<PathBuf>,
     /// Write the inverse.
@@ -53,7 +53,7 @@ pub struct MapArguments {
 
 #[derive(Subcommand)]
 enum MapAction {
-    /// Report the health of a field: folds, size, border, how well it can be inverted.
+    /// Check a field for folds, large displacements, border values and invertibility.
     Check(CheckArguments),
 }
 
@@ -61,7 +61,7 @@ enum MapAction {
 struct CheckArguments {
     /// A displacement map, a field or a transform.
     file: PathBuf,
-    /// The volume that it is for, where one is needed.
+    /// Reference volume, if one is needed.
     #[arg(long, value_name = "FILE")]
     volume: Option<PathBuf>,
     /// How the file's vectors are meant: lps, ras, fsl or fsl-absolute.
@@ -73,7 +73,7 @@ struct CheckArguments {
     /// Leave out the inversion, which takes the longest.
     #[arg(long)]
     no_inverse: bool,
-    /// Write every point with its displacement and det J.
+    /// Write each point's displacement and Jacobian determinant (det J) as CSV.
     #[arg(long, value_name = "FILE.csv")]
     csv: Option<PathBuf>,
     /// Write slices of det J through the worst point, folds in red.
@@ -126,7 +126,7 @@ pub fn run(arguments: &MapArguments) -> Result<()> {
             _ => {
                 let resolution = compose::Resolution::Within(0.05);
                 let composed = compose::stack(&stack, &assets.volume.bounds_in_world(), resolution, Storage::F32, &compose::evaluate)?
-                    .ok_or_else(|| Error::value(&what, "makes no map"))?;
+                    .ok_or_else(|| Error::value(&what, "yields no map; choose another kind or file"))?;
                 if !composed.within {
                     note(format!(
                         "{what}: the transforms were composed into one map; its error is up to {:.2} mm (99th percentile: {:.2} mm)",
@@ -151,7 +151,7 @@ pub fn run(arguments: &MapArguments) -> Result<()> {
         saved::encode(&placed)?
     } else {
         if cut {
-            note("the map cuts, and a field cannot say so; write .nrrd to keep the mask".into());
+            note("the map contains cuts, which a field cannot represent; write .nrrd to keep the mask".into());
         }
         encode_field(&placed, format)?
     };
@@ -173,7 +173,7 @@ fn inverse_of_map(placed: &PlacedMap, note: &impl Fn(String)) -> Result<PlacedMa
 
 fn report(r: &invert::InversionReport, note: &impl Fn(String)) {
     note(format!(
-        "inverted {} points; residual mean {:.4}, 95 % {:.4}, 99 % {:.4}, largest {:.4} mm; {} points have no source",
+        "inverted {} points; residual mean {:.4}, 95th percentile {:.4}, 99th percentile {:.4}, largest {:.4} mm; {} points have no source",
         r.points, r.mean_mm, r.p95_mm, r.p99_mm, r.max_mm, r.not_found
     ));
 }
@@ -278,10 +278,13 @@ fn run_check(arguments: &CheckArguments) -> Result<()> {
     line("det J", format!("{:.4} to {:.4}, mean {:.4}", health.det_min, health.det_max, health.det_mean));
     line("folds (det J <= 0)", format!("{:.3} % of the points", health.folds_percent));
     line("displacement", format!("largest {:.3} mm, mean {:.3} mm", health.largest_mm, health.mean_mm));
-    line("at the border", format!("up to {:.3} mm{}", health.border_mm, if health.border_mm > 0.1 { "; beyond it nothing moves" } else { "" }));
+    line(
+        "at the border",
+        format!("up to {:.3} mm{}", health.border_mm, if health.border_mm > 0.1 { "; the displacement jumps to zero there" } else { "" }),
+    );
     line("cut away", format!("{:.3} % of the points", health.cut_percent));
     if let Some(r) = &health.inverse {
-        line("inverse", format!("residual 99 % {:.4} mm, largest {:.4} mm; {} points without a source", r.p99_mm, r.max_mm, r.not_found));
+        line("inverse", format!("residual 99th percentile {:.4} mm, largest {:.4} mm; {} points without a source", r.p99_mm, r.max_mm, r.not_found));
     }
     for w in &warnings {
         line("note", w.clone());

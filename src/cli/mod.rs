@@ -26,7 +26,7 @@ struct Cli {
     command: Option<Command>,
     /// A scene, a volume or a mesh to open in the workstation.
     file: Option<std::path::PathBuf>,
-    /// Allow input files to refer to files outside their own folders (detached headers, glTF), and follow links that lead out of an input folder.
+    /// Allow input files to refer to files outside their own folders (detached headers, glTF), and follow symbolic links that lead out of an input folder.
     #[arg(long, global = true)]
     allow_outside: bool,
 }
@@ -35,17 +35,17 @@ struct Cli {
 enum Command {
     /// Render one picture of a scene, a volume or a phantom.
     Render(Box<render::RenderArguments>),
-    /// Compare slices, rays and surfaces, on the CPU and a GPU: pictures, times, errors, a page.
+    /// Compare slicing, ray casting and surfaces on CPU and GPU; write pictures, times, errors and a report page.
     Compare(Box<compare::CompareArguments>),
-    /// Write the deformed volume, resampled, or the composed displacement, into a file.
+    /// Resample the deformed volume, or the composed displacement field, into a file.
     Bake(Box<bake::BakeArguments>),
     /// Make, convert, invert or check a displacement map or field.
     Map(Box<map::MapArguments>),
-    /// Show every kind of deformation: pictures and a page.
+    /// Render every kind of deformation as a page of pictures.
     Gallery(gallery::GalleryArguments),
     /// Write the signed distance field of a mesh.
     Sdf(sdf::SdfArguments),
-    /// Say what a file holds.
+    /// Describe a file: size, type, spacing, orientation.
     Info(Box<info::InfoArguments>),
     /// Print the JSON schema of scene files.
     Schema,

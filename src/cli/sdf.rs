@@ -28,13 +28,13 @@ pub struct SdfArguments {
     /// Points along the longest axis.
     #[arg(long, default_value = "128")]
     resolution: usize,
-    /// Distance between points, mm, instead of a resolution.
+    /// Grid spacing in mm, instead of a resolution.
     #[arg(long, value_name = "MM", allow_hyphen_values = true)]
     cell: Option<f32>,
     /// Only this part: two corners, x,y,z,x,y,z (mm).
     #[arg(long = "box", value_name = "X,Y,Z,X,Y,Z", allow_hyphen_values = true)]
     part: Option<String>,
-    /// Exact distances everywhere, not only in a band around the surface.
+    /// Compute exact distances everywhere, not only in the narrow band around the surface.
     #[arg(long)]
     exact: bool,
     /// A report on standard output.
@@ -68,7 +68,7 @@ pub fn run(arguments: &SdfArguments) -> Result<()> {
     }
     let bar = TerminalProgress::new(arguments.quiet);
     let settings = FieldSettings { resolution: arguments.resolution, cell_mm: arguments.cell, region, exact: arguments.exact, parity: false };
-    let progress = |share| bar.set("distances", share);
+    let progress = |share| bar.set("computing", share);
     let watch = Watch::reporting(&progress);
     let start = Instant::now();
     let field = MeshField::new(&mesh, &settings, &watch).map_err(|problem| Error::file(&arguments.mesh, problem))?;
@@ -131,5 +131,9 @@ fn corners(text: &str) -> Result<Bounds> {
         }
         _ => return Err(Error::value(format!("--box {text}"), "needs two corners: six numbers, x,y,z,x,y,z")),
     };
-    if b.size().min_element() > 0.0 && b.size().is_finite() { Ok(b) } else { Err(Error::value(format!("--box {text}"), "has no extent")) }
+    if b.size().min_element() > 0.0 && b.size().is_finite() {
+        Ok(b)
+    } else {
+        Err(Error::value(format!("--box {text}"), "is empty; the corners must differ along every axis"))
+    }
 }

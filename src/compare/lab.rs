@@ -107,7 +107,7 @@ impl Plan {
             return Err(Error::value("--steps", format!("{step} is outside {} to {} voxels", STEPS.start(), STEPS.end())));
         }
         if let Some([w, h]) = self.sizes.iter().find(|s| s.iter().any(|n| !(1..=MAX_PICTURE_EDGE).contains(n))) {
-            return Err(Error::value("--sizes", format!("{w}x{h} cannot be made; each edge is 1 to {MAX_PICTURE_EDGE} pixels")));
+            return Err(Error::value("--sizes", format!("{w}x{h} is out of range; each edge must be 1 to {MAX_PICTURE_EDGE} pixels")));
         }
         let antialias = self.scene.render.antialias.clamp(1, 4);
         let too_large = |[w, h]: &&[u32; 2]| {
@@ -134,7 +134,7 @@ impl Plan {
                 return Err(Error::value(
                     "--reference",
                     format!(
-                        "a step of {reference} is too coarse to judge one of {finest}; use {} or less, coarser --steps, or --no-reference",
+                        "a reference step of {reference} is too coarse for a step of {finest}; use {} or less, coarser --steps, or --no-reference",
                         0.5 * finest
                     ),
                 ));

@@ -76,7 +76,7 @@ pub fn difference(a: &Picture, b: &Picture) -> Result<Difference> {
 pub fn difference_picture(a: &Picture, b: &Picture, amplify: f32) -> Result<Picture> {
     check(a, b)?;
     if !(amplify.is_finite() && amplify > 0.0) {
-        return Err(Error::value("amplify", format!("{amplify} is no factor that differences can be shown with; it must be positive")));
+        return Err(Error::value("amplify", format!("{amplify} is not a valid amplification; it must be positive")));
     }
     let shown = |(p, q): (&[f32; 4], &[f32; 4])| ramp(channel_differences(p, q).into_iter().fold(0.0, f32::max) * amplify);
     Ok(Picture { width: a.width, height: a.height, pixels: a.pixels.iter().zip(&b.pixels).map(shown).collect() })

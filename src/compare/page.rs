@@ -19,8 +19,8 @@ impl Report {
         let mut page = format!(
             "<!doctype html>\n<html lang=\"en\">\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" content=\"width=device-width\">\n\
              <title>{title}</title>\n<style>{STYLE}{}</style>\n<h1>{title}</h1>\n\
-             <p>{how_large}: the same matter, transfer function, light and deformations in every picture, and the same view in all that are \
-             compared. incise {VERSION}.</p>\n",
+             <p>{how_large}: every picture shows the same data, transfer function, lighting and deformations, and compared pictures share \
+             the same view. incise {VERSION}.</p>\n",
             plot::STYLE
         );
         if let Some(protocol) = &self.protocol {
@@ -46,12 +46,12 @@ impl Report {
             let option = |(n, caption): (usize, &String)| format!("<option value=\"picture-{n}\" data-frame=\"{}\">{caption}</option>", frames[n]);
             let options: String = captions.iter().enumerate().map(option).collect();
             page.push_str(&format!(
-                "<section id=\"wipe\" hidden>\n<h2>Side by side</h2>\n<p><label>Left <select id=\"left\">{options}</select></label> \
+                "<section id=\"wipe\" hidden>\n<h2>Swipe comparison</h2>\n<p><label>Left <select id=\"left\">{options}</select></label> \
                  <label>Right <select id=\"right\">{options}</select></label></p>\n\
                  <div id=\"stack\"><img id=\"left-picture\" alt=\"\" draggable=\"false\"><img id=\"right-picture\" alt=\"\" draggable=\"false\">\
                  <div id=\"edge\"></div></div>\n\
                  <p><input id=\"at\" type=\"range\" min=\"0\" max=\"100\" step=\"0.1\" value=\"50\" \
-                 aria-label=\"Where the left picture ends, percent\"></p>\n\
+                 aria-label=\"Position of the divider, percent\"></p>\n\
                  </section>\n"
             ));
         }
@@ -97,7 +97,7 @@ impl Report {
             curves.iter().map(one).collect()
         };
         let time = PlotAxis { label: "rendering, ms".to_owned(), ticks: Vec::new() };
-        let error = PlotAxis { label: "RMS error, of 255".to_owned(), ticks: Vec::new() };
+        let error = PlotAxis { label: "RMS error (0–255)".to_owned(), ticks: Vec::new() };
         let has_errors = runs.iter().any(|run| run.error.is_some());
         if several {
             let step = PlotAxis { label: "step, voxels".to_owned(), ticks: if steps.len() <= 8 { steps } else { Vec::new() } };
@@ -129,18 +129,22 @@ impl Report {
         let mut text = String::from("<h2>Speed at equal error</h2>\n");
         let steps: std::collections::BTreeSet<u32> = self.runs.iter().filter(|run| !run.is_reference).map(|run| run.step.to_bits()).collect();
         if self.runs.iter().all(|run| run.error.is_none()) {
-            return text + "<p>Not known: there is no reference to measure errors against.</p>\n";
+            return text + "<p>Not available: there is no reference to measure errors against.</p>\n";
         }
         if steps.len() < 2 {
-            return text + "<p>Not known: it takes the error at two steps or more. Run it again with, say, <code>--steps 0.5,1,2</code>.</p>\n";
+            return text
+                + "<p>Not available: errors at two or more steps are needed. Run again with, for example, <code>--steps 0.5,1,2</code>.</p>\n";
         }
         for shown in views {
             let Some(e) = equal.iter().find(|e| e.shown == *shown) else {
-                text.push_str(&format!("<p>{}: not known; it takes two renderers or more whose errors overlap.</p>\n", escaped(&shown.to_string())));
+                text.push_str(&format!(
+                    "<p>{}: not available; two or more renderers with overlapping error ranges are needed.</p>\n",
+                    escaped(&shown.to_string())
+                ));
                 continue;
             };
             text.push_str(&format!(
-                "<p>{}: at an RMS error of {} of 255.</p>\n<div class=\"wide\"><table>\n\
+                "<p>{}: at an RMS error of {} (of 255).</p>\n<div class=\"wide\"><table>\n\
                  <tr><th>Renderer</th><th>Rendering, ms</th><th>Step, voxels</th></tr>\n",
                 escaped(&shown.to_string()),
                 number(e.error)
@@ -155,17 +159,17 @@ impl Report {
             }
             text.push_str("</table></div>\n");
         }
-        text + "<p class=\"note\">The common error is the smallest that every renderer reaches. Time and step are those of the cheapest step that errs no \
-                more, or interpolated between the two steps around it, on logarithmic axes, never beyond what was measured; “less than” where the \
-                coarsest step was better already.</p>\n"
+        text + "<p class=\"note\">The common error is the smallest error that every renderer reaches. Time and step are those of the fastest step with no \
+                larger error, or interpolated between neighbouring steps on logarithmic axes; nothing is extrapolated. “Less than” means that the \
+                coarsest step was already more accurate.</p>\n"
     }
 
     fn run_table(&self) -> String {
         let stages = self.stage_names();
         let mut table = String::from(
-            "<h2>Cost</h2>\n<div class=\"wide\"><table>\n<tr><th>Run</th><th>Backend</th><th>Step, voxels</th><th>Time, ms</th><th>least to most</th>\
-             <th>Rendering, ms</th><th>Mean error, of 255</th><th>Largest</th><th>PSNR, dB</th><th>SSIM</th>\
-             <th>Samples taken</th><th>skipped</th><th>terminated</th><th>Volume, MB</th><th>Gradients, MB</th><th>Maps, MB</th><th>Peak, MB</th>",
+            "<h2>Cost</h2>\n<div class=\"wide\"><table>\n<tr><th>Run</th><th>Backend</th><th>Step, voxels</th><th>Time, ms</th><th>min to max</th>\
+             <th>Rendering, ms</th><th>Mean error (0–255)</th><th>Largest</th><th>PSNR, dB</th><th>SSIM</th>\
+             <th>Samples taken</th><th>Skipped</th><th>Terminated</th><th>Volume, MB</th><th>Gradients, MB</th><th>Maps, MB</th><th>Peak, MB</th>",
         );
         for stage in &stages {
             table.push_str(&format!("<th>{}, ms</th>", escaped(stage)));
@@ -198,19 +202,19 @@ impl Report {
             table.push_str("</tr>\n");
         }
         table.push_str(
-            "</table></div>\n<p class=\"note\">Time is that of a whole picture: the scene prepared (transfer function, maps, empty space) and rendered; \
-             rendering is the part after preparing, with uploads and reading back. What a second picture finds kept, runs find kept. Stages are those of \
-             the median. Errors are against the reference. Skipped samples lie in cells that show nothing, terminated ones behind what is opaque. The \
-             volume and the gradients of its voxels are as the renderer holds them, on a GPU in its memory; maps are with distance fields of surfaces; \
-             the peak is the largest resident size of the whole process up to then, so it never falls. A dash: not \
-             measured, or no such stage.</p>\n",
+            "</table></div>\n<p class=\"note\">Time is for one complete picture: preparing the scene (transfer function, maps, empty space) and rendering it; \
+             rendering includes uploads and readback. Runs reuse whatever a second picture would reuse. Stages are those of \
+             the median run. Errors are relative to the reference. Skipped samples lie in empty cells; terminated samples lie behind opaque ones. The \
+             sizes of the volume and its gradients are those in the renderer's memory (GPU memory for a GPU); maps include surface distance fields; \
+             the peak is the largest resident size of the process so far, so it never decreases. A dash means not \
+             measured or not applicable.</p>\n",
         );
         table
     }
 
     fn pair_table(&self) -> String {
         let mut table = String::from(
-            "<h2>Differences</h2>\n<div class=\"wide\"><table>\n<tr><th>Run</th><th>Run</th><th>Mean, of 255</th><th>Largest, of 255</th>\
+            "<h2>Differences</h2>\n<div class=\"wide\"><table>\n<tr><th>Run</th><th>Run</th><th>Mean (0–255)</th><th>Largest (0–255)</th>\
              <th>PSNR, dB</th><th>SSIM</th></tr>\n",
         );
         for (n, pair) in self.pairs.iter().enumerate() {
@@ -227,9 +231,9 @@ impl Report {
             ));
         }
         table.push_str(&format!(
-            "</table></div>\n<p class=\"note\">Mean, largest and PSNR over red, green, blue and alpha, premultiplied, without the background. SSIM: \
+            "</table></div>\n<p class=\"note\">Mean, largest and PSNR are over premultiplied red, green, blue and alpha, without the background. SSIM: \
              Wang et al. 2004, 11 × 11 Gaussian window, luminance over black. Difference pictures show the largest difference of any channel, \
-             {} times as large: black is none, then violet, orange, pale yellow.</p>\n",
+             amplified {} times: black is no difference, then violet, orange, pale yellow.</p>\n",
             self.amplify
         ));
         table
@@ -243,10 +247,12 @@ fn protocol_text(protocol: &Protocol) -> String {
     if let Some(gpu) = &protocol.gpu {
         text.push_str(&format!("GPU: {}. ", escaped(gpu)));
     }
-    let times = if protocol.repeat == 1 { "Timed once".to_owned() } else { format!("Times are the median of {}", protocol.repeat) };
+    let times = if protocol.repeat == 1 { "Timed once".to_owned() } else { format!("Times are the median of {} runs", protocol.repeat) };
     text.push_str(&times);
     if protocol.gpu.is_some() {
-        text.push_str(", on the GPU after a first picture that is not timed (it uploads the volume and compiles shaders); the GPU counts samples in a picture of its own");
+        text.push_str(
+            ", on the GPU after an untimed warm-up picture (volume upload and shader compilation); GPU sample counts come from a separate picture",
+        );
     }
     text.push_str(". ");
     let first: f64 = protocol.first_preparation.iter().map(|s| s.1).sum();
@@ -254,20 +260,20 @@ fn protocol_text(protocol: &Protocol) -> String {
         let stages: Vec<String> =
             protocol.first_preparation.iter().filter(|s| s.1 >= 0.05).map(|(name, ms)| format!("{} {}", escaped(name), number(*ms))).collect();
         text.push_str(&format!(
-            "Preparing the scene for the first time took {} ms on the CPU ({}); runs find kept of it what any second picture finds. ",
+            "Preparing the scene for the first time took {} ms on the CPU ({}); later runs reuse the cached parts. ",
             number(first),
             stages.join(", ")
         ));
     }
     match protocol.reference_step {
         Some(step) => text.push_str(&format!(
-            "Errors are against references at a step of {step} voxels on the CPU: rays for slices and rays through the volume, and for surfaces, \
-             which show something else, surfaces."
+            "Errors are relative to CPU references at a step of {step} voxels: ray casting for slicing and ray casting, and surface rendering for \
+             surfaces, which show different content."
         )),
         None => text.push_str("No references were rendered."),
     }
     text.push_str(
-        " The protocol is that of Meissner, Huang, Bartz, Mueller and Crawfis, “A Practical Evaluation of Popular Volume Rendering Algorithms”, \
+        " The protocol follows Meissner, Huang, Bartz, Mueller and Crawfis, “A Practical Evaluation of Popular Volume Rendering Algorithms”, \
          2000: same optical model, same view, same transfer function.</p>\n",
     );
     if !protocol.notices.is_empty() {

@@ -94,7 +94,7 @@ impl Report {
         }
         let compared = |[a, b]: [usize; 2]| match (runs.get(a), runs.get(b)) {
             (Some(first), Some(second)) => Ok(RunPair { a, b, difference: difference(&first.picture, &second.picture)? }),
-            _ => Err(Error::value("pairs", format!("runs {a} and {b} are not both among the {} there are", runs.len()))),
+            _ => Err(Error::value("pairs", format!("runs {a} and {b} do not both exist; there are {}", runs.len()))),
         };
         let pairs = pairs.into_iter().map(compared).collect::<Result<_>>()?;
         Ok(Self { title: title.into(), scene_toml: scene_toml.into(), runs, pairs, background, amplify: AMPLIFY, protocol: None })

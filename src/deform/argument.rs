@@ -153,7 +153,7 @@ impl Arguments {
         match self.numbers(name)?.as_deref() {
             None => Ok(None),
             Some([v]) => Ok(Some(*v)),
-            Some(_) => Err(Error::value(name, "is one number")),
+            Some(_) => Err(Error::value(name, "must be a single number")),
         }
     }
 

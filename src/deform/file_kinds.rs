@@ -16,22 +16,22 @@ pub struct FileKind {
 pub const FILE_KINDS: &[FileKind] = &[
     FileKind {
         name: "field",
-        about: "a registration's transform or displacement field; progress=0..1",
+        about: "a registration transform or displacement field; progress=0..1",
         settings: &[
-            Setting { name: "path", form: SettingFormat::Files, about: "file, or files that a deformed point goes through in order" },
-            Setting { name: "moving", form: SettingFormat::File, about: "the image that is deformed, for FSL's files" },
-            Setting { name: "reference", form: SettingFormat::File, about: "the image onto which it was registered, for FSL's files" },
+            Setting { name: "path", form: SettingFormat::Files, about: "file, or several files applied in order (from deformed to source)" },
+            Setting { name: "moving", form: SettingFormat::File, about: "the moving image, for FSL files" },
+            Setting { name: "reference", form: SettingFormat::File, about: "the reference image of the registration, for FSL files" },
             Setting {
                 name: "convention",
                 form: SettingFormat::OneOf(&["lps", "ras", "fsl", "fsl-absolute"]),
-                about: "of vectors: lps, ras, fsl or fsl-absolute, where the file does not say",
+                about: "vector convention (lps, ras, fsl or fsl-absolute) if the file does not state it",
             },
             Setting { name: "invert", form: SettingFormat::Flag, about: "true uses the inverse" },
         ],
     },
     FileKind {
         name: "map",
-        about: "a displacement map made by incise map; placed anew where center, size or rotate are given",
+        about: "a displacement map made by incise map; center, size or rotate override its placement",
         settings: &[Setting { name: "path", form: SettingFormat::File, about: "file" }],
     },
 ];

@@ -224,7 +224,7 @@ impl Library {
                     })
                 })
             }
-            _ => Err(Error::value("label, mask, iso", "name the surface in one way only")),
+            _ => Err(Error::value("label, mask, iso", "give only one of them")),
         }
     }
 

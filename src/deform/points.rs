@@ -67,7 +67,13 @@ impl Interpolant {
                 Some(k) => {
                     return Err(Error::value(
                         "pairs",
-                        format!("pair {} ends at {} as another one does, but they begin at {} and {}; remove one", n + 1, p.to, k.from, p.from),
+                        format!(
+                            "pair {} has the same target {} as another pair, but their sources {} and {} differ; remove one",
+                            n + 1,
+                            p.to,
+                            k.from,
+                            p.from
+                        ),
                     ));
                 }
                 None if distinct.len() == MAX_PAIRS => {
@@ -101,7 +107,7 @@ impl Interpolant {
                 Some(i) => Ok((i, None)),
                 None => Ok((
                     plain(Method::InverseDistance, 1.0, values),
-                    Some("the Gaussians are too wide for points so close; inverse distances are used".into()),
+                    Some("the Gaussians are too wide for points this close together; inverse distance weighting is used instead".into()),
                 )),
             },
             Method::ThinPlate => {
@@ -130,13 +136,13 @@ impl Interpolant {
                         Ok((Self { points, weights: w[..n].to_vec(), affine, method, scale }, None))
                     }
                     None => {
-                        let why = if n < 4 { format!("{n} points are too few") } else { "the points lie in one plane, too flat".into() };
+                        let why = if n < 4 { format!("{n} points are too few") } else { "the points are too close to coplanar".into() };
                         let notice = format!("{why} for a thin-plate spline; Gaussians {wanted:.0} mm wide are used");
                         match gaussian(wanted) {
                             Some(i) => Ok((i, Some(notice))),
                             None => Ok((
                                 plain(Method::InverseDistance, 1.0, values),
-                                Some(format!("{why} for a thin-plate spline; inverse distances are used")),
+                                Some(format!("{why} for a thin-plate spline; inverse distance weighting is used instead")),
                             )),
                         }
                     }
@@ -218,7 +224,7 @@ pub fn read_pairs(path: &Path) -> Result<Vec<PointPair>> {
     rows.into_iter()
         .map(|(line, v)| match v[..] {
             [a, b, c, d, e, f] => Ok(PointPair { from: DVec3::new(a, b, c), to: DVec3::new(d, e, f) }),
-            _ => Err(Error::file(path, format!("line {line} has {} numbers; a pair has six: from x,y,z and to x,y,z", v.len()))),
+            _ => Err(Error::file(path, format!("line {line} has {} numbers; a pair needs six: source x,y,z and target x,y,z", v.len()))),
         })
         .collect()
 }
@@ -243,7 +249,7 @@ fn table(path: &Path) -> Result<Vec<(usize, Vec<f64>)>> {
                 // The names of the columns.
                 continue;
             }
-            return Err(Error::file(path, format!("line {} holds \"{}\", which is no number", n + 1, words[numbers.len()])));
+            return Err(Error::file(path, format!("line {} contains \"{}\", which is not a number", n + 1, words[numbers.len()])));
         }
         rows.push((n + 1, numbers));
     }
@@ -290,8 +296,8 @@ pub fn read_points(path: &Path) -> Result<Vec<DVec3>> {
 }
 
 fn read_markups(path: &Path) -> Result<Vec<DVec3>> {
-    let value: Value = serde_json::from_str(&text_of(path)?).map_err(|e| Error::file(path, format!("is no valid JSON: {e}")))?;
-    let markup = value.pointer("/markups/0").ok_or_else(|| Error::file(path, "holds no markups; it is no file of 3D Slicer's points"))?;
+    let value: Value = serde_json::from_str(&text_of(path)?).map_err(|e| Error::file(path, format!("is not valid JSON: {e}")))?;
+    let markup = value.pointer("/markups/0").ok_or_else(|| Error::file(path, "contains no markups; it is not a 3D Slicer point list"))?;
     let flip = match markup.get("coordinateSystem").and_then(Value::as_str).unwrap_or("LPS") {
         "LPS" => DVec3::ONE,
         "RAS" => DVec3::new(-1.0, -1.0, 1.0),

@@ -21,7 +21,7 @@ pub fn read(path: &Path, storage: Storage, strength: f32) -> Result<PlacedMap> {
     let image = load::image(path, &ReadOptions::default(), &Watch::NONE)?;
     if !image.displacement || image.components != 4 {
         let problem = format!(
-            "is no displacement map of this program (it has {} values per voxel); a displacement field of another program is a field: --deform field:path=...",
+            "is not an incise displacement map (it has {} values per voxel); load another program's displacement field with --deform field:path=...",
             image.components
         );
         return Err(Error::file(path, problem));

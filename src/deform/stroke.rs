@@ -141,7 +141,7 @@ pub fn parse(text: &str) -> Result<Stroke, String> {
     let mut words = text.split_whitespace();
     let name = words.next().ok_or_else(|| format!("is empty; begin with one of {}", NAMES.join(", ")))?;
     if !NAMES.contains(&name) {
-        return Err(format!("\"{name}\" is no tool; {}", suggestion(name, NAMES)));
+        return Err(format!("\"{name}\" is not a tool; {}", suggestion(name, NAMES)));
     }
     let numbers = words.map(|word| number(word, name)).collect::<Result<Vec<f32>, String>>()?;
     match StrokeTool::ALL.into_iter().find(|t| t.name() == name) {
@@ -151,7 +151,7 @@ pub fn parse(text: &str) -> Result<Stroke, String> {
 }
 
 fn number(word: &str, name: &str) -> Result<f32, String> {
-    let v: f32 = word.parse().map_err(|_| format!("{name}: \"{word}\" is not a number; separate numbers by blanks"))?;
+    let v: f32 = word.parse().map_err(|_| format!("{name}: \"{word}\" is not a number; separate numbers with spaces"))?;
     // NaN is not below anything either.
     if v.abs() <= LARGEST_MM { Ok(v) } else { Err(format!("{name}: {word} is outside -{LARGEST_MM} to {LARGEST_MM}")) }
 }
@@ -169,7 +169,7 @@ fn line(tool: StrokeTool, numbers: &[f32]) -> Result<Stroke, String> {
     }
     let (points, rest) = coordinates.as_chunks::<3>();
     if !rest.is_empty() {
-        return Err(format!("{name} has {} coordinates after radius and strength; a point is three, x y z", coordinates.len()));
+        return Err(format!("{name} has {} coordinates after radius and strength; each point needs three: x y z", coordinates.len()));
     }
     if points.len() < tool.min_points() {
         return Err(format!("{name} has {} points; it needs at least {}", points.len(), tool.min_points()));
@@ -182,18 +182,18 @@ fn lasso(name: &str, numbers: &[f32]) -> Result<Stroke, String> {
         return Err(format!("{name} has {} numbers; it needs the eye's distance, a point, two directions, and the outline's x y", numbers.len()));
     };
     if *eye_mm < 0.0 {
-        return Err(format!("{name}: the eye's distance {eye_mm} is below 0; give 0 for a parallel view"));
+        return Err(format!("{name}: the eye distance {eye_mm} is negative; use 0 for an orthographic view"));
     }
     let (origin, right, up) = (Vec3::new(*ox, *oy, *oz), Vec3::new(*rx, *ry, *rz), Vec3::new(*ux, *uy, *uz));
     let (Some(x), Some(y)) = (right.try_normalize(), up.try_normalize()) else {
-        return Err(format!("{name}: a direction has no length; give the outline's x and y as unit vectors"));
+        return Err(format!("{name}: a direction has zero length; give the outline's x and y axes as unit vectors"));
     };
     if x.cross(y).length() < 1e-3 {
-        return Err(format!("{name}: the outline's two directions are parallel; they must be at right angles"));
+        return Err(format!("{name}: the outline's two directions are parallel; they must be perpendicular"));
     }
     let (points, rest) = coordinates.as_chunks::<2>();
     if !rest.is_empty() {
-        return Err(format!("{name} has {} coordinates of its outline; a point is two, x y", coordinates.len()));
+        return Err(format!("{name} has {} outline coordinates; each point needs two: x y", coordinates.len()));
     }
     if points.len() < 3 {
         return Err(format!("{name}: an outline of {} points encloses nothing; it needs 3", points.len()));

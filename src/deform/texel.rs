@@ -11,7 +11,7 @@ pub(super) const MIN_MARKED_ALPHA: f32 = 2.0;
 /// A mask that changes by this much over a map is that of marked texels.
 pub(super) const MIN_MARKED_SLOPE: f32 = 4096.0;
 
-/// How a texel is stored. \[DDM06\] section 8: eight bits show jagged lines.
+/// Texel format of a displacement map. Eight bits show jagged edges (\[DDM06\] section 8).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Storage {
@@ -22,7 +22,7 @@ pub enum Storage {
     Snorm16,
     /// Four 8-bit signed normalised integers.
     Snorm8,
-    /// Four single-precision floats, for fields whose numbers matter.
+    /// Four single-precision floats, for fields that need full precision.
     F32,
 }
 

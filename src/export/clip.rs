@@ -52,7 +52,7 @@ impl ClipFormat {
             "gif" => Ok(Self::Gif),
             "png" | "apng" => Ok(Self::Apng),
             "mp4" => Ok(Self::Mp4),
-            _ => Err(Error::file(path, "has an ending that is no clip's; use .gif, .png or .apng, .mp4, or none for a folder of pictures")),
+            _ => Err(Error::file(path, "does not name a clip format; use .gif, .png or .apng, .mp4, or no extension for a folder of frames")),
         }
     }
 }
@@ -91,7 +91,7 @@ pub fn write(
         return Err(Error::value("frames", format!("a clip of {count} frames cannot be made; it has 1 to {MAX_FRAMES}")));
     }
     if size.contains(&0) {
-        return Err(Error::value("size", format!("a clip of {} x {} pixels shows nothing", size[0], size[1])));
+        return Err(Error::value("size", format!("{} x {} is not a valid clip size; each edge must be at least 1 pixel", size[0], size[1])));
     }
     let mut clip = Clip { path, size, frames_per_second: f64::from(frames_per_second), count, frame, watch };
     match format {
@@ -230,7 +230,7 @@ impl Clip<'_> {
             let mut words = Vec::new();
             stderr_file.rewind().and_then(|()| stderr_file.read_to_end(&mut words)).map_err(writing)?;
             let words: String = String::from_utf8_lossy(&words).trim().chars().take(LONGEST_QUOTE).collect();
-            return Err(Error::file(path, format!("ffmpeg could not make it ({status}): {words}; choose .gif or .png")).printable());
+            return Err(Error::file(path, format!("ffmpeg failed ({status}): {words}; choose .gif or .png")).printable());
         }
         Ok(())
     }

@@ -259,7 +259,7 @@ impl OutputFile {
         // Others may have been there since the place was tried.
         if let Ok(before) = std::fs::symlink_metadata(target) {
             if !before.is_file() {
-                return Err(Error::file(&self.path, "became something other than a file while it was written; choose another name"));
+                return Err(Error::file(&self.path, "was replaced by something other than a file during writing; choose another name"));
             }
             check_replaceable(&self.path, &before)?;
             keep_owner_and_mode(file, &before);

@@ -117,8 +117,8 @@ pub fn list() -> Vec<ActionEntry> {
     add("Edit", Action::Solo, "Solo", Some((SHIFT, Key::H)));
     add("Edit", Action::MoveUp, "Move up in the stack", Some((CTRL, Key::ArrowUp)));
     add("Edit", Action::MoveDown, "Move down in the stack", Some((CTRL, Key::ArrowDown)));
-    add("Edit", Action::Less, "Less progress", Some((NONE, Key::OpenBracket)));
-    add("Edit", Action::More, "More progress", Some((NONE, Key::CloseBracket)));
+    add("Edit", Action::Less, "Decrease progress", Some((NONE, Key::OpenBracket)));
+    add("Edit", Action::More, "Increase progress", Some((NONE, Key::CloseBracket)));
     add("Edit", Action::SelectNext, "Select the next deformation", Some((NONE, Key::N)));
     add("Edit", Action::Deselect, "Deselect", Some((NONE, Key::Escape)));
     for (name, label, key) in [
@@ -136,25 +136,25 @@ pub fn list() -> Vec<ActionEntry> {
     add("View", Action::FrameSelection, "Frame selection", Some((NONE, Key::F)));
     add("View", Action::CameraBack, "Camera back", Some((Modifiers::ALT, Key::ArrowLeft)));
     add("View", Action::CameraForward, "Camera forward", Some((Modifiers::ALT, Key::ArrowRight)));
-    add("View", Action::ToggleProjection, "Perspective or orthographic", Some((NONE, Key::Num5)));
+    add("View", Action::ToggleProjection, "Toggle perspective/orthographic", Some((NONE, Key::Num5)));
     add("View", Action::NextMode, "Next render mode", Some((NONE, Key::V)));
-    add("View", Action::SetMode(Mode::Slice), "Render by slices", None);
-    add("View", Action::SetMode(Mode::Raycast), "Render by rays", None);
+    add("View", Action::SetMode(Mode::Slice), "Render with slices", None);
+    add("View", Action::SetMode(Mode::Raycast), "Render with ray casting", None);
     add("View", Action::SetMode(Mode::Surface), "Render surfaces", None);
     add("View", Action::Compare, "Compare renderers", Some((SHIFT, Key::V)));
-    add("View", Action::BeforeAfter, "Before or after deformation", Some((NONE, Key::Tab)));
+    add("View", Action::BeforeAfter, "Toggle before/after deformation", Some((NONE, Key::Tab)));
     add("Window", Action::Layout(Layout::Only3d), "Layout: 3D only", None);
     add("Window", Action::Layout(Layout::FourUp), "Layout: four-up", None);
     add("Window", Action::Layout(Layout::Compare), "Layout: compare", None);
-    add("Window", Action::ToggleTheme, "Light or dark theme", None);
+    add("Window", Action::ToggleTheme, "Toggle light/dark theme", None);
     add("Window", Action::ScaleUp, "Larger interface", Some((CTRL, Key::Plus)));
     add("Window", Action::ScaleDown, "Smaller interface", Some((CTRL, Key::Minus)));
     add("Window", Action::Palette, "Command palette", Some((CTRL, Key::K)));
-    add("Window", Action::Keys, "Keyboard…", Some((NONE, Key::F1)));
-    add("Window", Action::Log, "Messages", None);
-    add("Window", Action::Navigation, "Navigate as in 3D Slicer or as in Blender", None);
-    add("Window", Action::ResetGpu, "Open the GPU anew", None);
-    add("Window", Action::CancelTasks, "Cancel everything that runs in the background", None);
+    add("Window", Action::Keys, "Keyboard shortcuts…", Some((NONE, Key::F1)));
+    add("Window", Action::Log, "Show log", None);
+    add("Window", Action::Navigation, "Toggle 3D Slicer/Blender navigation", None);
+    add("Window", Action::ResetGpu, "Reconnect to the GPU", None);
+    add("Window", Action::CancelTasks, "Cancel all background tasks", None);
     add("Tool", Action::Arm(Tool::Navigate), "Orbit", Some((NONE, Key::O)));
     add("Tool", Action::Arm(Tool::Probe), "Probe", Some((NONE, Key::I)));
     add("Tool", Action::Arm(Tool::Measure(MeasureKind::Distance)), "Measure a distance", Some((NONE, Key::M)));
@@ -186,7 +186,7 @@ pub fn list() -> Vec<ActionEntry> {
         }
     }
     add("Map", Action::NewMap, "New painted map", None);
-    add("Map", Action::StackToMap, "Make one map of the stack", None);
+    add("Map", Action::StackToMap, "Combine the stack into one map", None);
     add("Map", Action::SaveMap, "Save the selected deformation to the library", None);
     add("Map", Action::CheckField, "Check the field for folds", None);
     for preset in transfer::list() {
@@ -246,6 +246,23 @@ pub fn key_from_text(text: &str) -> Option<KeyboardShortcut> {
     };
     Some(KeyboardShortcut::new(modifiers, key))
 }
+
+/// Labels that actions had before, with what they are called now: the user's keys are saved by label.
+pub const FORMER_LABELS: [(&str, &str); 13] = [
+    ("Less progress", "Decrease progress"),
+    ("More progress", "Increase progress"),
+    ("Perspective or orthographic", "Toggle perspective/orthographic"),
+    ("Render by slices", "Render with slices"),
+    ("Render by rays", "Render with ray casting"),
+    ("Before or after deformation", "Toggle before/after deformation"),
+    ("Light or dark theme", "Toggle light/dark theme"),
+    ("Keyboard…", "Keyboard shortcuts…"),
+    ("Messages", "Show log"),
+    ("Navigate as in 3D Slicer or as in Blender", "Toggle 3D Slicer/Blender navigation"),
+    ("Open the GPU anew", "Reconnect to the GPU"),
+    ("Cancel everything that runs in the background", "Cancel all background tasks"),
+    ("Make one map of the stack", "Combine the stack into one map"),
+];
 
 #[cfg(test)]
 mod tests {

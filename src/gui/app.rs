@@ -267,6 +267,12 @@ impl Workstation {
     /// Puts the user's keys in the place of the usual ones.
     pub(super) fn apply_keys(&mut self) {
         self.entries = action::list();
+        let keys = &mut self.session.settings.keys;
+        for (former, now) in action::FORMER_LABELS {
+            if let Some(key) = keys.remove(former) {
+                keys.entry(now.to_owned()).or_insert(key);
+            }
+        }
         for entry in &mut self.entries {
             if let Some(text) = self.session.settings.keys.get(&entry.label) {
                 entry.key = action::key_from_text(text);
@@ -618,7 +624,7 @@ impl Workstation {
         }
         let ms = start.elapsed().as_secs_f32() * 1e3;
         if ms > SLOW_MS && self.frame_ms.len() > 30 {
-            self.log.add(LogLevel::Info, format!("a frame of the interface took {ms:.0} ms"));
+            self.log.add(LogLevel::Info, format!("an interface frame took {ms:.0} ms"));
         }
         self.frame_ms.push_back(ms);
         if self.frame_ms.len() > FRAMES {

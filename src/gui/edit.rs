@@ -56,7 +56,7 @@ impl Workstation {
                 self.session.settings.blender = blender;
                 self.report(
                     LogLevel::Info,
-                    if blender { "Navigation as in Blender: the middle button orbits" } else { "Navigation as in 3D Slicer: the left button orbits" },
+                    if blender { "Blender navigation: orbit with the middle button" } else { "3D Slicer navigation: orbit with the left button" },
                 );
             }
             Action::ResetGpu => {
@@ -282,7 +282,7 @@ impl Workstation {
             Tool::Place(kind) => self.place(kind.0, pick.map(|p| (p.deformed, p.normal))),
             Tool::Probe | Tool::Measure(_) => match pick {
                 Some(p) => self.take_point(p.deformed, p.source),
-                None => self.report(LogLevel::Info, "Nothing is seen there"),
+                None => self.report(LogLevel::Info, "Nothing is visible at that point"),
             },
             Tool::Navigate => {
                 // A control point where the surface is.

@@ -189,7 +189,7 @@ impl Workstation {
         if self.measured.len() != all.len()
             || self.measured.iter().zip(all).any(|(m, now)| m.measure.points != now.points || m.measure.label != now.label)
         {
-            self.report(LogLevel::Info, "The measurements are being worked out; export them again in a moment");
+            self.report(LogLevel::Info, "Measurements are still being computed; try again in a moment");
             return;
         }
         // What could not be measured has a row all the same.
@@ -254,7 +254,7 @@ impl Workstation {
 
     /// Asks for a label map.
     pub fn choose_label_map(&mut self) {
-        self.files.open_dialog(FilePurpose::Labels, "Open a label map over the volume", None, &[]);
+        self.files.open_dialog(FilePurpose::Labels, "Open a label map for the volume", None, &[]);
     }
 
     /// Puts a label map over the volume.
@@ -282,7 +282,7 @@ impl Workstation {
             let maps = exact.stack.maps();
             let mut exactness = String::new();
             let placed = match maps {
-                [] => return Err(Error::value("map", "there is nothing to make a map of; add a deformation first")),
+                [] => return Err(Error::value("map", "there is nothing to combine; add a deformation first")),
                 [one] => one.clone(),
                 all => {
                     let stack = Stack::new(all.to_vec());
@@ -290,7 +290,7 @@ impl Workstation {
                     let storage = crate::deform::Storage::F32;
                     let composed =
                         crate::deform::compose::stack(&stack, &assets.scene_box(), resolution, storage, &crate::deform::compose::evaluate)?;
-                    let composed = composed.ok_or_else(|| Error::value("map", "the stack moves nothing"))?;
+                    let composed = composed.ok_or_else(|| Error::value("map", "the deformations move nothing; there is no map to save"))?;
                     exactness = format!(
                         "; composed into one map, its error is up to {:.2} mm (99th percentile: {:.2} mm)",
                         composed.worst_mm, composed.p99_mm
@@ -307,7 +307,7 @@ impl Workstation {
     pub fn copy_command(&mut self, ctx: &Context) {
         let Some(doc) = &self.doc else { return };
         let Some(path) = doc.path.clone() else {
-            self.report(LogLevel::Info, "Save the scene first: the command line names its file");
+            self.report(LogLevel::Info, "Save the scene first; the command line refers to its file");
             self.choose_save_file(None);
             return;
         };

@@ -346,7 +346,7 @@ impl Workstation {
             before.cancel();
         }
         if let Some(gone) = missing(&scene).filter(|_| !same) {
-            let problem = format!("{} is not there", gone.display());
+            let problem = format!("{} does not exist", gone.display());
             if path.is_none() && recovered.is_none() {
                 self.report(LogLevel::Error, format!("{problem}; check the path"));
                 return;
@@ -395,7 +395,7 @@ impl Workstation {
             Err(TryRecvError::Empty) => return,
             Ok(outcome) => outcome,
             Err(TryRecvError::Disconnected) => {
-                Err(Error::value(loading.name.clone(), "reading ended by a fault of the program; please report the file"))
+                Err(Error::value(loading.name.clone(), "reading failed because of an internal error; please report the file"))
             }
         };
         let Some(loading) = self.loading.take() else { return };
@@ -630,7 +630,7 @@ impl Workstation {
     /// Asks where a missing file is.
     pub fn choose_missing_file(&mut self, dialog: Dialog) {
         let title = match &dialog {
-            Dialog::Locate { missing, .. } => format!("Where is {}?", missing.file_name().unwrap_or_default().to_string_lossy()),
+            Dialog::Locate { missing, .. } => format!("Locate {}", missing.file_name().unwrap_or_default().to_string_lossy()),
             _ => "Locate".into(),
         };
         self.files.open_dialog(FilePurpose::Locate(Box::new(dialog)), &title, None, &[]);

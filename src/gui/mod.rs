@@ -54,7 +54,7 @@ pub fn open(file: Option<PathBuf>) -> Result<()> {
     );
     run.map_err(|e| {
         let why = match e {
-            eframe::Error::Winit(_) | eframe::Error::WinitEventLoop(_) => "there is no display that answers".to_owned(),
+            eframe::Error::Winit(_) | eframe::Error::WinitEventLoop(_) => "no display is available".to_owned(),
             other => other.to_string(),
         };
         Error::value("workstation", format!("no window could be opened ({why}); pictures are rendered without one by: incise render"))

@@ -231,7 +231,7 @@ impl Session {
             }
         }
         let path = folder.join(name);
-        if path.exists() { Ok(path) } else { Err(Error::value(name, "is no bundled file")) }
+        if path.exists() { Ok(path) } else { Err(Error::value(name, "is not a bundled file")) }
     }
 
     /// The user's displacement maps.

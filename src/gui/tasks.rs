@@ -82,7 +82,7 @@ impl Workstation {
                 }
                 Err(TryRecvError::Disconnected) => {
                     let task = self.tasks.remove(n);
-                    self.report_error(&Error::value(task.name, "ended by a fault of the program; the scene is unharmed"));
+                    self.report_error(&Error::value(task.name, "failed because of an internal error; the scene is intact"));
                 }
             }
         }

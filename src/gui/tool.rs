@@ -54,15 +54,15 @@ impl Tool {
     pub fn hint(self) -> String {
         match self {
             Self::Navigate => String::new(),
-            Self::Probe => "Click a point to note its value. Esc ends.".into(),
-            Self::Measure(kind) => format!("Click {} points. Esc ends.", kind.points()),
-            Self::Place(kind) => format!("Click the surface, or drag onto it, to place: {}. Esc ends.", words(kind.0.name)),
-            Self::LassoCut => "Draw around what is to be cut away. Esc ends.".into(),
-            Self::LassoRestore => "Draw around what is to be put back. Esc ends.".into(),
-            Self::BrushPush => "Drag matter in a slice or on the surface. Esc ends.".into(),
-            Self::BrushSmooth => "Brush over what is to be smoothed. Esc ends.".into(),
-            Self::BrushCut => "Brush over what is to be cut away. Esc ends.".into(),
-            Self::BrushRestore => "Brush over what is to be put back. Esc ends.".into(),
+            Self::Probe => "Click a point to read its value. Press Esc to finish.".into(),
+            Self::Measure(kind) => format!("Click {} points. Press Esc to finish.", kind.points()),
+            Self::Place(kind) => format!("Click the surface, or drag onto it, to place: {}. Press Esc to finish.", words(kind.0.name)),
+            Self::LassoCut => "Draw around the region to cut away. Press Esc to finish.".into(),
+            Self::LassoRestore => "Draw around the region to restore. Press Esc to finish.".into(),
+            Self::BrushPush => "Drag tissue on a slice or on the surface. Press Esc to finish.".into(),
+            Self::BrushSmooth => "Brush over the region to smooth. Press Esc to finish.".into(),
+            Self::BrushCut => "Brush over the region to cut away. Press Esc to finish.".into(),
+            Self::BrushRestore => "Brush over the region to restore. Press Esc to finish.".into(),
         }
     }
 

@@ -343,7 +343,7 @@ fn run(shared: &WorkerState, send: &Sender<FinishedJob>, log: &Sender<(LogLevel,
             Some(pool) if quiet => pool.install(work),
             _ => work(),
         }))
-        .unwrap_or_else(|_| Err(Error::value("rendering", "ended by a fault of the program; the scene is unharmed")));
+        .unwrap_or_else(|_| Err(Error::value("rendering", "failed because of an internal error; the scene is intact")));
         let mut queue = lock(&shared.queue);
         let dropped = queue.running.take().is_some_and(|r| r.dropped);
         let stopped = dropped || matches!(outcome, Err(Error::Cancelled));
@@ -554,7 +554,7 @@ fn probe(questions: &Receiver<ProbeRequest>, answer: &Sender<ProbeResult>, ctx: 
     while let Some(question) = next.take().or_else(|| questions.recv().ok()) {
         let (scene, assets) = (question.scene.clone(), question.assets.clone());
         let prepare = || Prepared::new(&scene, &assets);
-        let fault = || Error::value("picking", "ended by a fault of the program; the scene is unharmed");
+        let fault = || Error::value("picking", "failed because of an internal error; the scene is intact");
         let prepared = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| match &pool {
             Some(pool) => pool.install(prepare),
             None => prepare(),

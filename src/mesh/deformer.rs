@@ -52,7 +52,7 @@ pub struct Deformer {
     pub half: Vec3,
 }
 
-/// How normals are carried along.
+/// How normals are transformed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum NormalMethod {
@@ -61,7 +61,7 @@ pub enum NormalMethod {
     InverseTranspose,
     /// As the cross product of the deformed tangent and binormal.
     Tangent,
-    /// From two more deformed points beside the vertex.
+    /// Numerically, from two deformed points near the vertex.
     Numeric,
 }
 

@@ -120,7 +120,7 @@ impl Assets {
         }
         if !scene.mesh.is_empty() || scene.render.mode == Mode::Surface {
             assets.mesh_box =
-                stages.time("meshes", || assets.objects.load(scene, &assets.library, &assets.volume, &|share| report("distances", share)))?;
+                stages.time("meshes", || assets.objects.load(scene, &assets.library, &assets.volume, &|share| report("computing", share)))?;
         }
         if !assets.has_volume {
             let empty = Volume::empty_over(&assets.mesh_box);
@@ -193,7 +193,7 @@ impl Assets {
         match &self.separate_labels {
             Some(map) => Ok(map),
             None if self.has_volume && self.sampled_labels().is_some() => Ok(&self.volume),
-            None => Err(Error::value("volume.labels", "there is no label map; open one over the volume")),
+            None => Err(Error::value("volume.labels", "there is no label map; set volume.labels, or add one in the workstation")),
         }
     }
 

@@ -92,7 +92,7 @@ pub fn resolve(library: &Library, inside: &InsideMesh, scene_box: &Bounds, min_r
     let topology = mesh.topology();
     if !topology.watertight {
         let problem = format!(
-            "is not closed ({} open edges, {} of more than two triangles); a mesh that holds a volume must be",
+            "is not closed ({} open edges, {} with more than two triangles); the mesh of volume.inside must be closed",
             topology.open_edges, topology.non_manifold_edges
         );
         return Err(Error::file(&path, problem));

@@ -52,7 +52,7 @@ impl Measure {
                 let mut all = vec![Quantity { what: self.kind.name(), value: of_points(self.kind, &source), unit }];
                 if !deformed.stack_and_cuts().is_empty() {
                     let seen: Option<Vec<Vec3>> = source.iter().map(|p| deformed.forward(*p)).collect();
-                    all.push(Quantity { what: "in the picture", value: seen.and_then(|p| of_points(self.kind, &p)), unit });
+                    all.push(Quantity { what: "after deformation", value: seen.and_then(|p| of_points(self.kind, &p)), unit });
                 }
                 all
             }
@@ -83,7 +83,7 @@ fn label_quantities(labels: &Volume, label: u32, deformed: &Deformed) -> Result<
     let ml = |mm3: f64| mm3 / 1000.0;
     let mut all = vec![
         Quantity { what: "Volume", value: Some(ml(count as f64 * voxel_mm3)), unit: "ml" },
-        Quantity { what: "Surface", value: surface_mm2(labels, label).map(|mm2| mm2 / 100.0), unit: "cm²" },
+        Quantity { what: "Surface area", value: surface_mm2(labels, label).map(|mm2| mm2 / 100.0), unit: "cm²" },
     ];
     let deformation = deformed.stack_and_cuts();
     if !deformation.is_empty() {
@@ -106,7 +106,7 @@ fn label_quantities(labels: &Volume, label: u32, deformed: &Deformed) -> Result<
                 seen
             })
             .sum();
-        all.push(Quantity { what: "in the picture", value: Some(ml(seen as f64 * f64::from(step).powi(3))), unit: "ml" });
+        all.push(Quantity { what: "after deformation", value: Some(ml(seen as f64 * f64::from(step).powi(3))), unit: "ml" });
     }
     Ok(all)
 }

@@ -136,7 +136,11 @@ impl ObjectCache {
         if let (Some(tolerance), false) = (source.tessellate, deformers.is_empty()) {
             let (finer, reached) = mesh.tessellated(|p| apply_all(&deformers, p).0, tolerance, MAX_TESSELLATED_TRIANGLES);
             if !reached {
-                library.notice(format!("{}: tessellation stopped at {} triangles, before {tolerance} mm", source.label(0), finer.triangles.len()));
+                library.notice(format!(
+                    "{}: tessellation stopped at {} triangles before reaching the tolerance of {tolerance} mm",
+                    source.label(0),
+                    finer.triangles.len()
+                ));
             }
             mesh = finer;
         }
@@ -254,7 +258,7 @@ impl ObjectCache {
         }?;
         let grid = grid.closed_at_faces();
         if !grid.distance_mm.iter().any(|d| *d > 0.0) {
-            return Err(Error::value("iso, label", "what they name is too thin to have an inside"));
+            return Err(Error::value("iso, label", "the region is too thin to have an interior"));
         }
         let grid = Arc::new(grid);
         lock(&self.fields).insert(key, grid.clone(), MAX_CACHED_FIELD_BYTES);

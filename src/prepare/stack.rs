@@ -86,11 +86,11 @@ pub fn stack(deformations: &[Deformation], inputs: &StackInputs, first: Vec<Plac
         let inputs = &StackInputs { watch: &watch, ..*inputs };
         if let Some(name) = CUT_ONLY.iter().find(|n| kinds::kind(&d.kind).is_ok_and(|k| k.shape.is_some()) && d.parameters.0.contains_key(**n)) {
             let problem = if !inputs.exact_cuts {
-                "needs cuts to be shapes, which they are not here (render.exact_cuts is false, or a map is being made)".to_owned()
+                "needs exact cuts, which are not available here (render.exact_cuts is false, or a map is being made)".to_owned()
             } else if is_exact(d) {
-                format!("needs the cut to come after every deformation that moves matter, and at most {MAX_CUTS} cuts in all; move it to the end")
+                format!("needs the cut to come after every deformation that moves material, and at most {MAX_CUTS} cuts in all; move it to the end")
             } else {
-                "does not go with matrix, add, spare or mapping".to_owned()
+                "cannot be combined with matrix, add, spare or mapping".to_owned()
             };
             return Err(Error::value(format!("{}: {name}", d.kind), problem));
         }
@@ -205,7 +205,7 @@ fn place(deformation: &Deformation, inputs: &StackInputs) -> Result<Vec<PlacedMa
     .map_err(named)?;
     if deformation.add {
         if placed.len() > 1 {
-            return Err(named(Error::value("add", "several transforms in a row cannot be added; bake them into one field first")));
+            return Err(named(Error::value("add", "a chain of transforms cannot be added; bake it into one field first")));
         }
         placed.iter_mut().for_each(|m| m.added = true);
     }
@@ -277,7 +277,7 @@ fn check_settings(arguments: &Arguments, kind: &str) -> Result<()> {
 fn place_field(deformation: &Deformation, inputs: &StackInputs) -> Result<Vec<PlacedMap>> {
     check_settings(&deformation.parameters, "field")?;
     if deformation.center.is_some() || deformation.size.is_some() || deformation.rotate.is_some() || deformation.matrix.is_some() {
-        return Err(Error::value("center, size, rotate, matrix", "a field lies where its file says; leave them out"));
+        return Err(Error::value("center, size, rotate, matrix", "a field is placed by its file; leave these out"));
     }
     if let Some(n) = deformation.resolution.filter(|n| !(8..=512).contains(n)) {
         return Err(Error::value("resolution", format!("{n} is outside 8 to 512 texels")));
@@ -298,7 +298,7 @@ fn place_field(deformation: &Deformation, inputs: &StackInputs) -> Result<Vec<Pl
             let inverse = crate::deform::invert::transform(&transform, &inputs.scene_box, deformation.resolution)?;
             let r = inverse.report;
             inputs.library.notice(format!(
-                "field: inverted; residual 99 % {:.4} mm, largest {:.4} mm, {} of {} points have no source and are cut away",
+                "field: inverted; residual 99th percentile {:.4} mm, largest {:.4} mm; {} of {} points have no source and are cut away",
                 r.p99_mm, r.max_mm, r.not_found, r.points
             ));
             inverse.placed(storage, progress).map(|m| vec![m])
@@ -309,7 +309,7 @@ fn place_field(deformation: &Deformation, inputs: &StackInputs) -> Result<Vec<Pl
 fn place_map(deformation: &Deformation, inputs: &StackInputs) -> Result<PlacedMap> {
     check_settings(&deformation.parameters, "map")?;
     if deformation.resolution.is_some() {
-        return Err(Error::value("resolution", "a saved map has its own; leave it out"));
+        return Err(Error::value("resolution", "a saved map has its own resolution; leave this out"));
     }
     let path = deformation.parameters.text("path")?.ok_or_else(|| Error::value("path", "is missing; name a file"))?;
     let storage = inputs.storage.or(deformation.storage).unwrap_or_default();

@@ -281,7 +281,7 @@ impl Renderer {
     pub(super) fn upload_maps(&self, stack: &Stack) -> Result<([wgpu::TextureView; 2], [PlacedMapUniform; PLACED_MAPS], bool)> {
         let count = stack.maps().len();
         if count > MAX_MAPS {
-            return Err(Error::GpuLimit(format!("the scene has {count} deformations, but a GPU supports at most {MAX_MAPS}")));
+            return Err(Error::GpuLimit(format!("the scene has {count} deformations, but the GPU renderer supports at most {MAX_MAPS}")));
         }
         let (views, places, replaced) = self.place_maps(stack)?;
         self.forget_maps(stack);

@@ -190,7 +190,10 @@ impl Renderer {
         let [width, height] = scene.frame.size;
         let limits = self.device.device.limits();
         if width.max(height) > limits.max_texture_dimension_2d {
-            return Err(Error::GpuLimit(format!("this GPU makes pictures up to {} pixels wide or high", limits.max_texture_dimension_2d)));
+            return Err(Error::GpuLimit(format!(
+                "this GPU renders pictures of at most {} pixels per edge; use a smaller size",
+                limits.max_texture_dimension_2d
+            )));
         }
         if scene.settings.mode == Mode::Slice
             && scene.volume().blend != Blend::Composite
@@ -221,7 +224,7 @@ impl Renderer {
             self.restart_clock();
             let drawn = stages.time("surfaces drawn", || self.draw_surfaces(scene, &shared, counter.as_ref(), watch))?;
             if let Some(drawing) = self.clocked()? {
-                stages.divide("surfaces drawn", "surfaces drawn, by the GPU's clock", drawing);
+                stages.divide("surfaces drawn", "surfaces drawn (GPU time)", drawing);
             }
             Some(drawn)
         };
@@ -248,7 +251,7 @@ impl Renderer {
                 Mode::Surface => Ok(()),
             })?;
             if let Some(drawing) = self.clocked()? {
-                stages.divide("draw", "draw, by the GPU's clock", drawing);
+                stages.divide("draw", "draw (GPU time)", drawing);
             }
             target.texture
         };

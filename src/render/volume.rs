@@ -102,7 +102,7 @@ impl Renderer {
         let notice = reduced.as_ref().map(|r| {
             let by = |s: [usize; 3]| format!("{} x {} x {}", s[0], s[1], s[2]);
             format!(
-                "the volume of {} voxels is more than this GPU holds and is shown at {}; --backend cpu shows all of it",
+                "the volume of {} voxels exceeds this GPU's limits and is downsampled to {}; use --backend cpu for full resolution",
                 by(grid.size),
                 by(r.size)
             )

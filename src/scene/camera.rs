@@ -63,14 +63,14 @@ impl From<View> for String {
     }
 }
 
-/// How depth becomes size.
+/// Camera projection.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Projection {
     /// Nearer is larger.
     #[default]
     Perspective,
-    /// Parallel rays: lengths across the view can be measured.
+    /// Parallel projection: lengths in the view plane are to scale.
     Orthographic,
 }
 
@@ -86,7 +86,7 @@ pub struct Camera {
     pub projection: Projection,
     /// Vertical field of view of the perspective camera, degrees.
     pub field_of_view: f32,
-    /// Turn about the direction of view, degrees, clockwise in the picture.
+    /// Roll about the view direction, degrees, clockwise in the picture.
     pub roll: f32,
     /// The point in the middle of the picture, mm; the volume's centre by default.
     #[serde(skip_serializing_if = "Option::is_none")]

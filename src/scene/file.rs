@@ -30,7 +30,7 @@ impl Scene {
         let table: toml::Table = text.parse().map_err(|e: toml::de::Error| format!("is not valid TOML ({})", wrong(&e)))?;
         // Another version has other keys.
         if let Some(version) = table.get("incise").and_then(toml::Value::as_integer).filter(|v| *v != i64::from(FORMAT_VERSION)) {
-            return Err(format!("is of format version {version}; this program reads version {FORMAT_VERSION}"));
+            return Err(format!("has format version {version}; this program reads version {FORMAT_VERSION}"));
         }
         keys::check(&schema(), &table)?;
         let scene: Self = toml::from_str(text).map_err(|e| format!("cannot be used ({})", wrong(&e)))?;

@@ -14,7 +14,7 @@ pub enum MeasureKind {
     Angle,
     /// The value at a point.
     Probe,
-    /// Volume and surface of a label.
+    /// Volume and surface area of a label.
     Label,
 }
 
@@ -24,7 +24,7 @@ pub enum MeasureKind {
 pub struct Measure {
     /// What is measured.
     pub kind: MeasureKind,
-    /// A name of the user's own.
+    /// A user-defined name.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
     /// Its points in the undeformed volume, mm.

@@ -41,25 +41,25 @@ pub struct Scene {
     /// Surfaces that are shown, with the volume or without one.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub mesh: Vec<surface::MeshSource>,
-    /// How surfaces look and are found.
+    /// Appearance and sampling of surfaces.
     #[serde(default, skip_serializing_if = "is_default")]
     pub surface: surface::SurfaceSettings,
-    /// Colour and opacity.
+    /// Transfer function: colour and opacity.
     #[serde(default, skip_serializing_if = "is_default")]
     pub transfer: TransferSettings,
     /// Deformations, first applied first.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub deformation: Vec<Deformation>,
-    /// What has been measured.
+    /// Measurements.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub measure: Vec<measure::Measure>,
-    /// From where it is seen.
+    /// The camera.
     #[serde(default)]
     pub camera: Camera,
-    /// How it is lit.
+    /// Lighting.
     #[serde(default)]
     pub light: Light,
-    /// How it is rendered.
+    /// Rendering settings.
     #[serde(default)]
     pub render: RenderSettings,
     /// Folder that relative paths start from.
@@ -76,13 +76,13 @@ fn is_default<T: Default + PartialEq>(value: &T) -> bool {
 pub struct VolumeSource {
     /// A file or folder, relative to the scene file, or `phantom:NAME[:size=N]`.
     pub path: String,
-    /// Which part of it, and what it does not say of itself.
+    /// Which part of the file to load, and what the file does not state itself.
     #[serde(flatten)]
     pub choice: ReadOptions,
-    /// A label map of the same patient, relative to the scene file: it names what is pointed at, and colours slices.
+    /// A label map of the same patient, relative to the scene file; used to name and colour regions on slices.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub labels: Option<String>,
-    /// A closed mesh that the volume is shown inside of.
+    /// A closed mesh; only the volume inside it is shown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub inside: Option<InsideMesh>,
 }
@@ -92,13 +92,13 @@ pub struct VolumeSource {
 pub struct InsideMesh {
     /// The mesh file, relative to the scene file.
     pub path: String,
-    /// Where it goes.
+    /// Placement of the mesh.
     #[serde(flatten)]
     pub place: surface::MeshPlace,
     /// Shows the volume outside of it instead.
     #[serde(default, skip_serializing_if = "is_default")]
     pub invert: bool,
-    /// Forward deformers, in order, that carry the volume along.
+    /// Forward deformers, in order; the volume moves with the mesh.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub deformer: Vec<surface::DeformerSource>,
 }
@@ -128,25 +128,25 @@ impl Size {
 pub struct Deformation {
     /// Name of the kind: peel, pull, twist, ...
     pub kind: String,
-    /// A name of the user's own.
+    /// A user-defined name.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// false leaves it out of the picture.
+    /// Set to false to disable this deformation.
     #[serde(default = "yes", skip_serializing_if = "Clone::clone")]
     pub enabled: bool,
     /// Centre of its box, mm; the volume's centre by default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub center: Option<[f32; 3]>,
-    /// Extent of its box, mm; a share of the volume by default.
+    /// Size of its box, mm; a fraction of the volume's size by default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub size: Option<Size>,
-    /// Turn about x, then y, then z, degrees.
+    /// Rotation about x, then y, then z, degrees.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rotate: Option<[f32; 3]>,
     /// Instead of centre, size and rotation: rows of the affine transform from the unit cube to world mm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub matrix: Option<[[f32; 4]; 3]>,
-    /// From nothing (0) to full (1, the default).
+    /// Progress from none (0) to full (1, the default).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub progress: Option<f32>,
     /// Adds its displacement to that of the deformation before it, instead of being applied after it.
@@ -191,19 +191,19 @@ impl Deformation {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Light {
-    /// Light from everywhere, 0..1.
+    /// Ambient light, 0..1.
     pub ambient: f32,
-    /// Share of the directional light, 0..1.
+    /// Diffuse coefficient of the directional light, 0..1.
     pub diffuse: f32,
-    /// Strength of the highlight, 0..1.
+    /// Specular coefficient (strength of the highlight), 0..1.
     pub specular: f32,
-    /// Exponent of the highlight.
+    /// Specular exponent.
     pub shininess: f32,
-    /// Direction towards the light: right, up and towards the viewer if it moves with the camera, else L, P, S.
+    /// Direction towards the light: right, up and towards the viewer for a headlight, otherwise L, P, S.
     pub direction: [f32; 3],
     /// Whether the light moves with the camera.
     pub follows_camera: bool,
-    /// Light surfaces from behind as from the front, as scalar volumes (whose gradient has no outside) need.
+    /// Two-sided lighting, as scalar volumes need (their gradients have no outside).
     pub two_sided: bool,
 }
 
@@ -238,7 +238,7 @@ pub enum Mode {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Normals {
-    /// No lighting.
+    /// Unshaded.
     None,
     /// Gradients of the undeformed volume, as they are.
     Source,
@@ -253,10 +253,10 @@ pub enum Normals {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum CutFaces {
-    /// As the matter that is cut, by the transfer function, lit.
+    /// Coloured by the transfer function and shaded.
     #[default]
     Lit,
-    /// The scan's grey value by window and level, opaque and without light, as on a slice; what is black there is not painted.
+    /// The scan's grey values by window and level, opaque and unshaded, as on a slice; black is left transparent.
     Grey,
 }
 
@@ -267,7 +267,7 @@ pub enum IsoLight {
     /// By the gradient, transformed with the deformation.
     #[default]
     Gradient,
-    /// By the difference of the deformed volume towards the light: no gradient, no Jacobian, no highlight.
+    /// By the directional derivative of the deformed volume towards the light: no gradient, Jacobian or highlight.
     Derivative,
 }
 
@@ -281,36 +281,36 @@ pub struct RenderSettings {
     pub size: [u32; 2],
     /// Distance between samples in voxels (of the smallest spacing).
     pub step: f32,
-    /// Pixels are averages of this many by this many samples: 1 to 4.
+    /// Samples averaged along each edge of a pixel, 1 to 4.
     pub antialias: u32,
-    /// Behind the volume: red, green, blue, alpha in 0..1.
+    /// Background: red, green, blue, alpha in 0..1.
     pub background: [f32; 4],
-    /// Which normals light the volume.
+    /// Which normals shade the volume.
     pub normals: Normals,
     /// How gradients are estimated.
     pub gradient: GradientFilter,
-    /// Leave out cells of the scene that show nothing.
+    /// Empty-space skipping.
     pub empty_space_skipping: bool,
-    /// Stop a ray where nothing behind can be seen.
+    /// Early ray termination.
     pub early_termination: bool,
-    /// Evaluate removals that nothing moves afterwards as formulas, exactly along each ray, instead of as masks.
+    /// Evaluate cuts at the end of the stack exactly along each ray, instead of as masks.
     pub exact_cuts: bool,
-    /// How the faces of cuts look.
+    /// Appearance of cut faces.
     pub cut_faces: CutFaces,
-    /// Show the surface where the volume has this value (data units) instead of the volume: the first hit along each ray.
+    /// Show the iso-surface at this value (data units) instead of the volume: the first hit along each ray.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub iso: Option<f64>,
-    /// How that surface is lit.
+    /// How the iso-surface is shaded.
     pub iso_light: IsoLight,
-    /// Take colour and opacity from the values at both ends of each step (a pre-integrated transfer function) instead of from one: thin features of
+    /// Pre-integrated transfer function: colour and opacity come from the values at both ends of each step instead of one, so that thin features of
     /// the curve stay closed at longer steps.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub preintegrated: bool,
-    /// Shift each pixel's samples along its ray by a fixed pseudo-random part of a step: the rings of a coarse step become fine grain.
+    /// Jitter each pixel's samples along its ray by a fixed pseudo-random part of a step: banding becomes fine noise.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub jitter: bool,
     /// Replace all deformations by one precomputed map wherever its error is at most this, mm; elsewhere, for example along tears, every deformation
-    /// is evaluated. The rendering time then depends little on their number.
+    /// is evaluated. Rendering time then hardly depends on their number.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub precompose: Option<f32>,
 }

@@ -21,7 +21,7 @@ impl Scene {
 fn check_size(settings: &RenderSettings) -> Result<()> {
     let [width, height] = settings.size;
     if !settings.size.iter().all(|n| (1..=MAX_PICTURE_EDGE).contains(n)) {
-        let problem = format!("a picture of {width} x {height} pixels cannot be made; each edge is 1 to {MAX_PICTURE_EDGE}");
+        let problem = format!("{width} x {height} pixels is out of range; each edge must be 1 to {MAX_PICTURE_EDGE}");
         return Err(Error::value("size", problem));
     }
     let n = settings.antialias;
@@ -68,7 +68,7 @@ fn check_settings(settings: &RenderSettings, light: &Light) -> Result<()> {
     }
     if settings.precompose.is_some_and(|mm| !PRECOMPOSE_MM.contains(&mm)) {
         let [least, most] = [PRECOMPOSE_MM.start(), PRECOMPOSE_MM.end()];
-        return Err(Error::value("precompose", format!("is an error bound in mm, from {least} to {most}")));
+        return Err(Error::value("precompose", format!("must be an error bound in mm, from {least} to {most}")));
     }
     if !settings.background.iter().all(|c| (0.0..=1.0).contains(c)) {
         return Err(Error::value("background", "its components must lie within 0..1"));

@@ -12,16 +12,16 @@ use std::collections::BTreeMap;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum CutModel {
-    /// Nothing: a thin shell, seen from inside.
+    /// Empty: a thin shell whose inside is visible.
     Hollow,
-    /// Matter: a cut has a face.
+    /// Filled: cuts expose a face.
     #[default]
     Solid,
-    /// A skin of some thickness around nothing.
+    /// A shell of finite thickness, empty inside.
     Thick,
 }
 
-/// How far a ray goes from sample to sample.
+/// Step length along a ray.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Steps {
@@ -31,12 +31,12 @@ pub enum Steps {
     Threshold,
     /// Even in the undeformed scene (\[DS07\] eq 4).
     Jacobian,
-    /// As far as the distance field and the deformation's slope allow (Hart 1996, in deformed space).
+    /// Sphere tracing: as far as the distance field and the deformation's Lipschitz bound allow (Hart 1996, in deformed space).
     #[default]
     Sphere,
 }
 
-/// What a `[[mesh]]` becomes.
+/// How a `[[mesh]]` is represented.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Representation {
@@ -50,7 +50,7 @@ pub enum Representation {
     Triangles,
 }
 
-/// How a surface looks; what is not given comes from the look, the `[surface]` section, or a default.
+/// Appearance of a surface; unset values come from the look, the `[surface]` section, or the defaults.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Appearance {
     /// A preset by name: clay, skin, bone, apple, marble, jade, gold, muscle, porcelain.
@@ -77,19 +77,19 @@ pub struct Appearance {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct SurfaceSettings {
-    /// Value of the volume whose surface the mode "surface" shows where the scene has no mesh; found from the histogram by default.
+    /// Iso-value shown by the mode "surface" if the scene has no mesh; chosen from the histogram by default.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub iso: Option<f64>,
-    /// How surfaces look that do not say.
+    /// Default appearance of surfaces.
     #[serde(flatten)]
     pub appearance: Appearance,
     /// How rays step.
     pub steps: Steps,
     /// Distance from the surface, in cells, within which threshold steps are finer.
     pub threshold: f32,
-    /// Leave out what a cut has emptied.
+    /// Skip space emptied by cuts.
     pub cut_skipping: bool,
-    /// Rasterise what lies outside every deformation's box and cast rays only through the boxes (\[DS07\] section 3).
+    /// Rasterise triangles outside all deformation boxes and cast rays only through the boxes (\[DS07\] section 3).
     pub two_stage: bool,
     /// Width of the seam in which the two are blended, cells.
     pub seam: f32,
@@ -127,13 +127,13 @@ pub struct ShapeSource {
     /// Turn about x, then y, then z, degrees.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rotate: Option<[f32; 3]>,
-    /// Edges of a box or of what a gyroid fills, mm.
+    /// Edge lengths of a box, or of the box that a gyroid fills, mm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub size: Option<Size>,
-    /// Radius of a sphere, a cylinder, a torus's ring, mm.
+    /// Radius of a sphere or cylinder, or major radius of a torus, mm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub radius: Option<f32>,
-    /// Radius of a torus's tube, mm.
+    /// Minor radius of a torus, mm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tube: Option<f32>,
     /// Length of a cylinder, mm.
@@ -158,10 +158,10 @@ pub struct DeformerSource {
     /// Extent of its box, mm; the mesh's by default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub size: Option<Size>,
-    /// Turn about x, then y, then z, degrees; its axis is z.
+    /// Rotation about x, then y, then z, degrees; the deformer's axis is z.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rotate: Option<[f32; 3]>,
-    /// From nothing (0) to full (1).
+    /// Progress from none (0) to full (1).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub progress: Option<f32>,
     /// Offsets of a lattice's control points: index along x, y, z (0 to 3), then the offset in mm.
@@ -173,13 +173,13 @@ pub struct DeformerSource {
     pub numbers: BTreeMap<String, f32>,
 }
 
-/// Where a mesh from a file goes: `[[mesh]]` and `[volume.inside]` alike.
+/// Placement of a mesh from a file, for `[[mesh]]` and `[volume.inside]`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct MeshPlace {
-    /// Where its middle goes, mm; where it is by default.
+    /// Centre of the mesh, mm; unchanged by default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub center: Option<[f32; 3]>,
-    /// Its longest edge, mm; as it is by default.
+    /// Longest edge of its bounding box, mm; unchanged by default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub size: Option<f32>,
     /// Turn about x, then y, then z, degrees.
@@ -196,25 +196,25 @@ pub struct MeshSource {
     /// A mesh file, relative to the scene file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub path: Option<String>,
-    /// Instead of a file: the surface where a volume has this value.
+    /// Instead of a file: the iso-surface of a volume at this value.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub iso: Option<f64>,
-    /// Or the surface of these labels.
+    /// Instead of a file: the surface of these labels.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub label: Vec<usize>,
     /// The volume of the value or labels; the scene's by default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub volume: Option<String>,
-    /// Or solids by formula, joined in order.
+    /// Instead of a file: implicit solids, combined in order.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub shape: Vec<ShapeSource>,
-    /// A name of the user's own.
+    /// A user-defined name.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// true leaves it out of the picture.
+    /// Set to true to hide this surface.
     #[serde(default, skip_serializing_if = "super::is_default")]
     pub hidden: bool,
-    /// Where it goes.
+    /// Placement.
     #[serde(flatten)]
     pub place: MeshPlace,
     /// What it becomes: a field by default, triangles if it has deformers.
@@ -226,22 +226,22 @@ pub struct MeshSource {
     /// Points of its field along the longest axis, or of a depth map along each edge.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub resolution: Option<usize>,
-    /// Exact distances everywhere.
+    /// Compute exact distances everywhere, not only in the narrow band.
     #[serde(default, skip_serializing_if = "super::is_default")]
     pub exact: bool,
-    /// How it looks.
+    /// Appearance.
     #[serde(flatten)]
     pub appearance: Appearance,
-    /// true: the scene's deformations pass it by.
+    /// Set to true to exclude it from the scene's deformations.
     #[serde(default, skip_serializing_if = "super::is_default")]
     pub rigid: bool,
     /// Forward deformers, in order.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub deformer: Vec<DeformerSource>,
-    /// How deformers carry normals along.
+    /// How deformers transform normals.
     #[serde(default, skip_serializing_if = "super::is_default")]
     pub normals: NormalMethod,
-    /// Divides triangles that deformers bend by more than this, mm.
+    /// Tessellation tolerance: subdivide triangles that deformers bend by more than this, mm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tessellate: Option<f32>,
 }
@@ -273,9 +273,9 @@ pub const DEFORMERS: [(&str, &str, &str); 7] = [
     ("twist", "turns about z over the box's height", "angle (degrees)"),
     ("bend", "bends z towards x over the box's height", "angle (degrees)"),
     ("taper", "scales x and y towards the upper end", "factor"),
-    ("shear", "moves x with z", "amount (mm per mm)"),
+    ("shear", "shifts x in proportion to z", "amount (mm per mm)"),
     ("bulge", "swells x and y around the middle", "amount, width (mm)"),
-    ("wave", "rings around z", "amplitude (mm), length (mm), phase (degrees)"),
+    ("wave", "circular waves around z", "amplitude (mm), length (mm), phase (degrees)"),
     ("lattice", "free-form deformation by 4x4x4 control points", "points = [[i, j, k, x, y, z], ...] (mm)"),
 ];
 
@@ -289,7 +289,7 @@ const fn look(color: [f32; 3], inside: [f32; 3], cut: [f32; 3], highlight: [f32;
 /// The presets.
 pub const LOOKS: [LookPreset; 9] = [
     ("clay", "matt grey-brown, solid", look([0.78, 0.70, 0.62], [0.55, 0.42, 0.36], [0.72, 0.45, 0.35], [0.10, 16.0], CutModel::Solid)),
-    ("skin", "skin with red flesh under it, thick", look([0.87, 0.68, 0.57], [0.62, 0.25, 0.22], [0.75, 0.27, 0.25], [0.18, 24.0], CutModel::Thick)),
+    ("skin", "skin over red muscle, thick", look([0.87, 0.68, 0.57], [0.62, 0.25, 0.22], [0.75, 0.27, 0.25], [0.18, 24.0], CutModel::Thick)),
     ("bone", "ivory, spongy inside, solid", look([0.93, 0.89, 0.78], [0.72, 0.58, 0.46], [0.84, 0.68, 0.53], [0.20, 32.0], CutModel::Solid)),
     ("apple", "red with pale flesh, solid", look([0.78, 0.12, 0.10], [0.93, 0.87, 0.64], [0.95, 0.91, 0.72], [0.35, 40.0], CutModel::Solid)),
     ("marble", "white, solid", look([0.92, 0.92, 0.94], [0.60, 0.62, 0.68], [0.78, 0.80, 0.86], [0.40, 60.0], CutModel::Solid)),
@@ -362,7 +362,7 @@ impl MeshSource {
             + usize::from(!self.label.is_empty())
             + usize::from(!self.shape.is_empty());
         if sources != 1 {
-            return Err(Error::value("path, iso, label, shape", "exactly one of them says what a mesh is made of"));
+            return Err(Error::value("path, iso, label, shape", "give exactly one of these for a mesh"));
         }
         if self.path.is_none() {
             let only_files = [
@@ -380,7 +380,7 @@ impl MeshSource {
             }
         }
         if self.path.is_some() && self.volume.is_some() {
-            return Err(Error::value("volume", "is of an iso-value or labels; a mesh from a file has none"));
+            return Err(Error::value("volume", "applies only to meshes from an iso-value or labels; leave it out"));
         }
         if self.resolution.is_some_and(|n| !(16..=1024).contains(&n)) {
             return Err(Error::value("resolution", "is outside 16 to 1024 points"));

@@ -17,18 +17,18 @@ use crate::{Error, Result, error::suggestion};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// How the samples along a ray become one colour.
+/// How the samples along a ray are combined.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Blend {
-    /// Emission and absorption, front over back.
+    /// Compositing with emission and absorption.
     #[default]
     Composite,
-    /// Maximum intensity projection: the highest value, then coloured.
+    /// Maximum intensity projection, coloured by the transfer function.
     Mip,
-    /// Minimum intensity projection: the lowest value inside the volume, then coloured.
+    /// Minimum intensity projection inside the volume, coloured by the transfer function.
     Minip,
-    /// The mean value inside the volume, then coloured.
+    /// Average intensity projection inside the volume, coloured by the transfer function.
     Average,
 }
 
@@ -44,7 +44,7 @@ pub struct ControlPoint {
     pub opacity: f32,
 }
 
-/// Factor on the opacity at one gradient magnitude.
+/// Opacity factor at one gradient magnitude.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct GradientPoint {
@@ -61,22 +61,22 @@ pub struct TransferSettings {
     /// Name of a preset; without one, chosen for the volume.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub preset: Option<String>,
-    /// Width of the value range that the curve is stretched over, data units.
+    /// Window width: the range of values that the curve spans, data units.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub window: Option<f64>,
-    /// Middle of that range, data units.
+    /// Window level: the centre of that range, data units.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub level: Option<f64>,
-    /// Factor on the optical depths of the control points (1 = as the preset has it).
+    /// Density: factor on the optical depth of the control points (1 = unchanged).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub density: Option<f64>,
-    /// The curve itself, instead of a preset's.
+    /// Control points of a custom curve, instead of the preset's.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub points: Vec<ControlPoint>,
     /// Opacity by gradient magnitude.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub gradient_opacity: Vec<GradientPoint>,
-    /// Whether voxels that have a colour of their own show it; by default where no preset is named, or the preset is "color".
+    /// Whether RGB voxels show their own colour; by default if no preset is named, or the preset is "color".
     #[serde(skip_serializing_if = "Option::is_none")]
     pub own_colors: Option<bool>,
     /// Blend mode instead of the preset's.
@@ -182,7 +182,7 @@ impl TransferFunction {
         let width = window.unwrap_or(high - low);
         let middle = level.unwrap_or((low + high) / 2.0);
         if !(width.is_finite() && width > 0.0) {
-            return Err(Error::value("window", format!("{width} is not a positive width in data units")));
+            return Err(Error::value("window", format!("{width} is not a positive window width in data units")));
         }
         if !middle.is_finite() {
             return Err(Error::value("level", "must be a finite data value"));

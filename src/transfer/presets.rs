@@ -57,7 +57,7 @@ pub const OWN_COLORS: &str = "color";
 const PRESETS: &[Preset] = &[
     preset!(
         "color",
-        "voxels in colours of their own, as opaque as they are bright (or as they say)",
+        "RGB voxels in their own colours; opacity from brightness, or from alpha if present",
         Absolute,
         Composite,
         [(0.0, WHITE, 0.0), (0.06, WHITE, 0.0), (0.3, WHITE, 0.35), (0.7, WHITE, 0.8), (1.0, WHITE, 0.95)]
@@ -85,7 +85,7 @@ const PRESETS: &[Preset] = &[
     ),
     preset!(
         "ct-skin",
-        "the body's surface",
+        "skin surface",
         Absolute,
         Composite,
         [(-400.0, SKIN, 0.0), (-180.0, SKIN, 0.55), (60.0, [236, 196, 170], 0.9), (1500.0, BONE, 0.95)]
@@ -136,28 +136,28 @@ const PRESETS: &[Preset] = &[
     ),
     preset!(
         "ct-airways",
-        "the air-filled tree",
+        "tracheobronchial tree",
         Absolute,
         Composite,
         [(-1000.0, [70, 190, 220], 0.0), (-960.0, [90, 200, 226], 0.12), (-900.0, [150, 220, 236], 0.10), (-820.0, [150, 220, 236], 0.0)]
     ),
     preset!(
         "ct-vessels",
-        "contrast-filled vessels and bone",
+        "contrast-enhanced vessels and bone",
         Absolute,
         Composite,
         [(110.0, VESSEL, 0.0), (170.0, VESSEL, 0.35), (280.0, [224, 88, 60], 0.7), (420.0, BONE, 0.8), (1200.0, WHITE, 0.95)]
     ),
     preset!(
         "ct-angio",
-        "vessels, translucent soft tissue left out",
+        "vessels without soft tissue",
         Absolute,
         Composite,
         [(140.0, [150, 20, 24], 0.0), (220.0, VESSEL, 0.5), (340.0, [240, 150, 110], 0.75), (600.0, [250, 226, 196], 0.85)]
     ),
     preset!(
         "ct-aorta-stent",
-        "contrast, calcium and metal apart",
+        "contrast, calcium and metal in separate colours",
         Absolute,
         Composite,
         [
@@ -171,7 +171,7 @@ const PRESETS: &[Preset] = &[
     ),
     preset!(
         "ct-liver",
-        "parenchyma in portal phase",
+        "liver parenchyma in the portal venous phase",
         Absolute,
         Composite,
         [(20.0, [140, 70, 56], 0.0), (70.0, [150, 74, 60], 0.25), (130.0, [196, 104, 80], 0.5), (220.0, [232, 170, 130], 0.6), (400.0, BONE, 0.8)]
@@ -188,7 +188,7 @@ const PRESETS: &[Preset] = &[
     preset!("ct-minip", "minimum intensity projection, for airways", Absolute, Minip, [(-1000.0, BLACK, 1.0), (-400.0, WHITE, 1.0)]),
     preset!(
         "ct-xray",
-        "mean value, like a radiograph",
+        "average intensity projection, like a radiograph",
         Absolute,
         Average,
         [(-900.0, BLACK, 0.0), (-300.0, [120, 120, 120], 0.8), (300.0, WHITE, 1.0)]
@@ -229,12 +229,12 @@ const PRESETS: &[Preset] = &[
     ),
     preset!(
         "mr-angio",
-        "bright blood, time of flight",
+        "bright-blood vessels (time-of-flight MRA)",
         Relative,
         Composite,
         [(0.38, [140, 20, 20], 0.0), (0.55, VESSEL, 0.35), (0.8, [240, 130, 96], 0.8), (1.0, [255, 226, 200], 0.95)]
     ),
-    preset!("mr-skin", "the head's surface", Relative, Composite, [(0.06, SKIN, 0.0), (0.14, SKIN, 0.6), (0.3, [236, 196, 170], 0.95)]),
+    preset!("mr-skin", "skin surface of the head", Relative, Composite, [(0.06, SKIN, 0.0), (0.14, SKIN, 0.6), (0.3, [236, 196, 170], 0.95)]),
     preset!(
         "mr-translucent",
         "edges only: opacity by gradient",
@@ -246,15 +246,15 @@ const PRESETS: &[Preset] = &[
     preset!("mr-mip", "maximum intensity projection", Relative, Mip, [(0.05, BLACK, 0.0), (0.4, [90, 90, 90], 0.9), (1.0, WHITE, 1.0)]),
     preset!(
         "pet-hot",
-        "activity on a hot scale",
+        "tracer uptake on a hot-metal colour scale",
         Relative,
         Composite,
         [(0.12, BLACK, 0.0), (0.3, [120, 10, 0], 0.05), (0.55, [230, 90, 0], 0.25), (0.8, [255, 200, 40], 0.6), (1.0, WHITE, 0.9)]
     ),
-    preset!("grey", "value as brightness", Relative, Composite, [(0.0, BLACK, 0.0), (0.5, [128, 128, 128], 0.25), (1.0, WHITE, 0.5)]),
+    preset!("grey", "linear greyscale ramp", Relative, Composite, [(0.0, BLACK, 0.0), (0.5, [128, 128, 128], 0.25), (1.0, WHITE, 0.5)]),
     preset!(
         "labels",
-        "a label map, one colour band per share of its range",
+        "label map, coloured by fractions of its value range",
         Relative,
         Composite,
         [
@@ -349,7 +349,7 @@ const PRESETS: &[Preset] = &[
     ),
     preset!(
         "phantom-solid",
-        "value 0 to 1 as opacity",
+        "opacity rising with values from 0 to 1",
         Absolute,
         Composite,
         [(0.25, [200, 170, 130], 0.0), (0.75, [226, 206, 172], 0.95), (1.0, [226, 206, 172], 0.95)]

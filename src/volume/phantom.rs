@@ -35,7 +35,7 @@ const PHANTOMS: &[Phantom] = &[
     Phantom { name: "shell", about: "a hollow ball, radius 60 mm, wall 8 mm", size: 128, preset: "phantom-solid", kind: PhantomKind::Float(shell) },
     Phantom {
         name: "checker",
-        about: "16 mm checks in two values, up to the edges of the volume",
+        about: "16 mm checkerboard with two values, filling the volume",
         size: 128,
         preset: "checker",
         kind: PhantomKind::Bytes(checker),

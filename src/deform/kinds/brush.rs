@@ -42,7 +42,7 @@ const MAX_OUTLINE_POINTS: usize = 512;
 
 pub(super) const KIND: Kind = Kind {
     name: "brush",
-    about: "painted by strokes: push, smooth, cut, restore, and outlines cut out or put back",
+    about: "painted with brush strokes (push, smooth, cut, restore) and lasso outlines",
     parameters: &[],
     progressive: true,
     // What is pushed outwards needs room.

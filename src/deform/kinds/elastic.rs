@@ -22,8 +22,8 @@ const RESIDUAL: f64 = 1e-5;
 
 pub(super) const KIND: Kind = Kind {
     name: "elastic",
-    about: "drags places of an elastic lattice, with cuts; looks elastic, no more is claimed",
-    parameters: &[Parameter::number("nodes", 20.0, [5.0, 40.0], "along the box's longest axis (whole number)")],
+    about: "drags points of an elastic lattice, with incisions; plausible, not a biomechanical simulation",
+    parameters: &[Parameter::number("nodes", 20.0, [5.0, 40.0], "lattice nodes along the box's longest axis (whole number)")],
     progressive: true,
     size: DefaultSize::Share([0.9; 3]),
     cube_scale: 1.0,
@@ -37,11 +37,19 @@ pub(super) const KIND: Kind = Kind {
             Setting {
                 name: "grab",
                 form: SettingFormat::Rows(7),
-                about: "x,y,z,radius,dx,dy,dz in mm: a ball that is dragged, and its displacement; repeat for more",
+                about: "x,y,z,radius,dx,dy,dz in mm: a sphere to drag and its displacement; repeat for more",
             },
-            Setting { name: "fixed", form: SettingFormat::Rows(4), about: "x,y,z,radius: what is held, besides the box's faces" },
-            Setting { name: "incision", form: SettingFormat::Rows(7), about: "x,y,z,nx,ny,nz,radius: a round cut and its normal" },
-            Setting { name: "stiffness", form: SettingFormat::Rows(2), about: "label,stiffness: relative to 1, by the labels of `labels`" },
+            Setting { name: "fixed", form: SettingFormat::Rows(4), about: "x,y,z,radius: a sphere held in place, in addition to the box's faces" },
+            Setting {
+                name: "incision",
+                form: SettingFormat::Rows(7),
+                about: "x,y,z,nx,ny,nz,radius: centre, normal and radius of a disc-shaped cut",
+            },
+            Setting {
+                name: "stiffness",
+                form: SettingFormat::Rows(2),
+                about: "label,stiffness: stiffness relative to 1 for each label of the label map (`labels`)",
+            },
         ],
         example,
         build,
@@ -64,7 +72,7 @@ fn build(c: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
     let rows = |name: &str, n: usize, what: &str| -> Result<Vec<Vec<f32>>> {
         let numbers = settings.numbers(name)?.unwrap_or_default();
         if numbers.len() % n != 0 {
-            return Err(Error::value(name, format!("are {} numbers; each is {n}: {what}", numbers.len())));
+            return Err(Error::value(name, format!("has {} numbers, which is not a multiple of {n} ({what})", numbers.len())));
         }
         Ok(numbers.chunks_exact(n).map(<[f32]>::to_vec).collect())
     };
@@ -75,13 +83,13 @@ fn build(c: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
         .map(|v| Grab { center: place(v), radius: v[3], offset: way(&v[4..]) * c.progress })
         .collect();
     if grabs.is_empty() {
-        return Err(Error::value("grab", "is missing; say what is dragged, and by how much"));
+        return Err(Error::value("grab", "is missing; specify what to drag and how far"));
     }
     let fixed: Vec<(Vec3, f32)> = rows("fixed", 4, "x,y,z,radius")?.iter().map(|v| (place(v), v[3])).collect();
     let incisions = rows("incision", 7, "x,y,z,nx,ny,nz,radius")?
         .iter()
         .map(|v| {
-            let normal = way(&v[3..6]).try_normalize().ok_or_else(|| Error::value("incision", "has a normal of no length"))?;
+            let normal = way(&v[3..6]).try_normalize().ok_or_else(|| Error::value("incision", "has a zero-length normal"))?;
             Ok(Incision { center: place(v), normal, radius: v[6] })
         })
         .collect::<Result<Vec<_>>>()?;
@@ -103,13 +111,13 @@ fn build(c: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
     let nodes = c.size_mm.to_array().map(|s| ((s / longest * count).round() as usize).max(4));
     let mut solver = Solver::new(&Setup { size_mm: c.size_mm, nodes, grabs: &grabs, fixed: &fixed, incisions: &incisions, stiffness: &stiffness });
     if let Some(n) = solver.caught().iter().position(|c| *c == 0) {
-        let problem = format!("place {} holds no node of the lattice; give a larger radius, or a place inside the box", n + 1);
+        let problem = format!("grab {} contains no lattice node; use a larger radius, or a point inside the box", n + 1);
         return Err(Error::value("grab", problem));
     }
     if c.progress > 0.0 {
         let steps = solver.settle(MAX_STEPS, RESIDUAL);
         inputs.library.notice(format!(
-            "elastic: {} nodes at rest after {steps} steps; unbalanced forces {:.1e} of those at the start, energy {:.3e}",
+            "elastic: {} nodes converged after {steps} iterations; relative residual force {:.1e}, energy {:.3e}",
             nodes.iter().product::<usize>(),
             solver.residual(),
             solver.energy()

@@ -12,9 +12,9 @@ const fn pieces(name: &'static str, about: &'static str) -> Parameter {
 
 pub(super) const KIND: Kind = Kind {
     name: "explode",
-    about: "cuts into pieces along the axes and moves them apart",
+    about: "cuts the box into pieces along its axes and moves them apart",
     parameters: &[
-        Parameter::mm("gap", BoxLength::OfRadius(0.25), [BoxLength::Fixed(0.0), BoxLength::OfRadius(0.9)], "between two pieces"),
+        Parameter::mm("gap", BoxLength::OfRadius(0.25), [BoxLength::Fixed(0.0), BoxLength::OfRadius(0.9)], "distance between two pieces"),
         pieces("pieces-x", "pieces along x (whole number)"),
         pieces("pieces-y", "pieces along y"),
         pieces("pieces-z", "pieces along z"),

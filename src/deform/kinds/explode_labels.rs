@@ -21,8 +21,13 @@ const MAX_LABELS: usize = 24;
 
 pub(super) const KIND: Kind = Kind {
     name: "explode-labels",
-    about: "moves labels apart; what has none of them is hidden, or stays",
-    parameters: &[Parameter::mm("gap", BoxLength::OfRadius(0.35), [BoxLength::Fixed(0.0), BoxLength::OfRadius(2.0)], "way of the outermost label")],
+    about: "moves labelled regions apart; everything else is hidden or kept",
+    parameters: &[Parameter::mm(
+        "gap",
+        BoxLength::OfRadius(0.35),
+        [BoxLength::Fixed(0.0), BoxLength::OfRadius(2.0)],
+        "displacement of the outermost label",
+    )],
     progressive: true,
     size: DefaultSize::Share([1.6; 3]),
     cube_scale: 1.0,
@@ -33,8 +38,8 @@ pub(super) const KIND: Kind = Kind {
     shape: None,
     build: FieldBuilder::Sourced {
         settings: &[
-            Setting { name: "label", form: SettingFormat::Whole, about: "the labels" },
-            Setting { name: "rest", form: SettingFormat::Choice(&["hide", "keep"]), about: "hide or keep what has none of the labels" },
+            Setting { name: "label", form: SettingFormat::Whole, about: "labels to move apart" },
+            Setting { name: "rest", form: SettingFormat::Choice(&["hide", "keep"]), about: "hide or keep everything outside these labels" },
         ],
         example,
         build,

@@ -32,7 +32,7 @@ fn example(_: &Bounds) -> Vec<(&'static str, Argument)> {
 }
 
 const fn depth(default: f32) -> Parameter {
-    Parameter::mm("depth", BoxLength::Fixed(default), [BoxLength::Fixed(0.0), BoxLength::Fixed(500.0)], "below the surface")
+    Parameter::mm("depth", BoxLength::Fixed(default), [BoxLength::Fixed(0.0), BoxLength::Fixed(500.0)], "depth below the surface")
 }
 
 const fn kind(
@@ -59,15 +59,18 @@ const fn kind(
 
 pub(super) const STRIP: Kind = Kind {
     cube_scale: 1.1,
-    ..kind("strip", "removes what lies above a depth below a surface, within the box", &[depth(8.0)], |c, inputs| {
+    ..kind("strip", "removes everything shallower than a depth below a surface, within the box", &[depth(8.0)], |c, inputs| {
         Ok(Box::new(SurfaceStrip { surface: Surface::new(inputs)?, depth: c.value("depth") * c.progress, half: c.half(), acts: c.progress > 0.0 }))
     })
 };
 
 pub(super) const LIFT: Kind = kind(
     "lift",
-    "lifts the layer above a depth below a surface off along its normals",
-    &[depth(10.0), Parameter::mm("height", BoxLength::OfRadius(0.2), [BoxLength::Fixed(0.0), BoxLength::OfRadius(0.45)], "by which it is lifted")],
+    "lifts a surface layer of a given depth off along its normals",
+    &[
+        depth(10.0),
+        Parameter::mm("height", BoxLength::OfRadius(0.2), [BoxLength::Fixed(0.0), BoxLength::OfRadius(0.45)], "height by which the layer is lifted"),
+    ],
     |c, inputs| {
         Ok(Box::new(Lift {
             surface: Surface::new(inputs)?,
@@ -83,14 +86,19 @@ pub(super) const OFFSET: Kind = Kind {
     resolution: 112,
     ..kind(
         "offset",
-        "pushes a surface and what is near it outwards, or inwards",
+        "pushes a surface and the tissue near it outward or inward",
         &[
-            Parameter::mm("amount", BoxLength::OfRadius(0.06), [BoxLength::OfRadius(-0.25), BoxLength::OfRadius(0.25)], "outwards; negative inwards"),
+            Parameter::mm(
+                "amount",
+                BoxLength::OfRadius(0.06),
+                [BoxLength::OfRadius(-0.25), BoxLength::OfRadius(0.25)],
+                "outward displacement; negative is inward",
+            ),
             Parameter::mm(
                 "band",
                 BoxLength::OfRadius(0.35),
                 [BoxLength::OfRadius(0.02), BoxLength::OfRadius(1.0)],
-                "to either side of the surface that moves with it; at least 2.5 times the amount is used",
+                "thickness on each side that moves with the surface (at least 2.5 times the amount)",
             ),
         ],
         |c, inputs| {
@@ -113,7 +121,7 @@ pub(super) const PEEL: Kind = Kind {
                 "radius",
                 BoxLength::OfX(0.14),
                 [BoxLength::OfX(0.02), BoxLength::OfX(0.4)],
-                "of the roll's outer side; at least 1.2 times the depth is used",
+                "outer radius of the roll (at least 1.2 times the depth)",
             ),
         ],
         |c, inputs| {

@@ -11,8 +11,8 @@ pub(super) const KIND: Kind = Kind {
     about: "an incision along the box's y axis, held open",
     parameters: &[
         Parameter::mm("length", BoxLength::OfY(0.8), [BoxLength::OfY(0.02), BoxLength::OfY(0.95)], "of the cut"),
-        Parameter::mm("depth", BoxLength::OfZ(0.6), [BoxLength::OfZ(0.02), BoxLength::OfZ(0.95)], "of the cut below the box's upper face"),
-        Parameter::mm("opening", BoxLength::OfX(0.25), [BoxLength::Fixed(0.0), BoxLength::OfX(0.7)], "between the lips at the widest place"),
+        Parameter::mm("depth", BoxLength::OfZ(0.6), [BoxLength::OfZ(0.02), BoxLength::OfZ(0.95)], "depth of the incision below the box's upper face"),
+        Parameter::mm("opening", BoxLength::OfX(0.25), [BoxLength::Fixed(0.0), BoxLength::OfX(0.7)], "width of the opening at its widest point"),
     ],
     progressive: true,
     size: DefaultSize::Share([0.5, 0.6, 0.4]),

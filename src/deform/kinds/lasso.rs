@@ -12,12 +12,12 @@ use glam::{Vec2, Vec3, Vec3Swizzles};
 
 pub(super) const KIND: Kind = Kind {
     name: "lasso",
-    about: "removes what lies behind a closed outline, along the view",
+    about: "removes everything inside a closed outline, along the view direction",
     parameters: &[Parameter::mm(
         "eye",
         BoxLength::Fixed(0.0),
         [BoxLength::Fixed(0.0), BoxLength::Fixed(1e5)],
-        "distance of the eye from the box's centre, for an outline drawn in perspective; 0 for a parallel one",
+        "distance of the eye from the box's centre for an outline drawn in perspective; 0 for orthographic",
     )],
     progressive: true,
     size: DefaultSize::Across(1.05),
@@ -55,7 +55,7 @@ fn example(bounds: &Bounds) -> Vec<(&'static str, Argument)> {
 fn build(c: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
     let numbers = inputs.settings.numbers("points")?.ok_or_else(|| Error::value("points", "are missing; give the outline's x,y in mm"))?;
     if numbers.len() % 2 != 0 {
-        return Err(Error::value("points", format!("are {} numbers; a point of the outline is two", numbers.len())));
+        return Err(Error::value("points", format!("has {} numbers; each point of the outline needs two (x,y)", numbers.len())));
     }
     let mut outline: Vec<Vec2> = numbers.chunks_exact(2).map(|p| Vec2::new(p[0], p[1])).collect();
     outline.dedup_by(|a, b| a.distance(*b) < 1e-4);

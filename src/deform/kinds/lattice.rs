@@ -16,7 +16,7 @@ const MAX_SIZE: [usize; 2] = [16, 64];
 
 pub(super) const KIND: Kind = Kind {
     name: "lattice",
-    about: "drags matter by a lattice of control points",
+    about: "free-form deformation by a lattice of control points",
     parameters: &[],
     progressive: true,
     size: DefaultSize::Share([0.9; 3]),
@@ -33,7 +33,7 @@ pub(super) const KIND: Kind = Kind {
             Setting {
                 name: "offsets",
                 form: SettingFormat::RowsOrFile(6),
-                about: "i,j,k,dx,dy,dz (indices from 0, mm), point after point; or a .csv file of six columns",
+                about: "i,j,k,dx,dy,dz for each moved point (indices from 0, offsets in mm); or a .csv file with six columns",
             },
         ],
         example,
@@ -56,7 +56,7 @@ fn build(c: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
     let bernstein = settings.choice("basis", &["bernstein", "b-spline"])? == "bernstein";
     let counts = settings.whole("lattice")?.unwrap_or_else(|| vec![4; 3]);
     let most = MAX_SIZE[usize::from(!bernstein)];
-    let size: [usize; 3] = counts[..].try_into().map_err(|_| Error::value("lattice", format!("is {} numbers; it needs three", counts.len())))?;
+    let size: [usize; 3] = counts[..].try_into().map_err(|_| Error::value("lattice", format!("has {} numbers; three are needed", counts.len())))?;
     if size.iter().any(|n| !(2..=most).contains(n)) {
         return Err(Error::value("lattice", format!("{size:?} cannot be used; 2 to {most} control points along each axis are needed")));
     }
@@ -68,7 +68,7 @@ fn build(c: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
         _ => settings.numbers("offsets")?.ok_or_else(|| Error::value("offsets", "are missing; say which control points move, and by how much"))?,
     };
     if numbers.is_empty() || numbers.len() % 6 != 0 {
-        return Err(Error::value("offsets", format!("are {} numbers; a control point has six: i,j,k,dx,dy,dz", numbers.len())));
+        return Err(Error::value("offsets", format!("has {} numbers; each control point needs six: i,j,k,dx,dy,dz", numbers.len())));
     }
     let mut offsets = vec![DVec3::ZERO; size.iter().product()];
     for row in numbers.chunks_exact(6) {

@@ -76,10 +76,10 @@ impl std::fmt::Display for BoxLength {
     fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
         match self {
             Self::Fixed(v) => write!(f, "{v}"),
-            Self::OfX(s) => write!(f, "{s} of the size along x"),
-            Self::OfY(s) => write!(f, "{s} of the size along y"),
-            Self::OfZ(s) => write!(f, "{s} of the size along z"),
-            Self::OfRadius(s) => write!(f, "{s} of the radius"),
+            Self::OfX(s) => write!(f, "{s} × size along x"),
+            Self::OfY(s) => write!(f, "{s} × size along y"),
+            Self::OfZ(s) => write!(f, "{s} × size along z"),
+            Self::OfRadius(s) => write!(f, "{s} × radius"),
         }
     }
 }
@@ -244,11 +244,11 @@ const NO_CUT_DISTANCE_MM: f32 = 1e6;
 /// Settings of removals that a formula can say.
 pub const CUT_SETTINGS: &[Setting] = &[
     Setting { name: "invert", form: SettingFormat::Flag, about: "true removes what is outside instead" },
-    Setting { name: "group", form: SettingFormat::Words, about: "a name: cuts of one group count together" },
+    Setting { name: "group", form: SettingFormat::Words, about: "name of a group; cuts in a group are combined" },
     Setting {
         name: "combine",
         form: SettingFormat::Choice(&["or", "and"]),
-        about: "or (what any cut of the group removes) or and (only what every one does)",
+        about: "or: removes what any cut of the group removes; and: only what all of them remove",
     },
 ];
 
@@ -454,7 +454,7 @@ impl Kind {
             } else if let Argument::Number(v) = value {
                 numbers.push((name.as_str(), *v));
             } else if self.parameters.iter().any(|p| p.name == name) {
-                return Err(Error::value(format!("{}: {name}", self.name), "is one number"));
+                return Err(Error::value(format!("{}: {name}", self.name), "must be a single number"));
             } else {
                 // Refused below, with the closest name.
                 numbers.push((name.as_str(), 0.0));

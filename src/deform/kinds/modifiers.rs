@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 /// Settings of every kind.
 pub(super) const SETTINGS: &[Setting] = &[
-    Setting { name: "spare", form: SettingFormat::Whole, about: "labels that are neither cut nor moved" },
+    Setting { name: "spare", form: SettingFormat::Whole, about: "labels to protect from cutting and moving" },
     Setting { name: "labels", form: SettingFormat::File, about: "file of the label map; by default the volume itself" },
     Setting {
         name: "mapping",

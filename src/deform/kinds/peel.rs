@@ -28,7 +28,7 @@ pub(super) const KIND: Kind = Kind {
             "radius",
             BoxLength::OfZ(0.38),
             [BoxLength::OfZ(0.05), BoxLength::OfZ(0.44)],
-            "of the roll's outer side; at least 1.2 times the depth is used",
+            "outer radius of the roll (at least 1.2 times the depth)",
         ),
     ],
     progressive: true,

@@ -12,14 +12,14 @@ use glam::{DVec3, Vec3};
 
 pub(super) const KIND: Kind = Kind {
     name: "points",
-    about: "moves given points to given places, and what lies between smoothly",
+    about: "moves landmarks to target points and interpolates smoothly between them",
     parameters: &[
-        Parameter::number("fade", 0.0, [0.0, 1.0], "share of the way to the box's faces over which the displacement fades"),
+        Parameter::number("fade", 0.0, [0.0, 1.0], "fraction of the distance to the box's faces over which the displacement fades"),
         Parameter::mm(
             "width",
             BoxLength::Fixed(0.0),
             [BoxLength::Fixed(0.0), BoxLength::Fixed(10_000.0)],
-            "of the Gaussians; 0 takes the points' distance",
+            "width of the Gaussians; 0 uses the spacing of the points",
         ),
     ],
     progressive: true,
@@ -35,14 +35,14 @@ pub(super) const KIND: Kind = Kind {
             Setting {
                 name: "pairs",
                 form: SettingFormat::RowsOrFile(6),
-                about: "from x,y,z and to x,y,z in mm, pair after pair; or a .csv file of six columns",
+                about: "source x,y,z and target x,y,z in mm for each pair; or a .csv file with six columns",
             },
             Setting { name: "from", form: SettingFormat::File, about: "file of the points (.mrk.json, .fcsv, .csv), in the order of to" },
             Setting { name: "to", form: SettingFormat::File, about: "file of the target points" },
             Setting {
                 name: "method",
                 form: SettingFormat::Choice(&["tps", "rbf", "idw"]),
-                about: "tps (thin-plate spline), rbf (Gaussians) or idw (inverse distances)",
+                about: "tps (thin-plate spline), rbf (Gaussian) or idw (inverse distance weighting)",
             },
         ],
         example,
@@ -69,7 +69,7 @@ fn pairs(inputs: &FieldInputs) -> Result<Vec<PointPair>> {
         (Some(_), None, None) => {
             let v = settings.numbers("pairs")?.unwrap_or_default();
             if v.len() % 6 != 0 {
-                return Err(Error::value("pairs", format!("are {} numbers; a pair is six: from x,y,z and to x,y,z", v.len())));
+                return Err(Error::value("pairs", format!("has {} numbers; each pair needs six: source x,y,z and target x,y,z", v.len())));
             }
             let at = |c: &[f32]| DVec3::new(f64::from(c[0]), f64::from(c[1]), f64::from(c[2]));
             Ok(v.chunks_exact(6).map(|c| PointPair { from: at(c), to: at(&c[3..]) }).collect())

@@ -8,9 +8,9 @@ use glam::{Vec3, Vec3Swizzles};
 
 pub(super) const KIND: Kind = Kind {
     name: "pull",
-    about: "pulls matter out along the box's z axis in a Gaussian bump",
+    about: "pulls tissue out along the box's z axis as a Gaussian bump",
     parameters: &[
-        Parameter::mm("amount", BoxLength::OfZ(0.5), [BoxLength::OfZ(-1.0), BoxLength::OfZ(1.0)], "pull at the upper face, on the axis"),
+        Parameter::mm("amount", BoxLength::OfZ(0.5), [BoxLength::OfZ(-1.0), BoxLength::OfZ(1.0)], "displacement at the upper face, on the axis"),
         Parameter::mm("sigma", BoxLength::OfRadius(0.4), [BoxLength::OfRadius(0.05), BoxLength::OfRadius(0.4)], "width of the Gaussian"),
     ],
     progressive: true,

@@ -57,7 +57,7 @@ const fn removal(name: &'static str, about: &'static str, shape: CutShapeKind, b
 
 pub(super) const BOX: Kind = removal("box", "removes a box", CutShapeKind::Box, |c| Removal::field(CutShapeKind::Box, c));
 
-pub(super) const SPHERE: Kind = removal("sphere", "removes a sphere (an ellipsoid, in a box of unequal sides)", CutShapeKind::Ellipsoid, |c| {
+pub(super) const SPHERE: Kind = removal("sphere", "removes a sphere (an ellipsoid if the box is not a cube)", CutShapeKind::Ellipsoid, |c| {
     Removal::field(CutShapeKind::Ellipsoid, c)
 });
 
@@ -69,8 +69,8 @@ const fn angle(default: f32, min: f32, max: f32, about: &'static str) -> Paramet
 }
 
 pub(super) const WEDGE: Kind = Kind {
-    parameters: &[angle(90.0, 1.0, 359.0, "of the wedge, about the box's z axis, centred on +x")],
-    ..removal("wedge", "removes a slice of cake about the box's z axis", CutShapeKind::Wedge, |c| Removal::field(CutShapeKind::Wedge, c))
+    parameters: &[angle(90.0, 1.0, 359.0, "angle of the wedge about the box's z axis, centred on +x")],
+    ..removal("wedge", "removes a wedge about the box's z axis", CutShapeKind::Wedge, |c| Removal::field(CutShapeKind::Wedge, c))
 };
 
 pub(super) const HALF_SPACE: Kind = Kind {
@@ -78,17 +78,20 @@ pub(super) const HALF_SPACE: Kind = Kind {
     cube_scale: 1.0,
     varies: [false, false, true],
     resolution: 512,
-    ..removal("half-space", "removes everything above the plane through the box's centre, across its z axis", CutShapeKind::HalfSpace, |c| {
-        Removal::field(CutShapeKind::HalfSpace, c)
-    })
+    ..removal(
+        "half-space",
+        "removes everything above the plane through the box's centre, perpendicular to its z axis",
+        CutShapeKind::HalfSpace,
+        |c| Removal::field(CutShapeKind::HalfSpace, c),
+    )
 };
 
 pub(super) const VIEW_SPHERE: Kind =
-    Kind { name: "view-sphere", about: "removes a sphere whose box turns with the camera", locked_to_view: true, ..SPHERE };
+    Kind { name: "view-sphere", about: "removes a sphere that stays aligned with the camera", locked_to_view: true, ..SPHERE };
 
 pub(super) const VIEW_CONE: Kind = Kind {
     locked_to_view: true,
-    parameters: &[angle(40.0, 5.0, 150.0, "between the cone's sides")],
+    parameters: &[angle(40.0, 5.0, 150.0, "opening angle of the cone")],
     // From the middle of the scene out to beyond it.
     size: DefaultSize::Across(1.1),
     cube_scale: 1.0,

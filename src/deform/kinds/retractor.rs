@@ -13,8 +13,8 @@ pub(super) const KIND: Kind = Kind {
     about: "an incision along the box's x axis held open to an ellipse",
     parameters: &[
         Parameter::mm("length", BoxLength::OfX(0.5), [BoxLength::OfX(0.05), BoxLength::OfX(0.8)], "of the incision"),
-        Parameter::mm("opening", BoxLength::OfY(0.35), [BoxLength::Fixed(0.0), BoxLength::OfY(0.7)], "between the lips at the widest place"),
-        Parameter::mm("depth", BoxLength::OfZ(0.6), [BoxLength::OfZ(0.05), BoxLength::OfZ(0.95)], "of the incision below the box's upper face"),
+        Parameter::mm("opening", BoxLength::OfY(0.35), [BoxLength::Fixed(0.0), BoxLength::OfY(0.7)], "width of the opening at its widest point"),
+        Parameter::mm("depth", BoxLength::OfZ(0.6), [BoxLength::OfZ(0.05), BoxLength::OfZ(0.95)], "depth of the incision below the box's upper face"),
     ],
     progressive: true,
     size: DefaultSize::Share([0.6, 0.6, 0.4]),

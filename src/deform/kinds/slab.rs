@@ -9,10 +9,10 @@ use glam::Vec3;
 
 pub(super) const KIND: Kind = Kind {
     name: "slab",
-    about: "cuts into slabs across the box's z axis and spreads them apart",
+    about: "cuts the box into slabs perpendicular to its z axis and spreads them apart",
     parameters: &[
-        Parameter::mm("thickness", BoxLength::OfZ(0.12), [BoxLength::OfZ(0.01), BoxLength::OfZ(1.0)], "of one slab"),
-        Parameter::mm("gap", BoxLength::OfZ(0.05), [BoxLength::Fixed(0.0), BoxLength::OfZ(1.0)], "between two slabs"),
+        Parameter::mm("thickness", BoxLength::OfZ(0.12), [BoxLength::OfZ(0.01), BoxLength::OfZ(1.0)], "thickness of each slab"),
+        Parameter::mm("gap", BoxLength::OfZ(0.05), [BoxLength::Fixed(0.0), BoxLength::OfZ(1.0)], "distance between two slabs"),
         Parameter::number("anchor", 0.5, [0.0, 1.0], "height that stays in place: 0 the lower face, 1 the upper"),
     ],
     progressive: true,

@@ -6,7 +6,7 @@ use glam::Vec3;
 pub(super) const TAPER: Kind = Kind {
     name: "taper",
     about: "narrows or widens the box towards its upper face",
-    parameters: &[Parameter::number("factor", 0.5, [0.1, 4.0], "width of the upper face, 1 being as it was")],
+    parameters: &[Parameter::number("factor", 0.5, [0.1, 4.0], "width of the upper face relative to the original (1 = unchanged)")],
     progressive: true,
     size: DefaultSize::Share([1.1, 1.1, 1.05]),
     cube_scale: 1.0,
@@ -49,8 +49,8 @@ pub(super) const SHEAR: Kind = Kind {
     name: "shear",
     about: "slides the box's upper face along x and y, the lower one staying in place",
     parameters: &[
-        Parameter::degrees("angle", 25.0, [-75.0, 75.0], "of the box's edges along x"),
-        Parameter::degrees("angle-y", 0.0, [-75.0, 75.0], "of the box's edges along y"),
+        Parameter::degrees("angle", 25.0, [-75.0, 75.0], "tilt of the box's edges along x"),
+        Parameter::degrees("angle-y", 0.0, [-75.0, 75.0], "tilt of the box's edges along y"),
     ],
     progressive: true,
     size: DefaultSize::Share([1.6, 1.2, 1.05]),

@@ -8,10 +8,10 @@ use glam::{Vec2, Vec3, Vec3Swizzles};
 
 pub(super) const KIND: Kind = Kind {
     name: "twist",
-    about: "turns the upper end of the box against the lower one",
+    about: "rotates the upper end of the box relative to the lower end",
     parameters: &[
-        Parameter::degrees("angle", 60.0, [-720.0, 720.0], "turn of the upper face"),
-        Parameter::number("falloff", 0.25, [0.02, 1.0], "share of the radius over which the turn fades"),
+        Parameter::degrees("angle", 60.0, [-720.0, 720.0], "rotation of the upper face"),
+        Parameter::number("falloff", 0.25, [0.02, 1.0], "fraction of the radius over which the rotation fades"),
     ],
     progressive: true,
     size: DefaultSize::Share([1.5, 1.5, 1.1]),

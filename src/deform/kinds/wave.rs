@@ -15,7 +15,7 @@ const FADE_Z: f32 = 0.5;
 const FADE_R: f32 = 0.3;
 
 const PARAMETERS: &[Parameter] = &[
-    Parameter::mm("amplitude", BoxLength::OfZ(0.05), [BoxLength::OfZ(-0.15), BoxLength::OfZ(0.15)], "largest rise"),
+    Parameter::mm("amplitude", BoxLength::OfZ(0.05), [BoxLength::OfZ(-0.15), BoxLength::OfZ(0.15)], "maximum displacement"),
     Parameter::mm("wavelength", BoxLength::OfRadius(0.5), [BoxLength::OfRadius(0.1), BoxLength::OfRadius(10.0)], "distance from crest to crest"),
     Parameter::degrees("phase", 0.0, [-360.0, 360.0], "phase on the axis"),
 ];
@@ -32,7 +32,7 @@ fn wave(c: &FieldContext, radial: bool) -> Box<dyn Field> {
 
 pub(super) const RADIAL: Kind = Kind {
     name: "wave",
-    about: "a circular wave along the box's z axis",
+    about: "a circular wave that displaces along the box's z axis",
     parameters: PARAMETERS,
     progressive: true,
     size: DefaultSize::Share([1.1, 1.1, 1.3]),
@@ -47,7 +47,7 @@ pub(super) const RADIAL: Kind = Kind {
 
 pub(super) const PLANAR: Kind = Kind {
     name: "planar-wave",
-    about: "a wave along the box's z axis that runs along its x",
+    about: "a plane wave that travels along the box's x axis and displaces along z",
     build: FieldBuilder::Formula(|c| wave(c, false)),
     ..RADIAL
 };

@@ -26,9 +26,9 @@ pub(super) fn read(path: &Path, name: &str, text: &str, context: &TransformConte
         }
         Some(v) if v.len() == 16 && v[12..] == [0.0, 0.0, 0.0, 1.0] => fsl(path, v, context),
         Some(v) if v.len() > 12 && v.len() % 12 == 0 => {
-            Err(Error::file(path, format!("holds {} matrices, one per time; save the one that is meant", v.len() / 12)))
+            Err(Error::file(path, format!("contains {} matrices, one per time point; save the one you need to its own file", v.len() / 12)))
         }
-        _ => Err(Error::file(path, "is no transform that can be read: ITK (.tfm, .mat), FSL, FreeSurfer (.lta), AFNI (.1D), or a vector image")),
+        _ => Err(Error::file(path, "is not a readable transform; supported: ITK (.tfm, .mat), FSL, FreeSurfer (.lta), AFNI (.1D) and vector images")),
     }
 }
 
@@ -41,7 +41,10 @@ fn fsl(path: &Path, v: &[f64], context: &TransformContext) -> Result<Transform> 
     let m = DMat3::from_cols(DVec3::new(v[0], v[4], v[8]), DVec3::new(v[1], v[5], v[9]), DVec3::new(v[2], v[6], v[10]));
     let reference_from_moving = invertible(path, DAffine3 { matrix3: m, translation: DVec3::new(v[3], v[7], v[11]) })?;
     let (Some(moving), Some(reference)) = (context.moving, context.reference) else {
-        return Err(Error::file(path, "is an FSL matrix, which means nothing without its images; name them with moving=FILE and reference=FILE"));
+        return Err(Error::file(
+            path,
+            "is an FSL matrix, which cannot be interpreted without its images; name them with moving=FILE and reference=FILE",
+        ));
     };
     let source_from_deformed = world_from_fsl(&moving) * reference_from_moving.inverse() * world_from_fsl(&reference).inverse();
     Ok(Transform::affine(source_from_deformed))
@@ -70,7 +73,7 @@ fn lta(path: &Path, text: &str) -> Result<Transform> {
             match (name.trim(), current) {
                 ("type", _) => kind = numbers.first().map(|v| *v as i64),
                 ("nxforms", _) if numbers.first().is_some_and(|n| *n != 1.0) => {
-                    return Err(fail(format!("holds {} transforms; save the one that is meant", numbers[0])));
+                    return Err(fail(format!("contains {} transforms; save the one you need to its own file", numbers[0])));
                 }
                 (name, Some(n)) => volumes[n].get_or_insert_default().push((name.to_owned(), numbers)),
                 _ => {}
@@ -82,7 +85,7 @@ fn lta(path: &Path, text: &str) -> Result<Transform> {
             }
         }
     }
-    let [r0, r1, r2, _] = rows[..] else { return Err(fail("has no 4 x 4 matrix; it is no FreeSurfer transform, or damaged".into())) };
+    let [r0, r1, r2, _] = rows[..] else { return Err(fail("has no 4 x 4 matrix; it is not a FreeSurfer transform, or it is damaged".into())) };
     let m = DAffine3 {
         matrix3: DMat3::from_cols(DVec3::new(r0[0], r1[0], r2[0]), DVec3::new(r0[1], r1[1], r2[1]), DVec3::new(r0[2], r1[2], r2[2])),
         translation: DVec3::new(r0[3], r1[3], r2[3]),

@@ -66,7 +66,7 @@ impl VectorField {
             }
             (None, None, intent) => {
                 return Err(fail(format!(
-                    "does not say what its vectors are (intent {intent}; 1006, 1007 and 2006 do); give convention=lps, ras, fsl or fsl-absolute"
+                    "does not state its vector convention (intent {intent}; 1006, 1007 and 2006 do); set convention=lps, ras, fsl or fsl-absolute"
                 )));
             }
         };

@@ -20,21 +20,21 @@ pub(super) fn read_text(path: &Path, text: &str) -> Result<Transform> {
     let mut entries: Vec<ItkTransform> = Vec::new();
     for line in text.lines().map(str::trim).filter(|l| !l.is_empty() && !l.starts_with('#')) {
         let Some((name, value)) = line.split_once(':') else {
-            return Err(Error::file(path, format!("has the line \"{}\", which no ITK transform has", shortened(line))));
+            return Err(Error::file(path, format!("has the line \"{}\", which is not valid in an ITK transform", shortened(line))));
         };
         let numbers = || {
             value
                 .split_whitespace()
                 .map(|w| w.parse::<f64>().ok().filter(|v| v.is_finite()))
                 .collect::<Option<Vec<f64>>>()
-                .ok_or_else(|| Error::file(path, format!("has {name} that are not all numbers")))
+                .ok_or_else(|| Error::file(path, format!("has {name} with values that are not numbers")))
         };
         match (name.trim(), entries.last_mut()) {
             ("Transform", _) => entries.push(ItkTransform { kind: value.trim().to_owned(), parameters: Vec::new(), fixed: Vec::new() }),
             ("Parameters", Some(entry)) => entry.parameters = numbers()?,
             ("FixedParameters", Some(entry)) => entry.fixed = numbers()?,
             (_, None) => return Err(Error::file(path, "has parameters before any transform; it is damaged")),
-            (other, Some(_)) => return Err(Error::file(path, format!("has the entry \"{other}\", which no ITK transform has"))),
+            (other, Some(_)) => return Err(Error::file(path, format!("has the entry \"{other}\", which is not valid in an ITK transform"))),
         }
     }
     chain(path, entries)
@@ -54,7 +54,7 @@ fn chain(path: &Path, entries: Vec<ItkTransform>) -> Result<Transform> {
         entries.iter().skip(1).collect()
     } else {
         if entries.len() > 1 {
-            warnings.push(format!("holds {} transforms that are no chain; the first is used", entries.len()));
+            warnings.push(format!("contains {} transforms that do not form a chain; the first is used", entries.len()));
         }
         entries.iter().take(1).collect()
     };
@@ -178,7 +178,7 @@ pub(super) fn read_matlab(path: &Path, bytes: &[u8]) -> Result<Option<Transform>
             || !(1..=1 << 20).contains(&rows)
             || !(1..=16).contains(&columns)
         {
-            return if matrices.is_empty() { Ok(None) } else { Err(Error::file(path, "is a MATLAB file with more in it than a transform")) };
+            return if matrices.is_empty() { Ok(None) } else { Err(Error::file(path, "is a MATLAB file that contains more than a transform")) };
         }
         let width = if kind == 0 { 8 } else { 4 };
         let (start, count) = (at + 20 + name_length as usize, rows as usize * columns as usize);

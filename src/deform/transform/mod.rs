@@ -106,7 +106,7 @@ impl Transform {
             return Ok(transform);
         }
         let text = std::str::from_utf8(&bytes).map_err(|_| {
-            Error::file(path, "is no transform that can be read: ITK (.tfm, .mat), FSL, FreeSurfer (.lta), AFNI (.1D), or a vector image")
+            Error::file(path, "is not a readable transform; supported: ITK (.tfm, .mat), FSL, FreeSurfer (.lta), AFNI (.1D) and vector images")
         })?;
         if text.starts_with("#Insight Transform File") {
             return itk::read_text(path, text);

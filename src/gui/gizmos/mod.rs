@@ -387,7 +387,7 @@ impl Gizmo<'_> {
         let three = |v: Vec3, unit: &str| format!("{:.1}, {:.1}, {:.1} {unit}", v.x, v.y, v.z);
         match handle {
             Handle::Center | Handle::Axis(_) => format!("centre {}", three(place.center, "mm")),
-            Handle::Ring(_) => format!("turned {}", three(angles_of(place.turn), "°")),
+            Handle::Ring(_) => format!("rotation {}", three(angles_of(place.turn), "°")),
             Handle::Face(axis, _) => format!("{} {:.1} mm", ["width", "length", "height"][axis], place.size[axis]),
             Handle::Progress => format!("progress {:.0} %", 100.0 * self.deformation.progress.unwrap_or(1.0)),
             Handle::Parameter(n) => {

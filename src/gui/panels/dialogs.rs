@@ -51,7 +51,7 @@ impl Workstation {
 
     fn unsaved(&self, ui: &mut Ui, after: &NextStep) -> Decision {
         ui.heading("Unsaved changes");
-        ui.label(format!("{} has changes that are not saved.", self.doc.as_ref().map_or("The scene", |d| &d.name)));
+        ui.label(format!("{} has unsaved changes.", self.doc.as_ref().map_or("The scene", |d| &d.name)));
         let mut decision = Decision::Open;
         let after = after.clone();
         ui.add_space(8.0);
@@ -78,7 +78,7 @@ impl Workstation {
         ui.heading("Export clip");
         let deformations = self.doc.as_ref().map_or(&[][..], |d| &d.scene.deformation);
         let named = |travel: &ClipMotion| match travel {
-            ClipMotion::Orbit => "the camera, once around".to_owned(),
+            ClipMotion::Orbit => "camera orbit (360°)".to_owned(),
             ClipMotion::Progress(n) => format!("{} {}: progress", n + 1, deformations.get(*n).map_or_else(String::new, super::scene::title_of)),
             ClipMotion::Parameter(n, name) => format!("{} {}: {name}", n + 1, deformations.get(*n).map_or_else(String::new, super::scene::title_of)),
         };
@@ -91,7 +91,7 @@ impl Workstation {
             travels.extend(kind.iter().flat_map(|k| k.parameters).map(|p| ClipMotion::Parameter(n, p.name.to_owned())));
         }
         egui::Grid::new("clip").num_columns(2).spacing([12.0, 6.0]).show(ui, |ui| {
-            ui.label("Moves");
+            ui.label("Animate");
             egui::ComboBox::from_id_salt("travel").width(240.0).selected_text(named(&form.travel)).show_ui(ui, |ui| {
                 for travel in travels {
                     let text = named(&travel);
@@ -114,19 +114,19 @@ impl Workstation {
             });
             ui.end_row();
             if form.travel != ClipMotion::Orbit {
-                ui.label("From, to");
+                ui.label("Range");
                 ui.horizontal(|ui| {
                     let [a, b] = &mut form.range;
                     ui.add(DragValue::new(a).speed(0.01).max_decimals(3));
                     ui.add(DragValue::new(b).speed(0.01).max_decimals(3));
-                    ui.checkbox(&mut form.back, "and back");
+                    ui.checkbox(&mut form.back, "Back and forth");
                 });
                 ui.end_row();
             }
             ui.label("Frames");
             ui.horizontal(|ui| {
                 ui.add(DragValue::new(&mut form.frames).range(2..=2000));
-                ui.add(DragValue::new(&mut form.rate).range(1.0..=60.0).suffix(" per second").max_decimals(0));
+                ui.add(DragValue::new(&mut form.rate).range(1.0..=60.0).suffix(" fps").max_decimals(0));
             });
             ui.end_row();
             size_row(ui, &mut form.size, 4096);
@@ -161,12 +161,11 @@ fn buttons<T: 'static>(ui: &mut Ui, word: &str, form: T, f: impl FnOnce(&mut Wor
 
 fn recover(ui: &mut Ui, left: &[crate::gui::session::Recovered]) -> Decision {
     ui.heading("Recover unsaved work");
-    ui.label("incise ended without closing these scenes:");
+    ui.label("incise quit unexpectedly with unsaved changes in these scenes:");
     let mut decision = Decision::Open;
     ui.add_space(6.0);
     for one in left {
-        let name =
-            one.original.as_ref().and_then(|p| p.file_name()).map_or_else(|| "a scene never saved".into(), |n| n.to_string_lossy().into_owned());
+        let name = one.original.as_ref().and_then(|p| p.file_name()).map_or_else(|| "unsaved scene".into(), |n| n.to_string_lossy().into_owned());
         let ago = one.saved.and_then(|t| t.elapsed().ok()).map_or_else(String::new, |d| match d.as_secs() {
             s if s < 120 => format!(", {s} s ago"),
             s if s < 7200 => format!(", {} min ago", s / 60),
@@ -225,12 +224,12 @@ fn picture(ui: &mut Ui, form: &mut PictureForm) -> Decision {
 }
 
 fn running(ui: &mut Ui) -> Decision {
-    ui.heading("Exports are running");
-    ui.label("Closing the window ends them without a file.");
+    ui.heading("Exports in progress");
+    ui.label("If you close the window now, no files will be written.");
     let mut decision = Decision::Open;
     ui.add_space(8.0);
     ui.horizontal(|ui| {
-        if ui.button("End them and close").clicked() {
+        if ui.button("Cancel exports and close").clicked() {
             decision = then(|app, ctx| {
                 app.tasks.iter().for_each(crate::gui::tasks::Task::cancel);
                 app.end_tasks();
@@ -247,7 +246,7 @@ fn locate(ui: &mut Ui, dialog: &Dialog) -> Decision {
     let Dialog::Locate { problem, .. } = dialog else { return Decision::Close };
     ui.heading("A file is missing");
     ui.label(problem);
-    ui.label(RichText::new("Files beside it are found with it.").weak());
+    ui.label(RichText::new("Other missing files in the same folder will be located too.").weak());
     let mut decision = Decision::Open;
     ui.add_space(8.0);
     ui.horizontal(|ui| {
@@ -264,21 +263,21 @@ fn locate(ui: &mut Ui, dialog: &Dialog) -> Decision {
 fn second(ui: &mut Ui, path: &std::path::Path) -> Decision {
     ui.heading("A second volume");
     let name = path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
-    ui.label(format!("{name}: what is it for?"));
+    ui.label(format!("How should {name} be used?"));
     let mut decision = Decision::Open;
     ui.add_space(8.0);
     let path = path.to_owned();
     ui.horizontal_wrapped(|ui| {
-        if ui.button("Open it instead").clicked() {
+        if ui.button("Open as a new scene").clicked() {
             let path = path.clone();
             decision = then(move |app, ctx| app.open(ctx, &path));
-        } else if ui.button("Labels of this volume").clicked() {
+        } else if ui.button("Use as label map").clicked() {
             let path = path.clone();
             decision = then(move |app, _| app.set_labels(&path));
-        } else if ui.button("Show its surface too").clicked() {
+        } else if ui.button("Add as surface").clicked() {
             let path = path.clone();
             decision = then(move |app, ctx| app.add_surface_of(ctx, &path));
-        } else if ui.button("Displacement field").clicked() {
+        } else if ui.button("Use as displacement field").clicked() {
             let path = path.clone();
             decision = then(move |app, _| app.add_field(&path));
         } else if ui.button("Cancel").clicked() {

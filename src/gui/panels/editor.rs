@@ -118,13 +118,13 @@ impl Workstation {
     fn show_library(&mut self, ui: &mut Ui) {
         let maps = self.session.maps();
         if maps.is_empty() {
-            ui.label(RichText::new("Empty. Maps that are saved can be used on any volume.").weak());
+            ui.label(RichText::new("No saved maps yet. A saved map can be used on any volume.").weak());
         }
         let mut remove = None;
         for path in &maps {
             let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
             ui.horizontal(|ui| {
-                if ui.button(format!("{} {name}", icon::PLUS)).on_hover_text("Use it on this scene, scaled to it").clicked() {
+                if ui.button(format!("{} {name}", icon::PLUS)).on_hover_text("Add to this scene, scaled to fit").clicked() {
                     let ctx = ui.ctx().clone();
                     self.use_map(&ctx, path);
                 }

@@ -27,8 +27,8 @@ pub struct Inspector {
 /// Whether a field folds, and its figures in words.
 pub fn health_words(health: &FieldQuality) -> (bool, String) {
     let folds = health.folds_percent > 0.0;
-    let verdict = if folds { format!("folds at {:.2} % of its points", health.folds_percent) } else { "no folds".into() };
-    let text = format!("{verdict}; det J {:.2} to {:.2}; moves up to {:.1} mm", health.det_min, health.det_max, health.largest_mm);
+    let verdict = if folds { format!("folds at {:.2} % of points", health.folds_percent) } else { "no folds".into() };
+    let text = format!("{verdict}; det J {:.2} to {:.2}; max displacement {:.1} mm", health.det_min, health.det_max, health.largest_mm);
     (folds, text)
 }
 
@@ -70,7 +70,7 @@ impl Workstation {
             Selection::Volume => self.show_volume(ui),
             Selection::Mesh(n) => self.show_mesh(ui, n),
             Selection::Measure(_) => {
-                ui.label("Its numbers are in the panel Measure.");
+                ui.label("See the Measure panel for its values.");
             }
             Selection::Nothing => self.show_picture_settings(ui),
         }
@@ -84,7 +84,7 @@ impl Workstation {
         let Some(d) = doc.scene.deformation.get_mut(n) else { return };
         let kind = gizmos::kind_of(d);
         ui.horizontal(|ui| {
-            ui.checkbox(&mut d.enabled, "Shown");
+            ui.checkbox(&mut d.enabled, "Enabled");
             if icon_button(ui, icon::COPY, "Duplicate").clicked() {
                 act = Some(Action::Duplicate);
             }
@@ -103,7 +103,7 @@ impl Workstation {
         });
         ui.label(RichText::new(kind.map_or("a file's own deformation", |k| k.about)).weak());
         if kind.is_none_or(|k| k.progressive) {
-            if name(ui, "Progress", "From nothing to full") {
+            if name(ui, "Progress", "From none (0 %) to full (100 %)") {
                 d.progress = None;
             }
             let mut percent = 100.0 * d.progress.unwrap_or(1.0);
@@ -123,7 +123,7 @@ impl Workstation {
             show_file_settings(ui, d, n, &folder);
         }
         egui::CollapsingHeader::new("Map").show(ui, |ui| show_map(ui, d));
-        egui::CollapsingHeader::new("Field health").show(ui, |ui| {
+        egui::CollapsingHeader::new("Field check").show(ui, |ui| {
             if ui.button("Check for folds").clicked() {
                 act = Some(Action::CheckField);
             }
@@ -165,7 +165,7 @@ impl Workstation {
             ui.label(RichText::new(format!("{} {warning}", icon::WARNING)).color(ui.visuals().warn_fg_color));
         }
         ui.add_space(6.0);
-        if ui.button("Label map over it…").on_hover_text("Names what is pointed at and colours slices").clicked() {
+        if ui.button("Add label map…").on_hover_text("Names the region under the pointer and colours the slices").clicked() {
             labels = true;
         }
         if labels {
@@ -181,12 +181,12 @@ impl Workstation {
         let Some(mesh) = doc.scene.mesh.get_mut(n) else { return };
         ui.horizontal(|ui| {
             let mut shown = !mesh.hidden;
-            if ui.checkbox(&mut shown, "Shown").changed() {
+            if ui.checkbox(&mut shown, "Visible").changed() {
                 mesh.hidden = !shown;
             }
             delete = icon_button(ui, icon::TRASH, "Delete").clicked();
         });
-        ui.checkbox(&mut mesh.rigid, "Deformations pass it by");
+        ui.checkbox(&mut mesh.rigid, "Not deformed");
         let look: Option<Look> = mesh.appearance.resolve(&general).ok();
         ui.horizontal(|ui| {
             ui.label("Look");
@@ -215,22 +215,22 @@ impl Workstation {
             });
         }
         ui.horizontal(|ui| {
-            ui.label("Under the surface");
-            for (model, word) in [(CutModel::Hollow, "nothing"), (CutModel::Thick, "a skin"), (CutModel::Solid, "matter")] {
+            ui.label("Interior");
+            for (model, word) in [(CutModel::Hollow, "hollow"), (CutModel::Thick, "thick"), (CutModel::Solid, "solid")] {
                 if ui.selectable_label(mesh.appearance.model == Some(model), word).clicked() {
                     mesh.appearance.model = Some(model);
                 }
             }
         });
         heading(ui, "Placement");
-        if name(ui, "Centre (mm)", "Where its middle goes") {
+        if name(ui, "Centre (mm)", "Centre of the mesh, patient LPS") {
             mesh.place.center = None;
         }
         match &mut mesh.place.center {
             Some(center) => {
                 three(ui, center, 0.5, "", "Centre");
             }
-            None if ui.button("Move it").on_hover_text("It lies where its file says").clicked() => mesh.place.center = Some(tidy(mesh_box.center())),
+            None if ui.button("Move").on_hover_text("Currently placed by its file").clicked() => mesh.place.center = Some(tidy(mesh_box.center())),
             None => {}
         }
         if name(ui, "Turned (degrees)", "About x, then y, then z") {
@@ -256,7 +256,7 @@ impl Workstation {
             ui.add(Slider::new(v, range).clamping(egui::SliderClamping::Edits).text(word).max_decimals(2)).on_hover_text(tip);
         };
         ui.add(Slider::new(&mut render.step, 0.1..=4.0).clamping(egui::SliderClamping::Edits).logarithmic(true).text("step").max_decimals(2))
-            .on_hover_text("Distance between samples, voxels");
+            .on_hover_text("Step length: distance between samples, in voxels");
         let mut antialias = render.antialias;
         ui.add(Slider::new(&mut antialias, 1..=4).clamping(egui::SliderClamping::Edits).text("antialias"))
             .on_hover_text("Samples averaged along each edge of a pixel");
@@ -264,17 +264,22 @@ impl Workstation {
         if has_volume {
             choice(
                 ui,
-                "Light on",
+                "Shading",
                 &mut render.normals,
                 &[
-                    (Normals::Blended, "gradients and cuts"),
-                    (Normals::Transformed, "gradients, transformed"),
-                    (Normals::Source, "gradients as they were"),
-                    (Normals::None, "nothing"),
+                    (Normals::Blended, "gradients, blended into cut normals"),
+                    (Normals::Transformed, "transformed gradients"),
+                    (Normals::Source, "source gradients"),
+                    (Normals::None, "none (unshaded)"),
                 ],
             );
             choice(ui, "Gradients", &mut render.gradient, &[(GradientFilter::Central, "central differences"), (GradientFilter::Sobel, "Sobel")]);
-            choice(ui, "Faces of cuts", &mut render.cut_faces, &[(CutFaces::Lit, "lit as the matter"), (CutFaces::Grey, "grey, as on a slice")]);
+            choice(
+                ui,
+                "Cut faces",
+                &mut render.cut_faces,
+                &[(CutFaces::Lit, "shaded by the transfer function"), (CutFaces::Grey, "grey values, unshaded")],
+            );
             let mut iso = render.iso.is_some();
             ui.horizontal(|ui| {
                 if ui.checkbox(&mut iso, "Iso-surface at").changed() {
@@ -289,7 +294,7 @@ impl Workstation {
         }
         if render.mode == Mode::Surface && has_volume {
             ui.horizontal(|ui| {
-                ui.label("Surface at value");
+                ui.label("Iso-value");
                 let mut v = scene.surface.iso.unwrap_or_else(|| assets.volume.body_threshold());
                 if ui.add(DragValue::new(&mut v).max_decimals(2)).changed() {
                     scene.surface.iso = Some(v);
@@ -297,11 +302,11 @@ impl Workstation {
             });
         }
         heading(ui, "Light");
-        slider(ui, &mut scene.light.ambient, 0.0..=1.0, "ambient", "Light from everywhere");
-        slider(ui, &mut scene.light.diffuse, 0.0..=1.0, "diffuse", "Share of the lamp");
-        slider(ui, &mut scene.light.specular, 0.0..=1.0, "highlight", "Strength of the highlight");
-        slider(ui, &mut scene.light.shininess, 1.0..=200.0, "shininess", "Exponent of the highlight");
-        ui.checkbox(&mut scene.light.follows_camera, "The lamp moves with the camera");
+        slider(ui, &mut scene.light.ambient, 0.0..=1.0, "ambient", "Ambient light");
+        slider(ui, &mut scene.light.diffuse, 0.0..=1.0, "diffuse", "Diffuse reflection of the light");
+        slider(ui, &mut scene.light.specular, 0.0..=1.0, "specular", "Strength of the specular highlight");
+        slider(ui, &mut scene.light.shininess, 1.0..=200.0, "shininess", "Specular exponent; higher is tighter");
+        ui.checkbox(&mut scene.light.follows_camera, "Headlight (moves with the camera)");
         heading(ui, "Camera");
         choice(
             ui,
@@ -309,7 +314,7 @@ impl Workstation {
             &mut scene.camera.projection,
             &[(Projection::Perspective, "perspective"), (Projection::Orthographic, "orthographic")],
         );
-        slider(ui, &mut scene.camera.field_of_view, 5.0..=100.0, "field of view", "Degrees, from top to bottom");
+        slider(ui, &mut scene.camera.field_of_view, 5.0..=100.0, "field of view", "Vertical field of view in degrees");
         ui.horizontal(|ui| {
             ui.label("Background");
             let [r, g, b, a] = scene.render.background;
@@ -502,8 +507,8 @@ fn text_setting(ui: &mut Ui, d: &mut Deformation, place: usize, setting: &Settin
 fn show_settings(ui: &mut Ui, d: &mut Deformation, place: usize, kind: &Kind, folder: &Path) {
     if kind.name == "brush" {
         let strokes = d.parameters.texts("strokes").ok().flatten().unwrap_or_default();
-        ui.label(format!("{} strokes; the panel Maps has the brushes", strokes.len()));
-        if !strokes.is_empty() && ui.button("Take the last stroke away").clicked() {
+        ui.label(format!("{} strokes; brushes are in the Maps panel", strokes.len()));
+        if !strokes.is_empty() && ui.button("Remove last stroke").clicked() {
             let mut strokes = strokes;
             strokes.pop();
             if strokes.is_empty() {
@@ -537,13 +542,13 @@ fn show_placement(ui: &mut Ui, d: &mut Deformation, kind: &Kind, scene_box: &cra
     egui::CollapsingHeader::new("Placement").default_open(true).show(ui, |ui| {
         if d.matrix.is_some() {
             ui.label("Placed by a matrix");
-            if ui.button("Place by centre, size and turn instead").clicked() {
+            if ui.button("Use centre, size and rotation instead").clicked() {
                 d.matrix = None;
             }
             return;
         }
         let place = BoxPlacement::of(d, kind, scene_box);
-        if name(ui, "Centre (mm)", "Middle of the box, patient LPS") {
+        if name(ui, "Centre (mm)", "Centre of the box, patient LPS") {
             d.center = None;
         }
         let mut center = tidy(place.center);
@@ -570,7 +575,8 @@ fn show_placement(ui: &mut Ui, d: &mut Deformation, kind: &Kind, scene_box: &cra
 }
 
 fn show_map(ui: &mut Ui, d: &mut Deformation) {
-    ui.checkbox(&mut d.add, "Add to the one before").on_hover_text("Adds its displacement instead of being applied afterwards");
+    ui.checkbox(&mut d.add, "Add to previous deformation")
+        .on_hover_text("Add its displacement to the previous one's instead of applying it afterwards");
     ui.horizontal(|ui| {
         if name(ui, "Resolution", "Texels along the longest axis") {
             d.resolution = None;
@@ -583,14 +589,14 @@ fn show_map(ui: &mut Ui, d: &mut Deformation) {
     let mut storage = d.storage;
     choice(
         ui,
-        "Stored as",
+        "Storage format",
         &mut storage,
         &[
             (None, "default"),
             (Some(Storage::F16), "half floats"),
             (Some(Storage::Snorm16), "16-bit integers"),
             (Some(Storage::Snorm8), "8-bit integers"),
-            (Some(Storage::F32), "floats"),
+            (Some(Storage::F32), "32-bit floats"),
         ],
     );
     d.storage = storage;

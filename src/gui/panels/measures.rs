@@ -32,7 +32,7 @@ impl Workstation {
         if let Some(misplaced) = doc.assets.volume.misplaced.filter(|_| !doc.scene.measure.is_empty()) {
             ui.label(
                 RichText::new(format!(
-                    "Positions and lengths are off by up to {:.1} mm: the slices are not shown at their acquired positions",
+                    "Positions and lengths are off by up to {:.1} mm because the slices are not shown at their acquired positions",
                     misplaced.by_mm
                 ))
                 .color(caution),
@@ -69,7 +69,7 @@ impl Workstation {
                 Some(measured) => match &measured.quantities {
                     Ok(quantities) => {
                         for q in quantities {
-                            let value = q.value.map_or_else(|| "not seen".to_owned(), |v| number(v, q.unit));
+                            let value = q.value.map_or_else(|| "not visible".to_owned(), |v| number(v, q.unit));
                             ui.label(format!("    {}: {value}", q.what));
                         }
                     }
@@ -83,7 +83,12 @@ impl Workstation {
             }
         }
         if doc.scene.measure.is_empty() {
-            ui.label(RichText::new("Nothing measured yet. Points stay with the anatomy: what they measure is told as it is in the patient, and as it is in the picture.").weak());
+            ui.label(
+                RichText::new(
+                    "No measurements yet. Points stay with the anatomy; values are given for the patient and, if deformed, after deformation.",
+                )
+                .weak(),
+            );
         }
         if let Some(n) = remove {
             doc.selected = Selection::Measure(n);
@@ -106,11 +111,11 @@ impl Workstation {
                 Some(highest) => {
                     ui.label("Label");
                     ui.add(DragValue::new(&mut self.editor.label).range(1..=highest.max(1)));
-                    if ui.button("Volume and surface").clicked() {
+                    if ui.button("Volume and surface area").clicked() {
                         add = Some(self.editor.label);
                     }
                 }
-                None => ask = ui.button("Label map…").on_hover_text("Volume and surface of regions need one").clicked(),
+                None => ask = ui.button("Label map…").on_hover_text("Needed to measure volumes and surface areas of regions").clicked(),
             });
         }
         if let (Some(label), Some(doc)) = (add, &mut self.doc) {

@@ -10,9 +10,9 @@ impl Workstation {
         let Some(misplaced) = self.doc.as_ref().and_then(|d| d.assets.volume.misplaced) else { return };
         let by = misplaced.by_mm;
         let words = if misplaced.resampling_helps {
-            format!("The slices are unevenly spaced but shown as evenly spaced: positions and lengths are off by up to {by:.1} mm.")
+            format!("Slice spacing is uneven but shown as even; positions and lengths are off by up to {by:.1} mm.")
         } else {
-            format!("The slices do not lie on a regular grid: positions and lengths are off by up to {by:.1} mm. This cannot be corrected here.")
+            format!("The slices do not lie on a regular grid; positions and lengths are off by up to {by:.1} mm. This cannot be corrected here.")
         };
         let mut resample = false;
         let frame = egui::Frame::NONE.fill(ui.visuals().extreme_bg_color).inner_margin(egui::Margin::symmetric(10, 5));
@@ -21,8 +21,10 @@ impl Workstation {
                 let color = ui.visuals().warn_fg_color;
                 ui.label(RichText::new(format!("{}  {words}", icon::WARNING)).color(color));
                 if misplaced.resampling_helps {
-                    resample =
-                        ui.button("Resample").on_hover_text("Interpolate the slices onto a regular grid. Existing measurements are marked").clicked();
+                    resample = ui
+                        .button("Resample")
+                        .on_hover_text("Resample the slices onto a regular grid. Existing measurements will be flagged")
+                        .clicked();
                 }
             });
         });

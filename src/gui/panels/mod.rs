@@ -226,8 +226,8 @@ impl Workstation {
                         ui.separator();
                         let armed = self.tool;
                         let is = |tool: Tool| armed == tool;
-                        button(self, ui, "", "Orbit", Action::Arm(Tool::Navigate), "Turn the camera; grab handles", is(Tool::Navigate), &mut wanted);
-                        button(self, ui, "", "Probe", Action::Arm(Tool::Probe), "Note the value at a point", is(Tool::Probe), &mut wanted);
+                        button(self, ui, "", "Orbit", Action::Arm(Tool::Navigate), "Orbit the camera; drag handles", is(Tool::Navigate), &mut wanted);
+                        button(self, ui, "", "Probe", Action::Arm(Tool::Probe), "Read the value at a point", is(Tool::Probe), &mut wanted);
                         let measure = Tool::Measure(MeasureKind::Distance);
                         button(self, ui, icon::RULER, "Measure", Action::Arm(measure), "Measure a distance", is(measure), &mut wanted);
                         ui.separator();
@@ -240,7 +240,7 @@ impl Workstation {
                             icon::LASSO,
                             "Lasso",
                             Action::Arm(Tool::LassoCut),
-                            "Draw around what is to be cut away",
+                            "Draw around the region to cut away",
                             is(Tool::LassoCut),
                             &mut wanted,
                         );
@@ -266,7 +266,7 @@ impl Workstation {
                         let mode = self.doc.as_ref().map(|d| d.scene.render.mode);
                         for (m, word, about) in [
                             (Mode::Slice, "Slice", "View-aligned slices"),
-                            (Mode::Raycast, "Ray", "Rays through the volume"),
+                            (Mode::Raycast, "Ray", "Ray casting"),
                             (Mode::Surface, "Surface", "Surfaces by their distance fields"),
                         ] {
                             button(self, ui, "", word, Action::SetMode(m), about, mode == Some(m), &mut wanted);
@@ -470,10 +470,10 @@ impl Workstation {
             for (o, word) in [
                 (Overlay::None, "No overlay"),
                 (Overlay::Labels, "Labels"),
-                (Overlay::Grid, "Grid that is straight in the patient (10 mm)"),
-                (Overlay::Glyphs, "Arrows of the displacement"),
-                (Overlay::Mask, "Alpha mask: what is cut away"),
-                (Overlay::Jacobian, "det J: compressed, stretched, folded"),
+                (Overlay::Grid, "Deformation grid (10 mm)"),
+                (Overlay::Glyphs, "Displacement arrows"),
+                (Overlay::Mask, "Alpha mask (removed regions)"),
+                (Overlay::Jacobian, "Jacobian determinant (det J)"),
             ] {
                 if ui.radio(self.slices.overlay == o, word).clicked() {
                     self.slices.overlay = o;
@@ -521,7 +521,7 @@ impl Workstation {
             ui.vertical_centered(|ui| {
                 ui.add_space(44.0);
                 ui.label(RichText::new("incise").size(34.0));
-                ui.label("Cut, peel, pull and open CT and MRI while they are rendered");
+                ui.label("Cut, peel, pull and open CT and MRI volumes at render time");
                 ui.add_space(18.0);
                 ui.horizontal(|ui| {
                     let width = 3.0 * 178.0;
@@ -564,7 +564,7 @@ impl Workstation {
                     }
                 }
                 ui.add_space(24.0);
-                ui.label(RichText::new("Ctrl+K finds every command").weak());
+                ui.label(RichText::new("Press Ctrl+K to search all commands").weak());
             });
         });
         if let Some(path) = open {
@@ -604,7 +604,7 @@ impl Workstation {
             ui.separator();
         }
         if self.log.entries().is_empty() {
-            ui.label(RichText::new("Nothing has gone wrong").weak());
+            ui.label(RichText::new("No messages").weak());
         }
     }
 

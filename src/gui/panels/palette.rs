@@ -143,19 +143,19 @@ impl Workstation {
                 waiting.clear();
             }
         }
-        egui::Window::new("Keyboard")
+        egui::Window::new("Keyboard shortcuts")
             .open(&mut open)
             .collapsible(false)
             .default_size(vec2(480.0, 460.0))
             .anchor(Align2::CENTER_CENTER, vec2(0.0, 0.0))
             .show(ctx, |ui| {
-                ui.label("Click a key to change it; Esc leaves it as it is.");
+                ui.label("Click a key to change it; press Esc to keep it.");
                 ui.horizontal(|ui| {
                     ui.label("Mouse:");
                     let blender = &mut self.session.settings.blender;
-                    ui.radio_value(blender, false, "as in 3D Slicer");
-                    ui.radio_value(blender, true, "as in Blender");
-                    if ui.button("Usual keys").clicked() {
+                    ui.radio_value(blender, false, "3D Slicer style");
+                    ui.radio_value(blender, true, "Blender style");
+                    if ui.button("Reset to defaults").clicked() {
                         self.session.settings.keys.clear();
                         self.entries = action::list();
                     }

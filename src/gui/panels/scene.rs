@@ -57,7 +57,7 @@ impl Workstation {
                 let name = std::path::Path::new(&labels).file_name().map_or(labels.clone(), |n| n.to_string_lossy().into_owned());
                 let mut remove = false;
                 row(ui, false, RichText::new(format!("    {} {name}", icon::BRAIN)), &name, |ui| {
-                    remove = icon_button(ui, icon::X, "Take the label map away").clicked()
+                    remove = icon_button(ui, icon::X, "Remove the label map").clicked()
                 });
                 if remove && let Some(volume) = &mut doc.scene.volume {
                     volume.labels = None;
@@ -86,7 +86,7 @@ impl Workstation {
                     let star = RichText::new(icon::STAR).color(if solo { super::super::theme::accent(ui) } else { ui.visuals().weak_text_color() });
                     let response = ui.add(egui::Button::new(star).frame(false).min_size(vec2(20.0, 22.0)));
                     response.widget_info(|| WidgetInfo::selected(WidgetType::Button, true, solo, format!("Solo {title}")));
-                    if response.on_hover_text("Solo: this one alone").clicked() {
+                    if response.on_hover_text("Solo: show only this deformation").clicked() {
                         act = Some((Selection::Deformation(n), Action::Solo));
                     }
                 }
@@ -144,7 +144,7 @@ impl Workstation {
             ui.label(RichText::new("Drop a mesh to add one").weak());
         }
         if !doc.scene.measure.is_empty() {
-            heading(ui, "Measures");
+            heading(ui, "Measurements");
             for n in 0..doc.scene.measure.len() {
                 let name = doc.scene.measure[n].name.clone().unwrap_or_else(|| doc.scene.measure[n].kind.name().to_owned());
                 if row(ui, doc.selected == Selection::Measure(n), RichText::new(format!("{} {name}", icon::RULER)), &name, |_| ()).clicked() {

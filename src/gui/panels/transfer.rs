@@ -78,7 +78,7 @@ impl Workstation {
             Ok(function) => function,
             Err(error) => {
                 ui.label(error.to_string());
-                if ui.button("Back to the default").clicked() {
+                if ui.button("Reset to default").clicked() {
                     doc.scene.transfer = TransferSettings::default();
                 }
                 return;
@@ -161,7 +161,7 @@ impl Workstation {
             }
         }
         if let Some(pos) = response.hover_pos() {
-            response.clone().on_hover_text_at_pointer(format!("{:.1}\nDrag points; double-click adds one, right click removes one", value_of(pos.x)));
+            response.clone().on_hover_text_at_pointer(format!("{:.1}\nDrag points; double-click to add, right-click to remove", value_of(pos.x)));
         }
         // The selected point, as numbers.
         if let Some(n) = self.transfer.point.filter(|n| *n < function.points.len()) {
@@ -209,7 +209,7 @@ impl Workstation {
         ui.horizontal(|ui| {
             ui.label("Blend");
             let now = function.blend;
-            for (blend, word) in [(Blend::Composite, "light"), (Blend::Mip, "max"), (Blend::Minip, "min"), (Blend::Average, "mean")] {
+            for (blend, word) in [(Blend::Composite, "composite"), (Blend::Mip, "MIP"), (Blend::Minip, "MinIP"), (Blend::Average, "average")] {
                 if ui.selectable_label(now == blend, word).clicked() {
                     settings.blend = Some(blend);
                 }
@@ -225,7 +225,7 @@ impl Workstation {
                     act = Some(action);
                 }
             }
-            if ui.button("Reset").on_hover_text("The preset that suits the volume").clicked() {
+            if ui.button("Reset").on_hover_text("Use the default preset for this volume").clicked() {
                 doc.scene.transfer = TransferSettings::default();
             }
         });

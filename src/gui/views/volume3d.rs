@@ -613,7 +613,7 @@ impl Workstation {
         let mut child = ui.new_child(egui::UiBuilder::new().max_rect(bar).layout(egui::Layout::left_to_right(egui::Align::Center)));
         child.visuals_mut().widgets.inactive.weak_bg_fill = Color32::from_black_alpha(150);
         for (mode, word, tip) in [
-            (GizmoMode::Shape, "Shape", "Handles for every number"),
+            (GizmoMode::Shape, "Shape", "Handles for every parameter"),
             (GizmoMode::Move, "Move", "Arrows along the box's axes"),
             (GizmoMode::Rotate, "Rotate", "Rings about the box's axes"),
             (GizmoMode::Scale, "Scale", "The box's faces"),
@@ -692,7 +692,7 @@ impl Workstation {
             None => (middle, Vec2::ZERO),
         };
         if points.len() < 3 || apex.is_some_and(|depth| depth <= 1.0) {
-            self.report(crate::gui::log::LogLevel::Info, "The outline lies behind the eye; reset the camera (R) and draw it again");
+            self.report(crate::gui::log::LogLevel::Info, "The outline is behind the camera; reset the camera (R) and redraw it");
             return;
         }
         let restore = self.tool == Tool::LassoRestore;

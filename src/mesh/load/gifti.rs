@@ -34,7 +34,8 @@ pub fn read(bytes: &[u8]) -> Result<MeshFileContents, String> {
                 points = Some(values.chunks_exact(3).map(lps).collect());
             }
             "NIFTI_INTENT_TRIANGLE" => {
-                let index = |v: &f64| if *v >= 0.0 && *v < 4e9 { Ok(*v as u32) } else { Err(format!("has a triangle that names vertex {v}")) };
+                let index =
+                    |v: &f64| if *v >= 0.0 && *v < 4e9 { Ok(*v as u32) } else { Err(format!("has a triangle with the invalid vertex index {v}")) };
                 let values: Vec<u32> = array.values()?.iter().map(index).collect::<Result<_, _>>()?;
                 triangles = Some(values.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect());
             }
@@ -123,7 +124,7 @@ impl GiftiArray {
                         .map_err(|e| format!("has an array that cannot be decompressed: {e}"))?;
                     bytes = plain;
                 }
-                other => return Err(format!("stores its arrays as {other}, which is not read")),
+                other => return Err(format!("stores its arrays as {other}, which is not supported")),
             }
             let four = |b: &[u8]| {
                 let b = [b[0], b[1], b[2], b[3]];

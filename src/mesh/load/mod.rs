@@ -60,7 +60,8 @@ fn ending(path: &Path) -> Option<&'static str> {
 /// # Errors
 /// A file that cannot be read or holds no triangle, by name, with what is wrong.
 pub fn mesh(path: &Path) -> Result<Mesh> {
-    let ending = ending(path).ok_or_else(|| Error::file(path, format!("is not a mesh by its name; known endings: {}", ENDINGS.join(", "))))?;
+    let ending =
+        ending(path).ok_or_else(|| Error::file(path, format!("does not have a mesh file extension; known extensions: {}", ENDINGS.join(", "))))?;
     let bytes = input::unzipped_bytes(path, MAX_BYTES, "mesh")?;
     parse(&bytes, ending, Some(path)).map_err(|problem| Error::file(path, problem))
 }
@@ -95,7 +96,7 @@ pub fn parse(bytes: &[u8], ending: &str, path: Option<&Path>) -> Result<Mesh, St
     if mesh.triangles.is_empty() {
         return Err(match mesh.degenerate {
             0 => "holds no triangle".into(),
-            n => format!("holds no triangle with an area ({n} without)"),
+            n => format!("contains no triangle with a nonzero area ({n} degenerate)"),
         });
     }
     Ok(mesh)

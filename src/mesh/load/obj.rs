@@ -11,7 +11,7 @@ pub fn read(bytes: &[u8]) -> Result<MeshFileContents, String> {
     let is_shape = |line: &&[u8]| matches!(line.trim_ascii_start().first(), Some(b'v' | b'f'));
     let shape: Vec<u8> = joined.split_inclusive(|b| *b == b'\n').filter(is_shape).flatten().copied().collect();
     let (models, _materials) = tobj::load_obj_buf(&mut std::io::Cursor::new(shape), &options, no_materials)
-        .map_err(|e| format!("is not a readable OBJ: {e}; a line of vertices or faces is broken, or a face names a vertex that is not there"))?;
+        .map_err(|e| format!("is not a readable OBJ: {e}; a vertex or face line is malformed, or a face refers to a vertex that does not exist"))?;
     let mut listing = MeshFileContents::default();
     for model in models {
         let first = listing.positions.len() as u32;

@@ -5,14 +5,14 @@ use super::MeshFileContents;
 use glam::Vec3;
 
 pub fn read(bytes: &[u8]) -> Result<MeshFileContents, String> {
-    let text = std::str::from_utf8(bytes).map_err(|_| "is not text; binary OFF is not read")?;
+    let text = std::str::from_utf8(bytes).map_err(|_| "is not text; binary OFF is not supported")?;
     let mut lines = text.lines().map(|l| l.split('#').next().unwrap_or("").trim()).filter(|l| !l.is_empty());
     let head = lines.next().unwrap_or("");
     let mut head_words = head.split_ascii_whitespace();
     let keyword = head_words.next().unwrap_or("");
     let kind = keyword.strip_suffix("OFF").ok_or("does not begin with OFF")?;
     if kind.contains('4') || kind.contains('n') {
-        return Err(format!("is of the kind {keyword}; OFF with three coordinates is read"));
+        return Err(format!("is of type {keyword}; only OFF with three coordinates is supported"));
     }
     let rest = head_words.collect::<Vec<_>>().join(" ");
     let counts = if rest.is_empty() { lines.next().unwrap_or("") } else { &rest };

@@ -73,7 +73,7 @@ fn text(text: &str) -> Result<MeshFileContents, String> {
         listing.warnings.push(format!("{polygons} faces with more than three corners were divided"));
     }
     if !ended {
-        listing.warnings.push("ends without \"endsolid\"; it may have been cut off".into());
+        listing.warnings.push("ends without \"endsolid\"; it may be truncated".into());
     }
     Ok(listing)
 }

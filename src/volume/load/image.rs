@@ -213,7 +213,7 @@ impl Image {
                 Ok((values.into(), Colors::rgb(rgb)))
             }
             Meaning::Channels(channel_styles) if c <= 4 => {
-                self.warnings.push(format!("holds {c} channels, shown together in colour; choose one with --channel 1 to {c} to see its values"));
+                self.warnings.push(format!("contains {c} channels, shown together in colour; use --channel (1 to {c}) to see the values of one"));
                 let planes: Vec<Channel> =
                     (0..c).map(|k| channel_styles.get(k).cloned().unwrap_or(Channel { color: colors::CHANNELS[k], window: None })).collect();
                 let windows: Vec<[f64; 2]> = (0..c).map(|k| planes[k].window.unwrap_or_else(|| self.range_of(k, n))).collect();
@@ -239,7 +239,7 @@ impl Image {
                     .collect();
                 Ok((values.into(), Colors::rgb(rgb)))
             }
-            _ => Err(Error::file(path, format!("holds {c} values per voxel, which cannot be shown together; choose one with --channel 1 to {c}"))),
+            _ => Err(Error::file(path, format!("has {c} values per voxel, which cannot be shown together; choose one with --channel (1 to {c})"))),
         }
     }
 

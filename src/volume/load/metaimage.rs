@@ -30,13 +30,13 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let fields = header(path, &mut reader)?;
     let get = |names: &[&str]| names.iter().find_map(|n| fields.get(*n)).map(String::as_str);
     let numbers = |text: &str| text.split_whitespace().map(|w| w.parse::<f64>().ok().filter(|v| v.is_finite())).collect::<Option<Vec<f64>>>();
-    let need = |name: &str| get(&[name]).ok_or_else(|| fail(format!("has no \"{name}\" in its header; it is no MetaImage, or damaged")));
+    let need = |name: &str| get(&[name]).ok_or_else(|| fail(format!("has no \"{name}\" in its header; it is not a MetaImage, or it is damaged")));
     let size_text = need("dimsize")?;
     let sizes: Vec<usize> = size_text
         .split_whitespace()
         .map(|w| w.parse::<usize>().ok().filter(|&n| n > 0))
         .collect::<Option<_>>()
-        .ok_or_else(|| fail(format!("has the size \"{size_text}\", which is no list of positive numbers")))?;
+        .ok_or_else(|| fail(format!("has the size \"{size_text}\", which is not a list of positive numbers")))?;
     if !(1..=4).contains(&sizes.len()) {
         return Err(fail(format!("has {} axes; images of 1 to 3 can be read", sizes.len())));
     }
@@ -48,14 +48,18 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     }
     let size: [usize; 3] = std::array::from_fn(|a| sizes.get(a).copied().unwrap_or(1));
     let components = match get(&["elementnumberofchannels"]) {
-        Some(t) => t.parse::<usize>().ok().filter(|c| (1..=1024).contains(c)).ok_or_else(|| fail(format!("has \"{t}\" channels")))?,
+        Some(t) => {
+            t.parse::<usize>().ok().filter(|c| (1..=1024).contains(c)).ok_or_else(|| fail(format!("has the invalid channel count \"{t}\"")))?
+        }
         None => 1,
     };
     let type_name = need("elementtype")?;
-    let scalar = scalar_type(type_name).ok_or_else(|| fail(format!("stores \"{type_name}\", which is no type that can be read")))?;
+    let scalar = scalar_type(type_name).ok_or_else(|| fail(format!("has the element type \"{type_name}\", which is not supported")))?;
     let stored = count(path, &[size[0], size[1], size[2], components], scalar)?;
     let list = |names: &[&str], n: usize| {
-        get(names).map(|t| numbers(t).filter(|v| v.len() >= n).ok_or_else(|| fail(format!("has \"{t}\" for {}", names[0])))).transpose()
+        get(names)
+            .map(|t| numbers(t).filter(|v| v.len() >= n).ok_or_else(|| fail(format!("has the invalid value \"{t}\" for {}", names[0]))))
+            .transpose()
     };
     let rank = sizes.len();
     let spacing = list(&["elementspacing", "elementsize"], rank)?;
@@ -81,11 +85,11 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let bytes = (stored * scalar.bytes()) as u64;
     let ahead = bytes.saturating_mul(time as u64);
     let local = data.eq_ignore_ascii_case("local");
-    let header_size = get(&["headersize"]).map_or(Ok(0i64), str::parse).map_err(|_| fail("has a HeaderSize that is no number".into()))?;
+    let header_size = get(&["headersize"]).map_or(Ok(0i64), str::parse).map_err(|_| fail("has a HeaderSize that is not a number".into()))?;
     let pieces = if local { None } else { data_files(path, data, &mut reader)? };
     let voxels = if let Some(files) = pieces {
         let total = stored.checked_mul(frames).filter(|n| n.is_multiple_of(files.len()) && !text && header_size <= 0);
-        let total = total.ok_or_else(|| fail(format!("names {} data files, among which its values cannot be shared out", files.len())))?;
+        let total = total.ok_or_else(|| fail(format!("names {} data files, which cannot hold equal parts of its values", files.len())))?;
         let piece = (total / files.len() * scalar.bytes()) as u64;
         let mut most = 0u64;
         for file in &files {
@@ -174,7 +178,7 @@ fn header(path: &Path, reader: &mut impl BufRead) -> Result<HashMap<String, Stri
             if read > 0 && text.trim().is_empty() {
                 continue;
             }
-            return Err(Error::file(path, "is no MetaImage (its header has a line without \"=\", or ends before ElementDataFile)"));
+            return Err(Error::file(path, "is not a MetaImage (its header has a line without \"=\", or ends before ElementDataFile)"));
         };
         let name = name.trim().to_ascii_lowercase();
         let last = name == "elementdatafile";

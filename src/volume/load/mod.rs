@@ -32,7 +32,7 @@ use std::path::Path;
 
 /// Endings of the files that can be read, for messages.
 pub const FORMATS: &str = "DICOM (a file, a folder or a .zip), NIfTI (.nii, .nii.gz, .hdr/.img), NRRD (.nrrd, .nhdr), MetaImage (.mha, .mhd), \
-VTK (.vti, .vtk), TIFF, PNG, JPEG (one, or a folder of slices), NumPy (.npy), OME-Zarr (a folder) and raw values (.raw)";
+VTK (.vti, .vtk), TIFF, PNG, JPEG (one, or a folder of slices), NumPy (.npy), OME-Zarr (a folder) and raw data (.raw)";
 /// Bytes by which a format is recognised.
 const START: u64 = 1024;
 
@@ -66,7 +66,7 @@ impl FileFormat {
             Self::Picture => "a picture (.png or .jpg)",
             Self::Npy => "NumPy (.npy)",
             Self::Zip => "a zip (.zip)",
-            Self::Raw => "raw values (.raw)",
+            Self::Raw => "raw data (.raw)",
         }
     }
 
@@ -135,7 +135,7 @@ pub fn image(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> 
 
 fn by_kind(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let image = by_format(path, choice, watch)?;
-    let only = |name: &str, of: &str| Err(Error::value(name, format!("is of {of}, and {} is {}", path.display(), image.format)));
+    let only = |name: &str, of: &str| Err(Error::value(name, format!("applies to {of}, but {} is {}", path.display(), image.format)));
     match () {
         () if image.format == "DICOM" => {}
         () if choice.series.is_some() => return only("series", "DICOM"),
@@ -188,11 +188,11 @@ fn format_of(path: &Path, choice: &ReadOptions) -> Result<FileFormat> {
         (Some(FileFormat::Raw), _) => Ok(FileFormat::Raw),
         (Some(FileFormat::Nifti), Some(_)) if path.to_string_lossy().to_ascii_lowercase().contains(".img") => Ok(FileFormat::Nifti),
         (Some(name), Some(start)) if name != start => {
-            Err(Error::file(path, format!("is not what its name says: its content is {}; rename it", start.called())))
+            Err(Error::file(path, format!("does not match its extension; its content is {}; rename it", start.called())))
         }
         (Some(name), _) => Ok(name),
         (None, Some(start)) => Ok(start),
-        (None, None) => Err(Error::file(path, format!("is of a format that cannot be read; {FORMATS} can"))),
+        (None, None) => Err(Error::file(path, format!("has an unsupported format; supported: {FORMATS}"))),
     }
 }
 

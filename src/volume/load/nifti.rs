@@ -43,7 +43,9 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
             let (reader, max_bytes) = open(&data)?;
             header.image(&data, reader, max_bytes, 0, choice, watch)
         }
-        (None, true) => Err(Error::file(path, "is the header of a .hdr/.img pair under another name; give it back the ending .hdr beside its .img")),
+        (None, true) => {
+            Err(Error::file(path, "is the header of a .hdr/.img pair under another name; rename it to .hdr, in the same folder as its .img"))
+        }
         // One file under one of the pair's names.
         (_, false) => header.image(&header_path, reader, max_bytes, header.bytes.len() as u64, choice, watch),
     }
@@ -158,7 +160,9 @@ impl Header {
         let colors_by_axis = INTENT_RGB.contains(&intent) && (3..=4).contains(&dim[3]);
         let (components, frames) = if (fsl || colors_by_axis) && dim[4] == 1 { (dim[3], 1) } else { (dim[4], dim[3] * dim[5] * dim[6]) };
         if frames > 1 && components > 1 {
-            return Err(fail(format!("holds {components} values per voxel at {frames} times; a single time is needed: split it by time")));
+            return Err(fail(format!(
+                "has {components} values per voxel at {frames} time points; only one time point is supported; split it by time"
+            )));
         }
         let time = choice.time_of(frames)?;
         if frames > 1 && choice.time.is_none() {
@@ -238,7 +242,7 @@ impl Header {
                 _ => return Err(format!("declares {value} voxels along axis {}; its header is damaged", n + 1)),
             };
         }
-        dim[3..].iter().try_fold(1usize, |n, &d| n.checked_mul(d)).ok_or("declares more volumes than can be counted; its header is damaged")?;
+        dim[3..].iter().try_fold(1usize, |n, &d| n.checked_mul(d)).ok_or("declares an impossible number of volumes; its header is damaged")?;
         Ok(dim)
     }
 
@@ -249,7 +253,7 @@ impl Header {
         }
         let (slope, intercept) = (self.number(112, 176, 0), self.number(116, 184, 0));
         if !slope.is_finite() || !intercept.is_finite() {
-            warnings.push(format!("its rescale slope {slope} and intercept {intercept} are not numbers; values are taken as stored"));
+            warnings.push(format!("its rescale slope {slope} and intercept {intercept} are not finite; stored values are used"));
             return Rescale::NONE;
         }
         if slope == 0.0 { Rescale::NONE } else { Rescale { slope, intercept } }
@@ -273,7 +277,7 @@ impl Header {
         }
         let lps_from_ras = DAffine3::from_scale(DVec3::new(-1.0, -1.0, 1.0) * mm);
         if self.version == Version::Analyze {
-            warnings.push("is of the Analyze format, which does not say where left and right are; its first axis is taken to run to the left".into());
+            warnings.push("is in Analyze format, which does not state left and right; its first axis is assumed to run from right to left".into());
             return lps_from_ras * DAffine3::from_scale(spacing * DVec3::new(-1.0, 1.0, 1.0));
         }
         let usable = |t: &DAffine3| t.is_finite() && t.matrix3.determinant().abs() > 1e-12 * spacing.element_product();
@@ -303,14 +307,14 @@ impl Header {
         });
         let ras_from_voxel = ras_from_voxel.unwrap_or_else(|| {
             let why = if stated { "no usable orientation" } else { "no orientation" };
-            warnings.push(format!("has {why}: axes are taken as right, anterior, superior"));
+            warnings.push(format!("has {why}: right, anterior, superior axes are assumed"));
             DAffine3::from_scale(spacing)
         });
         let world_from_voxel = lps_from_ras * ras_from_voxel;
         if super::source::usable(&world_from_voxel) {
             return world_from_voxel;
         }
-        warnings.push("has a geometry that cannot be used: voxels of 1 mm along right, anterior, superior are taken".into());
+        warnings.push("has an unusable geometry; 1 mm voxels along right, anterior, superior are assumed".into());
         DAffine3::from_scale(DVec3::new(-1.0, -1.0, 1.0))
     }
 }

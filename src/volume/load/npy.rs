@@ -24,7 +24,7 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let mut start = [0u8; 8];
     reader.read_exact(&mut start).map_err(|e| read_error(path, e))?;
     if &start[..6] != b"\x93NUMPY" || !(1..=3).contains(&start[6]) {
-        return Err(fail("is no NumPy array (.npy, version 1 to 3)".into()));
+        return Err(fail("is not a NumPy array (.npy, version 1 to 3)".into()));
     }
     let mut length = [0u8; 4];
     let width = if start[6] == 1 { 2 } else { 4 };
@@ -85,7 +85,7 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let mut image = Image::new("NumPy", voxels, size, DAffine3::IDENTITY);
     (image.components, image.layout) = (components, Layout::Interleaved);
     if choice.spacing.is_none() {
-        image.warnings.push("does not say how large a voxel is: 1 mm is taken (--spacing says otherwise)".into());
+        image.warnings.push("does not state its voxel spacing; 1 mm is assumed (use --spacing to set it)".into());
     }
     if frames > 1 {
         if choice.time.is_none() {

@@ -58,12 +58,11 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let need = |name: &str| get(name).ok_or_else(|| fail(format!("has no field \"{name}\" in its header; it is damaged")));
     let whole = |text: &str| text.split_whitespace().map(|w| w.parse::<usize>().ok().filter(|&n| n > 0)).collect::<Option<Vec<_>>>();
     let sizes =
-        whole(need("sizes")?).ok_or_else(|| fail(format!("has the sizes \"{}\", which are no positive numbers", get("sizes").unwrap_or(""))))?;
+        whole(need("sizes")?).ok_or_else(|| fail(format!("has the sizes \"{}\", which are not positive numbers", get("sizes").unwrap_or(""))))?;
     if need("dimension")?.trim().parse() != Ok(sizes.len()) || !(1..=5).contains(&sizes.len()) {
         return Err(fail(format!("has {} axes; images of 1 to 3, one axis of components and one of time can be read", sizes.len())));
     }
-    let scalar =
-        scalar_type(need("type")?).ok_or_else(|| fail(format!("stores \"{}\", which is no type that can be read", get("type").unwrap_or(""))))?;
+    let scalar = scalar_type(need("type")?).ok_or_else(|| fail(format!("has the type \"{}\", which is not supported", get("type").unwrap_or(""))))?;
     let axes = axes(&fields, sizes).map_err(&fail)?;
     let total = count(path, &axes.sizes, scalar)?;
     let mut warnings = Vec::new();
@@ -80,13 +79,13 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
         && match need("endian").map(str::trim) {
             Ok("little") => cfg!(target_endian = "big"),
             Ok("big") => cfg!(target_endian = "little"),
-            Ok(other) => return Err(fail(format!("has the byte order \"{other}\"; little or big is meant"))),
+            Ok(other) => return Err(fail(format!("has the byte order \"{other}\"; it must be little or big"))),
             Err(e) if encoding != Encoding::Text => return Err(e),
             Err(_) => false,
         };
     let number = |names: [&str; 2]| {
         let text = get(names[0]).or(get(names[1]));
-        text.map_or(Ok(0i64), |t| t.trim().parse()).map_err(|_| fail(format!("has a {} that is no number", names[0])))
+        text.map_or(Ok(0i64), |t| t.trim().parse()).map_err(|_| fail(format!("has a {} that is not a number", names[0])))
     };
     let (line_skip, byte_skip) = (number(["line skip", "lineskip"])?, number(["byte skip", "byteskip"])?);
     if line_skip < 0 || byte_skip < -1 {
@@ -189,7 +188,7 @@ impl Data<'_> {
     fn read_pieces(&self, files: Vec<PathBuf>, total: usize, [ahead, count]: [usize; 2]) -> Result<Voxels> {
         let fail = |problem: String| Error::file(self.path, problem);
         if !total.is_multiple_of(files.len()) {
-            return Err(fail(format!("names {} data files, among which its {total} values cannot be shared out", files.len())));
+            return Err(fail(format!("names {} data files, which cannot hold equal parts of its {total} values", files.len())));
         }
         if self.line_skip > 0 || self.byte_skip > 0 || matches!(self.encoding, Encoding::Text | Encoding::Hex) {
             return Err(fail("has several data files that are not raw, gzip or bzip2 from their first byte on; join them into one".into()));
@@ -294,14 +293,14 @@ fn data_files(path: &Path, fields: &HashMap<String, String>, axes: &Axes) -> Res
 
 /// The names that a pattern such as `slice%03d.raw` gives for numbers.
 pub(super) fn numbered(pattern: &str, first: i64, last: i64, step: i64) -> Result<Vec<String>, String> {
-    let unclear = || format!("has the file pattern \"{pattern}\", which cannot be read; one %d or %03d is meant");
+    let unclear = || format!("has the invalid file pattern \"{pattern}\"; it must contain one %d or %03d");
     let (before, rest) = pattern.split_once('%').ok_or_else(unclear)?;
     let end = rest.find(|c: char| !c.is_ascii_digit()).ok_or_else(unclear)?;
     let (width, after) = (&rest[..end], &rest[end..]);
     let after = after.strip_prefix(['d', 'i', 'u']).filter(|a| !a.contains('%')).ok_or_else(unclear)?;
     let digits = width.parse::<usize>().unwrap_or(0).min(32);
     if last.checked_sub(first).and_then(|d| d.checked_div(step)).is_none_or(|n| n < 0 || n >= MAX_FILES as i64) {
-        return Err(format!("numbers its data files from {first} to {last} by {step}, which is no sequence"));
+        return Err(format!("numbers its data files from {first} to {last} by {step}, which is not a valid sequence"));
     }
     let zero = width.starts_with('0');
     Ok((0..=(last - first) / step)
@@ -379,7 +378,7 @@ fn header(path: &Path, reader: &mut impl BufRead) -> Result<HashMap<String, Stri
         let text = text.trim_end_matches(['\n', '\r']);
         if first {
             if !text.starts_with("NRRD000") {
-                return Err(Error::file(path, "is no NRRD file (it does not start with NRRD000)"));
+                return Err(Error::file(path, "is not an NRRD file (it does not start with NRRD000)"));
             }
             first = false;
             continue;
@@ -493,12 +492,12 @@ fn geometry(fields: &HashMap<String, String>, spatial: &[usize], axes: usize, wa
         Some("left-anterior-superior" | "las" | "left-anterior-superior-time" | "last") => DVec3::new(1.0, -1.0, 1.0),
         Some("3d-right-handed" | "scanner-xyz") => DVec3::ONE,
         Some(other) => {
-            warnings.push(format!("its space \"{other}\" is no patient space; axes are taken as left, posterior, superior"));
+            warnings.push(format!("its space \"{other}\" is not a patient space; left, posterior, superior axes are assumed"));
             DVec3::ONE
         }
         None => {
             if !fields.contains_key("space dimension") {
-                warnings.push("has no orientation: axes are taken as left, posterior, superior".into());
+                warnings.push("has no orientation; left, posterior, superior axes are assumed".into());
             }
             DVec3::ONE
         }

@@ -19,7 +19,7 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
         None => match layout_file(path)? {
             Some(layout) => layout,
             None => of_name(path).ok_or_else(|| {
-                fail("is raw values of which nothing is known; say how they lie with --raw, e.g. --raw 256x256x128:u16, or in a file of the same name that ends in .toml".into())
+                fail("is raw data of unknown layout; describe it with --raw, e.g. --raw 256x256x128:u16, or in a file of the same name that ends in .toml".into())
             })?,
         },
     };
@@ -27,10 +27,10 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let linear = direction * DMat3::from_diagonal(DVec3::from(layout.spacing_mm));
     let world_from_voxel = DAffine3 { matrix3: linear, translation: DVec3::from(layout.origin_mm) };
     if !usable(&world_from_voxel) {
-        return Err(fail("is given a spacing or directions that are singular".into()));
+        return Err(fail("has a degenerate spacing or direction in its layout".into()));
     }
     if layout.size.contains(&0) || !(1..=1024).contains(&layout.components) {
-        return Err(fail(format!("is given {:?} voxels of {} values; each is 1 at least", layout.size, layout.components)));
+        return Err(fail(format!("has {:?} voxels of {} values in its layout; each must be at least 1", layout.size, layout.components)));
     }
     let [i, j, k] = layout.size;
     let total = count(path, &[i, j, k, layout.components], layout.scalar)?;
@@ -44,7 +44,7 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let mut image = Image::new("raw", voxels, layout.size, world_from_voxel);
     (image.components, image.layout) = (layout.components, Layout::Interleaved);
     if max_bytes == length && length > bytes + layout.skip {
-        image.warnings.push(format!("holds {} bytes more than it was said to; see that its size and type are right", length - bytes - layout.skip));
+        image.warnings.push(format!("contains {} bytes more than its layout describes; check the size and type", length - bytes - layout.skip));
     }
     Ok(image)
 }
@@ -58,10 +58,10 @@ fn layout_file(path: &Path) -> Result<Option<RawLayout>> {
         return Ok(None);
     }
     if is_link_out(path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")), sidecar) {
-        return Err(Error::file(sidecar, "is a link to a file outside of its folder; copy it, or allow it with --allow-outside"));
+        return Err(Error::file(sidecar, "is a symbolic link to a file outside its folder; copy it, or use --allow-outside"));
     }
     let text = text(sidecar, MAX_SCENE_BYTES, "layout of raw values")?;
-    toml::from_str(&text).map(Some).map_err(|e| Error::file(sidecar, format!("does not say how raw values lie: {}", e.message())))
+    toml::from_str(&text).map(Some).map_err(|e| Error::file(sidecar, format!("does not describe a raw layout: {}", e.message())))
 }
 
 /// The layout that a name tells: three numbers joined by `x`, and a type.

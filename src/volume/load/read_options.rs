@@ -9,16 +9,16 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct ReadOptions {
-    /// Of several DICOM series: its number in `incise info` (from 1), its UID, or a part of its description. The largest by default.
+    /// DICOM series to load: its number in `incise info` (from 1), its UID, or part of its description. The largest by default.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub series: Option<String>,
-    /// Of a series in time: which time point, from 1.
+    /// Time point to load, counted from 1.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub time: Option<usize>,
-    /// Of several channels: which one, from 1, as a scalar volume. All of them, in colour, by default.
+    /// Channel to load as a scalar volume, counted from 1. All channels, in colour, by default.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub channel: Option<usize>,
-    /// Of a multiscale image (OME-Zarr): which resolution; 0, the full one, by default.
+    /// Resolution level of a multiscale image (OME-Zarr); 0, full resolution, by default.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub level: Option<usize>,
     /// Voxel spacing along i, j, k in mm, instead of the file's.
@@ -27,12 +27,12 @@ pub struct ReadOptions {
     /// Interpolate unevenly spaced slices onto an even grid.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub resample: bool,
-    /// How raw values lie in a file that is nothing but values.
+    /// Layout of a raw file without a header.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub raw: Option<RawLayout>,
 }
 
-/// Values without a header.
+/// Layout of a raw file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawLayout {
@@ -92,7 +92,7 @@ impl ReadOptions {
         match number {
             None => Ok(None),
             Some(n) if (1..=count).contains(&n) => Ok(Some(n - 1)),
-            Some(n) => Err(Error::value(what, format!("{n} is none of the {count} that the file holds; they count from 1"))),
+            Some(n) => Err(Error::value(what, format!("{n} is out of range; the file has {count}, counted from 1"))),
         }
     }
 }
@@ -103,7 +103,7 @@ impl RawLayout {
     /// # Errors
     /// What is wrong with it.
     pub fn parse(text: &str) -> Result<Self, String> {
-        let usage = || format!("\"{text}\" is no layout; write WxHxD:TYPE[:be][:skip=BYTES][:components=N], e.g. 256x256x128:u16:be");
+        let usage = || format!("\"{text}\" is not a layout; write WxHxD:TYPE[:be][:skip=BYTES][:components=N], e.g. 256x256x128:u16:be");
         let mut parts = text.split(':');
         let size: Vec<usize> = parts.next().unwrap_or("").split('x').map_while(|n| n.trim().parse().ok()).collect();
         let size: [usize; 3] = size.try_into().map_err(|_| usage())?;

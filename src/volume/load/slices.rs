@@ -101,7 +101,7 @@ pub fn read_folder(folder: &Path, files: &[PathBuf], choice: &ReadOptions, watch
     let mut image = image_of(folder, "pictures", stack, choice, stated_spacing)?;
     image.warnings.extend(links_left_out(&links_out(folder)));
     if let Some(first) = odd.first() {
-        image.warnings.push(format!("{} pictures ({first} and so on) are of another size or type than the first and are left out", odd.len()));
+        image.warnings.push(format!("{} pictures ({first} and others) differ in size or type from the first and were skipped", odd.len()));
     }
     Ok(image)
 }
@@ -123,14 +123,14 @@ fn image_of(path: &Path, format: &'static str, stack: ImageStack, choice: &ReadO
         image.meaning = Meaning::Color;
     }
     if choice.spacing.is_none() && spacing.iter().any(Option::is_none) {
-        image.warnings.push("pictures do not say how large a voxel is in every direction: 1 mm is taken (--spacing says otherwise)".into());
+        image.warnings.push("pictures do not state voxel spacing in every direction; 1 mm is assumed (use --spacing to set it)".into());
     }
     Ok(image)
 }
 
 /// Decodes a picture.
 fn plane(path: &Path) -> Result<ImageSlice> {
-    let damaged = |e: String| Error::file(path, format!("is no picture that can be read ({e}); copy or export it again"));
+    let damaged = |e: String| Error::file(path, format!("is not a readable picture ({e}); copy or export it again"));
     let (file, bytes) = open_file(path)?;
     let mut reader = image::ImageReader::new(std::io::BufReader::new(file)).with_guessed_format().map_err(|e| Error::io(path, "reading", e))?;
     let mut limits = image::Limits::default();

@@ -20,7 +20,7 @@ fn typed<T: FromStr>(path: &Path, mut reader: impl BufRead, ahead: usize, count:
     let mut values: Vec<T> = reserved(path, count)?;
     let meter = ByteProgress::new(watch, count as u64);
     let (mut passed, mut word) = (0usize, Vec::with_capacity(32));
-    let truncated = |have: usize| Error::file(path, format!("holds {have} values of {count}: it is truncated or no text"));
+    let truncated = |have: usize| Error::file(path, format!("contains {have} of {count} values: it is truncated or not text"));
     loop {
         let bytes = reader.fill_buf().map_err(|e| read_error(path, e))?;
         let (used, end) = (bytes.len(), bytes.is_empty());

@@ -48,7 +48,7 @@ struct Description {
 type TiffDecoder = Decoder<BufReader<File>>;
 
 fn damaged(path: &Path) -> impl Fn(tiff::TiffError) -> Error + '_ {
-    move |e| Error::file(path, format!("is no TIFF that can be read ({e}); copy or export it again"))
+    move |e| Error::file(path, format!("is not a readable TIFF ({e}); copy or export it again"))
 }
 
 fn decoder(path: &Path) -> Result<(TiffDecoder, u64)> {
@@ -156,7 +156,7 @@ fn read_unguarded(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Im
     let metadata = described(&mut pages, file_bytes);
     let mut warnings = Vec::new();
     if metadata.imagej && !metadata.has_unit && metadata.spacing.iter().any(Option::is_some) {
-        warnings.push("gives its spacing without a unit of length: mm are taken".into());
+        warnings.push("states its spacing without a unit; mm is assumed".into());
     }
     let total = 1 + {
         let mut more = 0;
@@ -171,7 +171,7 @@ fn read_unguarded(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Im
     let [slices, channels, times] = match metadata.extents {
         Some(e) if e.iter().try_fold(1usize, |n, &d| n.checked_mul(d)) == Some(total) || (metadata.imagej && total == 1) => e,
         Some(e) => {
-            warnings.push(format!("holds {total} pages, not the {} x {} x {} that it says; they are taken as slices", e[0], e[1], e[2]));
+            warnings.push(format!("contains {total} pages, not the {} x {} x {} it declares; they are read as slices", e[0], e[1], e[2]));
             [total, 1, 1]
         }
         None => [total, 1, 1],
@@ -209,10 +209,10 @@ fn read_unguarded(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Im
             meter.add(1)?;
         }
         if left_out > 0 && channels > 1 {
-            return Err(fail("has pages of different sizes among its channels; export it as one".into()));
+            return Err(fail("has channels with different page sizes; export it with a single size".into()));
         }
         if left_out > 0 {
-            warnings.push(format!("{left_out} pages are of another size or type than the first and are left out"));
+            warnings.push(format!("{left_out} pages differ in size or type from the first and were skipped"));
         }
         let (size, samples, count) = (stack.size, stack.components, stack.count);
         if samples > 1 && channels > 1 {
@@ -224,7 +224,7 @@ fn read_unguarded(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Im
     };
     let spacing = metadata.spacing.map(|s| s.filter(|s| s.is_finite() && *s > 0.0));
     if choice.spacing.is_none() && spacing.iter().any(Option::is_none) {
-        warnings.push("does not say how large a voxel is in every direction: 1 mm is taken where it is missing (--spacing says otherwise)".into());
+        warnings.push("does not state voxel spacing in every direction; 1 mm is assumed where it is missing (use --spacing to set it)".into());
     }
     let mut image = Image::new(
         if metadata.ome {

@@ -93,8 +93,8 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
         }
         Some(size)
     };
-    let size = extent(&document.whole).ok_or_else(|| fail(format!("has the extent {:?}, which holds nothing", document.whole)))?;
-    let scalar = wanted.scalar.ok_or_else(|| fail(format!("stores {}, which is no type that can be read", wanted.type_name)))?;
+    let size = extent(&document.whole).ok_or_else(|| fail(format!("has the empty extent {:?}", document.whole)))?;
+    let scalar = wanted.scalar.ok_or_else(|| fail(format!("has the type {}, which is not supported", wanted.type_name)))?;
     let components = wanted.components;
     let total = count(path, &[size[0], size[1], size[2], components], scalar)?;
     let most = if document.packing == Compression::None { file_bytes } else { file_bytes.saturating_mul(7 * DEFLATE_LIMIT) };
@@ -112,7 +112,7 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
         let mut parts = Vec::new();
         let mut covered = 0usize;
         for piece in &document.pieces {
-            let part = extent(&piece.extent).ok_or_else(|| fail(format!("has a piece of the extent {:?}, which holds nothing", piece.extent)))?;
+            let part = extent(&piece.extent).ok_or_else(|| fail(format!("has a piece with the empty extent {:?}", piece.extent)))?;
             let start: Option<[usize; 3]> = (0..3)
                 .map(|a| {
                     usize::try_from(piece.extent[2 * a].checked_sub(document.whole[2 * a])?)
@@ -129,7 +129,7 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
             covered = covered.saturating_add(n);
             // Pieces share their outermost points; more than that is no division of one image.
             if covered > total.saturating_mul(8) {
-                return Err(fail("has pieces that lie over one another".into()));
+                return Err(fail("has overlapping pieces".into()));
             }
             parts.push((start, part, values.read(array, n)?));
         }
@@ -147,7 +147,7 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
         image.meaning = Meaning::Vectors;
     }
     if !document.directed {
-        image.warnings.push("does not say how its axes lie in the patient: they are taken as left, posterior, superior".into());
+        image.warnings.push("does not state its patient orientation; left, posterior, superior axes are assumed".into());
     }
     let others: Vec<&str> = first.points.iter().chain(&first.cells).map(|a| a.name.as_str()).filter(|n| *n != wanted.name).collect();
     if !others.is_empty() {
@@ -265,7 +265,7 @@ fn document(path: &Path, reader: BufReader<File>) -> Result<VtiDocument> {
     loop {
         buffer.clear();
         xml.get_mut().of_event = 0;
-        let event = xml.read_event_into(&mut buffer).map_err(|e| fail(format!("is no readable XML ({e}); it is truncated or damaged")))?;
+        let event = xml.read_event_into(&mut buffer).map_err(|e| fail(format!("is not readable XML ({e}); it is truncated or damaged")))?;
         let (tag, empty) = match &event {
             Event::Start(tag) => (tag, false),
             Event::Empty(tag) => (tag, true),
@@ -367,7 +367,7 @@ fn document(path: &Path, reader: BufReader<File>) -> Result<VtiDocument> {
         }
     }
     if !is_image {
-        return Err(fail("is no VTK file: it has no VTKFile element".into()));
+        return Err(fail("is not a VTK file: it has no VTKFile element".into()));
     }
     Ok(document)
 }

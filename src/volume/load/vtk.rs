@@ -27,13 +27,13 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
         Ok((read > 0).then(|| String::from_utf8_lossy(&bytes).trim().to_owned()))
     };
     if !line()?.is_some_and(|l| l.starts_with("# vtk DataFile")) {
-        return Err(fail("is no VTK file (it does not start with \"# vtk DataFile\")".into()));
+        return Err(fail("is not a VTK file (it does not start with \"# vtk DataFile\")".into()));
     }
     let _title = line()?;
     let binary = match line()?.unwrap_or_default().to_ascii_uppercase().as_str() {
         "BINARY" => true,
         "ASCII" => false,
-        other => return Err(fail(format!("is written as \"{other}\"; ASCII or BINARY is meant"))),
+        other => return Err(fail(format!("is written as \"{other}\"; it must be ASCII or BINARY"))),
     };
     let (mut size, mut spacing, mut origin) = (None, DVec3::ONE, DVec3::ZERO);
     let mut on_cells = false;
@@ -109,7 +109,7 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     }
     let mut image = Image::new("legacy VTK", voxels, size, world_from_voxel);
     (image.components, image.meaning, image.frame) = (components, meaning, Some(DMat3::IDENTITY));
-    image.warnings.push("cannot say how its axes lie in the patient: they are taken as left, posterior, superior".into());
+    image.warnings.push("cannot state its patient orientation; left, posterior, superior axes are assumed".into());
     Ok(image)
 }
 
@@ -125,6 +125,6 @@ fn scalar_type(name: &str) -> Result<ScalarType, String> {
         "long" | "long_long" | "vtktypeint64" | "vtkidtype" => ScalarType::I64,
         "float" => ScalarType::F32,
         "double" => ScalarType::F64,
-        _ => return Err(format!("stores \"{name}\", which is no type that can be read")),
+        _ => return Err(format!("has the type \"{name}\", which is not supported")),
     })
 }

@@ -39,7 +39,7 @@ fn metadata(path: &Path) -> Result<Value> {
         return Ok(Value::Null);
     }
     let bytes = input::bytes(path, MAX_METADATA_BYTES, "metadata")?;
-    serde_json::from_slice(&bytes).map_err(|e| Error::file(path, format!("is no readable JSON ({e}); it is truncated or damaged")))
+    serde_json::from_slice(&bytes).map_err(|e| Error::file(path, format!("is not readable JSON ({e}); it is truncated or damaged")))
 }
 
 /// Attributes of a group, in either version of Zarr.
@@ -74,7 +74,7 @@ fn read_unguarded(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Im
     let datasets = multiscale["datasets"].as_array().cloned().unwrap_or_default();
     let level = choice.level.unwrap_or(0);
     if datasets.is_empty() && level > 0 {
-        return Err(Error::value("level", format!("{level} is none of the resolutions: the array has a single one, 0")));
+        return Err(Error::value("level", format!("{level} is out of range; the array has a single resolution, 0")));
     }
     let array_folder = if datasets.is_empty() {
         if !folder.join(".zarray").is_file() && metadata(&folder.join("zarr.json"))?["node_type"] != "array" {
@@ -83,11 +83,11 @@ fn read_unguarded(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Im
         folder.clone()
     } else {
         let dataset = datasets.get(level).ok_or_else(|| {
-            Error::value("level", format!("{level} is none of the {} resolutions; they count from 0, the full one", datasets.len()))
+            Error::value("level", format!("{level} is out of range; there are {} resolutions, counted from 0 (full)", datasets.len()))
         })?;
         let name = dataset["path"].as_str().ok_or_else(|| fail("has a resolution without a path; its metadata are damaged".into()))?;
         if Path::new(name).components().any(|c| !matches!(c, std::path::Component::Normal(_))) {
-            return Err(fail(format!("names \"{name}\", which is outside of it; its metadata are damaged")));
+            return Err(fail(format!("names \"{name}\", which is outside the store; its metadata are damaged")));
         }
         folder.join(name)
     };
@@ -110,7 +110,7 @@ fn read_unguarded(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Im
     // One channel is read alone where one is asked for.
     let one = ReadOptions::index("channel", choice.channel, channels)?;
     if one.is_none() && channels > 4 {
-        return Err(fail(format!("holds {channels} channels, which cannot be shown together; choose one with --channel 1 to {channels}")));
+        return Err(fail(format!("contains {channels} channels, which cannot be shown together; choose one with --channel (1 to {channels})")));
     }
     let chosen: Vec<usize> = one.map_or_else(|| (0..channels).collect(), |c| vec![c]);
     let size = [extent(Some(x)), extent(Some(y)), extent(z)];
@@ -120,7 +120,7 @@ fn read_unguarded(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Im
     // Its metadata and chunks, those that are there and those that are not.
     inputs::note_path(path);
     if array_folder.to_str().is_none() {
-        return Err(fail("has a name, or lies in a folder with one, that is not UTF-8, which OME-Zarr needs; rename it".into()));
+        return Err(fail("has a path that is not UTF-8, which OME-Zarr requires; rename it".into()));
     }
     let store = FilesystemStore::new(&array_folder).map_err(|e| fail(format!("cannot be opened ({e})")))?;
     let array = Array::open(Arc::new(store), "/").map_err(|e| fail(format!("holds an array that cannot be read ({e})")))?;
@@ -165,7 +165,7 @@ fn read_unguarded(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Im
         }
     };
     if !stated && choice.spacing.is_none() {
-        warnings.push("does not say how large a voxel is: 1 mm is taken (--spacing says otherwise)".into());
+        warnings.push("does not state its voxel spacing; 1 mm is assumed (use --spacing to set it)".into());
     }
     let origin = translation.map_or(DVec3::ZERO, |t| DVec3::from_array([Some(x), Some(y), z].map(|axis| axis.map_or(0.0, |a| t[a] * axes[a].mm))));
     let world_from_voxel = DAffine3 { matrix3: DMat3::from_diagonal(linear), translation: origin };
@@ -205,7 +205,7 @@ impl ArrayLayout {
         let (shape, chunks, kind) = if two.is_null() {
             let three = metadata(&folder.join("zarr.json"))?;
             if three.is_null() {
-                return Err(fail("is no Zarr array (neither .zarray nor zarr.json is in it)".into()));
+                return Err(fail("is not a Zarr array (it contains neither .zarray nor zarr.json)".into()));
             }
             let chunks = three["chunk_grid"]["configuration"]["chunk_shape"].clone();
             (three["shape"].clone(), chunks, three["data_type"].as_str().unwrap_or("").to_owned())

@@ -114,9 +114,9 @@ fn nothing(path: &Path, found: scan::ScanResult) -> Error {
             .join("; "),
         ),
         None if found.others > 0 && path.extension().is_some_and(|e| e.eq_ignore_ascii_case("zip")) => {
-            Error::file(path, "is a zip without a DICOM picture in it; unpack it and name the file that you mean")
+            Error::file(path, "is a zip archive without a DICOM image; unpack it and name the file you want")
         }
-        None => Error::file(path, "is DICOM without a picture; name an object that holds pixels"),
+        None => Error::file(path, "is a DICOM object without pixel data; name one that has pixel data"),
     }
 }
 
@@ -157,7 +157,7 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
         warnings.push(format!("{} damaged files are left out ({first})", found.damaged));
     }
     if series.duplicates > 0 {
-        warnings.push(format!("{} slices at the place of another one are left out", series.duplicates));
+        warnings.push(format!("{} slices at the same position as another were skipped", series.duplicates));
     }
     let time = choice.time_of(series.times.len())?;
     if series.times.len() > 1 && choice.time.is_none() {
@@ -181,7 +181,7 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
 
 fn named(series: &DicomSeries, objects: &[Object]) -> String {
     let object = &objects[series.object];
-    let number = object.series_number.map_or_else(|| "without a number".to_owned(), |n| n.to_string());
+    let number = object.series_number.map_or_else(|| "(unnumbered)".to_owned(), |n| n.to_string());
     let description = if object.description.is_empty() { String::new() } else { format!(" \"{}\"", object.description) };
     format!("{} series {number}{description}, {} slices", object.modality, places(&series.times[0]).len())
 }
@@ -194,11 +194,13 @@ fn chosen(wanted: &str, all: &[DicomSeries], objects: &[Object]) -> Result<usize
         return if (1..=all.len()).contains(&n) {
             Ok(n - 1)
         } else {
-            Err(Error::value("series", format!("{n} is none of {}: {}", all.len(), valid_names())))
+            Err(Error::value("series", format!("{n} is out of range; there are {} series: {}", all.len(), valid_names())))
         };
     }
     let fits = |s: &DicomSeries| objects[s.object].series == wanted || objects[s.object].description.to_lowercase().contains(&wanted.to_lowercase());
-    all.iter().position(fits).ok_or_else(|| Error::value("series", format!("\"{wanted}\" is none of {}: {}", all.len(), valid_names())))
+    all.iter()
+        .position(fits)
+        .ok_or_else(|| Error::value("series", format!("\"{wanted}\" matches none of the {} series: {}", all.len(), valid_names())))
 }
 
 /// Unit normal of a frame's plane.
@@ -293,17 +295,20 @@ fn placement(frames: &[&Frame], object: &Object, resample: bool, warnings: &mut 
     let n = frames.len();
     let [columns, rows] = first.spacing;
     if columns == 0.0 {
-        warnings.push("does not say how large a pixel is: 1 mm is taken (--spacing says otherwise)".into());
+        warnings.push("does not state its pixel spacing; 1 mm is assumed (use --spacing to set it)".into());
     }
     let (columns, rows) = (if columns > 0.0 { columns } else { 1.0 }, if rows > 0.0 { rows } else { 1.0 });
     let unit = normal(first);
     let stated = object.slice_spacing.unwrap_or(1.0);
     let start = first.position.unwrap_or(DVec3::ZERO);
     if !first.stated[1] && first.stated[0] {
-        warnings.push("does not say how its slices are turned: their axes are taken as left and posterior".into());
+        warnings.push("does not state its image orientation; its axes are assumed to be left and posterior".into());
     }
     if !first.stated[0] {
-        warnings.push("does not say where its slices lie: they are taken in the order of their numbers, axes as left, posterior, superior".into());
+        warnings.push(
+            "does not state its slice positions; slices are ordered by instance number, and their axes are assumed to be left, posterior, superior"
+                .into(),
+        );
     }
     let step = match (first.position, last.position) {
         (Some(a), Some(b)) if n > 1 && (b - a).dot(unit).abs() > SAME_PLACE => (b - a) / (n - 1) as f64,
@@ -350,7 +355,7 @@ fn placement(frames: &[&Frame], object: &Object, resample: bool, warnings: &mut 
             let odd: Vec<usize> = (0..gaps.len()).filter(|&k| (gaps[k] - usual).abs() > UNEVEN[0].max(UNEVEN[1] * usual)).collect();
             let instead = format!("; the mean spacing of {mm:.2} mm is used, which misplaces slices by up to {off:.2} mm");
             warnings.push(format!(
-                "the spacing of its slices varies from {:.2} to {:.2} mm (it is not the usual {usual:.2} mm at {} mm along the normal){}",
+                "slice spacing varies from {:.2} to {:.2} mm (it differs from the usual {usual:.2} mm at {} mm along the normal){}",
                 by_size[0],
                 by_size[by_size.len() - 1],
                 list(&odd),
@@ -362,7 +367,7 @@ fn placement(frames: &[&Frame], object: &Object, resample: bool, warnings: &mut 
     let aside = frames.iter().zip(&along).filter_map(|(f, a)| Some((f.position? - start - step * *a).length())).fold(0.0, f64::max);
     let is_aside = aside > 0.5 * columns.min(rows);
     if is_aside {
-        warnings.push(format!("its slices do not lie behind one another: they are off by up to {aside:.2} mm"));
+        warnings.push(format!("its slices are not aligned along one axis; they are offset by up to {aside:.2} mm"));
     }
     let matrix3 = DMat3::from_cols(first.along[0] * columns, first.along[1] * rows, step);
     let off_mm = [if uneven { off } else { 0.0 }, if is_aside { aside } else { 0.0 }];
@@ -409,7 +414,7 @@ fn volume(path: &Path, objects: &[Object], frames: &[Frame], choice: &ReadOption
     } else if samples == 1 && !palette {
         let voxels = match (format.float, format.allocated, format.signed) {
             _ if !one_rescale => {
-                warnings.push("its slices have different rescale factors: values are kept as 32-bit floating point".into());
+                warnings.push("its slices have different rescale slopes or intercepts; values are stored as 32-bit floats".into());
                 job.scaled()?
             }
             (true, 32, _) => job.stored::<f32>()?.into(),
@@ -529,7 +534,7 @@ impl DecodeJob<'_> {
         let object = &self.objects[self.frames[0].object];
         if format.photometric == "PALETTE COLOR" {
             let tables =
-                object.palette.as_ref().ok_or_else(|| Error::file(self.path, "is in colours of a palette that it does not hold; export it again"))?;
+                object.palette.as_ref().ok_or_else(|| Error::file(self.path, "uses palette colour but contains no palette; export it again"))?;
             let indices = self.run::<u16>(&|_, v| v)?;
             return Ok(indices
                 .into_par_iter()
@@ -538,10 +543,10 @@ impl DecodeJob<'_> {
         }
         if format.samples != 3 || format.allocated != 8 {
             let (samples, bits) = (format.samples, format.allocated);
-            return Err(Error::file(self.path, format!("holds {samples} colours of {bits} bits per pixel; 3 of 8 bits can be read")));
+            return Err(Error::file(self.path, format!("has {samples} samples of {bits} bits per pixel; only 3 samples of 8 bits are supported")));
         }
         if format.photometric.starts_with("YBR_FULL_422") && self.uncompressed() {
-            return Err(Error::file(self.path, "holds uncompressed colours of half resolution (YBR_FULL_422); convert it to RGB"));
+            return Err(Error::file(self.path, "uses uncompressed chroma-subsampled colour (YBR_FULL_422); convert it to RGB"));
         }
         let mut values = self.run::<u8>(&|_, v| v)?;
         // Decoders of JPEG and JPEG 2000 give RGB.
@@ -596,7 +601,7 @@ impl DecodeJob<'_> {
             }
         }
         if overlaps > 0 {
-            warnings.push(format!("its segments overlap in {overlaps} voxels, which get the last one"));
+            warnings.push(format!("its segments overlap in {overlaps} voxels; the last segment is used there"));
         }
         Ok(if labels.iter().all(|l| *l < 256) { labels.into_iter().map(|l| l as u8).collect::<Vec<u8>>().into() } else { labels.into() })
     }
@@ -605,7 +610,7 @@ impl DecodeJob<'_> {
 /// Interpolates unevenly spaced slices onto an even grid of the usual step.
 fn evened(path: &Path, image: &mut Image, placement: &SlicePlacement, warnings: &mut Vec<String>) -> Result<()> {
     if image.components > 1 {
-        return Err(Error::file(path, "is in colour: its slices cannot be evened out"));
+        return Err(Error::file(path, "is a colour image; its slices cannot be resampled"));
     }
     let at = &placement.at;
     let mut gaps: Vec<f64> = at.windows(2).map(|w| w[1] - w[0]).collect();

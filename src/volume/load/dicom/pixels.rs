@@ -133,7 +133,7 @@ pub fn read(object: &Object) -> Result<Pixels> {
         let bytes = if fragments.is_empty() { Vec::new() } else { fragments.swap_remove(0) };
         return native(path, bytes, native_bytes, big);
     }
-    Ok(Pixels::Packed(frames_of(&table, fragments, frames).ok_or_else(|| damaged(format!("its pieces do not make up {frames} frames")))?))
+    Ok(Pixels::Packed(frames_of(&table, fragments, frames).ok_or_else(|| damaged(format!("its fragments do not form {frames} frames")))?))
 }
 
 fn native(path: &std::path::Path, bytes: Vec<u8>, needed: usize, big: bool) -> Result<Pixels> {
@@ -342,7 +342,7 @@ fn jpeg_2000(format: &PixelFormat, packed: &[u8]) -> Result<Vec<u8>, String> {
     let components = decoded.components();
     let pixels = usize::from(format.rows) * usize::from(format.columns);
     if components.len() < samples || components.iter().take(samples).any(|c| c.samples().len() != pixels) {
-        return Err("its components are of another size than the picture".into());
+        return Err("its components differ in size from the image".into());
     }
     let width = usize::from(format.allocated / 8).clamp(1, 4);
     let mut bytes = vec![0u8; pixels * samples * width];

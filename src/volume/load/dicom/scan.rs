@@ -415,12 +415,12 @@ fn check_lengths(opened: Opened) -> Result<(), String> {
 /// Opens an object; `most` bounds what a deflated one is unpacked to.
 pub fn open(source: &ObjectLocation, most: u64) -> Result<Opened> {
     let path = source.path();
-    let damaged = |e: String| Error::file(path, format!("is no DICOM file that can be read ({e}); copy or export it again"));
+    let damaged = |e: String| Error::file(path, format!("is not a readable DICOM file ({e}); copy or export it again"));
     let io = |e: std::io::Error| Error::io(path, "reading", e);
     let mut start = Vec::new();
     source.open(132)?.take(132).read_to_end(&mut start).map_err(io)?;
     if !is_dicom(&start) {
-        return Err(Error::file(path, "is no DICOM file"));
+        return Err(Error::file(path, "is not a DICOM file"));
     }
     let magic = if start.len() >= 132 && &start[128..132] == b"DICM" { 132 } else { 4 };
     if magic == 4 && bare_dataset(&start) {
@@ -558,7 +558,7 @@ fn described(source: ObjectLocation, syntax: String, set: &InMemDicomObject) -> 
         return Err(fail(format!("stores {} samples of {allocated} bits per pixel, which cannot be read", format.samples)));
     }
     if stored == 0 || stored > allocated || format.high_bit >= allocated || format.high_bit + 1 < stored {
-        return Err(fail(format!("stores {stored} of {allocated} bits ending at bit {}; its header is damaged", format.high_bit)));
+        return Err(fail(format!("has {stored} bits stored of {allocated} allocated with high bit {}; its header is damaged", format.high_bit)));
     }
     let class = text(set, tags::SOP_CLASS_UID);
     let segmentation = SEGMENTATION.contains(&class.as_str()) || text(set, tags::MODALITY) == "SEG";
@@ -633,7 +633,7 @@ fn frames(set: &InMemDicomObject, format: &PixelFormat, segmentation: bool, most
             None => [DVec3::X, DVec3::Y],
         };
         if along.cross(down).length() < 1e-3 {
-            return Err("states directions of rows and columns that are no directions; its header is damaged".into());
+            return Err("has an invalid image orientation (row and column directions); its header is damaged".into());
         }
         let mut position = from(tags::PLANE_POSITION_SEQUENCE, tags::IMAGE_POSITION_PATIENT)
             .or(detector)
