@@ -6,15 +6,15 @@ use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
 use incise::cpu;
 use incise::engine::Backend;
-use incise::gui::action::{Action, ActionEntry};
-use incise::gui::document::Selection;
-use incise::gui::files::{ClipForm, ClipMotion, Dialog, FilePurpose, NextStep, PictureForm};
 use incise::gui::gizmos::{Gizmo, Handle, Mode as GizmoMode, kind_of};
-use incise::gui::log::LogLevel;
-use incise::gui::session::Session;
-use incise::gui::tool::Tool;
-use incise::gui::views::slice_paint::Overlay;
-use incise::gui::views::slices::Space;
+use incise::gui::state::action::{Action, ActionEntry};
+use incise::gui::state::document::Selection;
+use incise::gui::state::files::{ClipForm, ClipMotion, Dialog, FilePurpose, NextStep, PictureForm};
+use incise::gui::state::log::LogLevel;
+use incise::gui::state::session::Session;
+use incise::gui::state::slice_paint::Overlay;
+use incise::gui::state::slices::Space;
+use incise::gui::state::tool::Tool;
 use incise::gui::{Options, Workstation};
 use incise::picture::Picture;
 use incise::prepare::Prepared;
@@ -253,7 +253,7 @@ pub fn every_panel_is_there() {
     for (tab, inside) in [("Maps", "New painted map"), ("Measure", "Distance"), ("Log", "Copy all"), ("Inspector", "Toggle perspective/orthographic")]
     {
         let app = bench.app();
-        let panel = incise::gui::layout::Panel::ALL.into_iter().find(|p| p.title() == tab).unwrap();
+        let panel = incise::gui::state::layout::Panel::ALL.into_iter().find(|p| p.title() == tab).unwrap();
         app.show_panel(panel);
         bench.step();
         bench.step();
@@ -293,7 +293,7 @@ pub fn a_peel_is_placed_undone_saved_and_opened_again() {
     let peel = &scene.deformation[0];
     assert_eq!((peel.kind.as_str(), bench.app().tool, peel.progress), ("peel", Tool::Navigate, Some(0.5)));
     // Its axis points out of the surface, which faces the viewer.
-    let turn = incise::gui::tool::matrix_of(peel.rotate.unwrap().into());
+    let turn = incise::gui::state::tool::matrix_of(peel.rotate.unwrap().into());
     let forward = bench.app().projector().unwrap().frame.forward;
     assert!((turn * glam::Vec3::Z).dot(forward) < -0.3, "{turn}");
     // The handle opens it, by a drag.
@@ -442,7 +442,7 @@ pub fn broken_files_are_told() {
     drop(&mut bench, &scene);
     assert_eq!(bench.scene(), before);
     // What a message says can be read in the log.
-    bench.app().show_panel(incise::gui::layout::Panel::Log);
+    bench.app().show_panel(incise::gui::state::layout::Panel::Log);
     bench.step();
     bench.step();
     assert!(bench.harness.query_all_by_label_contains("did you mean").next().is_some());

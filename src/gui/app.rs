@@ -1,30 +1,27 @@
 //! The workstation's state, and what happens in each of its frames.
 
-use super::action::{self, Action, ActionEntry};
-use super::document::{Document, Selection};
-use super::files::{Dialog, Files, Loading};
-use super::gizmos::{Drag, Mode as GizmoMode};
-use super::history::{CameraHistory, History};
-use super::layout::{LayoutPreset, Panel};
-use super::log::{Log, LogLevel};
-use super::panels::{self, Thumbnails, compare::ComparePanel, editor::Editor, inspector::Inspector, palette::Palette, transfer::TransferPanel};
-use super::session::Session;
-use super::tasks::Task;
-use super::tool::Tool;
-use super::views::slice_paint::Regions;
-use super::views::{slices::Slices, volume3d::View3d};
-use super::worker::{JobKind, JobOutput, JobTarget, MeasureResult, ProbePurpose, ProbeResult, Prober, Worker};
-use super::{history, theme};
+use super::gizmos::Mode as GizmoMode;
+use super::state::action::{self, Action};
+use super::state::comparison::ComparePanel;
+use super::state::document::Document;
+use super::state::files::{Dialog, Files};
+use super::state::history;
+use super::state::history::{CameraHistory, History};
+use super::state::layout::{LayoutPreset, Panel};
+use super::state::log::{Log, LogLevel};
+use super::state::panels::{Editor, Inspector, Thumbnails, TransferPanel};
+use super::state::session::Session;
+use super::state::slices::Slices;
+use super::state::tool::Tool;
+use super::state::view::View3d;
+use super::state::worker::{JobKind, JobOutput, JobTarget, ProbePurpose, ProbeResult, Prober, Worker};
+use super::state::{Hover, Options, Workstation};
+use super::text::wrapped;
+use super::theme;
 use crate::Error;
-use crate::engine::Backend;
 use crate::prepare::AssetKey;
-use crate::prepare::Assets;
-use crate::prepare::measure::nearest_value;
-use crate::scene::Scene;
-use crate::scene::measure::Measure;
 use eframe::egui::{self, Context, Ui};
 use egui_dock::{DockArea, DockState, TabViewer};
-use glam::Vec3;
 use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -34,160 +31,6 @@ use std::time::{Duration, Instant};
 const SLOW_MS: f32 = 50.0;
 /// Frames whose times are kept.
 const FRAMES: usize = 2000;
-
-/// How a workstation is started.
-#[derive(Clone, Debug, Default)]
-pub struct Options {
-    /// What to open.
-    pub file: Option<PathBuf>,
-    /// Where settings, automatic saves and maps are kept; the user's own folder by default.
-    pub folder: Option<PathBuf>,
-    /// Where pictures are computed, whatever the settings say.
-    pub backend: Option<Backend>,
-}
-
-/// A drag in a view.
-#[derive(Clone, Debug)]
-#[allow(missing_docs, reason = "each is what the pointer does")]
-pub enum Gesture {
-    Orbit,
-    Pan,
-    Zoom,
-    Roll,
-    Gizmo(Box<Drag>),
-    Lasso,
-    Brush,
-    Window3d,
-    Crosshair,
-    SlicePan,
-    SliceZoom,
-    Window,
-    SliceBrush,
-}
-
-/// What lies under the pointer.
-#[derive(Clone, Debug)]
-pub struct Hover {
-    /// Where it is seen, mm; none in a view of the source.
-    pub deformed: Option<Vec3>,
-    /// Where it came from, mm.
-    pub source: Vec3,
-    /// The volume's value there.
-    pub value: Option<f64>,
-    /// The label's name there.
-    pub region: Option<String>,
-}
-
-impl Hover {
-    /// A point of what is shown; its value is the picture's own, or else the nearest voxel's.
-    pub fn new(assets: &Assets, deformed: Option<Vec3>, source: Vec3, value: Option<f64>) -> Self {
-        let value = value.or_else(|| assets.has_volume.then(|| nearest_value(&assets.volume, source.as_dvec3())).flatten());
-        let region = Regions::new(assets).and_then(|r| r.label(source).filter(|l| *l > 0).map(|l| r.name(l)));
-        Self { deformed, source, value, region }
-    }
-
-    /// For the status line.
-    pub fn words(&self) -> String {
-        let place = |p: Vec3| {
-            let side = |v: f32, high: char, low: char| format!("{:.1} {}", v.abs(), if v > -0.05 { high } else { low });
-            format!("{} {} {}", side(p.x, 'L', 'R'), side(p.y, 'P', 'A'), side(p.z, 'S', 'I'))
-        };
-        let mut words = match self.deformed {
-            Some(deformed) if deformed.distance(self.source) > 0.05 => {
-                format!("{} mm {} source {}", place(deformed), egui_phosphor::regular::ARROW_RIGHT, place(self.source))
-            }
-            _ => format!("{} mm", place(self.source)),
-        };
-        if let Some(value) = self.value {
-            words += &format!(" · {}", panels::number(value, ""));
-        }
-        if let Some(region) = &self.region {
-            words += &format!(" · {region}");
-        }
-        words
-    }
-}
-
-/// A point that was clicked.
-#[derive(Clone, Copy, Debug)]
-pub struct PickedPoint {
-    /// Where it is seen, mm.
-    pub deformed: Vec3,
-    /// Where it came from, mm.
-    pub source: Vec3,
-}
-
-/// The application.
-pub struct Workstation {
-    /// The open scene.
-    pub doc: Option<Document>,
-    pub(super) history: History,
-    pub(super) cameras: CameraHistory,
-    pub(super) worker: Worker,
-    pub(super) prober: Prober,
-    /// The user's settings and automatic saves.
-    pub session: Session,
-    /// What was said.
-    pub log: Log,
-    toasts: egui_notify::Toasts,
-    pub(super) dock: DockState<Panel>,
-    pub(super) layout: LayoutPreset,
-    /// Panels to bring to the front, and whether to open those that are not there.
-    pub(super) panels_to_show: Vec<(Panel, bool)>,
-    /// The armed tool.
-    pub tool: Tool,
-    pub(super) gesture: Option<Gesture>,
-    /// The 3D view.
-    pub view: View3d,
-    /// The slice views.
-    pub slices: Slices,
-    pub(super) slice_window: Option<[f64; 2]>,
-    pub(super) transfer: TransferPanel,
-    /// The comparison.
-    pub compare: ComparePanel,
-    pub(super) inspector: Inspector,
-    pub(super) editor: Editor,
-    pub(super) thumbnails: Thumbnails,
-    /// What is measured, with its numbers.
-    pub measured: Vec<MeasureResult>,
-    measured_of: Option<(Vec<Measure>, Arc<Scene>, usize)>,
-    pub(super) pending_points: Vec<PickedPoint>,
-    pub(super) stroke_points: Vec<Vec3>,
-    pub(super) stroke_before: Option<Vec<String>>,
-    /// The scene that a stroke is drawn on.
-    pub(super) stroke_scene: Option<Arc<Scene>>,
-    /// Files that were dropped together, to be opened one after the other.
-    dropped: Vec<PathBuf>,
-    /// What lies under the pointer.
-    pub hover: Option<Hover>,
-    /// A file that is being loaded.
-    pub loading: Option<Loading>,
-    /// What runs in the background.
-    pub tasks: Vec<Task>,
-    /// The open dialog.
-    pub dialog: Option<Dialog>,
-    pub(super) files: Files,
-    pub(super) palette: Option<Palette>,
-    pub(super) keys_open: Option<String>,
-    /// All actions, with the user's keys.
-    pub entries: Vec<ActionEntry>,
-    pub(super) before: bool,
-    space: bool,
-    pub(super) serial: u64,
-    /// Counts changes of the scene.
-    pub edits: u64,
-    last_scene: Option<Arc<Scene>>,
-    /// Assets that could not be loaded are not asked for again until the scene changes.
-    pub(super) failed_assets: Option<AssetKey>,
-    /// Times of the last frames, ms.
-    pub frame_ms: VecDeque<f32>,
-    quitting: bool,
-    /// The last failure of a picture, so that it is told once.
-    failure: Option<String>,
-    pub(super) forced_backend: Option<Backend>,
-    /// The window's title.
-    title: String,
-}
 
 impl Workstation {
     /// A workstation on a context of the interface.
@@ -285,7 +128,7 @@ impl Workstation {
         let text = text.into();
         if self.log.add(level, text.clone()) {
             let short: String = if text.chars().count() > 220 { text.chars().take(220).chain("… (see Log)".chars()).collect() } else { text };
-            let wrapped = panels::wrapped(&short, 58);
+            let wrapped = wrapped(&short, 58);
             let duration = Some(Duration::from_secs(if level == LogLevel::Info { 4 } else { 9 }));
             let toast = match level {
                 LogLevel::Info => self.toasts.info(wrapped),
@@ -302,23 +145,6 @@ impl Workstation {
             Error::Cancelled => self.report(LogLevel::Info, "Cancelled"),
             other => self.report(LogLevel::Error, other.to_string()),
         }
-    }
-
-    /// Whether the undeformed volume is shown.
-    pub fn shows_undeformed(&self) -> bool {
-        self.before != self.space
-    }
-
-    /// Whether something is still under way: loading, tasks, pictures.
-    pub fn is_busy(&self) -> bool {
-        let waits = !self.view.is_fine && self.view.failure().is_none();
-        let views = self.doc.is_some() && self.view.rect.width() > 8.0 && waits && self.dock.find_tab(&Panel::View3d).is_some();
-        self.loading.is_some() || !self.tasks.is_empty() || !self.worker.is_idle() || self.prober.open > 0 || views
-    }
-
-    /// Whether every question about what lies under the pointer has been answered.
-    pub fn prober_is_idle(&self) -> bool {
-        self.prober.open == 0
     }
 
     /// Takes over what threads have done.
@@ -575,7 +401,7 @@ impl Workstation {
             self.dialog = Some(Dialog::Running);
         } else if self.doc.as_ref().is_some_and(Document::is_changed) {
             ctx.send_viewport_cmd(egui::ViewportCommand::CancelClose);
-            self.dialog = Some(Dialog::Unsaved(super::files::NextStep::Quit));
+            self.dialog = Some(Dialog::Unsaved(super::state::files::NextStep::Quit));
         } else {
             self.session.forget();
         }
@@ -620,7 +446,7 @@ impl Workstation {
         if self.loading.is_some() || !self.tasks.is_empty() {
             ctx.request_repaint_after_secs(0.1);
         } else if self.doc.is_some() {
-            ctx.request_repaint_after(super::session::AUTOSAVE);
+            ctx.request_repaint_after(super::state::session::AUTOSAVE);
         }
         let ms = start.elapsed().as_secs_f32() * 1e3;
         if ms > SLOW_MS && self.frame_ms.len() > 30 {
@@ -668,18 +494,6 @@ impl Workstation {
                 None if open => self.dock.push_to_first_leaf(panel),
                 None => {}
             }
-        }
-    }
-
-    /// The selected deformation's number, or none.
-    pub fn selected_deformation(&self) -> Option<usize> {
-        self.doc.as_ref().and_then(Document::deformation_index)
-    }
-
-    /// Selects something.
-    pub fn select(&mut self, selection: Selection) {
-        if let Some(doc) = &mut self.doc {
-            doc.selected = selection;
         }
     }
 }

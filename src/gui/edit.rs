@@ -1,12 +1,12 @@
 //! Doing what actions and tools ask for.
 
-use super::action::Action;
-use super::app::{Gesture, PickedPoint, Workstation};
-use super::document::Selection;
-use super::files::{ClipForm, ClipMotion, Dialog, NextStep};
-use super::layout::Panel;
-use super::log::LogLevel;
-use super::tool::{Tool, dropped, words};
+use super::state::action::Action;
+use super::state::document::Selection;
+use super::state::files::{ClipForm, ClipMotion, Dialog, NextStep};
+use super::state::layout::Panel;
+use super::state::log::LogLevel;
+use super::state::tool::{Tool, dropped, words};
+use super::state::{Gesture, PickedPoint, Workstation};
 use crate::cpu::pick::Pick;
 use crate::deform::kinds::Kind;
 use crate::deform::kinds::brush::{Lasso, Stroke, StrokeTool};
@@ -64,7 +64,7 @@ impl Workstation {
                 self.view.forget();
             }
             Action::CancelTasks => {
-                self.tasks.iter().for_each(super::tasks::Task::cancel);
+                self.tasks.iter().for_each(super::state::tasks::Task::cancel);
                 if let Some(loading) = &self.loading {
                     loading.cancel();
                 }
@@ -96,14 +96,14 @@ impl Workstation {
             Action::ResetCamera => self.reset_camera(),
             Action::FrameSelection => self.frame_selection(),
             Action::Compare => {
-                self.layout = super::layout::LayoutPreset::Compare;
+                self.layout = super::state::layout::LayoutPreset::Compare;
                 self.dock = self.layout.dock();
                 self.view.forget();
             }
             Action::BeforeAfter => self.before = !self.before,
             Action::StackToMap => self.dialog = Some(Dialog::SaveMap { name: "stack".into(), stack: true }),
             Action::SaveMap => {
-                if let Some(d) = self.doc.as_mut().and_then(super::document::Document::deformation) {
+                if let Some(d) = self.doc.as_mut().and_then(super::state::document::Document::deformation) {
                     let name = d.name.clone().unwrap_or_else(|| words(&d.kind));
                     self.dialog = Some(Dialog::SaveMap { name, stack: false });
                 }
@@ -308,7 +308,7 @@ impl Workstation {
             // Before what comes after it; and where its own map takes that from.
             let to = part(n + 1..scene.deformation.len())?.stack.source_and_alpha_unclipped(seen).0;
             let from = part(n..n + 1)?.stack.source_and_alpha_unclipped(to).0;
-            let pair = [super::tool::tidy(from), super::tool::tidy(to)].concat();
+            let pair = [super::state::tool::tidy(from), super::state::tool::tidy(to)].concat();
             let deformation = scene.deformation[n].clone();
             Ok(Box::new(move |app: &mut Workstation, _: &Context| {
                 if let Some(d) = app.doc.as_mut().and_then(|doc| doc.scene.deformation.get_mut(n)).filter(|d| **d == deformation) {
@@ -352,7 +352,7 @@ impl Workstation {
         if self.pending_points.len() < kind.points() {
             return;
         }
-        let points = self.pending_points.drain(..).map(|p| super::tool::tidy(p.source)).collect();
+        let points = self.pending_points.drain(..).map(|p| super::state::tool::tidy(p.source)).collect();
         let Some(doc) = &mut self.doc else { return };
         let name = Some(format!("{} {}", kind.name(), 1 + doc.scene.measure.iter().filter(|m| m.kind == kind).count()));
         doc.scene.measure.push(Measure { kind, name, points, label: None, before_resampling: false });
@@ -363,7 +363,7 @@ impl Workstation {
     /// Cuts out an outline, or puts it back.
     pub fn lasso(&mut self, restores: bool, eye_mm: f32, origin: Vec3, right: Vec3, up: Vec3, outline: Vec<Vec2>) {
         let Some(doc) = &mut self.doc else { return };
-        let rounded = |v: Vec3| Vec3::from(super::tool::tidy(v));
+        let rounded = |v: Vec3| Vec3::from(super::state::tool::tidy(v));
         let outline = outline.into_iter().map(|p| (p * 100.0).round() / 100.0).collect();
         doc.stroke(&Stroke::Lasso(Lasso { restores, eye_mm, origin: rounded(origin), right, up, outline }));
         let n = doc.scene.deformation.len() - 1;
@@ -390,7 +390,7 @@ impl Workstation {
         if !far || self.stroke_points.len() >= STROKE_POINTS {
             return;
         }
-        self.stroke_points.push(Vec3::from(super::tool::tidy(at)));
+        self.stroke_points.push(Vec3::from(super::state::tool::tidy(at)));
         let Some(tool) = StrokeTool::ALL.into_iter().find(|t| t.name() == tool) else { return };
         if tool == StrokeTool::Push && self.stroke_points.len() < 2 {
             return;

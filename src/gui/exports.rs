@@ -1,9 +1,10 @@
 //! What leaves the workstation: pictures, clips, baked volumes and fields, maps, tables, reports, command lines. Each is a task of its own, and
 //! nothing that the scene reads is written over.
 
-use super::app::Workstation;
-use super::files::{ClipForm, ClipMotion, FilePurpose, LARGEST_PICTURE, PictureForm, with_ending};
-use super::log::LogLevel;
+use super::files::with_ending;
+use super::state::Workstation;
+use super::state::files::{ClipForm, ClipMotion, FilePurpose, LARGEST_PICTURE, PictureForm};
+use super::state::log::LogLevel;
 use super::tasks::report_when_done;
 use crate::compare::Report;
 use crate::deform::{Stack, saved};

@@ -1,252 +1,24 @@
 //! Opening, saving and exporting, and the questions that come with it.
 
-use super::app::Workstation;
-use super::document::Document;
-use super::log::LogLevel;
-use super::session::Recovered;
+use super::state::Workstation;
+use super::state::document::Document;
+use super::state::files::*;
+use super::state::log::LogLevel;
+use super::state::session::Recovered;
 use crate::export::protect;
 use crate::files::OutputFile;
 use crate::files::path_text::text_of;
 use crate::prepare::{AssetKey, Assets, LoadOptions, Prepared};
 use crate::scene::{Mode, Scene, VolumeSource};
 use crate::volume::load::ReadOptions;
-use crate::{Error, Result, mesh};
-use eframe::egui::{self, Context};
-use egui_file_dialog::{DialogState, FileDialog};
+use crate::{Error, mesh};
+use eframe::egui::Context;
+use egui_file_dialog::DialogState;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, TryRecvError, channel};
+use std::sync::mpsc::{TryRecvError, channel};
 use std::sync::{Mutex, PoisonError};
-
-/// Largest edge of an exported picture that is offered, pixels.
-pub const LARGEST_PICTURE: u32 = 16_384;
-
-/// What is done after a question.
-#[derive(Clone, Debug, PartialEq)]
-pub enum NextStep {
-    /// Open a file.
-    Open(PathBuf),
-    /// Open an automatic save that a crash left behind.
-    Recover(PathBuf, Option<PathBuf>),
-    /// Close the scene.
-    Close,
-    /// Close the window.
-    Quit,
-}
-
-/// A question or a form.
-#[derive(Clone, Debug)]
-pub enum Dialog {
-    /// The scene has edits that are not saved.
-    Unsaved(NextStep),
-    /// Scenes that crashed windows left behind.
-    Recover(Vec<Recovered>),
-    /// A picture to export.
-    Picture(PictureForm),
-    /// A clip to export.
-    Clip(ClipForm),
-    /// A file of the scene is not where it was.
-    Locate {
-        /// The file that is missing.
-        missing: PathBuf,
-        /// The scene that names it.
-        scene: Box<Scene>,
-        /// Its file.
-        path: Option<PathBuf>,
-        /// Its name.
-        name: String,
-        /// What went wrong.
-        problem: String,
-    },
-    /// A second volume was dropped.
-    Second(PathBuf),
-    /// The window is to be closed while exports run.
-    Running,
-    /// A name for a map.
-    SaveMap {
-        /// The name.
-        name: String,
-        /// Of the whole stack instead of the selected deformation.
-        stack: bool,
-    },
-}
-
-/// How a picture is exported.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PictureForm {
-    /// Width and height, pixels.
-    pub size: [u32; 2],
-    /// Samples averaged along each edge of a pixel.
-    pub antialias: u32,
-    /// Sampling distance, voxels.
-    pub step: f32,
-    /// Without a background.
-    pub transparent: bool,
-}
-
-/// What moves in a clip.
-#[derive(Clone, Debug, PartialEq)]
-pub enum ClipMotion {
-    /// The camera, once around.
-    Orbit,
-    /// The progress of the selected deformation.
-    Progress(usize),
-    /// A number of the selected deformation: which deformation, its name.
-    Parameter(usize, String),
-}
-
-/// How a clip is exported.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ClipForm {
-    /// What moves.
-    pub travel: ClipMotion,
-    /// From and to, for what is no orbit.
-    pub range: [f32; 2],
-    /// There and back again.
-    pub back: bool,
-    /// Frames.
-    pub frames: usize,
-    /// Frames per second.
-    pub rate: f32,
-    /// Width and height, pixels.
-    pub size: [u32; 2],
-}
-
-/// What a file is wanted for.
-#[derive(Clone, Debug)]
-pub enum FilePurpose {
-    /// To open.
-    Open,
-    /// To save the scene, and then go on.
-    Save(Option<NextStep>),
-    /// To export a picture.
-    Picture(PictureForm),
-    /// To export a clip.
-    Clip(ClipForm),
-    /// To bake: the field instead of the volume.
-    Bake {
-        /// The field.
-        field: bool,
-    },
-    /// The folder of a report.
-    Report,
-    /// A table of measurements.
-    Measures,
-    /// A transfer function to read.
-    ImportTransfer,
-    /// A transfer function to write.
-    ExportTransfer,
-    /// The place of a missing file.
-    Locate(Box<Dialog>),
-    /// A label map over the volume.
-    Labels,
-}
-
-impl FilePurpose {
-    /// The ending of what is saved, where there is one alone, and its name.
-    fn ending(&self) -> Option<(&'static str, &'static str)> {
-        match self {
-            Self::Save(_) => Some(("toml", "Scene")),
-            Self::ExportTransfer => Some(("toml", "Transfer function")),
-            Self::Picture(_) => Some(("png", "Picture")),
-            Self::Measures => Some(("csv", "Table")),
-            _ => None,
-        }
-    }
-}
-
-/// The file dialog and what it is open for.
-pub struct Files {
-    dialog: FileDialog,
-    purpose: Option<FilePurpose>,
-    folder: Option<PathBuf>,
-}
-
-impl Files {
-    /// None open.
-    pub fn new() -> Self {
-        Self { dialog: FileDialog::new(), purpose: None, folder: None }
-    }
-
-    /// Whether it is open.
-    pub fn is_open(&self) -> bool {
-        self.purpose.is_some()
-    }
-
-    /// Opens it.
-    pub(super) fn open_dialog(&mut self, purpose: FilePurpose, title: &str, name: Option<&str>, filters: &[(&str, &'static [&'static str])]) {
-        let mut dialog =
-            FileDialog::new().title(title).default_size([760.0, 460.0]).as_modal(true).anchor(egui::Align2::CENTER_CENTER, [0.0, 0.0]).movable(false);
-        if let Some(folder) = &self.folder {
-            dialog = dialog.initial_directory(folder.clone());
-        }
-        if let Some(name) = name {
-            dialog = dialog.default_file_name(name);
-        }
-        for (label, endings) in filters {
-            dialog = dialog.add_file_filter_extensions(label, endings.to_vec());
-        }
-        // What the dialog asks about is the file that will be written.
-        if let Some(ending) = purpose.ending() {
-            dialog = dialog.add_save_extension(ending.1, ending.0).default_save_extension(ending.1);
-        }
-        let saves = name.is_some();
-        self.dialog = dialog;
-        match &purpose {
-            FilePurpose::Report => self.dialog.pick_directory(),
-            _ if saves => self.dialog.save_file(),
-            _ => self.dialog.pick_file(),
-        }
-        self.purpose = Some(purpose);
-    }
-
-    pub(super) fn open_folder_dialog(&mut self, purpose: FilePurpose, title: &str) {
-        self.open_dialog(purpose, title, None, &[]);
-        self.dialog.pick_directory();
-    }
-}
-
-impl Default for Files {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
-/// A file being loaded.
-pub struct Loading {
-    /// Its name.
-    pub name: String,
-    stage: Arc<Mutex<(&'static str, f32)>>,
-    cancel: Arc<AtomicBool>,
-    result: Receiver<Result<Loaded>>,
-    /// What it was asked for.
-    key: Option<AssetKey>,
-    path: Option<PathBuf>,
-    /// It replaces only what is loaded for the open scene.
-    pub(super) same: bool,
-    /// The automatic save that it comes from: it was never saved as it is.
-    recovered: Option<Recovered>,
-}
-
-struct Loaded {
-    scene: Scene,
-    assets: Assets,
-    /// Why it cannot be shown as it is.
-    problem: Option<Error>,
-}
-
-impl Loading {
-    /// What it does, and the share that is done.
-    pub fn stage(&self) -> (&'static str, f32) {
-        *self.stage.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Tells it to stop.
-    pub fn cancel(&self) {
-        self.cancel.store(true, Ordering::Relaxed);
-    }
-}
 
 /// The first file of a scene that is not there.
 fn missing(scene: &Scene) -> Option<PathBuf> {
@@ -287,7 +59,7 @@ impl Workstation {
         self.worker.drop_jobs(|_| true);
         self.doc = None;
         self.session.forget();
-        self.history = super::history::History::default();
+        self.history = super::state::history::History::default();
         self.forget_pictures();
     }
 
@@ -367,7 +139,7 @@ impl Workstation {
             let loaded = assets.map(|assets| {
                 // What every frame asks is found out here.
                 let problem = Prepared::new(&small(&scene), &assets).err();
-                assets.volume.histogram(super::panels::transfer::BINS);
+                assets.volume.histogram(super::state::panels::BINS);
                 assets.volume.window(None, None);
                 assets.volume.labels();
                 Loaded { scene, assets, problem }
@@ -438,7 +210,7 @@ impl Workstation {
         self.worker.drop_jobs(|_| true);
         self.forget_pictures();
         self.history.start(&scene);
-        self.cameras = super::history::CameraHistory::default();
+        self.cameras = super::state::history::CameraHistory::default();
         self.failed_assets = None;
         let mut doc = Document::new(scene, loading.path, loading.name, Arc::new(assets));
         let recovered = loading.recovered;
@@ -475,7 +247,7 @@ impl Workstation {
             "toml" => self.open(ctx, path),
             _ if mesh::load::is_mesh(path) => {
                 doc.scene.mesh.push(crate::scene::surface::MeshSource::of_file(text));
-                doc.selected = super::document::Selection::Mesh(doc.scene.mesh.len() - 1);
+                doc.selected = super::state::document::Selection::Mesh(doc.scene.mesh.len() - 1);
                 self.session.opened(path);
             }
             "mat" | "tfm" | "txt" | "h5" | "lta" | "xfm" => {
@@ -503,7 +275,7 @@ impl Workstation {
                 let name = path.file_name().map(|n| n.to_string_lossy().into_owned());
                 let volume = Some(text_of(&path));
                 doc.scene.mesh.push(crate::scene::surface::MeshSource { iso: Some(iso), volume, name, ..Default::default() });
-                doc.selected = super::document::Selection::Mesh(doc.scene.mesh.len() - 1);
+                doc.selected = super::state::document::Selection::Mesh(doc.scene.mesh.len() - 1);
             }))
         });
     }

@@ -1,32 +1,27 @@
 //! The workstation: a window on a scene.
 //!
-//! *How it is made*: the interface only ever edits a [`Scene`](crate::scene::Scene) and asks for pictures of it. A worker thread renders ([`worker`]), another one
+//! *How it is made*: the interface only ever edits a [`Scene`](crate::scene::Scene) and asks for pictures of it. A worker thread renders ([`worker`](state::worker)), another one
 //! answers what lies under the pointer, loading and exports are tasks with threads of their own; no frame of the interface waits for any of
-//! them. What is undone is the scene without its camera, one step for every gesture ([`history`]). What must survive a crash is written
-//! every minute and before risky steps ([`session`]).
+//! them. What is undone is the scene without its camera, one step for every gesture ([`history`](state::history)). What must survive a crash is written
+//! every minute and before risky steps ([`session`](state::session)).
 //!
-//! *Where things are*: [`action`] lists everything that can be done, `edit` does it; `views` are the pictures, `gizmos` the handles on them,
+//! *Where things are*: [`state`] is what all of them read, and its [`action`](state::action) lists everything that can be done, `edit` does it; `views` are the pictures, `gizmos` the handles on them,
 //! `panels` everything beside them; `files` opens and saves, `exports` exports.
 
-pub mod action;
 pub mod app;
-pub mod document;
 mod edit;
 mod exports;
 pub mod files;
 pub mod gizmos;
-pub mod history;
-pub mod layout;
-pub mod log;
 pub mod panels;
-pub mod session;
+pub mod projector;
+pub mod state;
 pub mod tasks;
+mod text;
 pub mod theme;
-pub mod tool;
 pub mod views;
-pub mod worker;
 
-pub use app::{Options, Workstation};
+pub use state::{Options, Workstation};
 
 use crate::{Error, Result};
 use eframe::egui;

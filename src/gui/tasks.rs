@@ -1,36 +1,13 @@
 //! Work in the background that ends in something: exports, baking, reports. Each has a thread, a progress bar and a button that cancels it.
 
-use super::app::Workstation;
-use super::log::LogLevel;
+use super::state::Workstation;
+use super::state::log::LogLevel;
+use super::state::tasks::{Finish, Task};
 use crate::{Error, Result, Watch};
 use eframe::egui::Context;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use std::sync::mpsc::{Receiver, TryRecvError, channel};
-
-/// What to do with the workstation once the work is done.
-pub type Finish = Box<dyn FnOnce(&mut Workstation, &Context) + Send>;
-
-/// One piece of work.
-pub struct Task {
-    /// What it does, in words.
-    pub name: String,
-    progress: Arc<AtomicU32>,
-    cancel: Arc<AtomicBool>,
-    result: Receiver<Result<Finish>>,
-}
-
-impl Task {
-    /// Share that is done.
-    pub fn progress(&self) -> f32 {
-        self.progress.load(Ordering::Relaxed) as f32 / 1000.0
-    }
-
-    /// Tells it to stop.
-    pub fn cancel(&self) {
-        self.cancel.store(true, Ordering::Relaxed);
-    }
-}
+use std::sync::mpsc::{TryRecvError, channel};
 
 /// Ends by telling something.
 pub fn report_when_done(text: String) -> Finish {

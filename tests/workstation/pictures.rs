@@ -5,8 +5,8 @@
 
 use super::*;
 use egui::epaint::{ClippedShape, ColorImage, ImageData, Shape, TextureId};
+use incise::gui::state::shown::DisplayedPicture;
 use incise::gui::views::letters;
-use incise::gui::views::shown::DisplayedPicture;
 use incise::prepare::{Assets, Deformed};
 use incise::scene::measure::Measure;
 use incise::scene::{Projection, Size};
@@ -110,7 +110,7 @@ fn check(harness: &Harness<'static, Workstation>, screen: &Screen, exact: bool, 
     let pixels = screen.0.lock().unwrap()[&id].clone();
     let DisplayedPicture { of, .. } = picture;
     let camera = of.scene.camera.frame(&of.assets.scene_box(), [pixels.size[0] as u32, pixels.size[1] as u32]).map_err(|e| e.to_string())?;
-    let projector = incise::gui::views::Projector { frame: camera, rect: *place };
+    let projector = incise::gui::projector::Projector { frame: camera, rect: *place };
     if picture.frame != camera {
         return Err("the picture's camera is not that of its scene".into());
     }
@@ -204,7 +204,7 @@ fn check(harness: &Harness<'static, Workstation>, screen: &Screen, exact: bool, 
 }
 
 /// The picture that the view says it shows, rendered by the library.
-fn rendered(picture: &DisplayedPicture, facts: &incise::gui::views::volume3d::Facts, size: [usize; 2]) -> ColorImage {
+fn rendered(picture: &DisplayedPicture, facts: &incise::gui::state::view::Facts, size: [usize; 2]) -> ColorImage {
     let mut scene: Scene = (*picture.of.scene).clone();
     let coarse = scene.render.size != size.map(|n| n as u32);
     (scene.render.size, scene.render.step) = (size.map(|n| n as u32), facts.step);
@@ -325,7 +325,7 @@ fn act(app: &mut Workstation, ctx: &egui::Context, below: &mut impl FnMut(usize)
 }
 
 /// Edits the scene at random: also so that it cannot be rendered any more, and so that it takes long.
-fn edit(doc: &mut incise::gui::document::Document, n: usize, below: &mut impl FnMut(usize) -> usize) -> String {
+fn edit(doc: &mut incise::gui::state::document::Document, n: usize, below: &mut impl FnMut(usize) -> usize) -> String {
     let scene = &mut doc.scene;
     match n {
         14 if scene.deformation.len() < 4 => {

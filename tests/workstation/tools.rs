@@ -393,7 +393,7 @@ pub fn uneven_slices_are_told_and_mended() {
         before_resampling: false,
     };
     bench.app().doc.as_mut().unwrap().scene.measure.push(measure);
-    bench.app().show_panel(incise::gui::layout::Panel::Measure);
+    bench.app().show_panel(incise::gui::state::layout::Panel::Measure);
     bench.settle();
     assert!(bench.harness.query_by_label_contains("not shown at their acquired positions").is_some());
     bench.click("Resample");

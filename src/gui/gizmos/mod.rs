@@ -7,9 +7,10 @@ mod paths;
 
 pub use paths::{HandlePath, path_of, progress_path};
 
+use super::projector::Projector;
+use super::state::tool::{angles_of, matrix_of, tidy};
 use super::theme::{AXES, ON_CANVAS, SELECTED};
-use super::tool::{angles_of, matrix_of, tidy};
-use super::views::{Projector, text};
+use super::views::text;
 use crate::deform::Argument;
 use crate::deform::kinds::{self, DefaultSize, Kind, Unit};
 use crate::math::Bounds;
@@ -523,7 +524,8 @@ mod tests {
         let scene_box = Bounds::new(Vec3::splat(-80.0), Vec3::splat(80.0));
         let mut tried = 0;
         for kind in kinds::list() {
-            let mut d = super::super::tool::dropped(kind, &scene_box, Some((Vec3::new(20.0, -70.0, 30.0), Vec3::new(0.28, -0.96, 0.0))), Vec3::X);
+            let mut d =
+                super::super::state::tool::dropped(kind, &scene_box, Some((Vec3::new(20.0, -70.0, 30.0), Vec3::new(0.28, -0.96, 0.0))), Vec3::X);
             d.progress = kind.progressive.then_some(0.5);
             for mode in [Mode::Shape, Mode::Move, Mode::Rotate, Mode::Scale] {
                 let gizmo = Gizmo { projector: projector(&scene_box, "25,15"), kind, deformation: &d, scene_box, mode };

@@ -1,157 +1,23 @@
 //! Two renderers of the same scene from the same camera: side by side, under a wiper, or as their difference; with numbers.
 
-use super::number;
-use crate::compare::{Difference, difference, difference_picture};
+use crate::compare::{difference, difference_picture};
 use crate::engine::Quality;
-use crate::gui::action::Action;
-use crate::gui::app::{Gesture, Workstation};
+use crate::gui::state::action::Action;
+use crate::gui::state::comparison::*;
+use crate::gui::state::worker::{JobKind, JobTarget, RenderedView};
+use crate::gui::state::{Gesture, Workstation};
+use crate::gui::text::number;
 use crate::gui::theme;
-use crate::gui::views::shown::{self, OutdatedNotice};
+use crate::gui::views::shown;
 use crate::gui::views::text;
-use crate::gui::worker::{JobKind, JobTarget, RenderedView};
-use crate::picture::{Picture, RenderStats};
 use crate::prepare::Assets;
 use crate::scene::{Mode, Scene};
-use eframe::egui::{
-    self, Align2, Color32, ColorImage, Context, PointerButton, Rect, Sense, Slider, Stroke, TextureHandle, TextureOptions, Ui, pos2, vec2,
-};
+use eframe::egui::{self, Align2, Color32, ColorImage, Context, PointerButton, Rect, Sense, Slider, Stroke, TextureOptions, Ui, pos2, vec2};
 use std::sync::Arc;
 use std::time::Instant;
 
 /// Pictures are asked for when nothing has changed for this long, seconds.
 const REST: f64 = 0.2;
-
-/// One side.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ComparisonSide {
-    /// The renderer.
-    pub mode: Mode,
-    /// Its sampling distance, voxels.
-    pub step: f32,
-}
-
-impl ComparisonSide {
-    /// The scene as this side renders it.
-    pub fn scene(&self, scene: &Scene) -> Scene {
-        let mut scene = scene.clone();
-        scene.render.mode = self.mode;
-        scene.render.step = self.step;
-        scene.render.antialias = 1;
-        scene
-    }
-
-    /// Its name.
-    pub fn words(&self) -> String {
-        format!("{} step {}", word(self.mode), (self.step * 100.0).round() / 100.0)
-    }
-}
-
-fn word(mode: Mode) -> &'static str {
-    match mode {
-        Mode::Slice => "slicing",
-        Mode::Raycast => "raycast",
-        Mode::Surface => "SDF",
-    }
-}
-
-/// How the two are shown.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Arrangement {
-    /// Beside each other.
-    #[default]
-    Split,
-    /// One over the other, up to a line.
-    Swipe,
-    /// How far they are apart.
-    Difference,
-}
-
-#[derive(Default)]
-struct PaneResult {
-    texture: Option<TextureHandle>,
-    /// What it shows.
-    side: Option<ComparisonSide>,
-    delay: OutdatedNotice,
-    picture: Option<Arc<Picture>>,
-    stats: Option<RenderStats>,
-    ms: f64,
-    backend: String,
-    serial: u64,
-}
-
-/// What the panel keeps.
-pub struct ComparePanel {
-    /// The two sides.
-    pub sides: [ComparisonSide; 2],
-    /// How they are shown.
-    pub arrangement: Arrangement,
-    swipe: f32,
-    results: [PaneResult; 2],
-    requested: [Option<Arc<Scene>>; 2],
-    requested_sides: [Option<ComparisonSide>; 2],
-    assets: Option<Arc<Assets>>,
-    /// The scene has changed since the pair was asked for.
-    behind: bool,
-    changed_at: Instant,
-    serials: [u64; 2],
-    /// Numbers of the present pair.
-    pub difference: Option<Difference>,
-    difference_of: (u64, u64),
-    difference_open: bool,
-    difference_texture: Option<TextureHandle>,
-    rect: Rect,
-    pane: [u32; 2],
-    was_drawn: bool,
-    wiping: bool,
-}
-
-impl Default for ComparePanel {
-    fn default() -> Self {
-        Self {
-            sides: [ComparisonSide { mode: Mode::Slice, step: 1.0 }, ComparisonSide { mode: Mode::Raycast, step: 1.0 }],
-            arrangement: Arrangement::Split,
-            swipe: 0.5,
-            results: Default::default(),
-            requested: [None, None],
-            requested_sides: [None; 2],
-            assets: None,
-            behind: false,
-            changed_at: Instant::now(),
-            serials: [0; 2],
-            difference: None,
-            difference_of: (0, 0),
-            difference_open: false,
-            difference_texture: None,
-            rect: Rect::ZERO,
-            pane: [0; 2],
-            was_drawn: false,
-            wiping: false,
-        }
-    }
-}
-
-impl ComparePanel {
-    /// Everything is to be asked for again.
-    pub fn forget(&mut self) {
-        *self = Self { sides: self.sides, arrangement: self.arrangement, swipe: self.swipe, ..Self::default() };
-    }
-
-    /// A side could not be rendered.
-    pub fn failed(&mut self, side: usize, serial: u64, problem: &str) {
-        if self.serials.get(side) == Some(&serial) {
-            self.results[side].delay.failure = Some(problem.to_owned());
-        }
-    }
-
-    fn is_current(&self, side: usize) -> bool {
-        !self.behind && self.serials[side] > 0 && self.results[side].serial == self.serials[side]
-    }
-
-    /// Whether both pictures and their numbers are there.
-    pub fn is_done(&self) -> bool {
-        self.difference.is_some() && !self.difference_open && (0..2).all(|n| self.is_current(n))
-    }
-}
 
 /// A difference is enlarged so much to be seen.
 const AMPLIFY: f32 = 8.0;

@@ -1,7 +1,7 @@
 //! Questions and forms.
 
-use crate::gui::app::Workstation;
-use crate::gui::files::{ClipForm, ClipMotion, Dialog, LARGEST_PICTURE, NextStep, PictureForm};
+use crate::gui::state::Workstation;
+use crate::gui::state::files::{ClipForm, ClipMotion, Dialog, LARGEST_PICTURE, NextStep, PictureForm};
 use eframe::egui::{self, Context, DragValue, Id, Modal, RichText, Slider, Ui};
 
 /// What a dialog decided.
@@ -159,7 +159,7 @@ fn buttons<T: 'static>(ui: &mut Ui, word: &str, form: T, f: impl FnOnce(&mut Wor
     decision
 }
 
-fn recover(ui: &mut Ui, left: &[crate::gui::session::Recovered]) -> Decision {
+fn recover(ui: &mut Ui, left: &[crate::gui::state::session::Recovered]) -> Decision {
     ui.heading("Recover unsaved work");
     ui.label("incise quit unexpectedly with unsaved changes in these scenes:");
     let mut decision = Decision::Open;
@@ -231,7 +231,7 @@ fn running(ui: &mut Ui) -> Decision {
     ui.horizontal(|ui| {
         if ui.button("Cancel exports and close").clicked() {
             decision = then(|app, ctx| {
-                app.tasks.iter().for_each(crate::gui::tasks::Task::cancel);
+                app.tasks.iter().for_each(crate::gui::state::tasks::Task::cancel);
                 app.end_tasks();
                 app.after(ctx, NextStep::Quit);
             });

@@ -4,30 +4,14 @@
 use super::{heading, tool_button};
 use crate::deform::{Argument, compose};
 use crate::files::path_text::text_of;
-use crate::gui::action::Action;
-use crate::gui::app::Workstation;
-use crate::gui::tool::{Placed, Tool, symbol, tidy, words};
-use crate::gui::views::slice_paint::Overlay;
+use crate::gui::state::Workstation;
+use crate::gui::state::action::Action;
+use crate::gui::state::slice_paint::Overlay;
+use crate::gui::state::tool::{Placed, Tool, symbol, tidy, words};
 use crate::scene::{Deformation, Size};
 use eframe::egui::{self, Context, RichText, Slider, Ui};
 use egui_phosphor::regular as icon;
 use std::path::Path;
-
-/// What the editor keeps.
-pub struct Editor {
-    /// Reach of a brush, mm.
-    pub radius: f32,
-    /// Its strength.
-    pub strength: f32,
-    /// The label that is measured.
-    pub label: u32,
-}
-
-impl Default for Editor {
-    fn default() -> Self {
-        Self { radius: 15.0, strength: 0.8, label: 1 }
-    }
-}
 
 impl Workstation {
     /// The panel.

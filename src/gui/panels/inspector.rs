@@ -5,24 +5,18 @@ use crate::deform::kinds::{DefaultSize, Kind, Setting, SettingFormat, Unit};
 use crate::deform::quality::FieldQuality;
 use crate::deform::{Argument, Storage};
 use crate::files::path_text::path_of;
-use crate::gui::action::Action;
-use crate::gui::app::Workstation;
-use crate::gui::document::{Document, Selection};
 use crate::gui::gizmos::{self, BoxPlacement};
-use crate::gui::tool::{tidy, words};
+use crate::gui::state::Workstation;
+use crate::gui::state::action::Action;
+use crate::gui::state::document::{Document, Selection};
+use crate::gui::state::tool::{tidy, words};
+use crate::gui::text::capital;
 use crate::scene::surface::{CutModel, Look};
 use crate::scene::{CutFaces, Deformation, Mode, Normals, Projection, Size};
 use crate::volume::GradientFilter;
 use eframe::egui::{self, DragValue, RichText, Slider, Ui};
 use egui_phosphor::regular as icon;
 use std::path::Path;
-
-/// What the inspector keeps.
-#[derive(Default)]
-pub struct Inspector {
-    /// The last report on a field.
-    pub health: Option<String>,
-}
 
 /// Whether a field folds, and its figures in words.
 pub fn health_words(health: &FieldQuality) -> (bool, String) {
@@ -369,15 +363,6 @@ fn show_numbers(ui: &mut Ui, d: &mut Deformation, kind: &Kind, scene_box: &crate
             d.parameters.insert(p.name, v.max(min).min(max));
         }
     }
-}
-
-/// The text with a capital in front.
-pub(in crate::gui) fn capital(text: &str) -> String {
-    let mut text = text.to_owned();
-    if let Some(first) = text.get_mut(0..1) {
-        first.make_ascii_uppercase();
-    }
-    text
 }
 
 /// A setting as text, and back: numbers, several of them, words.

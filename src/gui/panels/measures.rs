@@ -1,10 +1,11 @@
 //! Measurements: tools, the list with its numbers, labels.
 
-use super::{heading, number, tool_button};
-use crate::gui::action::Action;
-use crate::gui::app::Workstation;
-use crate::gui::document::Selection;
-use crate::gui::tool::Tool;
+use super::{heading, tool_button};
+use crate::gui::state::Workstation;
+use crate::gui::state::action::Action;
+use crate::gui::state::document::Selection;
+use crate::gui::state::tool::Tool;
+use crate::gui::text::number;
 use crate::scene::measure::{Measure, MeasureKind};
 use eframe::egui::{self, DragValue, RichText, Ui};
 use egui_phosphor::regular as icon;

@@ -1,6 +1,6 @@
 //! A bar over the views that stays while slices are shown elsewhere than they were taken, and offers to put them right.
 
-use crate::gui::app::Workstation;
+use crate::gui::state::Workstation;
 use eframe::egui::{self, RichText, Ui};
 use egui_phosphor::regular as icon;
 

@@ -10,68 +10,26 @@ pub mod palette;
 pub mod scene;
 pub mod transfer;
 
-use super::action::{self, Action};
-use super::app::Workstation;
-use super::document::Selection;
-use super::session::EXAMPLES;
+use super::state::Workstation;
+use super::state::action::{self, Action};
+use super::state::document::Selection;
+use super::state::session::EXAMPLES;
+use super::state::slices::Space;
+use super::state::tool::{Placed, Tool, symbol, words};
+use super::state::worker::{JobKind, JobTarget};
 use super::theme;
-use super::tool::{Placed, Tool, symbol, words};
-use super::views::slices::Space;
-use super::worker::{JobKind, JobTarget};
 use crate::deform::kinds;
 use crate::engine::{Backend, Quality};
-use crate::gui::views::slice_paint::Overlay;
+use crate::gui::state::slice_paint::{self, Overlay};
 use crate::scene::measure::MeasureKind;
 use crate::scene::{Mode, Scene, example};
 use crate::transfer::{TransferSettings, list as presets};
-use eframe::egui::{self, Align, Color32, ColorImage, Context, Layout, Response, RichText, TextureHandle, Ui, WidgetInfo, WidgetType, vec2};
+use eframe::egui::{self, Align, Color32, Context, Layout, Response, RichText, TextureHandle, Ui, WidgetInfo, WidgetType, vec2};
 use egui_phosphor::regular as icon;
-use std::collections::HashMap;
 use std::sync::Arc;
 
 /// Edge of a thumbnail, pixels.
 const THUMBNAIL: u32 = 112;
-
-/// A number with as many digits as it deserves, and its unit.
-pub fn number(value: f64, unit: &str) -> String {
-    let digits = match value.abs() {
-        v if v >= 1000.0 => 0,
-        v if v >= 10.0 => 1,
-        _ => 2,
-    };
-    let text = format!("{value:.digits$}");
-    match unit {
-        "" => text,
-        "°" => format!("{text}°"),
-        unit => format!("{text} {unit}"),
-    }
-}
-
-/// A text broken into lines of at most so many characters, at blanks where there are any.
-pub fn wrapped(text: &str, most: usize) -> String {
-    let mut out = String::new();
-    let mut length = 0;
-    for word in text.split(' ') {
-        let n = word.chars().count();
-        if length > 0 && length + n + 1 > most {
-            out.push('\n');
-            length = 0;
-        } else if length > 0 {
-            out.push(' ');
-            length += 1;
-        }
-        let mut rest: Vec<char> = word.chars().collect();
-        while rest.len() > most {
-            let tail = rest.split_off(most);
-            out.extend(rest);
-            out.push('\n');
-            rest = tail;
-        }
-        length += rest.len();
-        out.extend(rest);
-    }
-    out
-}
 
 /// A button with an icon and a word, told to assistive technology by its word alone.
 pub fn tool_button(ui: &mut Ui, symbol: &str, word: &str, selected: bool, tip: &str) -> Response {
@@ -97,46 +55,6 @@ fn labelled(response: &Response, word: &str, selected: bool) {
 pub fn heading(ui: &mut Ui, text: &str) {
     ui.add_space(4.0);
     ui.label(RichText::new(text).strong());
-}
-
-/// Pictures of presets and kinds.
-#[derive(Default)]
-pub struct Thumbnails {
-    presets: HashMap<usize, TextureHandle>,
-    kinds: HashMap<usize, TextureHandle>,
-    requested_key: Option<(usize, String)>,
-    /// The gallery of presets or kinds has been shown.
-    pub shows_presets: bool,
-    /// See above.
-    pub shows_kinds: bool,
-    open: Vec<JobTarget>,
-}
-
-impl Thumbnails {
-    /// Nothing of them is true any more.
-    pub fn forget(&mut self) {
-        *self = Self::default();
-    }
-
-    /// Takes a preset's.
-    pub fn preset_arrived(&mut self, ctx: &Context, n: usize, image: ColorImage) {
-        self.presets.insert(n, ctx.load_texture(format!("preset {n}"), image, egui::TextureOptions::LINEAR));
-    }
-
-    /// Takes a kind's.
-    pub fn kind_arrived(&mut self, ctx: &Context, n: usize, image: ColorImage) {
-        self.kinds.insert(n, ctx.load_texture(format!("kind {n}"), image, egui::TextureOptions::LINEAR));
-    }
-
-    /// A preset's.
-    pub fn preset(&self, n: usize) -> Option<&TextureHandle> {
-        self.presets.get(&n)
-    }
-
-    /// A kind's.
-    pub fn kind(&self, n: usize) -> Option<&TextureHandle> {
-        self.kinds.get(&n)
-    }
 }
 
 impl Workstation {
@@ -367,7 +285,7 @@ impl Workstation {
                     let left = self
                         .hover
                         .as_ref()
-                        .map(super::app::Hover::words)
+                        .map(super::state::Hover::words)
                         .or_else(|| self.doc.as_ref().map(|_| self.title()))
                         .unwrap_or_else(|| "incise".into());
                     ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
@@ -482,7 +400,7 @@ impl Workstation {
             if self.slices.overlay == Overlay::Jacobian {
                 ui.horizontal(|ui| {
                     for (det, word) in [(3.0, "compressed"), (0.3, "stretched"), (-1.0, "folded")] {
-                        let (color, _) = super::views::slice_paint::determinant_color(det);
+                        let (color, _) = slice_paint::determinant_color(det);
                         let (rect, _) = ui.allocate_exact_size(vec2(12.0, 12.0), egui::Sense::hover());
                         ui.painter().rect_filled(rect, 2.0, color);
                         ui.label(word);
@@ -591,9 +509,9 @@ impl Workstation {
         let (warn, error) = (ui.visuals().warn_fg_color, ui.visuals().error_fg_color);
         for entry in self.log.entries().iter().rev() {
             let (symbol, color) = match entry.level {
-                super::log::LogLevel::Info => (icon::INFO, None),
-                super::log::LogLevel::Warning => (icon::WARNING, Some(warn)),
-                super::log::LogLevel::Error => (icon::PROHIBIT, Some(error)),
+                super::state::log::LogLevel::Info => (icon::INFO, None),
+                super::state::log::LogLevel::Warning => (icon::WARNING, Some(warn)),
+                super::state::log::LogLevel::Error => (icon::PROHIBIT, Some(error)),
             };
             let times = if entry.times > 1 { format!(" (×{})", entry.times) } else { String::new() };
             let mut text = RichText::new(format!("{symbol} {}{times}", entry.text));
@@ -658,19 +576,4 @@ fn shortened(ui: &Ui, word: &str, width: f32) -> String {
         }
     }
     word.to_owned()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn numbers_and_wrapping() {
-        assert_eq!(number(12.345, "mm"), "12.3 mm");
-        assert_eq!(number(-0.5, "°"), "-0.50°");
-        assert_eq!(number(4321.0, ""), "4321");
-        let lines = wrapped("one two three four abcdefghijklmnop", 9);
-        assert!(lines.lines().all(|l| l.chars().count() <= 9), "{lines}");
-        assert_eq!(lines.replace(['\n', ' '], ""), "onetwothreefourabcdefghijklmnop");
-    }
 }

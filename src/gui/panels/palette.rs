@@ -1,17 +1,8 @@
 //! The command palette, and the list of keys.
 
-use crate::gui::action::{self, Action};
-use crate::gui::app::Workstation;
+use crate::gui::state::Workstation;
+use crate::gui::state::action::{self, Action};
 use eframe::egui::{self, Align2, Context, Key, RichText, vec2};
-
-/// What the palette keeps.
-#[derive(Default)]
-pub struct Palette {
-    query: String,
-    row: usize,
-    /// It has been shown once.
-    shown: bool,
-}
 
 /// How well a label answers a query: all its words must be found; lower is better.
 fn rank(label: &str, query: &str) -> Option<usize> {

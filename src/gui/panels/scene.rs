@@ -1,10 +1,10 @@
 //! The scene as a tree: the volume, surfaces, the stack of deformations, measurements.
 
 use super::{heading, icon_button};
-use crate::gui::action::Action;
-use crate::gui::app::Workstation;
-use crate::gui::document::Selection;
-use crate::gui::tool::{symbol, words};
+use crate::gui::state::Workstation;
+use crate::gui::state::action::Action;
+use crate::gui::state::document::Selection;
+use crate::gui::state::tool::{symbol, words};
 use crate::scene::Deformation;
 use eframe::egui::{self, Align, Layout, RichText, Sense, Ui, WidgetInfo, WidgetType, vec2};
 use egui_phosphor::regular as icon;
@@ -155,9 +155,9 @@ impl Workstation {
         if let Some(selection) = select {
             doc.selected = selection;
             if matches!(selection, Selection::Measure(_)) {
-                self.show_panel(crate::gui::layout::Panel::Measure);
+                self.show_panel(crate::gui::state::layout::Panel::Measure);
             } else {
-                self.show_panel(crate::gui::layout::Panel::Inspector);
+                self.show_panel(crate::gui::state::layout::Panel::Inspector);
             }
         }
         if let Some((selection, action)) = act {

@@ -1,49 +1,14 @@
 //! The transfer function under the histogram: points to drag, window and level, presets as pictures.
 
 use super::{gallery_item, heading};
-use crate::gui::action::Action;
-use crate::gui::app::Workstation;
+use crate::gui::state::Workstation;
+use crate::gui::state::action::Action;
 use crate::gui::theme;
 use crate::transfer::{self, Blend, ControlPoint, TransferFunction, TransferSettings};
-use crate::volume::Volume;
 use eframe::egui::{self, Color32, DragValue, Pos2, Rect, Sense, Shape, Slider, Stroke, Ui, pos2, vec2};
 use egui_phosphor::regular as icon;
 
-/// Bars of the histogram.
-pub const BINS: usize = 256;
 const HEIGHT: f32 = 118.0;
-
-/// What the panel keeps.
-#[derive(Default)]
-pub struct TransferPanel {
-    histogram: Option<Vec<f32>>,
-    /// The point that is dragged, or was last.
-    point: Option<usize>,
-    dragging: bool,
-}
-
-impl TransferPanel {
-    /// Another volume.
-    pub fn forget(&mut self) {
-        *self = Self::default();
-    }
-
-    /// Takes a preset and nothing else.
-    pub fn choose(&mut self, settings: &mut TransferSettings, name: &str) {
-        *settings = TransferSettings { preset: Some(name.to_owned()), ..TransferSettings::default() };
-        self.point = None;
-    }
-
-    /// Heights of the histogram, 0..1, logarithmic.
-    fn heights(&mut self, volume: &Volume) -> &[f32] {
-        self.histogram.get_or_insert_with(|| {
-            let histogram = volume.histogram(BINS);
-            let counts = &histogram.counts;
-            let top = counts.iter().copied().max().unwrap_or(1).max(2) as f32;
-            counts.iter().map(|c| (1.0 + *c as f32).ln() / (1.0 + top).ln()).collect()
-        })
-    }
-}
 
 /// The function written out as points: what is edited.
 fn explicit(function: &TransferFunction, settings: &TransferSettings) -> TransferSettings {

@@ -1,6 +1,7 @@
 //! The orientation cube: how the patient lies in the view, and a click on a face looks at it.
 
-use super::{Projector, text};
+use super::text;
+use crate::gui::projector::Projector;
 use crate::gui::theme::ON_CANVAS;
 use eframe::egui::{Align2, Color32, Painter, Pos2, Rect, Shape, Stroke, Vec2, pos2, vec2};
 use glam::Vec3;

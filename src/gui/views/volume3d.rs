@@ -3,15 +3,18 @@
 //! What is shown is always the newest picture there is: a coarse one while something moves, a fine one when it rests. How coarse is decided by how
 //! long the last coarse pictures took. Everything drawn over it, and every place that is clicked, goes by that picture ([`super::shown`]).
 
-use super::shown::{self, DisplayedPicture, OutdatedNotice, PictureRequest};
-use super::{Projector, cube, edge_letters, scale_bar, text};
-use crate::engine::{DeviceInfo, Quality};
-use crate::gui::app::{Gesture, Workstation};
-use crate::gui::document::Selection;
+use super::shown;
+use super::{cube, edge_letters, scale_bar, text};
+use crate::engine::Quality;
 use crate::gui::gizmos::{self, Gizmo, Handle, Mode as GizmoMode};
+use crate::gui::projector::Projector;
+use crate::gui::state::document::Selection;
+use crate::gui::state::shown::{DisplayedPicture, PictureRequest};
+use crate::gui::state::tool::{Placed, Tool};
+use crate::gui::state::view::*;
+use crate::gui::state::worker::{Job, JobKind, JobTarget, ProbePurpose, ProbeRequest};
+use crate::gui::state::{Gesture, Workstation};
 use crate::gui::theme::{CANVAS, ON_CANVAS, SELECTED};
-use crate::gui::tool::{Placed, Tool};
-use crate::gui::worker::{Job, JobKind, JobTarget, ProbePurpose, ProbeRequest, RenderedView};
 use crate::math::Bounds;
 use crate::scene::{Camera, Deformation, Projection, Scene};
 use eframe::egui::{self, Align2, Color32, CursorIcon, Painter, PointerButton, Pos2, Rect, Response, Sense, Shape, Stroke, Ui, pos2, vec2};
@@ -19,184 +22,10 @@ use glam::{Vec2, Vec3};
 use std::sync::Arc;
 use std::time::Instant;
 
-/// A coarse picture should not take longer than this, ms.
-const COARSE_MS: f64 = 70.0;
 /// A fine picture is asked for when nothing has changed for this long, seconds.
 const REST: f64 = 0.12;
 /// Degrees of the camera per point of a drag.
 const ORBIT: f32 = 0.4;
-
-/// What the 3D view keeps.
-pub struct View3d {
-    /// Where it was last shown, points.
-    pub rect: Rect,
-    picture: Option<DisplayedPicture>,
-    /// What was last asked for.
-    requested: Option<PictureRequest>,
-    /// What jobs that are not done yet were asked for.
-    open: Vec<(u64, PictureRequest)>,
-    delay: OutdatedNotice,
-    changed_at: Instant,
-    coarse_open: bool,
-    fine_serial: Option<u64>,
-    /// A fine picture of the last scene is there.
-    pub is_fine: bool,
-    /// Pixels of the view per pixel of a coarse picture.
-    scale: f32,
-    fine_ms: f64,
-    /// The last picture's facts, for the status bar.
-    pub facts: Facts,
-    /// Which handles.
-    pub gizmo: GizmoMode,
-    /// An outline that is being drawn, points.
-    pub lasso: Vec<Pos2>,
-    /// The camera of the picture that it is drawn on.
-    lasso_on: Option<Projector>,
-    /// What the last drag of a handle made of its deformation.
-    dragged: Option<Deformation>,
-    hover_requested: Option<([f32; 2], u64)>,
-    pixels_per_point: f32,
-    /// Pictures that have arrived.
-    pub pictures: u64,
-}
-
-/// Facts about the last picture.
-#[derive(Clone, Debug, Default)]
-pub struct Facts {
-    /// Time, ms.
-    pub ms: f64,
-    /// What computed it.
-    pub device: Option<DeviceInfo>,
-    /// Its pixels.
-    pub size: [usize; 2],
-    /// Sampling distance, voxels.
-    pub step: f32,
-    /// What a user should be told of it, one sentence each.
-    pub notices: Vec<String>,
-    /// Why nothing is to be seen, if nothing is.
-    pub blank: Option<String>,
-}
-
-impl Default for View3d {
-    fn default() -> Self {
-        Self {
-            rect: Rect::ZERO,
-            picture: None,
-            requested: None,
-            open: Vec::new(),
-            delay: OutdatedNotice::default(),
-            changed_at: Instant::now(),
-            coarse_open: false,
-            fine_serial: None,
-            is_fine: false,
-            scale: 3.0,
-            fine_ms: f64::INFINITY,
-            facts: Facts::default(),
-            gizmo: GizmoMode::Shape,
-            lasso: Vec::new(),
-            lasso_on: None,
-            dragged: None,
-            hover_requested: None,
-            pixels_per_point: 1.0,
-            pictures: 0,
-        }
-    }
-}
-
-impl View3d {
-    /// Everything is to be asked for again.
-    pub fn forget(&mut self) {
-        self.requested = None;
-        self.is_fine = false;
-        self.coarse_open = false;
-        self.fine_serial = None;
-        self.fine_ms = f64::INFINITY;
-    }
-
-    /// The view's size in pixels.
-    pub fn size(&self) -> [u32; 2] {
-        let size = self.rect.size() * self.pixels_per_point;
-        [(size.x as u32).clamp(16, 8192), (size.y as u32).clamp(16, 8192)]
-    }
-
-    /// Shows nothing any more: its picture is of another scene.
-    pub fn clear(&mut self) {
-        self.forget();
-        self.picture = None;
-        self.open.clear();
-        self.delay = OutdatedNotice::default();
-        self.facts = Facts::default();
-    }
-
-    /// What is on the screen.
-    pub fn picture(&self) -> Option<&DisplayedPicture> {
-        self.picture.as_ref()
-    }
-
-    /// Whether what is on the screen is what was asked for last.
-    pub fn is_current(&self) -> bool {
-        self.picture.as_ref().zip(self.requested.as_ref()).is_some_and(|(p, a)| p.of.is(a))
-    }
-
-    /// Why the scene cannot be shown as it is.
-    pub fn failure(&self) -> Option<&str> {
-        self.delay.failure.as_deref()
-    }
-
-    /// What a job was asked for; older ones are not waited for any longer.
-    fn take_request(&mut self, serial: u64) -> Option<PictureRequest> {
-        let found = self.open.iter().position(|(n, _)| *n == serial).map(|at| self.open.remove(at).1);
-        self.open.retain(|(n, _)| *n > serial);
-        found
-    }
-
-    /// Takes a picture that has arrived.
-    pub fn arrived(&mut self, ctx: &egui::Context, target: JobTarget, serial: u64, ms: f64, shown: RenderedView) {
-        let of = self.take_request(serial);
-        if target == JobTarget::Coarse {
-            self.coarse_open = false;
-            let wanted = self.scale * ((ms / COARSE_MS) as f32).sqrt().clamp(0.6, 1.7);
-            self.scale = wanted.clamp(1.0, 8.0);
-            if self.is_fine {
-                // Late: a fine one is there already.
-                return;
-            }
-        } else {
-            if self.fine_serial != Some(serial) {
-                return;
-            }
-            self.is_fine = true;
-            self.fine_ms = ms;
-        }
-        // Of a scene that is gone.
-        let Some(of) = of else { return };
-        self.pictures += 1;
-        self.facts = Facts { ms, device: Some(shown.device), size: shown.image.size, step: shown.step, notices: shown.notices, blank: shown.blank };
-        let options = egui::TextureOptions::LINEAR;
-        let texture = match self.picture.take() {
-            Some(mut before) => {
-                before.texture.set(shown.image, options);
-                before.texture
-            }
-            None => ctx.load_texture("3D", shown.image, options),
-        };
-        self.picture = Some(DisplayedPicture { texture, of, frame: shown.frame, measured: shown.measured, serial });
-        self.delay.restart();
-        let current = self.is_current();
-        self.delay.note(current);
-    }
-
-    /// A job of this view failed: it is not waited for any longer.
-    pub fn failed(&mut self, target: JobTarget, serial: u64, problem: &str) {
-        if target == JobTarget::Coarse {
-            self.coarse_open = false;
-        }
-        let of = self.take_request(serial);
-        if of.zip(self.requested.as_ref()).is_some_and(|(of, requested)| of.is(requested)) {
-            self.delay.failure = Some(problem.to_owned());
-        }
-    }
-}
 
 impl Workstation {
     /// The scene as the 3D view shows it, at the view's size.
@@ -414,7 +243,7 @@ impl Workstation {
             }
             Some(Gesture::Gizmo(drag)) => {
                 if let Some(moved) = self.gizmo(projector).and_then(|g| g.dragged(&drag, pos))
-                    && let Some(d) = self.doc.as_mut().and_then(super::super::document::Document::deformation)
+                    && let Some(d) = self.doc.as_mut().and_then(super::super::state::document::Document::deformation)
                 {
                     self.view.dragged = Some(moved.clone());
                     *d = moved;
@@ -649,8 +478,7 @@ impl Workstation {
             let points: Vec<Pos2> = measured.seen.iter().flatten().filter_map(|p| projector.screen(*p)).collect();
             let color = if selected == Some(&measured.measure) { SELECTED } else { Color32::from_rgb(250, 225, 120) };
             draw_points(painter, &points, color);
-            let words =
-                measured.quantities.as_ref().ok().and_then(|q| q.first()).and_then(|q| q.value.map(|v| super::super::panels::number(v, q.unit)));
+            let words = measured.quantities.as_ref().ok().and_then(|q| q.first()).and_then(|q| q.value.map(|v| crate::gui::text::number(v, q.unit)));
             if let (Some(last), Some(words)) = (points.last().filter(|_| points.len() == measured.measure.points.len()), words) {
                 text(painter, *last + vec2(8.0, -8.0), Align2::LEFT_BOTTOM, words, 13.5, color);
             }
@@ -692,7 +520,7 @@ impl Workstation {
             None => (middle, Vec2::ZERO),
         };
         if points.len() < 3 || apex.is_some_and(|depth| depth <= 1.0) {
-            self.report(crate::gui::log::LogLevel::Info, "The outline is behind the camera; reset the camera (R) and redraw it");
+            self.report(crate::gui::state::log::LogLevel::Info, "The outline is behind the camera; reset the camera (R) and redraw it");
             return;
         }
         let restore = self.tool == Tool::LassoRestore;

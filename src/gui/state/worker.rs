@@ -5,7 +5,7 @@
 //! that it never waits for a picture. Coarse pictures and slices leave one core to the interface.
 
 use super::log::LogLevel;
-use super::views::slice_paint::{self, Overlay, SliceStyle};
+use super::slice_paint::{self, Overlay, SliceStyle};
 use crate::cpu::pick::{self, Pick};
 use crate::cpu::section::{self, Section, SectionPlane};
 use crate::engine::{Backend, DeviceInfo, Engine, EngineOptions, Quality, RenderRequest, ScenePicture};

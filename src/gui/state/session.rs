@@ -20,15 +20,15 @@ const RECENT: usize = 12;
 
 /// The bundled head and its labels.
 const BUNDLED: [(&str, &[u8]); 9] = [
-    ("colin27-head-t1.nii.gz", include_bytes!("../../volumes/colin27-head-t1.nii.gz")),
-    ("colin27-aal-labels.nii.gz", include_bytes!("../../volumes/colin27-aal-labels.nii.gz")),
-    ("bunny.obj", include_bytes!("../../volumes/bunny.obj")),
-    ("head-peel.toml", include_bytes!("../../volumes/head-peel.toml")),
-    ("head-quadrant.toml", include_bytes!("../../volumes/head-quadrant.toml")),
-    ("head-slabs.toml", include_bytes!("../../volumes/head-slabs.toml")),
-    ("brain-labels.toml", include_bytes!("../../volumes/brain-labels.toml")),
-    ("bunny-knife.toml", include_bytes!("../../volumes/bunny-knife.toml")),
-    ("piggy-bank-2.toml", include_bytes!("../../volumes/piggy-bank-2.toml")),
+    ("colin27-head-t1.nii.gz", include_bytes!("../../../volumes/colin27-head-t1.nii.gz")),
+    ("colin27-aal-labels.nii.gz", include_bytes!("../../../volumes/colin27-aal-labels.nii.gz")),
+    ("bunny.obj", include_bytes!("../../../volumes/bunny.obj")),
+    ("head-peel.toml", include_bytes!("../../../volumes/head-peel.toml")),
+    ("head-quadrant.toml", include_bytes!("../../../volumes/head-quadrant.toml")),
+    ("head-slabs.toml", include_bytes!("../../../volumes/head-slabs.toml")),
+    ("brain-labels.toml", include_bytes!("../../../volumes/brain-labels.toml")),
+    ("bunny-knife.toml", include_bytes!("../../../volumes/bunny-knife.toml")),
+    ("piggy-bank-2.toml", include_bytes!("../../../volumes/piggy-bank-2.toml")),
 ];
 
 /// Worked examples: file and what it shows.

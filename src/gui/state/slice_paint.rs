@@ -51,7 +51,7 @@ pub fn paint(section: &Section, assets: &Assets, style: SliceStyle) -> ColorImag
     let grey = |n: usize| -> Color32 {
         let value = section.values[n];
         if value.is_nan() {
-            return super::super::theme::CANVAS;
+            return crate::gui::theme::CANVAS;
         }
         if own_labels {
             return labels.as_ref().and_then(|l| l.color(section.sources[n])).map_or(Color32::BLACK, |[r, g, b]| Color32::from_rgb(r, g, b));

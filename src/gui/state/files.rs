@@ -1,0 +1,241 @@
+//! What is opened, saved and asked about.
+
+use super::session::Recovered;
+use crate::prepare::{AssetKey, Assets};
+use crate::scene::Scene;
+use crate::{Error, Result};
+use eframe::egui;
+use egui_file_dialog::FileDialog;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::Receiver;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Largest edge of an exported picture that is offered, pixels.
+pub const LARGEST_PICTURE: u32 = 16_384;
+
+/// What is done after a question.
+#[derive(Clone, Debug, PartialEq)]
+pub enum NextStep {
+    /// Open a file.
+    Open(PathBuf),
+    /// Open an automatic save that a crash left behind.
+    Recover(PathBuf, Option<PathBuf>),
+    /// Close the scene.
+    Close,
+    /// Close the window.
+    Quit,
+}
+
+/// A question or a form.
+#[derive(Clone, Debug)]
+pub enum Dialog {
+    /// The scene has edits that are not saved.
+    Unsaved(NextStep),
+    /// Scenes that crashed windows left behind.
+    Recover(Vec<Recovered>),
+    /// A picture to export.
+    Picture(PictureForm),
+    /// A clip to export.
+    Clip(ClipForm),
+    /// A file of the scene is not where it was.
+    Locate {
+        /// The file that is missing.
+        missing: PathBuf,
+        /// The scene that names it.
+        scene: Box<Scene>,
+        /// Its file.
+        path: Option<PathBuf>,
+        /// Its name.
+        name: String,
+        /// What went wrong.
+        problem: String,
+    },
+    /// A second volume was dropped.
+    Second(PathBuf),
+    /// The window is to be closed while exports run.
+    Running,
+    /// A name for a map.
+    SaveMap {
+        /// The name.
+        name: String,
+        /// Of the whole stack instead of the selected deformation.
+        stack: bool,
+    },
+}
+
+/// How a picture is exported.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PictureForm {
+    /// Width and height, pixels.
+    pub size: [u32; 2],
+    /// Samples averaged along each edge of a pixel.
+    pub antialias: u32,
+    /// Sampling distance, voxels.
+    pub step: f32,
+    /// Without a background.
+    pub transparent: bool,
+}
+
+/// What moves in a clip.
+#[derive(Clone, Debug, PartialEq)]
+pub enum ClipMotion {
+    /// The camera, once around.
+    Orbit,
+    /// The progress of the selected deformation.
+    Progress(usize),
+    /// A number of the selected deformation: which deformation, its name.
+    Parameter(usize, String),
+}
+
+/// How a clip is exported.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ClipForm {
+    /// What moves.
+    pub travel: ClipMotion,
+    /// From and to, for what is no orbit.
+    pub range: [f32; 2],
+    /// There and back again.
+    pub back: bool,
+    /// Frames.
+    pub frames: usize,
+    /// Frames per second.
+    pub rate: f32,
+    /// Width and height, pixels.
+    pub size: [u32; 2],
+}
+
+/// What a file is wanted for.
+#[derive(Clone, Debug)]
+pub enum FilePurpose {
+    /// To open.
+    Open,
+    /// To save the scene, and then go on.
+    Save(Option<NextStep>),
+    /// To export a picture.
+    Picture(PictureForm),
+    /// To export a clip.
+    Clip(ClipForm),
+    /// To bake: the field instead of the volume.
+    Bake {
+        /// The field.
+        field: bool,
+    },
+    /// The folder of a report.
+    Report,
+    /// A table of measurements.
+    Measures,
+    /// A transfer function to read.
+    ImportTransfer,
+    /// A transfer function to write.
+    ExportTransfer,
+    /// The place of a missing file.
+    Locate(Box<Dialog>),
+    /// A label map over the volume.
+    Labels,
+}
+
+impl FilePurpose {
+    /// The ending of what is saved, where there is one alone, and its name.
+    pub(in crate::gui) fn ending(&self) -> Option<(&'static str, &'static str)> {
+        match self {
+            Self::Save(_) => Some(("toml", "Scene")),
+            Self::ExportTransfer => Some(("toml", "Transfer function")),
+            Self::Picture(_) => Some(("png", "Picture")),
+            Self::Measures => Some(("csv", "Table")),
+            _ => None,
+        }
+    }
+}
+
+/// The file dialog and what it is open for.
+pub struct Files {
+    pub(in crate::gui) dialog: FileDialog,
+    pub(in crate::gui) purpose: Option<FilePurpose>,
+    pub(in crate::gui) folder: Option<PathBuf>,
+}
+
+impl Files {
+    /// None open.
+    pub fn new() -> Self {
+        Self { dialog: FileDialog::new(), purpose: None, folder: None }
+    }
+
+    /// Whether it is open.
+    pub fn is_open(&self) -> bool {
+        self.purpose.is_some()
+    }
+
+    /// Opens it.
+    pub(in crate::gui) fn open_dialog(&mut self, purpose: FilePurpose, title: &str, name: Option<&str>, filters: &[(&str, &'static [&'static str])]) {
+        let mut dialog =
+            FileDialog::new().title(title).default_size([760.0, 460.0]).as_modal(true).anchor(egui::Align2::CENTER_CENTER, [0.0, 0.0]).movable(false);
+        if let Some(folder) = &self.folder {
+            dialog = dialog.initial_directory(folder.clone());
+        }
+        if let Some(name) = name {
+            dialog = dialog.default_file_name(name);
+        }
+        for (label, endings) in filters {
+            dialog = dialog.add_file_filter_extensions(label, endings.to_vec());
+        }
+        // What the dialog asks about is the file that will be written.
+        if let Some(ending) = purpose.ending() {
+            dialog = dialog.add_save_extension(ending.1, ending.0).default_save_extension(ending.1);
+        }
+        let saves = name.is_some();
+        self.dialog = dialog;
+        match &purpose {
+            FilePurpose::Report => self.dialog.pick_directory(),
+            _ if saves => self.dialog.save_file(),
+            _ => self.dialog.pick_file(),
+        }
+        self.purpose = Some(purpose);
+    }
+
+    pub(in crate::gui) fn open_folder_dialog(&mut self, purpose: FilePurpose, title: &str) {
+        self.open_dialog(purpose, title, None, &[]);
+        self.dialog.pick_directory();
+    }
+}
+
+impl Default for Files {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// A file being loaded.
+pub struct Loading {
+    /// Its name.
+    pub name: String,
+    pub(in crate::gui) stage: Arc<Mutex<(&'static str, f32)>>,
+    pub(in crate::gui) cancel: Arc<AtomicBool>,
+    pub(in crate::gui) result: Receiver<Result<Loaded>>,
+    /// What it was asked for.
+    pub(in crate::gui) key: Option<AssetKey>,
+    pub(in crate::gui) path: Option<PathBuf>,
+    /// It replaces only what is loaded for the open scene.
+    pub(in crate::gui) same: bool,
+    /// The automatic save that it comes from: it was never saved as it is.
+    pub(in crate::gui) recovered: Option<Recovered>,
+}
+
+pub(in crate::gui) struct Loaded {
+    pub(in crate::gui) scene: Scene,
+    pub(in crate::gui) assets: Assets,
+    /// Why it cannot be shown as it is.
+    pub(in crate::gui) problem: Option<Error>,
+}
+
+impl Loading {
+    /// What it does, and the share that is done.
+    pub fn stage(&self) -> (&'static str, f32) {
+        *self.stage.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Tells it to stop.
+    pub fn cancel(&self) {
+        self.cancel.store(true, Ordering::Relaxed);
+    }
+}

@@ -1,0 +1,114 @@
+//! What panels remember from frame to frame.
+
+use super::worker::JobTarget;
+use crate::transfer::TransferSettings;
+use crate::volume::Volume;
+use eframe::egui::{self, ColorImage, Context, TextureHandle};
+use std::collections::HashMap;
+
+/// What the editor keeps.
+pub struct Editor {
+    /// Reach of a brush, mm.
+    pub radius: f32,
+    /// Its strength.
+    pub strength: f32,
+    /// The label that is measured.
+    pub label: u32,
+}
+
+impl Default for Editor {
+    fn default() -> Self {
+        Self { radius: 15.0, strength: 0.8, label: 1 }
+    }
+}
+
+/// Bars of the histogram.
+pub const BINS: usize = 256;
+
+/// What the panel keeps.
+#[derive(Default)]
+pub struct TransferPanel {
+    pub(in crate::gui) histogram: Option<Vec<f32>>,
+    /// The point that is dragged, or was last.
+    pub(in crate::gui) point: Option<usize>,
+    pub(in crate::gui) dragging: bool,
+}
+
+impl TransferPanel {
+    /// Another volume.
+    pub fn forget(&mut self) {
+        *self = Self::default();
+    }
+
+    /// Takes a preset and nothing else.
+    pub fn choose(&mut self, settings: &mut TransferSettings, name: &str) {
+        *settings = TransferSettings { preset: Some(name.to_owned()), ..TransferSettings::default() };
+        self.point = None;
+    }
+
+    /// Heights of the histogram, 0..1, logarithmic.
+    pub(in crate::gui) fn heights(&mut self, volume: &Volume) -> &[f32] {
+        self.histogram.get_or_insert_with(|| {
+            let histogram = volume.histogram(BINS);
+            let counts = &histogram.counts;
+            let top = counts.iter().copied().max().unwrap_or(1).max(2) as f32;
+            counts.iter().map(|c| (1.0 + *c as f32).ln() / (1.0 + top).ln()).collect()
+        })
+    }
+}
+
+/// What the inspector keeps.
+#[derive(Default)]
+pub struct Inspector {
+    /// The last report on a field.
+    pub health: Option<String>,
+}
+
+/// What the palette keeps.
+#[derive(Default)]
+pub struct Palette {
+    pub(in crate::gui) query: String,
+    pub(in crate::gui) row: usize,
+    /// It has been shown once.
+    pub(in crate::gui) shown: bool,
+}
+
+/// Pictures of presets and kinds.
+#[derive(Default)]
+pub struct Thumbnails {
+    pub(in crate::gui) presets: HashMap<usize, TextureHandle>,
+    pub(in crate::gui) kinds: HashMap<usize, TextureHandle>,
+    pub(in crate::gui) requested_key: Option<(usize, String)>,
+    /// The gallery of presets or kinds has been shown.
+    pub shows_presets: bool,
+    /// See above.
+    pub shows_kinds: bool,
+    pub(in crate::gui) open: Vec<JobTarget>,
+}
+
+impl Thumbnails {
+    /// Nothing of them is true any more.
+    pub fn forget(&mut self) {
+        *self = Self::default();
+    }
+
+    /// Takes a preset's.
+    pub fn preset_arrived(&mut self, ctx: &Context, n: usize, image: ColorImage) {
+        self.presets.insert(n, ctx.load_texture(format!("preset {n}"), image, egui::TextureOptions::LINEAR));
+    }
+
+    /// Takes a kind's.
+    pub fn kind_arrived(&mut self, ctx: &Context, n: usize, image: ColorImage) {
+        self.kinds.insert(n, ctx.load_texture(format!("kind {n}"), image, egui::TextureOptions::LINEAR));
+    }
+
+    /// A preset's.
+    pub fn preset(&self, n: usize) -> Option<&TextureHandle> {
+        self.presets.get(&n)
+    }
+
+    /// A kind's.
+    pub fn kind(&self, n: usize) -> Option<&TextureHandle> {
+        self.kinds.get(&n)
+    }
+}
