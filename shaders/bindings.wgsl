@@ -1,4 +1,4 @@
-// What every entry point binds, and the functions that read it. lib/ calls these and binds nothing itself.
+// What every entry point binds, and the functions that read it. lib/ calls these; of lib/ only implicit.wgsl and count.wgsl bind.
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<uniform> maps: array<PlacedMap, 65>;

@@ -1,5 +1,5 @@
-// Which cells of a grid over the deformed scene show anything, and for which of those cuts do not matter. Counterpart of Contents in
-// src/scene/macrocells.rs and of src/deform/bounds.rs, with one difference: a box that a map's cube holds a part of is carried back as one box, not as the
+// Which cells of a grid over the deformed scene show anything, and for which of those cuts do not matter. Counterpart of
+// VisibilityCriteria in src/prepare/macrocells.rs and of src/deform/bounds.rs, with one difference: a box that a map's cube holds a part of is carried back as one box, not as the
 // part inside and the part outside. Every bound holds; what it says to be occupied may show nothing.
 
 struct Classification {

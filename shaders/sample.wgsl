@@ -1,4 +1,5 @@
-// A map's texels from a formula, its scale, and bounds on boxes of texels: what src/deform/map.rs makes of a recipe on the CPU.
+// D and alpha at the grid points of a map, from its formula, and the largest component of D; encode.wgsl makes texels of them, bounds.wgsl
+// bounds. Counterpart of MapDefinition::sample in src/deform/field.rs.
 
 struct Recipe {
     cube_mm: vec3<f32>,

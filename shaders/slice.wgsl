@@ -39,6 +39,6 @@ fn fragment(slab: Slab) -> @location(0) vec4<f32> {
         return all.color;
     }
     // Red: the value (negated for the minimum), for the blend unit's maximum or sum; green: whether, or how often.
-    let value = select(-1e4, select(all.projected, -all.projected, BLEND == BLEND_MINIP), all.matter > 0.0);
-    return vec4<f32>(select(value, all.projected, BLEND == BLEND_AVERAGE), select(min(all.matter, 1.0), all.matter, BLEND == BLEND_AVERAGE), 0.0, 0.0);
+    let value = select(-1e4, select(all.projected, -all.projected, BLEND == BLEND_MINIP), all.present_count > 0.0);
+    return vec4<f32>(select(value, all.projected, BLEND == BLEND_AVERAGE), select(min(all.present_count, 1.0), all.present_count, BLEND == BLEND_AVERAGE), 0.0, 0.0);
 }

@@ -26,10 +26,10 @@
 //!   file ──────────── mesh ───┤
 //!   preset, curve ── transfer ┤                                ┌── cpu    (the reference; always there)
 //!   kind, parameters ─ deform ┼── scene ── prepare ── engine ──┤                                        ── Picture ── export
-//!   camera, light ────────────┘                                └── render (slices and rays on a GPU, on top of gpu)
+//!   camera, light ────────────┘                                └── render (slices, rays and surfaces on a GPU, on top of gpu)
 //! ```
 //!
-//! Modules, each knowing only those before it (a test holds it): [`files`], [`math`] ← [`volume`] ← [`picture`], [`mesh`] ← [`transfer`], [`deform`] ←
+//! Modules, each knowing only those before it (a test holds it): [`files`] ← [`math`] ← [`volume`] ← [`picture`], [`mesh`], [`transfer`], [`deform`] ←
 //! [`scene`] ← [`prepare`] ← [`cpu`], ([`gpu`] ← [`render`]) ← [`engine`] ← [`export`] ← [`compare`] ← [`cli`], [`gui`] (the workstation), which do not
 //! know each other.
 //!

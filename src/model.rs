@@ -52,7 +52,7 @@
 //! ```
 //!
 //! - D should vanish on the faces of the cube. A kind names the faces on which it does not
-//!   ([`Kind::leaks`](crate::deform::kinds::Kind::leaks)): there the box should end in empty space.
+//!   ([`nonzero_faces`](crate::deform::kinds::Kind::nonzero_faces)): there the box should end in empty space.
 //! - A field from a registration, a saved map and a composite are maps like any other. A field's
 //!   outermost vectors hold to the faces of their voxels, half a voxel beyond the cube.
 //!
@@ -69,7 +69,7 @@
 //! # Composition
 //!
 //! Maps form an ordered stack. A sample walks from the last applied to the first
-//! ([`Stack::walk`](crate::deform::Stack::walk)). With G_k(p) = p + A_k D_k(M_k⁻¹ p):
+//! ([`Stack::source_and_alpha`](crate::deform::Stack::source_and_alpha)). With G_k(p) = p + A_k D_k(M_k⁻¹ p):
 //!
 //! ```text
 //! p = G_1(G_2(... G_n(p')))        alpha = min over k of alpha_k, each at the point where map k is evaluated
@@ -255,7 +255,7 @@
 //! the transfer function bounds their opacity. The cell is empty if alpha_max < 1/2 or that opacity is 0.
 //! Every bound is conservative: skipping changes no picture. Where samples look back a step for what
 //! they show, cells are grown by it. A similar walk bounds |J v| for Jacobian and sphere steps
-//! ([`slope`](crate::deform::slope)).
+//! ([`lipschitz`](crate::deform::lipschitz)).
 //!
 //! # Accuracy
 //!

@@ -1,4 +1,4 @@
-//! Panics. Decoders of others may panic on damaged data: behind [`guarded`] they cannot take the program with them, nor write a word of their own.
+//! Panics. Decoders of others may panic on damaged data: behind [`catch_panic`] they cannot take the program with them, nor write a word of their own.
 //! A fault of this program itself is one line, however many threads run into it, and may end the program at once ([`on_panic`]).
 
 use std::cell::Cell;

@@ -10,7 +10,7 @@ use incise::prepare::{Assets, PrepareOptions, Prepared};
 use incise::scene::{Deformation, Mode, Normals, Projection, Scene, Size};
 use incise::transfer::{Blend, ControlPoint};
 use incise::volume::phantom::{self, BALL_RADIUS_MM};
-use incise::volume::{Rescale, Volume, VolumeSampler, VoxelGrid, VoxelGridValues};
+use incise::volume::{Rescale, Volume, VolumeSampler, VoxelGrid, VoxelGridValues, Voxels};
 use std::sync::Arc;
 
 pub fn assets(volume: Volume) -> Assets {
@@ -148,7 +148,7 @@ fn field_volume(f: impl Fn(Vec3) -> f32) -> Assets {
     let voxels: Vec<f32> = (0..n * n * n).map(|i| f(Vec3::new(at(i % n), at(i / n % n), at(i / n / n)))).collect();
     let world_from_voxel =
         glam::DAffine3 { matrix3: glam::DMat3::from_diagonal(glam::DVec3::splat(1.25)), translation: glam::DVec3::splat(-63.5 * 1.25) };
-    assets(Volume::new(voxels.into(), [n; 3], Rescale::NONE, world_from_voxel))
+    assets(Volume::new(Voxels::new([n; 3], voxels), Rescale::NONE, world_from_voxel))
 }
 
 /// p = p' + A (S - I) A⁻¹ (p' - c): the ball becomes an ellipsoid whose normal is SᵀS-transformed in closed form.
@@ -227,7 +227,8 @@ pub fn normals_under_a_twist() {
 
 /// In a uniform solid the only normal is the cut's.
 pub fn normals_on_cut_faces() {
-    let uniform = Volume::new(vec![1.0f32; 64 * 64 * 64].into(), [64; 3], Rescale::NONE, glam::DAffine3::from_translation(glam::DVec3::splat(-31.5)));
+    let uniform =
+        Volume::new(Voxels::new([64; 3], vec![1.0f32; 64 * 64 * 64]), Rescale::NONE, glam::DAffine3::from_translation(glam::DVec3::splat(-31.5)));
     let assets = assets(uniform);
     for exact in [false, true] {
         faces(&assets, exact);
@@ -329,7 +330,8 @@ pub fn oblique_ball_is_round_and_lit_alike() {
 /// Between two cuts the path is exact wherever the samples fall: no rings on cut faces.
 pub fn path_through_a_cut_slab_is_exact() {
     let n = 48;
-    let uniform = Volume::new(vec![1.0f32; n * n * n].into(), [n; 3], Rescale::NONE, glam::DAffine3::from_translation(glam::DVec3::splat(-23.5)));
+    let uniform =
+        Volume::new(Voxels::new([n; 3], vec![1.0f32; n * n * n]), Rescale::NONE, glam::DAffine3::from_translation(glam::DVec3::splat(-23.5)));
     let assets = assets(uniform);
     for step in [1.0, 2.0] {
         let mut s = scene(&[(0.0, 0.05), (1.0, 0.05)]);
@@ -394,7 +396,7 @@ pub fn composition_is_the_formula() {
 pub fn depth_of_projections() {
     let n = 32;
     let voxels: Vec<f32> = (0..n * n * n).map(|i| (i / n % n) as f32).collect();
-    let assets = assets(Volume::new(voxels.into(), [n; 3], Rescale::NONE, glam::DAffine3::IDENTITY));
+    let assets = assets(Volume::new(Voxels::new([n; 3], voxels), Rescale::NONE, glam::DAffine3::IDENTITY));
     for mode in [Mode::Raycast, Mode::Slice] {
         for (blend, want) in [(Blend::Mip, 31.0), (Blend::Minip, 0.0), (Blend::Average, 15.5)] {
             let mut s = scene(&[(0.0, 0.0), (31.0, 0.8)]);
@@ -415,7 +417,7 @@ pub fn holes_are_empty() {
     let n = 24;
     let inside = |i: usize| (8..16).contains(&(i % n)) && (8..16).contains(&(i / n / n));
     let voxels: Vec<f32> = (0..n * n * n).map(|i| if inside(i) { if i % 2 == 0 { f32::NAN } else { f32::INFINITY } } else { 7.0 }).collect();
-    let volume = Volume::new(voxels.into(), [n; 3], Rescale::NONE, glam::DAffine3::IDENTITY);
+    let volume = Volume::new(Voxels::new([n; 3], voxels), Rescale::NONE, glam::DAffine3::IDENTITY);
     assert_eq!(volume.non_finite, 8 * 8 * n);
     let assets = assets(volume);
     let mut s = scene(&[(0.0, 0.9), (10.0, 0.9)]);

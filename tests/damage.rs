@@ -39,7 +39,7 @@ fn damaged(folder: &Path) -> Vec<(PathBuf, &'static str)> {
         ("vtk-appended-zlib-64-raw.vti", "i.npy"),
         ("pngs/8.png", "j.vtk"),
     ] {
-        all.push((file(wrong, &phantom(name)), "is not what its name says"));
+        all.push((file(wrong, &phantom(name)), "does not match its extension"));
     }
     // Gzip that unpacks to far more than its header says, or says more than it can hold.
     let mut bomb = phantom("itk.nii");

@@ -235,7 +235,8 @@ pub fn all_orientations_agree() {
             let volume = folder.path().join("volume.nii");
             std::fs::write(&volume, save::encode(Format::Nifti, &grid, content, &values).unwrap()).unwrap();
             let (field_grid, field_at) = turned(&warp.grid, order, 7 - flips);
-            let vectors: Vec<f32> = (0..warp.vectors.len()).flat_map(|n| warp.vectors[index(warp.grid.size, field_at(n))].to_array()).collect();
+            let vectors: Vec<f32> =
+                (0..warp.vectors.len()).flat_map(|n| incise::math::flat(&warp.vectors)[index(warp.grid.size, field_at(n))].to_array()).collect();
             let (name, format) = [("field.nii", Format::Nifti), ("field.nrrd", Format::Nrrd), ("field.mha", Format::Mha)][flips % 3];
             let path = folder.path().join(name);
             std::fs::write(&path, save::encode(format, &field_grid, Content::Field, &vectors).unwrap()).unwrap();

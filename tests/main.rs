@@ -100,7 +100,9 @@ fn main() {
         cut_models_are_what_they_say, surfaces_and_volumes_share_depth, volumes_inside_meshes, every_format_is_one_mesh,
         shared_meshes_load_or_say_why, depth_map_cube_shows_the_field));
     #[cfg(feature = "gpu")]
-    all.extend(trials!(shaders: every_program_is_valid, uniforms_match_their_structs, counterparts_exist));
+    all.extend(
+        trials!(shaders: every_program_is_valid, uniforms_match_their_structs, counterparts_exist, sampled_textures_leave_room, functions_are_paired),
+    );
     all.extend(trials!(command_line:
         bad_input_is_named_and_leaves_no_file, bad_deformations_are_named, maps_and_bakes_by_the_command_line, same_bytes_for_any_number_of_threads, cpu_is_used_without_a_driver, stats_are_complete,
         an_existing_file_is_replaced_whole, meshes_and_fields_by_the_command_line, info_tells_what_is_needed, usage_errors_exit_with_2));

@@ -479,10 +479,10 @@ fn empty_space_agrees() {
 }
 
 fn voxel_types_agree() {
-    use incise::volume::{Rescale, Volume, Voxels, phantom};
+    use incise::volume::{Rescale, StoredValues, Volume, Voxels, phantom};
     let phantom = phantom::generate("tomato", [48; 3], Vec3::splat(160.0 / 48.0)).unwrap();
     let values: Vec<f64> = (0..phantom.voxels.len()).map(|n| phantom.voxels.get(n)).collect();
-    let types: [Voxels; 5] = [
+    let types: [StoredValues; 5] = [
         values.iter().map(|v| *v as u8).collect::<Vec<_>>().into(),
         values.iter().map(|v| (*v * 100.0) as u16).collect::<Vec<_>>().into(),
         values.iter().map(|v| (*v * 100.0 - 9000.0) as i16).collect::<Vec<_>>().into(),
@@ -491,7 +491,7 @@ fn voxel_types_agree() {
     ];
     for voxels in types {
         let name = voxels.type_name();
-        let volume = Volume::new(voxels, phantom.size, Rescale::NONE, phantom.world_from_voxel);
+        let volume = Volume::new(Voxels::new(phantom.size, voxels), Rescale::NONE, phantom.world_from_voxel);
         let mut scene = Scene::of_volume("phantom:tomato");
         scene.render.size = [96, 96];
         let factor = (volume.range[1] - volume.range[0]) / 205.0;
@@ -533,9 +533,9 @@ fn own_colors_agree() {
 
 /// A volume that the device cannot hold is shown reduced, with a notice: never black, never refused.
 fn larger_than_the_device_is_reduced() {
-    use incise::volume::{Rescale, Volume};
+    use incise::volume::{Rescale, Volume, Voxels};
     let most = with_renderer(|r| r.device().device.limits().max_texture_dimension_3d) as usize;
-    let volume = Volume::new(vec![200u8; (most + 1) * 900].into(), [most + 1, 900, 1], Rescale::NONE, glam::DAffine3::IDENTITY);
+    let volume = Volume::new(Voxels::new([most + 1, 900, 1], vec![200u8; (most + 1) * 900]), Rescale::NONE, glam::DAffine3::IDENTITY);
     let assets = incise::prepare::Assets::of_volume(volume);
     let mut scene = Scene::of_volume("phantom:ball");
     scene.render.size = [64, 64];
@@ -543,7 +543,7 @@ fn larger_than_the_device_is_reduced() {
     scene.transfer.points = vec![incise::transfer::ControlPoint { value: 0.0, color: [1.0; 3], opacity: 1.0 }];
     let done = with_renderer(|r| r.render(&Prepared::new(&scene, &assets).unwrap(), false, &Watch::NONE)).unwrap();
     assert!(
-        done.notices[0].contains("more than this GPU holds") && done.notices[0].contains(&format!("{} x 900 x 1", (most + 1).div_ceil(2))),
+        done.notices[0].contains("exceeds this GPU") && done.notices[0].contains(&format!("{} x 900 x 1", (most + 1).div_ceil(2))),
         "{:?}",
         done.notices
     );

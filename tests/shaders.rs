@@ -126,3 +126,114 @@ pub fn counterparts_exist() {
         }
     }
 }
+
+/// The most textures that a program may sample, with room below the sixteen that WebGL2 and OpenGL allow.
+const MAX_SAMPLED_TEXTURES: usize = 14;
+
+pub fn sampled_textures_leave_room() {
+    let mut most = 0;
+    for program in Program::ALL {
+        let module = module(program, true);
+        let sampled = module.global_variables.iter().filter(|(_, v)| match module.types[v.ty].inner {
+            naga::TypeInner::Image { class, .. } => !matches!(class, naga::ImageClass::Storage { .. }),
+            _ => false,
+        });
+        let count = sampled.count();
+        assert!(count <= MAX_SAMPLED_TEXTURES, "{program:?} declares {count} sampled textures");
+        most = most.max(count);
+    }
+    println!("at most {most} sampled textures in a program");
+    assert!(most >= 8, "{most}");
+}
+
+/// Functions of Rust and of WGSL that do the same, in the order in which both files have them; `a=b` where a method's name needs its
+/// type before it in WGSL, which has one namespace.
+const PAIRS: &[(&str, &str, &str)] = &[
+    (
+        "src/cpu/shading.rs",
+        "shaders/lib/shading.wgsl",
+        "visible_sample cut_in_front own_color shade_point thin_layer_at_cut entry world_from_voxel_covector nearest_cut nearer_cut_shape \
+         is_cut grey_face light_cosine_by_derivative iso_surface path_fraction normal=shaded_normal light",
+    ),
+    ("src/cpu/march.rs", "shaders/lib/march.wgsl", "first_sample_after"),
+    ("src/cpu/march.rs", "shaders/lib/composite.wgsl", "pixel_shift"),
+    (
+        "src/cpu/surface.rs",
+        "shaders/lib/surface.wgsl",
+        "depth_in_boxes is_undeformed apply_cut_model sample=surface_sample trace step_length first_event bisect normal=surface_normal \
+         light=surface_light",
+    ),
+    ("src/cpu/mod.rs", "shaders/lib/volume.wgsl", "sample_scene"),
+    ("src/cpu/mod.rs", "shaders/lib/projection.wgsl", "color=projection_color"),
+    ("src/volume/sampler.rs", "shaders/lib/volume.wgsl", "gradient"),
+    ("src/deform/stack.rs", "shaders/lib/stack.wgsl", "nearer_of is_outside displacement source_and_alpha source_and_alpha_unclipped jet"),
+    (
+        "src/deform/cut.rs",
+        "shaders/lib/cut.wgsl",
+        "signed_distance_mm=shape_signed_distance_mm signed_distance_mm=cuts_signed_distance_mm gradient=cuts_gradient \
+         retained_part root=cut_root",
+    ),
+    ("src/transfer/table.rs", "shaders/lib/transfer.wgsl", "lookup opacity_slope_sign gradient_factor"),
+    ("src/transfer/preintegrated.rs", "shaders/lib/transfer.wgsl", "depth=segment_depth lookup=lookup_segment"),
+    ("src/mesh/deformer.rs", "shaders/lib/deformer.wgsl", "bernstein local=deformer_local apply_all deform_vertex"),
+    ("src/mesh/formula.rs", "shaders/lib/formula.wgsl", "to_box distance=solid_distance distance=formula_distance"),
+    ("src/mesh/implicit.rs", "shaders/lib/implicit.wgsl", "value=implicit_value gradient=implicit_gradient"),
+    ("src/math/light.rs", "shaders/lib/light.wgsl", "shine"),
+    ("src/math/mod.rs", "shaders/lib/math.wgsl", "normalize_or"),
+    ("src/scene/camera.rs", "shaders/lib/march.wgsl", "ray=pixel_ray"),
+];
+
+/// Names of a file's functions in their order, without those of its tests.
+fn functions(path: &str) -> Vec<String> {
+    let text = std::fs::read_to_string(std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(path)).unwrap();
+    let code = text.split("#[cfg(test)]").next().unwrap().to_owned();
+    let name = |line: &str| {
+        let rest = line.trim_start().split_once("fn ").filter(|(before, _)| before.is_empty() || before.starts_with("pub"))?.1;
+        Some(rest.split(|c: char| !c.is_alphanumeric() && c != '_').next()?.to_owned())
+    };
+    code.lines().filter(|l| !l.trim_start().starts_with("//")).filter_map(name).collect()
+}
+
+/// Whether names occur in a list in their order.
+fn is_subsequence(names: &[&str], list: &[String]) -> bool {
+    let mut rest = list.iter();
+    names.iter().all(|name| rest.any(|other| other == name))
+}
+
+/// What the CPU and the GPU do alike has one name and one place in both files, so that they can be read side by side.
+pub fn functions_are_paired() {
+    for (rust, wgsl, pairs) in PAIRS {
+        let (ours, theirs): (Vec<&str>, Vec<&str>) = pairs.split_whitespace().map(|p| p.split_once('=').unwrap_or((p, p))).unzip();
+        for (file, names) in [(rust, ours), (wgsl, theirs)] {
+            let list = functions(file);
+            assert!(is_subsequence(&names, &list), "{file} has not, in this order: {names:?}; it has {list:?}");
+        }
+    }
+    // A name that both files of a pair have is one of the table's.
+    for (rust, wgsl, _) in PAIRS {
+        let listed = |name: &str| {
+            PAIRS.iter().filter(|(_, w, _)| w == wgsl).any(|(_, _, pairs)| pairs.split_whitespace().any(|p| p.rsplit('=').next() == Some(name)))
+        };
+        let ours = functions(rust);
+        for name in functions(wgsl).iter().filter(|n| ours.contains(n)) {
+            assert!(listed(name), "{rust} and {wgsl} both have {name}, which is no pair");
+        }
+    }
+    // Every formula has a function of its name, in the order of the enum.
+    let source = std::fs::read_to_string(std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src/deform/formula.rs")).unwrap();
+    let body = source.split("pub enum FormulaKind {").nth(1).unwrap().split('}').next().unwrap();
+    let snake = |variant: &str| {
+        let mut name = String::new();
+        for c in variant.chars() {
+            if c.is_uppercase() && !name.is_empty() {
+                name.push('_');
+            }
+            name.extend(c.to_lowercase());
+        }
+        name
+    };
+    let formulas: Vec<String> = body.lines().filter_map(|l| l.trim().split_once(" = ")).map(|(variant, _)| snake(variant)).collect();
+    assert!(formulas.len() >= 16, "{formulas:?}");
+    let names: Vec<&str> = formulas.iter().map(String::as_str).collect();
+    assert!(is_subsequence(&names, &functions("shaders/lib/kinds.wgsl")), "shaders/lib/kinds.wgsl has not, in this order: {names:?}");
+}

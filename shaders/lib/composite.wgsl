@@ -1,4 +1,4 @@
-// A stretch of a ray, front to back. Counterpart of march in src/cpu/packet.rs; a ray is one stretch, a slab of slices a short one.
+// Compositing of a segment of a ray, front to back: a whole ray, or what one slab of slices holds of it.
 
 const MIN_TRANSMITTANCE: f32 = 1.0 / 512.0;
 const NEVER: f32 = -1e30;
@@ -6,9 +6,9 @@ const NEVER: f32 = -1e30;
 struct RaySegment {
     // Premultiplied.
     color: vec4<f32>,
-    // Greatest, smallest or summed value of a projection, and samples with matter.
+    // Greatest, smallest or summed value of a projection, and number of samples in it.
     projected: f32,
-    matter: f32,
+    present_count: f32,
 }
 
 // Where a ray meets the box of what can be seen: near and far; it misses if near > far.
@@ -32,6 +32,27 @@ fn pixel_shift(pixel: vec2<u32>) -> f32 {
     return f32(h >> 8u) / 16777216.0 - 0.5;
 }
 
+// A projection with one more value.
+fn insert_value(projected: f32, value: f32) -> f32 {
+    switch BLEND {
+        case BLEND_MIP: { return max(projected, value); }
+        case BLEND_MINIP: { return min(projected, value); }
+        default: { return projected + value; }
+    }
+}
+
+// The value at the front end of a sample's segment: that of the sample before it, if there is one; otherwise its own.
+fn front_value(at: SceneSample, previous: vec3<f32>, before: f32, is_known: bool) -> f32 {
+    if !at.present {
+        return at.value;
+    }
+    if is_known {
+        return before;
+    }
+    let earlier = sample_scene(previous);
+    return select(at.value, earlier.value, earlier.present);
+}
+
 // Samples first .. end of a ray, at (i + 1/2) step.
 fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> RaySegment {
     let inverse_direction = 1.0 / ray.direction;
@@ -41,11 +62,11 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Ray
     var i = first;
     var color = vec4<f32>(0.0);
     var projected = select(0.0, select(-1e30, 1e30, BLEND == BLEND_MINIP), BLEND != BLEND_AVERAGE);
-    var matter = 0.0;
+    var present_count = 0.0;
     var taken = 0u;
     var skipped = 0u;
     var terminated = 0u;
-    // The last sample that had matter, and its number.
+    // Value of the last sample that was present, and its number.
     var before = 0.0;
     var before_at = -2;
     // What a PreviousSample says of the last sample that was looked at, and the number of the one behind it.
@@ -83,7 +104,7 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Ray
             }
             share = part.share;
             let sampled = ray.origin + ray.direction * part.t;
-            // Matter comes in runs: what lies behind something visible is likely to be shaded too.
+            // Visible samples come in runs: the one behind something visible is likely to be shaded too.
             at = sample_scene_and_gradient(sampled, needs_gradients && i - 1 == last_at && last_depth > 0.0);
             // The same point, to the bit, whether or not it was looked at.
             front = PreviousSample(sampled - ray.direction * step, NOT_SAMPLED);
@@ -93,12 +114,8 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Ray
             }
             if BLEND != BLEND_COMPOSITE {
                 if at.present {
-                    matter += 1.0;
-                    switch BLEND {
-                        case BLEND_MIP: { projected = max(projected, at.value); }
-                        case BLEND_MINIP: { projected = min(projected, at.value); }
-                        default: { projected += at.value; }
-                    }
+                    present_count += 1.0;
+                    projected = insert_value(projected, at.value);
                 }
                 continue;
             }
@@ -109,14 +126,8 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Ray
                     last_at = i;
                 }
             } else {
-                var front = at.value;
+                let front = front_value(at, sampled - ray.direction * step, before, CUTS == 0u && before_at == i - 2);
                 if at.present {
-                    if CUTS == 0u && before_at == i - 2 {
-                        front = before;
-                    } else {
-                        let earlier = sample_scene(sampled - ray.direction * step);
-                        front = select(at.value, earlier.value, earlier.present);
-                    }
                     before = at.value;
                     before_at = i - 1;
                 }
@@ -146,5 +157,5 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Ray
         }
     }
     count(pixel, vec3<u32>(taken, skipped, terminated));
-    return RaySegment(color, projected, matter);
+    return RaySegment(color, projected, present_count);
 }

@@ -42,24 +42,6 @@ struct RetainedPart {
     share: f32,
 }
 
-fn cut_root(origin: vec3<f32>, direction: vec3<f32>, outside_start: vec2<f32>, cut_start: vec2<f32>) -> f32 {
-    var outside = outside_start;
-    var cut = cut_start;
-    for (var n = 0; n < ROOT_STEPS; n += 1) {
-        let t = outside.x + (cut.x - outside.x) * clamp(outside.y / (outside.y - cut.y), 0.0, 1.0);
-        let v = cuts_signed_distance_mm(origin + direction * t);
-        if abs(v) < 1e-4 {
-            return t;
-        }
-        if v >= 0.0 {
-            outside = vec2<f32>(t, v);
-        } else {
-            cut = vec2<f32>(t, v);
-        }
-    }
-    return outside.x + (cut.x - outside.x) * clamp(outside.y / (outside.y - cut.y), 0.0, 1.0);
-}
-
 fn retained_part(origin: vec3<f32>, direction: vec3<f32>, t: f32, step: f32) -> RetainedPart {
     if CUTS == 0u {
         return RetainedPart(t, 1.0);
@@ -101,4 +83,22 @@ fn retained_part(origin: vec3<f32>, direction: vec3<f32>, t: f32, step: f32) -> 
         return RetainedPart(0.5 * (b + high.x), (high.x - b) / step);
     }
     return RetainedPart(t, 0.0);
+}
+
+fn cut_root(origin: vec3<f32>, direction: vec3<f32>, outside_start: vec2<f32>, cut_start: vec2<f32>) -> f32 {
+    var outside = outside_start;
+    var cut = cut_start;
+    for (var n = 0; n < ROOT_STEPS; n += 1) {
+        let t = outside.x + (cut.x - outside.x) * clamp(outside.y / (outside.y - cut.y), 0.0, 1.0);
+        let v = cuts_signed_distance_mm(origin + direction * t);
+        if abs(v) < 1e-4 {
+            return t;
+        }
+        if v >= 0.0 {
+            outside = vec2<f32>(t, v);
+        } else {
+            cut = vec2<f32>(t, v);
+        }
+    }
+    return outside.x + (cut.x - outside.x) * clamp(outside.y / (outside.y - cut.y), 0.0, 1.0);
 }

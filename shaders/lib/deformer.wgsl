@@ -15,7 +15,7 @@ fn bernstein_slope(t: f32) -> vec4<f32> {
     return vec4<f32>(-3.0 * s * s, 3.0 * s * s - 6.0 * s * t, 6.0 * s * t - 3.0 * t * t, 3.0 * t * t);
 }
 
-fn deform_local(k: u32, p: vec3<f32>) -> DeformedVertex {
+fn deformer_local(k: u32, p: vec3<f32>) -> DeformedVertex {
     let top = deformers[k].half.z;
     let n = deformers[k].numbers;
     let h = clamp(p.z, -top, top);
@@ -93,11 +93,11 @@ fn deform_local(k: u32, p: vec3<f32>) -> DeformedVertex {
     }
 }
 
-fn deform(world: vec3<f32>) -> DeformedVertex {
+fn apply_all(world: vec3<f32>) -> DeformedVertex {
     var all = DeformedVertex(world, mat3x3<f32>(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0));
     for (var k = 0u; k < object.deformers; k += 1u) {
         let m = deformers[k].local_from_world;
-        let own = deform_local(k, transform_point(m, all.p));
+        let own = deformer_local(k, transform_point(m, all.p));
         let linear = linear_part(m);
         // Rigid: the inverse of its linear part is the transpose.
         let back = transpose(linear);
@@ -108,7 +108,7 @@ fn deform(world: vec3<f32>) -> DeformedVertex {
 
 // Position and normal of a vertex.
 fn deform_vertex(world: vec3<f32>, normal: vec3<f32>) -> array<vec3<f32>, 2> {
-    let d = deform(world);
+    let d = apply_all(world);
     let a = cross(normal, vec3<f32>(0.0, 0.0, 1.0));
     let b = cross(normal, vec3<f32>(0.0, 1.0, 0.0));
     let tangent = normalize_or(select(b, a, dot(a, a) >= dot(b, b)), vec3<f32>(1.0, 0.0, 0.0));
@@ -119,7 +119,7 @@ fn deform_vertex(world: vec3<f32>, normal: vec3<f32>) -> array<vec3<f32>, 2> {
         case NORMAL_METHOD_TANGENT: { turned = cross(d.j * tangent, d.j * binormal); }
         default: {
             let h = object.vertex_offset_mm;
-            turned = cross(deform(world + tangent * h).p - d.p, deform(world + binormal * h).p - d.p);
+            turned = cross(apply_all(world + tangent * h).p - d.p, apply_all(world + binormal * h).p - d.p);
         }
     }
     return array<vec3<f32>, 2>(d.p, normalize_or(turned, normal));

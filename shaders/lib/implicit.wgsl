@@ -1,4 +1,4 @@
-// Counterpart of src/mesh/implicit.rs, src/mesh/depth_map.rs and src/math/distance_grid.rs. With what an object binds.
+// Implicit surfaces: distance grids, depth maps, formulas. With what an object binds.
 
 @group(2) @binding(0) var<uniform> object: SurfaceObject;
 @group(2) @binding(1) var field: texture_3d<f32>;

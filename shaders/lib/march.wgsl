@@ -1,4 +1,4 @@
-// Counterpart of src/scene/camera.rs (ray), src/scene/macrocells.rs (blocks_lanes) and the helpers of src/cpu/mod.rs.
+// What a ray meets on its way: empty blocks, samples, opaque faces.
 
 struct Ray {
     origin: vec3<f32>,

@@ -1,4 +1,4 @@
-// A pixel's ray, front to back. Counterpart of march in src/cpu/packet.rs.
+// A pixel's ray, front to back.
 
 // Premultiplied, with what lies behind; by the position of the pixel's centre.
 fn ray_color(position: vec2<f32>) -> vec4<f32> {
@@ -19,7 +19,7 @@ fn ray_color(position: vec2<f32>) -> vec4<f32> {
     let all = composite(position, ray, first_sample_after(range.x, step), first_sample_after(range.y, step), step);
     var color = all.color;
     if BLEND != BLEND_COMPOSITE {
-        color = projection_color(all.projected, all.matter);
+        color = projection_color(all.projected, all.present_count);
     }
     return color + surface * (1.0 - color.a);
 }

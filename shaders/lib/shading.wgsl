@@ -34,8 +34,13 @@ fn uses_gradient_opacity() -> bool {
     return frame.gradient_top > 0.0;
 }
 
-fn world_from_voxel_covector(per_voxel: vec3<f32>) -> vec3<f32> {
-    return transpose(linear_part(frame.voxel_from_world)) * per_voxel;
+// The sample at a point that was looked at; depth 0 if it shows nothing.
+fn visible_sample(at: SceneSample, deformed: vec3<f32>) -> VisibleSample {
+    if !at.present {
+        return VisibleSample(deformed, at.in_voxel, vec3<f32>(0.0), 0.0, 0.0, NOT_FETCHED, false);
+    }
+    let t = lookup(at.value);
+    return VisibleSample(deformed, at.in_voxel, t.rgb, t.a, at.value, at.gradient, at.has_gradient);
 }
 
 // The nearer of a cut and the volume's two faces across an axis.
@@ -45,23 +50,36 @@ fn nearer_volume_face(cut: NearestCut, j: Jet, in_voxel: vec3<f32>, axis: vec3<f
     return nearer_of(cut, min(at, beyond), transpose(j.d_source_d_deformed) * world_from_voxel_covector(axis * select(-1.0, 1.0, at < beyond)));
 }
 
-fn nearest_cut(j: Jet, in_voxel: vec3<f32>) -> NearestCut {
-    let x = nearer_volume_face(j.cut, j, in_voxel, vec3<f32>(1.0, 0.0, 0.0));
-    let y = nearer_volume_face(x, j, in_voxel, vec3<f32>(0.0, 1.0, 0.0));
-    return nearer_volume_face(y, j, in_voxel, vec3<f32>(0.0, 0.0, 1.0));
+// A cut near a sample in the midst of matter, if the ray came out of it; none if it came through another surface since, or goes towards it.
+fn cut_in_front(cut: NearestCut, s: VisibleSample, direction: vec3<f32>) -> NearestCut {
+    if NORMALS != NORMALS_BLENDED || cut.distance_mm >= frame.blend_far_mm {
+        return cut;
+    }
+    let facing = -dot(cut.normal, direction);
+    if facing <= 0.0 {
+        return NO_CUT;
+    }
+    var way = min(CUT_LOOKBACK_SHARE * max(cut.distance_mm, 0.0) / facing, MAX_CUT_LOOKBACK * frame.blend_far_mm);
+    for (var n = 0; n < CUT_LOOKBACK_STEPS; n += 1) {
+        let back = dense_sample(s.deformed - direction * way, s.depth).depth;
+        if back >= 0.0 {
+            return cut;
+        }
+        if back == THINNER {
+            return NO_CUT;
+        }
+        way *= 0.5;
+    }
+    return cut;
 }
 
-fn path_fraction(cut: NearestCut, deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> f32 {
-    let facing = dot(cut.normal, direction);
-    let across = step_mm * abs(facing);
-    if cut.distance_mm >= 1.1 * across {
-        return 1.0;
+// The colour that a voxel has of its own, if it has one, in place of another.
+fn own_color(in_voxel: vec3<f32>, otherwise: vec3<f32>) -> vec3<f32> {
+    if COLORS == 0u {
+        return otherwise;
     }
-    let beyond = deformed + direction * select(step_mm, -step_mm, facing < 0.0);
-    if sample_scene(beyond).present {
-        return 1.0;
-    }
-    return 0.5 + clamp(cut.distance_mm / across, 0.0, 1.0);
+    let c = sample_colors(in_voxel);
+    return clamp(c.rgb / max(c.a, 1.0 / 1024.0), vec3<f32>(0.0), vec3<f32>(1.0));
 }
 
 // What stands for an optical depth where there is none: matter, but less than half as dense; no matter; no sample was taken.
@@ -92,6 +110,94 @@ struct PreviousSample {
     depth: f32,
 }
 
+// Shades what is seen. half: that of half_vector, the same all along a ray.
+fn shade_point(e: ShadingPoint, direction: vec3<f32>, half: vec3<f32>) -> Shaded {
+    let color = own_color(e.s.in_voxel, e.s.color);
+    if !is_lit() && !uses_gradient_opacity() {
+        return Shaded(color, e.share);
+    }
+    var per_voxel = e.s.gradient;
+    if !e.s.has_gradient {
+        per_voxel = gradient(e.s.in_voxel);
+    }
+    let gradient_in_source = world_from_voxel_covector(per_voxel);
+    var depth_factor = e.share;
+    if uses_gradient_opacity() {
+        depth_factor *= gradient_factor(length(gradient_in_source));
+    }
+    if !is_lit() {
+        return Shaded(color, depth_factor);
+    }
+    let far = e.cut_free && far_from_faces(e.s.in_voxel);
+    var j = e.j;
+    // Far from every cut, the deformation matters to what has a normal only.
+    if !e.has_jet && !(far && surface_confidence(gradient_in_source) <= 0.0) {
+        j = jet(e.s.deformed);
+    }
+    var cut = NO_CUT;
+    if (!e.entered || e.through_cut) && !far {
+        cut = nearer_cut_shape(nearest_cut(j, e.s.in_voxel), e.s.deformed);
+        if !e.entered {
+            cut = cut_in_front(cut, e.s, direction);
+        }
+    }
+    var falling = 1.0;
+    if frame.two_sided == 0u {
+        falling = opacity_slope_sign(e.s.value);
+    }
+    let n = shaded_normal(j.d_source_d_deformed, gradient_in_source * falling, cut, direction);
+    return Shaded(light(n, half, color), depth_factor);
+}
+
+// How far a gradient in the source is that of a surface, 0 .. 1.
+fn surface_confidence(gradient_in_source: vec3<f32>) -> f32 {
+    return smoothstep(SURFACE_GRADIENT_LOW, SURFACE_GRADIENT_HIGH, length(gradient_in_source) * abs(frame.table_scale) * frame.reference_mm);
+}
+
+// Matter between a cut and a sample that shows nothing, thinner than a step; depth 0 if there is none.
+fn thin_layer_at_cut(deformed: vec3<f32>, present: bool, direction: vec3<f32>, step_mm: f32) -> ShadingPoint {
+    var found = ShadingPoint(VisibleSample(deformed, vec3<f32>(0.0), vec3<f32>(0.0), 0.0, 0.0, NOT_FETCHED, false), true, identity_jet(deformed), false, present, 0.0, false);
+    let before = deformed - direction * step_mm;
+    let at_before = sample_scene(before);
+    if at_before.present == present || visible_sample(at_before, before).depth > 0.0 {
+        return found;
+    }
+    let end = select(before, deformed, present);
+    var inside = end;
+    var outside = select(deformed, before, present);
+    for (var n = 0; n < ENTRY_STEPS; n += 1) {
+        let middle = (inside + outside) * 0.5;
+        if sample_scene(middle).present {
+            inside = middle;
+        } else {
+            outside = middle;
+        }
+    }
+    let at_cut = visible_sample(sample_scene(inside), inside);
+    if at_cut.depth <= 0.0 {
+        return found;
+    }
+    var dense_end = at_cut;
+    var thin = end;
+    for (var n = 0; n < ENTRY_STEPS; n += 1) {
+        let middle = (dense_end.deformed + thin) * 0.5;
+        let s = visible_sample(sample_scene(middle), middle);
+        if s.depth > 0.0 {
+            dense_end = s;
+        } else {
+            thin = middle;
+        }
+    }
+    found.share = length(dense_end.deformed - outside) / step_mm;
+    if present {
+        found.s = at_cut;
+    } else {
+        found.s = dense_end;
+        found.s.depth = at_cut.depth;
+    }
+    return found;
+}
+
 // Where the ray entered the matter that a sample lies in, if it did so within the last step.
 fn entry(s: VisibleSample, front: PreviousSample, direction: vec3<f32>, step_mm: f32) -> SurfaceEntry {
     var before = front.depth;
@@ -120,43 +226,8 @@ fn entry(s: VisibleSample, front: PreviousSample, direction: vec3<f32>, step_mm:
     return SurfaceEntry(first, true, through_cut);
 }
 
-// How far a gradient in the source is that of a surface, 0 .. 1.
-fn surface_confidence(gradient_in_source: vec3<f32>) -> f32 {
-    return smoothstep(SURFACE_GRADIENT_LOW, SURFACE_GRADIENT_HIGH, length(gradient_in_source) * abs(frame.table_scale) * frame.reference_mm);
-}
-
-fn shaded_normal(d_source_d_deformed: mat3x3<f32>, gradient_in_source: vec3<f32>, cut: NearestCut, direction: vec3<f32>) -> Normal {
-    var g = gradient_in_source;
-    if NORMALS == NORMALS_TRANSFORMED || NORMALS == NORMALS_BLENDED {
-        g = transpose(d_source_d_deformed) * g;
-    }
-    var confidence = surface_confidence(gradient_in_source);
-    var normal = normalize_or(-g, vec3<f32>(0.0));
-    if frame.two_sided != 0u && dot(normal, direction) > 0.0 {
-        normal = -normal;
-    }
-    if NORMALS == NORMALS_BLENDED && cut.distance_mm < frame.blend_far_mm {
-        let own = smoothstep(frame.blend_near_mm, frame.blend_far_mm, cut.distance_mm);
-        normal = normalize_or(normal * (own * confidence) + cut.normal * (1.0 - own), cut.normal);
-        confidence = max(own * confidence, 1.0 - own);
-    }
-    return Normal(normal, confidence);
-}
-
-fn light(n: Normal, half: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
-    let even = frame.ambient + ISOTROPIC_DIFFUSE * frame.diffuse;
-    let shone = shine(dot(n.normal, frame.to_light), dot(n.normal, half), frame.specular, frame.shininess);
-    let lit = color * shone.x + shone.y;
-    return clamp(mix(color * even, lit, n.confidence), vec3<f32>(0.0), vec3<f32>(1.0));
-}
-
-// The sample at a point that was looked at; depth 0 if it shows nothing.
-fn visible_sample(at: SceneSample, deformed: vec3<f32>) -> VisibleSample {
-    if !at.present {
-        return VisibleSample(deformed, at.in_voxel, vec3<f32>(0.0), 0.0, 0.0, NOT_FETCHED, false);
-    }
-    let t = lookup(at.value);
-    return VisibleSample(deformed, at.in_voxel, t.rgb, t.a, at.value, at.gradient, at.has_gradient);
+fn world_from_voxel_covector(per_voxel: vec3<f32>) -> vec3<f32> {
+    return transpose(linear_part(frame.voxel_from_world)) * per_voxel;
 }
 
 // As visible, with colour and depth of the segment from a front value.
@@ -168,13 +239,10 @@ fn visible_segment_sample(at: SceneSample, front: f32, deformed: vec3<f32>) -> V
     return VisibleSample(deformed, at.in_voxel, t.rgb, t.a, at.value, at.gradient, at.has_gradient);
 }
 
-// The colour that a voxel has of its own, if it has one, in place of another.
-fn own_color(in_voxel: vec3<f32>, otherwise: vec3<f32>) -> vec3<f32> {
-    if COLORS == 0u {
-        return otherwise;
-    }
-    let c = sample_colors(in_voxel);
-    return clamp(c.rgb / max(c.a, 1.0 / 1024.0), vec3<f32>(0.0), vec3<f32>(1.0));
+fn nearest_cut(j: Jet, in_voxel: vec3<f32>) -> NearestCut {
+    let x = nearer_volume_face(j.cut, j, in_voxel, vec3<f32>(1.0, 0.0, 0.0));
+    let y = nearer_volume_face(x, j, in_voxel, vec3<f32>(0.0, 1.0, 0.0));
+    return nearer_volume_face(y, j, in_voxel, vec3<f32>(0.0, 0.0, 1.0));
 }
 
 // The nearer of a cut and the surface of the cuts that are shapes.
@@ -294,66 +362,35 @@ const CUT_LOOKBACK_SHARE: f32 = 0.9;
 const MAX_CUT_LOOKBACK: f32 = 4.0;
 const CUT_LOOKBACK_STEPS: i32 = 4;
 
-// A cut near a sample in the midst of matter, if the ray came out of it; none if it came through another surface since, or goes towards it.
-fn cut_in_front(cut: NearestCut, s: VisibleSample, direction: vec3<f32>) -> NearestCut {
-    if NORMALS != NORMALS_BLENDED || cut.distance_mm >= frame.blend_far_mm {
-        return cut;
+fn path_fraction(cut: NearestCut, deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> f32 {
+    let facing = dot(cut.normal, direction);
+    let across = step_mm * abs(facing);
+    if cut.distance_mm >= 1.1 * across {
+        return 1.0;
     }
-    let facing = -dot(cut.normal, direction);
-    if facing <= 0.0 {
-        return NO_CUT;
+    let beyond = deformed + direction * select(step_mm, -step_mm, facing < 0.0);
+    if sample_scene(beyond).present {
+        return 1.0;
     }
-    var way = min(CUT_LOOKBACK_SHARE * max(cut.distance_mm, 0.0) / facing, MAX_CUT_LOOKBACK * frame.blend_far_mm);
-    for (var n = 0; n < CUT_LOOKBACK_STEPS; n += 1) {
-        let back = dense_sample(s.deformed - direction * way, s.depth).depth;
-        if back >= 0.0 {
-            return cut;
-        }
-        if back == THINNER {
-            return NO_CUT;
-        }
-        way *= 0.5;
-    }
-    return cut;
+    return 0.5 + clamp(cut.distance_mm / across, 0.0, 1.0);
 }
 
-// Shades what is seen. half: that of half_vector, the same all along a ray.
-fn shade_point(e: ShadingPoint, direction: vec3<f32>, half: vec3<f32>) -> Shaded {
-    let color = own_color(e.s.in_voxel, e.s.color);
-    if !is_lit() && !uses_gradient_opacity() {
-        return Shaded(color, e.share);
+fn shaded_normal(d_source_d_deformed: mat3x3<f32>, gradient_in_source: vec3<f32>, cut: NearestCut, direction: vec3<f32>) -> Normal {
+    var g = gradient_in_source;
+    if NORMALS == NORMALS_TRANSFORMED || NORMALS == NORMALS_BLENDED {
+        g = transpose(d_source_d_deformed) * g;
     }
-    var per_voxel = e.s.gradient;
-    if !e.s.has_gradient {
-        per_voxel = gradient(e.s.in_voxel);
+    var confidence = surface_confidence(gradient_in_source);
+    var normal = normalize_or(-g, vec3<f32>(0.0));
+    if frame.two_sided != 0u && dot(normal, direction) > 0.0 {
+        normal = -normal;
     }
-    let gradient_in_source = world_from_voxel_covector(per_voxel);
-    var depth_factor = e.share;
-    if uses_gradient_opacity() {
-        depth_factor *= gradient_factor(length(gradient_in_source));
+    if NORMALS == NORMALS_BLENDED && cut.distance_mm < frame.blend_far_mm {
+        let own = smoothstep(frame.blend_near_mm, frame.blend_far_mm, cut.distance_mm);
+        normal = normalize_or(normal * (own * confidence) + cut.normal * (1.0 - own), cut.normal);
+        confidence = max(own * confidence, 1.0 - own);
     }
-    if !is_lit() {
-        return Shaded(color, depth_factor);
-    }
-    let far = e.cut_free && far_from_faces(e.s.in_voxel);
-    var j = e.j;
-    // Far from every cut, the deformation matters to what has a normal only.
-    if !e.has_jet && !(far && surface_confidence(gradient_in_source) <= 0.0) {
-        j = jet(e.s.deformed);
-    }
-    var cut = NO_CUT;
-    if (!e.entered || e.through_cut) && !far {
-        cut = nearer_cut_shape(nearest_cut(j, e.s.in_voxel), e.s.deformed);
-        if !e.entered {
-            cut = cut_in_front(cut, e.s, direction);
-        }
-    }
-    var falling = 1.0;
-    if frame.two_sided == 0u {
-        falling = opacity_slope_sign(e.s.value);
-    }
-    let n = shaded_normal(j.d_source_d_deformed, gradient_in_source * falling, cut, direction);
-    return Shaded(light(n, half, color), depth_factor);
+    return Normal(normal, confidence);
 }
 
 // A visible sample.
@@ -374,46 +411,9 @@ fn far_from_faces(in_voxel: vec3<f32>) -> bool {
     return all(in_voxel > frame.face - 0.5) && all(in_voxel < frame.grid_size - 0.5 - frame.face);
 }
 
-// Matter between a cut and a sample that shows nothing, thinner than a step; depth 0 if there is none.
-fn thin_layer_at_cut(deformed: vec3<f32>, present: bool, direction: vec3<f32>, step_mm: f32) -> ShadingPoint {
-    var found = ShadingPoint(VisibleSample(deformed, vec3<f32>(0.0), vec3<f32>(0.0), 0.0, 0.0, NOT_FETCHED, false), true, identity_jet(deformed), false, present, 0.0, false);
-    let before = deformed - direction * step_mm;
-    let at_before = sample_scene(before);
-    if at_before.present == present || visible_sample(at_before, before).depth > 0.0 {
-        return found;
-    }
-    let end = select(before, deformed, present);
-    var inside = end;
-    var outside = select(deformed, before, present);
-    for (var n = 0; n < ENTRY_STEPS; n += 1) {
-        let middle = (inside + outside) * 0.5;
-        if sample_scene(middle).present {
-            inside = middle;
-        } else {
-            outside = middle;
-        }
-    }
-    let at_cut = visible_sample(sample_scene(inside), inside);
-    if at_cut.depth <= 0.0 {
-        return found;
-    }
-    var dense_end = at_cut;
-    var thin = end;
-    for (var n = 0; n < ENTRY_STEPS; n += 1) {
-        let middle = (dense_end.deformed + thin) * 0.5;
-        let s = visible_sample(sample_scene(middle), middle);
-        if s.depth > 0.0 {
-            dense_end = s;
-        } else {
-            thin = middle;
-        }
-    }
-    found.share = length(dense_end.deformed - outside) / step_mm;
-    if present {
-        found.s = at_cut;
-    } else {
-        found.s = dense_end;
-        found.s.depth = at_cut.depth;
-    }
-    return found;
+fn light(n: Normal, half: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
+    let even = frame.ambient + ISOTROPIC_DIFFUSE * frame.diffuse;
+    let shone = shine(dot(n.normal, frame.to_light), dot(n.normal, half), frame.specular, frame.shininess);
+    let lit = color * shone.x + shone.y;
+    return clamp(mix(color * even, lit, n.confidence), vec3<f32>(0.0), vec3<f32>(1.0));
 }

@@ -1,4 +1,4 @@
-// Counterpart of CutShape::kept in src/deform/cut.rs.
+// Cut shapes that are computed, not stored.
 
 const HALF_PI: f32 = 1.5707964;
 

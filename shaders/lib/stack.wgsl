@@ -24,14 +24,14 @@ fn nearer_of(cut: NearestCut, value: f32, gradient: vec3<f32>) -> NearestCut {
     return NearestCut(value / slope, gradient / -slope);
 }
 
-fn outside(k: u32, x: vec3<f32>) -> bool {
+fn is_outside(k: u32, x: vec3<f32>) -> bool {
     return any(x < -maps[k].reach) || any(x > 1.0 + maps[k].reach);
 }
 
 // Displacement, mm, and mask of map k.
 fn displacement(k: u32, p: vec3<f32>) -> vec4<f32> {
     let x = transform_point(maps[k].map_from_world, p);
-    if outside(k, x) {
+    if is_outside(k, x) {
         return vec4<f32>(0.0, 0.0, 0.0, 1.0);
     }
     let t = fetch(k, x);
@@ -104,7 +104,7 @@ fn difference(k: u32, x: vec3<f32>, axis: vec3<f32>) -> vec4<f32> {
 fn jet_of_precomposed(deformed: vec3<f32>) -> Jet {
     var j = identity_jet(deformed);
     let x = transform_point(maps[MAPS].map_from_world, deformed);
-    if outside(MAPS, x) {
+    if is_outside(MAPS, x) {
         return j;
     }
     let moved = displacement(MAPS, deformed);
@@ -134,7 +134,7 @@ fn jet(deformed: vec3<f32>) -> Jet {
         let k = n - 1u;
         let moved = displacement(k, here);
         let x = transform_point(maps[k].map_from_world, here);
-        if !outside(k, x) {
+        if !is_outside(k, x) {
             let dx = difference(k, x, vec3<f32>(1.0, 0.0, 0.0));
             let dy = difference(k, x, vec3<f32>(0.0, 1.0, 0.0));
             let dz = difference(k, x, vec3<f32>(0.0, 0.0, 1.0));

@@ -81,81 +81,6 @@ fn surface_sample(ray: Ray, t: f32) -> SurfaceSample {
     return SurfaceSample(t, apply_cut_model(implicit_value(s.xyz)), max(0.5 - s.w, -cuts_signed_distance_mm(p)));
 }
 
-// The last sample on the near side of a change and the first on the far side; of the surface, or of the cut.
-fn bisect_near(ray: Ray, a_start: SurfaceSample, b_start: SurfaceSample, of_cut: bool) -> array<SurfaceSample, 2> {
-    var a = a_start;
-    var b = b_start;
-    let first = select(a.f > 0.0, a.cut > 0.0, of_cut);
-    for (var n = 0; n < BISECTION_STEPS; n += 1) {
-        let middle = surface_sample(ray, 0.5 * (a.t + b.t));
-        if select(middle.f > 0.0, middle.cut > 0.0, of_cut) == first {
-            a = middle;
-        } else {
-            b = middle;
-        }
-    }
-    return array<SurfaceSample, 2>(a, b);
-}
-
-fn first_event(ray: Ray, a: SurfaceSample, b: SurfaceSample) -> SurfaceEvent {
-    var best = SurfaceEvent(-1.0, OUTSIDE);
-    if (a.f > 0.0) != (b.f > 0.0) {
-        let s = bisect_near(ray, a, b, false);
-        let entering = s[0].f <= 0.0;
-        if max(s[0].cut, s[1].cut) <= 0.0 && (object.solid == 0u || entering) {
-            var inner = false;
-            if object.thickness_mm > 0.0 {
-                let p = ray.origin + ray.direction * s[1].t;
-                var source = p;
-                if object.rigid == 0u {
-                    source = source_and_alpha_unclipped(p).xyz;
-                }
-                inner = implicit_value(source) > 0.5 * object.thickness_mm;
-            }
-            best = SurfaceEvent(s[1].t, select(INSIDE, OUTSIDE, entering && !inner));
-        }
-    }
-    if object.solid != 0u && a.cut > 0.0 && b.cut <= 0.0 {
-        let s = bisect_near(ray, a, b, true);
-        if s[1].f > 0.0 && (best.t < 0.0 || s[1].t < best.t) {
-            best = SurfaceEvent(s[1].t, CUT_FACE);
-        }
-    }
-    return best;
-}
-
-fn object_cell(p: vec3<f32>) -> vec3<f32> {
-    return clamp(floor((p - object.cells_origin) / object.cell_mm), vec3<f32>(0.0), vec3<f32>(object.cells) - 1.0);
-}
-
-// Parameter at which a ray leaves a block of `reach` cells about the one with the low corner.
-fn leaves(cell: vec3<f32>, reach: f32, ray: Ray, inverse: vec3<f32>) -> f32 {
-    let low = object.cells_origin + (cell - (reach - 1.0)) * object.cell_mm;
-    let high = object.cells_origin + (cell + reach) * object.cell_mm;
-    let far = max((low - ray.origin) * inverse, (high - ray.origin) * inverse);
-    return min(far.x, min(far.y, far.z));
-}
-
-fn step_length(here: SurfaceSample, slope: f32, exit: f32) -> f32 {
-    let even = object.step_mm;
-    let room = max(exit - here.t, 0.0) + 0.01 * even + MIN_ADVANCE * here.t;
-    switch object.steps {
-        case STEPS_UNIFORM: { return even; }
-        case STEPS_THRESHOLD: { return select(even, even * THRESHOLD_STEP, abs(here.f) < object.threshold_mm); }
-        case STEPS_JACOBIAN: { return min(even / slope, room); }
-        default: {
-            if object.kind == IMPLICIT_DEPTH {
-                return even;
-            }
-            let shortest = MIN_SPHERE_STEP * even / max(slope, 1.0);
-            if here.cut > 0.0 && here.f > 0.0 && object.solid != 0u {
-                return max(min(even, even / slope), shortest);
-            }
-            return min(max(0.9 * abs(here.f) / slope, shortest), room);
-        }
-    }
-}
-
 // Walks a ray to the first hit; counts samples in `taken`.
 fn trace(ray: Ray, taken: ptr<function, u32>) -> SurfaceEvent {
     let inverse = 1.0 / ray.direction;
@@ -206,6 +131,81 @@ fn trace(ray: Ray, taken: ptr<function, u32>) -> SurfaceEvent {
         return first_event(ray, before, surface_sample(ray, far));
     }
     return none;
+}
+
+fn step_length(here: SurfaceSample, slope: f32, exit: f32) -> f32 {
+    let even = object.step_mm;
+    let room = max(exit - here.t, 0.0) + 0.01 * even + MIN_ADVANCE * here.t;
+    switch object.steps {
+        case STEPS_UNIFORM: { return even; }
+        case STEPS_THRESHOLD: { return select(even, even * THRESHOLD_STEP, abs(here.f) < object.threshold_mm); }
+        case STEPS_JACOBIAN: { return min(even / slope, room); }
+        default: {
+            if object.kind == IMPLICIT_DEPTH {
+                return even;
+            }
+            let shortest = MIN_SPHERE_STEP * even / max(slope, 1.0);
+            if here.cut > 0.0 && here.f > 0.0 && object.solid != 0u {
+                return max(min(even, even / slope), shortest);
+            }
+            return min(max(0.9 * abs(here.f) / slope, shortest), room);
+        }
+    }
+}
+
+fn object_cell(p: vec3<f32>) -> vec3<f32> {
+    return clamp(floor((p - object.cells_origin) / object.cell_mm), vec3<f32>(0.0), vec3<f32>(object.cells) - 1.0);
+}
+
+// Parameter at which a ray leaves a block of `reach` cells about the one with the low corner.
+fn leaves(cell: vec3<f32>, reach: f32, ray: Ray, inverse: vec3<f32>) -> f32 {
+    let low = object.cells_origin + (cell - (reach - 1.0)) * object.cell_mm;
+    let high = object.cells_origin + (cell + reach) * object.cell_mm;
+    let far = max((low - ray.origin) * inverse, (high - ray.origin) * inverse);
+    return min(far.x, min(far.y, far.z));
+}
+
+fn first_event(ray: Ray, a: SurfaceSample, b: SurfaceSample) -> SurfaceEvent {
+    var best = SurfaceEvent(-1.0, OUTSIDE);
+    if (a.f > 0.0) != (b.f > 0.0) {
+        let s = bisect(ray, a, b, false);
+        let entering = s[0].f <= 0.0;
+        if max(s[0].cut, s[1].cut) <= 0.0 && (object.solid == 0u || entering) {
+            var inner = false;
+            if object.thickness_mm > 0.0 {
+                let p = ray.origin + ray.direction * s[1].t;
+                var source = p;
+                if object.rigid == 0u {
+                    source = source_and_alpha_unclipped(p).xyz;
+                }
+                inner = implicit_value(source) > 0.5 * object.thickness_mm;
+            }
+            best = SurfaceEvent(s[1].t, select(INSIDE, OUTSIDE, entering && !inner));
+        }
+    }
+    if object.solid != 0u && a.cut > 0.0 && b.cut <= 0.0 {
+        let s = bisect(ray, a, b, true);
+        if s[1].f > 0.0 && (best.t < 0.0 || s[1].t < best.t) {
+            best = SurfaceEvent(s[1].t, CUT_FACE);
+        }
+    }
+    return best;
+}
+
+// The last sample on the near side of a change and the first on the far side; of the surface, or of the cut.
+fn bisect(ray: Ray, a_start: SurfaceSample, b_start: SurfaceSample, of_cut: bool) -> array<SurfaceSample, 2> {
+    var a = a_start;
+    var b = b_start;
+    let first = select(a.f > 0.0, a.cut > 0.0, of_cut);
+    for (var n = 0; n < BISECTION_STEPS; n += 1) {
+        let middle = surface_sample(ray, 0.5 * (a.t + b.t));
+        if select(middle.f > 0.0, middle.cut > 0.0, of_cut) == first {
+            a = middle;
+        } else {
+            b = middle;
+        }
+    }
+    return array<SurfaceSample, 2>(a, b);
 }
 
 fn surface_normal(p: vec3<f32>, side: u32) -> vec3<f32> {

@@ -12,12 +12,6 @@ fn lookup(value: f32) -> vec4<f32> {
     return mix(table_entry(i, 0), table_entry(i + 1, 0), x - f32(i));
 }
 
-// As lookup, of the segment between two samples.
-fn lookup_segment(front: f32, back: f32) -> vec4<f32> {
-    let ends = vec2<f32>(front, back) * frame.table_scale + frame.table_offset;
-    return vec4<f32>(preintegrated_entry(ends.x, ends.y).rgb, segment_depth(ends));
-}
-
 // The optical depth at a position in entries, its integral up to the entry before, and from there.
 fn depth_at(x: f32) -> vec3<f32> {
     let i = min(i32(x), TABLE_ENTRIES - 2);
@@ -39,6 +33,12 @@ fn segment_depth(ends: vec2<f32>) -> f32 {
     let low = depth_at(a);
     let high = depth_at(b);
     return max(((high.y - low.y) + (high.z - low.z)) / (b - a), 0.0);
+}
+
+// As lookup, of the segment between two samples.
+fn lookup_segment(front: f32, back: f32) -> vec4<f32> {
+    let ends = vec2<f32>(front, back) * frame.table_scale + frame.table_offset;
+    return vec4<f32>(preintegrated_entry(ends.x, ends.y).rgb, segment_depth(ends));
 }
 
 fn opacity_slope_sign(value: f32) -> f32 {

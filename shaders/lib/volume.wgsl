@@ -1,4 +1,4 @@
-// Counterpart of src/volume/gradient.rs and of look in src/cpu/mod.rs.
+// Counterpart of src/volume/sampler.rs (gradient) and of sample_scene in src/cpu/mod.rs.
 
 struct SceneSample {
     in_voxel: vec3<f32>,

@@ -215,7 +215,7 @@ fn notes(kind: &Kind) -> &'static str {
     }
 }
 
-/// Presets, kinds and phantoms as text.
+/// Presets, kinds, looks, deformers of meshes and phantoms as text.
 pub fn catalogue() -> String {
     let mut out = String::from("Presets (--preset)\n");
     for p in transfer::list() {

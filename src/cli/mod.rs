@@ -49,7 +49,7 @@ enum Command {
     Info(Box<info::InfoArguments>),
     /// Print the JSON schema of scene files.
     Schema,
-    /// List presets, kinds of deformation with their parameters, and phantoms.
+    /// List presets, kinds of deformation with their parameters, looks of surfaces, deformers of meshes, and phantoms.
     List,
 }
 

@@ -5,6 +5,7 @@ use crate::Watch;
 use crate::export::protect;
 use crate::files::OutputFile;
 use crate::math::Bounds;
+use crate::math::flat;
 use crate::mesh::field::{FieldSettings, MeshField};
 use crate::mesh::load;
 use crate::volume::load::ScalarType;
@@ -80,7 +81,7 @@ pub fn run(arguments: &SdfArguments) -> Result<()> {
     output.finish_with(|file| {
         let problem = |e: String| Error::file(&arguments.output, e);
         let mut writer = Writer::new(file, format, &geometry, Content::Scalar(ScalarType::F32, Rescale::NONE)).map_err(problem)?;
-        writer.push(bytemuck::cast_slice(&field.grid.distance_mm)).map_err(|e| Error::io(&arguments.output, "writing", e))?;
+        writer.push(bytemuck::cast_slice(flat(&field.grid.distance_mm))).map_err(|e| Error::io(&arguments.output, "writing", e))?;
         writer.finish().map_err(|e| Error::io(&arguments.output, "writing", e))?;
         Ok(())
     })?;

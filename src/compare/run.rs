@@ -3,6 +3,7 @@
 use super::metrics::Difference;
 use crate::engine::{Engine, RenderRequest};
 use crate::files::memory;
+use crate::math::flat;
 use crate::picture::{Picture, RenderStats, Rendered, StageTimes};
 use crate::prepare::{Assets, Prepared};
 use crate::scene::{Mode, Scene};
@@ -51,10 +52,10 @@ impl Memory {
     /// What a scene holds that was prepared and rendered on the CPU; without a volume if it has none of its own.
     pub fn of(scene: &Prepared, has_volume: bool) -> Self {
         let volume = match &scene.volume().grid.voxels {
-            VoxelGridValues::U8(v) => size_of_val(v.as_slice()),
-            VoxelGridValues::U16(v) => size_of_val(v.as_slice()),
-            VoxelGridValues::I16(v) => size_of_val(v.as_slice()),
-            VoxelGridValues::F32(v) => size_of_val(v.as_slice()),
+            VoxelGridValues::U8(v) => size_of_val(flat(v)),
+            VoxelGridValues::U16(v) => size_of_val(flat(v)),
+            VoxelGridValues::I16(v) => size_of_val(flat(v)),
+            VoxelGridValues::F32(v) => size_of_val(flat(v)),
         };
         let colors = scene.volume().colors.map_or(0, Colors::size_in_bytes);
         Self {

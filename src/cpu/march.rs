@@ -6,8 +6,8 @@
 //! never for their shading.
 //!
 //! Most samples are *plain*: farther from every cut than anything that a cut does to light, or, beside a face of the volume's own box, than what it
-//! does to anything but normals. What lanes do for those is what [`shading`] does for one sample, less what is known to change nothing. The
-//! others, beside a cut, are handed to [`shading`] one by one; there are few, since a cut is a surface.
+//! does to anything but normals. What lanes do for those is what [`super::shading`] does for one sample, less what is known to change nothing.
+//! The others, beside a cut, are handed to it one by one; there are few, since a cut is a surface.
 //!
 //! *What is not computed*: a sample's neighbour in front of it has mostly been looked at just before, so whether the ray enters matter here is
 //! known without a look; the distance to the shapes of cuts changes no faster than the point moves, so that between two evaluations it is

@@ -8,7 +8,7 @@
 //! Per sample, cheapest question first: macrocell, mask and source point, value, opacity; only what is visible pays for a gradient, a Jacobian (where
 //! there is a normal or a cut is near) and light ([`shading`]). From the second picture of a volume on, where most samples show something,
 //! differences are read beside the values ([`GradientVolume`](crate::volume::GradientVolume), on huge pages). Eight neighbouring rays share every
-//! instruction ([`march`], [`packet`]): about ten times as fast as one ray at a time.
+//! instruction ([`march`], and `packet`, `packet_shading` for their samples).
 //!
 //! Strips of rows are what threads steal from each other, the middle of the picture first, so that all threads finish together; pixels are
 //! independent, so the number of threads changes nothing. Packets go down columns of 16 rows, so that the next one finds the last one's voxels in the
@@ -55,7 +55,7 @@ pub fn render(scene: &Prepared) -> Rendered {
     scene.rendered(picture, Some(stats), stages, Vec::new())
 }
 
-/// As [`render`], for a caller that may stop it, which it does within a row; its progress is reported from several threads.
+/// As [`render`], for a caller that may stop it: it asks before each strip of rows, and reports its progress from several threads.
 ///
 /// # Errors
 /// [`Error::Cancelled`](crate::Error::Cancelled).

@@ -20,7 +20,7 @@ pub(super) struct SamplePacket<S: Simd> {
     pub(super) front: f32x8<S>,
     /// Inside the cube of any map.
     pub(super) inside: mask32x8<S>,
-    /// In a clear macrocell.
+    /// In a macrocell where no cut matters.
     pub(super) cut_free: mask32x8<S>,
     /// Differences of stored values and colours by the transfer function, where those were fetched too.
     pub(super) differences: Vec3x8<S>,

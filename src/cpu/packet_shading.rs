@@ -67,7 +67,44 @@ impl<T: Voxel> RayMarcher<'_, T> {
         let scene = self.scene;
         let one = f32x8::splat(simd, 1.0);
         let (entry, entered) = self.entry(simd, at, sampled, rays, lanes, front);
-        let (bits, mut cut) = (lanes.to_bitmask(), lanes & !lanes);
+        let bits = lanes.to_bitmask();
+        let color = self.unlit_color(simd, at, &entry, entered, bits);
+        let (mut gradient, mut magnitude, mut factor) = (Vec3x8::splat(simd, Vec3::ZERO), one, one);
+        if self.lit || self.gradient_opacity {
+            gradient = self.world_gradient(simd, at, &entry, entered, bits);
+            magnitude = gradient.length();
+        }
+        if self.gradient_opacity {
+            for n in lanes_of(bits) {
+                factor[n] = scene.volume().table.gradient_factor(magnitude[n]);
+            }
+        }
+        let per_reference = magnitude * (scene.volume().table.scale.abs() * scene.frame.spacing.reference_mm);
+        let confidence = smoothstep(SURFACE_GRADIENT[0], SURFACE_GRADIENT[1], per_reference);
+        let in_a_map = lanes & (at.inside | entry.inside);
+        let (jacobian_columns, cut) = self.jacobians_and_cuts(simd, at, &entry, in_a_map, confidence);
+        if !self.lit {
+            return (color, factor, cut);
+        }
+        let mut inward = self.inward_gradient(&entry, gradient, bits);
+        if in_a_map.any_true() && matches!(scene.settings.normals, Normals::Transformed | Normals::Blended) {
+            inward = Vec3x8 { x: jacobian_columns[0].dot(inward), y: jacobian_columns[1].dot(inward), z: jacobian_columns[2].dot(inward) };
+        }
+        let mut normal = -inward.normalized();
+        if scene.light.two_sided {
+            let away = normal.dot(rays.direction).simd_gt(0.0);
+            normal = Vec3x8::select(away, -normal, normal);
+        }
+        // What entered through a surface of the volume's own shows that surface.
+        let near_cut = lanes & !in_a_map & !entered & !self.far_from_faces(at.in_voxel, Vec3x8::splat(simd, self.face_margin_voxels));
+        let (normal, confidence) = self.blended_at_faces(simd, at, sampled, rays.direction, near_cut, (normal, confidence));
+        (self.light(simd, normal, confidence, rays.half, color), factor, cut)
+    }
+
+    /// The colours of eight entries before light: by the transfer function, by the segments in front of them, or the volume's own.
+    #[inline(always)]
+    fn unlit_color<S: Simd>(&self, simd: S, at: &SamplePacket<S>, entry: &SurfaceEntries<S>, entered: mask32x8<S>, bits: u64) -> Vec3x8<S> {
+        let scene = self.scene;
         let mut color = match &self.preintegrated {
             None if at.with_gradients && !entered.any_true() => at.color,
             None => scene.volume().table.color_lanes(simd, entry.value),
@@ -85,29 +122,37 @@ impl<T: Voxel> RayMarcher<'_, T> {
                 color.set(n, colors.sample(scene.volume().grid.size, entry.in_voxel.lane(n)));
             }
         }
-        let (mut gradient, mut magnitude, mut factor) = (Vec3x8::splat(simd, Vec3::ZERO), one, one);
-        if self.lit || self.gradient_opacity {
-            let per_voxel = if at.with_gradients {
-                let mut differences = at.differences;
-                if entered.any_true() {
-                    let there = self.sampler.sample_with_differences(simd, entry.in_voxel).1;
-                    differences = Vec3x8::select(entered, there, differences);
-                }
-                self.sampler.gradient_of(simd, entry.in_voxel, differences, bits)
-            } else {
-                self.sampler.gradient_lanes(simd, entry.in_voxel, scene.gradient_filter(), bits)
-            };
-            gradient = per_voxel.mapped(&self.world_from_covector);
-            magnitude = gradient.length();
-        }
-        if self.gradient_opacity {
-            for n in lanes_of(bits) {
-                factor[n] = scene.volume().table.gradient_factor(magnitude[n]);
+        color
+    }
+
+    /// The source's gradients at eight entries, per mm.
+    #[inline(always)]
+    fn world_gradient<S: Simd>(&self, simd: S, at: &SamplePacket<S>, entry: &SurfaceEntries<S>, entered: mask32x8<S>, bits: u64) -> Vec3x8<S> {
+        let per_voxel = if at.with_gradients {
+            let mut differences = at.differences;
+            if entered.any_true() {
+                let there = self.sampler.sample_with_differences(simd, entry.in_voxel).1;
+                differences = Vec3x8::select(entered, there, differences);
             }
-        }
-        let per_reference = magnitude * (scene.volume().table.scale.abs() * scene.frame.spacing.reference_mm);
-        let mut confidence = smoothstep(SURFACE_GRADIENT[0], SURFACE_GRADIENT[1], per_reference);
-        let in_a_map = lanes & (at.inside | entry.inside);
+            self.sampler.gradient_of(simd, entry.in_voxel, differences, bits)
+        } else {
+            self.sampler.gradient_lanes(simd, entry.in_voxel, self.scene.gradient_filter(), bits)
+        };
+        per_voxel.mapped(&self.world_from_covector)
+    }
+
+    /// The columns of the deformation's Jacobian at eight entries, wherever they matter, and which of those that are in a map lie beside a cut.
+    #[inline(always)]
+    fn jacobians_and_cuts<S: Simd>(
+        &self,
+        simd: S,
+        at: &SamplePacket<S>,
+        entry: &SurfaceEntries<S>,
+        in_a_map: mask32x8<S>,
+        confidence: f32x8<S>,
+    ) -> ([Vec3x8<S>; 3], mask32x8<S>) {
+        let scene = self.scene;
+        let mut cut = in_a_map & !in_a_map;
         let mut jacobian_columns = [Vec3x8::splat(simd, Vec3::X), Vec3x8::splat(simd, Vec3::Y), Vec3x8::splat(simd, Vec3::Z)];
         // Far from every cut, the deformation matters to what has a normal only.
         let mut active_lanes = in_a_map & !(at.cut_free & self.far_from_faces(entry.in_voxel, Vec3x8::splat(simd, self.deformed_face_margin_voxels)));
@@ -129,9 +174,13 @@ impl<T: Voxel> RayMarcher<'_, T> {
                 (0..3).for_each(|a| jacobian_columns[a].set(n, jet.d_source_d_deformed.col(a)));
             }
         }
-        if !self.lit {
-            return (color, factor, cut);
-        }
+        (jacobian_columns, cut)
+    }
+
+    /// Gradients turned into the matter, which only one-sided light asks for.
+    #[inline(always)]
+    fn inward_gradient<S: Simd>(&self, entry: &SurfaceEntries<S>, gradient: Vec3x8<S>, bits: u64) -> Vec3x8<S> {
+        let scene = self.scene;
         let mut inward = gradient;
         if !scene.light.two_sided {
             for n in lanes_of(bits) {
@@ -140,41 +189,60 @@ impl<T: Voxel> RayMarcher<'_, T> {
                 }
             }
         }
-        if in_a_map.any_true() && matches!(scene.settings.normals, Normals::Transformed | Normals::Blended) {
-            inward = Vec3x8 { x: jacobian_columns[0].dot(inward), y: jacobian_columns[1].dot(inward), z: jacobian_columns[2].dot(inward) };
+        inward
+    }
+
+    /// Normals and their confidence, blended into those of the volume's faces where rays come out of one that is near.
+    #[inline(always)]
+    fn blended_at_faces<S: Simd>(
+        &self,
+        simd: S,
+        at: &SamplePacket<S>,
+        sampled: Vec3x8<S>,
+        direction: Vec3x8<S>,
+        near_cut: mask32x8<S>,
+        (normal, confidence): (Vec3x8<S>, f32x8<S>),
+    ) -> (Vec3x8<S>, f32x8<S>) {
+        let scene = self.scene;
+        if scene.settings.normals != Normals::Blended || !near_cut.any_true() {
+            return (normal, confidence);
         }
-        let mut normal = -inward.normalized();
-        if scene.light.two_sided {
-            let away = normal.dot(rays.direction).simd_gt(0.0);
-            normal = Vec3x8::select(away, -normal, normal);
+        let (distance, outward) = self.nearest_face(simd, at.in_voxel);
+        let own = smoothstep(scene.frame.spacing.blend_mm[0], scene.frame.spacing.blend_mm[1], distance);
+        let facing = -outward.dot(direction);
+        let near_cut = near_cut & own.simd_lt(1.0) & facing.simd_gt(0.0);
+        if !near_cut.any_true() {
+            return (normal, confidence);
         }
-        // What entered through a surface of the volume's own shows that surface.
-        let near_cut = lanes & !in_a_map & !entered & !self.far_from_faces(at.in_voxel, Vec3x8::splat(simd, self.face_margin_voxels));
-        if scene.settings.normals == Normals::Blended && near_cut.any_true() {
-            let (distance, outward) = self.nearest_face(simd, at.in_voxel);
-            let own = smoothstep(scene.frame.spacing.blend_mm[0], scene.frame.spacing.blend_mm[1], distance);
-            let facing = -outward.dot(rays.direction);
-            let mut near_cut = near_cut & own.simd_lt(1.0) & facing.simd_gt(0.0);
-            if near_cut.any_true() {
-                // As shading::cut_in_front.
-                let mut way = (distance * CUT_LOOKBACK_SHARE / facing).min(MAX_CUT_LOOKBACK * scene.frame.spacing.blend_mm[1]);
-                let mut undecided = near_cut;
-                for _ in 0..CUT_LOOKBACK_STEPS {
-                    let back = self.sample_points(simd, sampled - rays.direction * way, undecided, false);
-                    near_cut &= !(undecided & back.present) | back.depth.simd_ge(at.depth * 0.5);
-                    undecided &= !back.present;
-                    if !undecided.any_true() {
-                        break;
-                    }
-                    way *= 0.5;
-                }
-                let of_face = one - own;
-                let blended = (normal * (own * confidence) + outward * of_face).normalized();
-                normal = Vec3x8::select(near_cut, blended, normal);
-                confidence = near_cut.select((own * confidence).max(of_face), confidence);
+        let way = (distance * CUT_LOOKBACK_SHARE / facing).min(MAX_CUT_LOOKBACK * scene.frame.spacing.blend_mm[1]);
+        let near_cut = self.cut_in_front(simd, at, sampled, direction, way, near_cut);
+        let of_face = f32x8::splat(simd, 1.0) - own;
+        let blended = (normal * (own * confidence) + outward * of_face).normalized();
+        (Vec3x8::select(near_cut, blended, normal), near_cut.select((own * confidence).max(of_face), confidence))
+    }
+
+    /// Which samples of `near_cut` have come out of the cut, not through another surface since; as `cut_in_front` of [`shading`].
+    #[inline(always)]
+    fn cut_in_front<S: Simd>(
+        &self,
+        simd: S,
+        at: &SamplePacket<S>,
+        sampled: Vec3x8<S>,
+        direction: Vec3x8<S>,
+        mut way: f32x8<S>,
+        mut near_cut: mask32x8<S>,
+    ) -> mask32x8<S> {
+        let mut undecided = near_cut;
+        for _ in 0..CUT_LOOKBACK_STEPS {
+            let back = self.sample_points(simd, sampled - direction * way, undecided, false);
+            near_cut &= !(undecided & back.present) | back.depth.simd_ge(at.depth * 0.5);
+            undecided &= !back.present;
+            if !undecided.any_true() {
+                break;
             }
+            way *= 0.5;
         }
-        (self.light(simd, normal, confidence, rays.half, color), factor, cut)
+        near_cut
     }
 
     /// The light on eight samples; even where they have no normal.

@@ -4,8 +4,8 @@
 //! cut the normal is blended into the cut's own (\[DDM06\] eq 7).
 //!
 //! *What we changed against the paper*:
-//! - The blend runs over distance to the cut in samples, not over the mask's value, so that it does not depend on a map's
-//!   resolution: the cut's normal alone within one sample (the first one a ray finds behind a cut), none of it after 2.5.
+//! - The blend runs over distance to the cut, not over the mask's value, so that it does not depend on a map's resolution: the cut's
+//!   normal alone within one sample (the first one a ray finds behind a cut) or one voxel, whichever is longer, none of it after 2.5 of them.
 //! - A ray that enters matter through a surface of the volume's own, beside a cut, sees that surface: its normal is not blended. Only
 //!   where the ray comes out of a cut is the cut what is seen: where from the cut's face on, along the ray, there is matter at least half as dense as
 //!   here (`cut_in_front`). Without this every cut has a dark rim, and one behind thin matter shows through it, the more the finer the step.
@@ -90,7 +90,7 @@ pub fn shade<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, sample: &Vi
         Some(entry) => shade_entry(scene, sampler, &entry, direction),
         None => {
             let cut = cut_in_front(scene, sampler, sample, nearer_cut_shape(scene, cut, sample.deformed), direction);
-            shade_with(scene, sampler, sample, &jet_here, &cut, direction)
+            shade_point(scene, sampler, sample, &jet_here, &cut, direction)
         }
     };
     shaded.depth_factor *= share;
@@ -130,7 +130,7 @@ fn shade_entry<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, entry: &S
     let first = &entry.first;
     let jet = jet(scene, first.deformed);
     let cut = if entry.through_cut { nearer_cut_shape(scene, nearest_cut(scene, &jet, first.in_voxel), first.deformed) } else { NearestCut::NONE };
-    shade_with(scene, sampler, first, &jet, &cut, direction)
+    shade_point(scene, sampler, first, &jet, &cut, direction)
 }
 
 /// The colour that voxels have of their own, if they have one and show it.
@@ -139,7 +139,7 @@ fn own_color(scene: &Prepared, in_voxel: Vec3) -> Option<Vec3> {
 }
 
 /// Light and gradient opacity of a point.
-fn shade_with<T: Voxel>(
+fn shade_point<T: Voxel>(
     scene: &Prepared,
     sampler: &VolumeSampler<T>,
     sample: &VisibleSample,

@@ -8,7 +8,7 @@
 //! *What we changed against the paper*:
 //! - Both changes of sign within a step, the surface's and the cut's, are found and taken in their order along the ray, so that an edge
 //!   between them is sharp however long the step.
-//! - Jacobian steps divide by a bound on |J v| over the cell that the ray is in (`deform::slope`) instead of its value at the sample: a
+//! - Jacobian steps divide by a bound on |J v| over the cell that the ray is in (`deform::lipschitz`) instead of its value at the sample: a
 //!   narrow pull between two samples is not stepped over.
 //! - Sphere steps: |f| divided by the same bound is free of surface. Inside a cut, where the next thing to meet is the cut's own
 //!   surface, steps are even.
@@ -224,7 +224,7 @@ pub fn trace(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: 
             return Some(hit);
         }
         before = Some(here);
-        t += step(scene, object, &here, p, is_distance, origin, inverse, t).max(MIN_ADVANCE * t).max(finest);
+        t += step_length(scene, object, &here, p, is_distance, origin, inverse, t).max(MIN_ADVANCE * t).max(finest);
     }
     // The last part of the ray, to the end of what can be seen.
     let hit =
@@ -235,7 +235,16 @@ pub fn trace(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: 
 
 /// Distance to the next sample.
 #[allow(clippy::too_many_arguments, reason = "the state of one ray")]
-fn step(scene: &Prepared, object: &SurfaceObject, here: &SurfaceSample, p: Vec3, is_distance: bool, origin: Vec3, inverse: Vec3, t: f32) -> f32 {
+fn step_length(
+    scene: &Prepared,
+    object: &SurfaceObject,
+    here: &SurfaceSample,
+    p: Vec3,
+    is_distance: bool,
+    origin: Vec3,
+    inverse: Vec3,
+    t: f32,
+) -> f32 {
     let even = object.step_mm;
     let grid = &object.cells.grid;
     let slope = || object.cells.slope[grid.index(p)].max(1e-3);

@@ -1,16 +1,17 @@
-//! A stack, or a transform from a file, as one displacement map: the cost of a sample no longer depends on how many there are.
+//! A stack, or a transform from a file, as one displacement map. Where that is exact enough, a sample costs the same however many maps there are.
 //!
 //! *Theory*: the composite is a map like any other, D(p') = source(p') - p' on a grid over every cube of the stack (\[DDM06\] section 6
 //! names both ways). Interpolating it makes an error that shrinks with the square of the texel where the stack is smooth, with the texel where it
 //! has a kink, and not at all where it tears matter. The resolution is not guessed: a coarse map is made, compared with the exact walk, and refined
 //! until the worst error where matter is lies within the bound. Stacks tear more often than not, at the faces of boxes that matter enters: so the map
-//! that stands for a stack in pictures ([`precomposed`]) marks the cells in which it is not exact enough, and there the maps themselves are walked.
+//! that stands for a stack in pictures ([`precompose`]) marks the cells in which it is not exact enough, and there the maps themselves are walked.
 //!
 //! *The error* at a point is the distance between the two sources where both show matter, and the distance to the cut where one shows matter and the
 //! other does not. Points whose source lies beyond the scene show nothing and do not count.
 
 use super::transform::{Transform, TransformStep};
 use super::{DisplacementMap, PlacedMap, Placement, PrecomposedMap, Stack, Storage, TexelSample};
+use crate::math::flat;
 use crate::math::{Bounds, to_f32};
 use crate::volume::GridGeometry;
 use crate::{Result, Watch};
@@ -36,7 +37,7 @@ const PRECOMPOSED_TEXELS: [usize; 4] = [48, 80, 128, 192];
 const CELL_PROBES: usize = 1_000_000;
 /// Share of the space that may be marked: a finer map is not worth it below.
 const FEW_MARKED: f32 = 0.12;
-/// Share of the maps' work that a shortcut must save, and of the space that may be marked however many maps there are.
+/// Share of the maps' work that a precomposed map must save, and of the space that may be marked however many maps there are.
 const MIN_SAVED: f32 = 0.2;
 const MAX_MARKED: f32 = 0.6;
 /// Of the points of a cell, those at which Jacobians are compared, and how far their components may be apart: normals turn by about as much, radians.
@@ -70,7 +71,7 @@ pub enum Resolution {
     Within(f32),
 }
 
-/// How a shortcut came out.
+/// How exact a precomposed map is.
 #[derive(Clone, Copy, Debug)]
 pub struct PrecomposeError {
     /// Largest error found where matter is, mm.
@@ -594,7 +595,7 @@ pub fn sampled_grid(
     let size = field.grid.size;
     let map_from_world = Mat3::from(placement.map_from_world.matrix3);
     let sample = |n: usize| TexelSample {
-        displacement: map_from_world * field.vectors[n] * strength,
+        displacement: map_from_world * flat(&field.vectors)[n] * strength,
         alpha: if occupied.is_none_or(|s| s[n]) { 1.0 } else { 0.0 },
     };
     let map = DisplacementMap::from_samples(size, storage, (0..field.vectors.len()).map(sample).collect());

@@ -7,7 +7,7 @@ use crate::math::distance::{connected, largest_part, squared_distance};
 use crate::math::{DistanceGrid, to_f32};
 use crate::volume::Volume;
 use glam::{Affine3A, Vec3};
-use rayon::prelude::*;
+use ndarray::{Array3, Axis, Zip};
 
 /// Openings of a body that are narrower than twice this are closed, mm.
 const CLOSING_MM: f32 = 6.0;
@@ -31,35 +31,32 @@ pub fn of_region(volume: &Volume, region: &RegionSource, smooth: bool) -> Option
         stride *= 2;
     }
     let size = volume.size.map(|n| n.div_ceil(stride));
-    let value = |n: usize| {
-        let (i, j, k) = (n % size[0], n / size[0] % size[1], n / (size[0] * size[1]));
-        volume.value(i * stride, j * stride, k * stride)
-    };
     // A list of thousands of labels is looked up, not searched, for each of millions of voxels.
     let wanted = match region {
         RegionSource::Labels(labels) => LabelSet::new(labels),
         _ => LabelSet::default(),
     };
-    let inside = |n: usize| match region {
-        RegionSource::Labels(_) => wanted.holds(value(n)),
-        RegionSource::Mask => value(n) > 0.0,
-        RegionSource::Body(iso) => value(n) >= *iso,
+    let inside = |value: f64| match region {
+        RegionSource::Labels(_) => wanted.holds(value),
+        RegionSource::Mask => value > 0.0,
+        RegionSource::Body(iso) => value >= *iso,
     };
-    let mut mask: Vec<bool> = (0..size.iter().product()).into_par_iter().map(inside).collect();
+    let mut mask = Array3::default((size[2], size[1], size[0]));
+    Zip::indexed(&mut mask).par_for_each(|(k, j, i), m| *m = inside(volume.value(i * stride, j * stride, k * stride)));
     let spacing = (volume.spacing_mm() * stride as f64).as_vec3();
     if matches!(region, RegionSource::Body(_)) {
-        mask = body(largest_part(&mask, size), size, spacing);
+        mask = body(largest_part(&mask), spacing);
     }
     let count = mask.iter().filter(|m| **m).count();
     if count == 0 || count == mask.len() {
         return None;
     }
-    let to_inside = squared_distance(&mask, size, spacing.into());
-    mask.iter_mut().for_each(|m| *m = !*m);
-    let to_outside = squared_distance(&mask, size, spacing.into());
-    let signed: Vec<f32> = to_outside.par_iter().zip(&to_inside).map(|(o, i)| o.sqrt() - i.sqrt()).collect();
+    let to_inside = squared_distance(&mask, spacing.into());
+    mask.par_mapv_inplace(|m| !m);
+    let to_outside = squared_distance(&mask, spacing.into());
+    let signed = Zip::from(&to_outside).and(&to_inside).par_map_collect(|o, i| o.sqrt() - i.sqrt());
     let world_from_grid = to_f32(&volume.world_from_voxel) * Affine3A::from_scale(Vec3::splat(stride as f32));
-    Some(DistanceGrid::new(size, if smooth { keeping_sides(smoothed(signed.clone(), size), &signed) } else { signed }, world_from_grid))
+    Some(DistanceGrid::new(if smooth { keeping_sides(smoothed(signed.clone()), &signed) } else { signed }, world_from_grid))
 }
 
 /// Labels as a table of bits; those beyond it as a set.
@@ -89,39 +86,35 @@ impl LabelSet {
 }
 
 /// Smoothing must not lose what is a voxel thick: every point stays on its side.
-fn keeping_sides(mut smooth: Vec<f32>, signed: &[f32]) -> Vec<f32> {
-    smooth.par_iter_mut().zip(signed).for_each(|(s, d)| *s = if *d > 0.0 { s.max(0.25 * d) } else { s.min(0.25 * d) });
+fn keeping_sides(mut smooth: Array3<f32>, signed: &Array3<f32>) -> Array3<f32> {
+    Zip::from(&mut smooth).and(signed).par_for_each(|s, d| *s = if *d > 0.0 { s.max(0.25 * d) } else { s.min(0.25 * d) });
     smooth
 }
 
 /// A body without its openings and cavities: closed by [`CLOSING_MM`] (so that a nostril or an ear does not let the outside in), then filled.
-fn body(mask: Vec<bool>, size: [usize; 3], spacing: Vec3) -> Vec<bool> {
-    let within = |set: &[bool]| squared_distance(set, size, spacing.into()).into_iter().map(|d| d <= CLOSING_MM * CLOSING_MM).collect::<Vec<bool>>();
-    let not = |set: &[bool]| set.iter().map(|m| !m).collect::<Vec<bool>>();
-    let open = not(&within(&mask));
-    let shell = (0..mask.len()).filter(|n| {
-        let c = [n % size[0], n / size[0] % size[1], n / (size[0] * size[1])];
-        (0..3).any(|a| c[a] == 0 || c[a] + 1 == size[a])
-    });
-    let outside = connected(&open, size, shell);
+fn body(mask: Array3<bool>, spacing: Vec3) -> Array3<bool> {
+    let beyond = |set: &Array3<bool>| squared_distance(set, spacing.into()).mapv(|d| d > CLOSING_MM * CLOSING_MM);
+    let open = beyond(&mask);
+    let (nk, nj, ni) = mask.dim();
+    let is_at_face = |&(k, j, i): &(usize, usize, usize)| [(k, nk), (j, nj), (i, ni)].iter().any(|(c, n)| *c == 0 || c + 1 == *n);
+    let shell = ndarray::indices((nk, nj, ni)).into_iter().filter(is_at_face).map(|(k, j, i)| [i, j, k]);
+    let outside = connected(&open, shell);
     // What grew is taken back, but never a voxel of the body itself.
-    let closed = not(&within(&outside));
-    closed.iter().zip(&mask).map(|(k, m)| *k || *m).collect()
+    beyond(&outside) | mask
 }
 
 /// A 1-2-1 filter along each axis.
-fn smoothed(mut values: Vec<f32>, size: [usize; 3]) -> Vec<f32> {
-    let strides = [1, size[0], size[0] * size[1]];
-    for axis in 0..3 {
-        values = (0..values.len())
-            .into_par_iter()
-            .map(|n| {
-                let c = n / strides[axis] % size[axis];
-                let before = if c > 0 { values[n - strides[axis]] } else { values[n] };
-                let after = if c + 1 < size[axis] { values[n + strides[axis]] } else { values[n] };
-                0.25 * before + 0.5 * values[n] + 0.25 * after
-            })
-            .collect();
+fn smoothed(mut values: Array3<f32>) -> Array3<f32> {
+    for axis in [Axis(2), Axis(1), Axis(0)] {
+        let mut filtered = values.clone();
+        Zip::from(filtered.lanes_mut(axis)).and(values.lanes(axis)).par_for_each(|mut to, from| {
+            let last = from.len() - 1;
+            for c in 0..=last {
+                let (before, after) = (from[c.saturating_sub(1)], from[(c + 1).min(last)]);
+                to[c] = 0.25 * before + 0.5 * from[c] + 0.25 * after;
+            }
+        });
+        values = filtered;
     }
     values
 }
@@ -145,7 +138,7 @@ mod tests {
                 if r < 20.0 && r > 4.0 { 100 } else { 0 }
             })
             .collect();
-        Volume::new(voxels.into(), size, Rescale::NONE, world_from_voxel)
+        Volume::new(crate::volume::Voxels::new(size, voxels), Rescale::NONE, world_from_voxel)
     }
 
     #[test]

@@ -14,6 +14,7 @@ use super::{PlacedMap, Storage};
 use crate::Result;
 use crate::math::Bounds;
 use crate::math::cells::{Cells, mix_with_slopes};
+use crate::math::flat;
 use crate::math::lanes::*;
 use crate::volume::GridGeometry;
 use glam::{DAffine3, DMat3, DVec3, Vec3};
@@ -307,7 +308,7 @@ impl SimdKernel for Newton<'_> {
             for _ in 0..LANE_STEPS {
                 let p = here + way;
                 let cells = Cells::of(p, self.field.grid.size, 0);
-                let (u, [ux, uy, uz]) = mix_with_slopes(simd, &self.field.vectors, self.field.grid.size, &cells);
+                let (u, [ux, uy, uz]) = mix_with_slopes(simd, flat(&self.field.vectors), self.field.grid.size, &cells);
                 let error = way.mapped(&world_from_voxel) + u;
                 residual = error.length();
                 let (a, b, c) = (mx + ux, my + uy, mz + uz);
@@ -394,7 +395,7 @@ mod tests {
         assert_eq!(inverse.report.not_found, 0, "{:?}", inverse.report);
         for n in (0..33 * 33 * 33).step_by(97) {
             let y = inverse.field.grid.world_from_voxel.transform_point3(DVec3::new((n % 33) as f64, (n / 33 % 33) as f64, (n / 1089) as f64));
-            let x = y + inverse.field.vectors[n].as_dvec3();
+            let x = y + flat(&inverse.field.vectors)[n].as_dvec3();
             assert!(x.distance(twist(y, -1.0)) < 0.01, "{y}");
         }
     }

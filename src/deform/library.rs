@@ -30,10 +30,10 @@ pub struct Library {
     notices: Mutex<Vec<String>>,
 }
 
-/// What a shortcut was made for: the stack, the scene's box, the bound.
+/// What a precomposed map is made for: the stack, the scene's box, the bound.
 type PrecomposedKey = (Stack, Bounds, f32);
 
-/// A shortcut, if there is one, and how exact it is.
+/// A precomposed map, if there is one, and how exact it is.
 type Precomposition = (Option<PrecomposedMap>, PrecomposeError);
 
 /// Sampled maps that are kept at most, and their bytes.

@@ -2,6 +2,7 @@
 
 use super::field::MapDefinition;
 use super::texel::{MARKED_ALPHA, Storage, TexelSample};
+use crate::math::arrays::{flat, shaped};
 use crate::math::cells::{Cells, Vec4x8, across, columns, mix_line, mix_texels, mix_with_differences};
 use crate::math::lanes::*;
 use crate::math::pyramid::ChannelRange;
@@ -9,6 +10,7 @@ use crate::math::{MinMaxPyramid, trilinear};
 use crate::{ByteProgress, Result, Watch};
 use glam::{Mat3, Vec3, Vec4, Vec4Swizzles};
 use half::f16;
+use ndarray::Array3;
 use rayon::prelude::*;
 use std::sync::OnceLock;
 
@@ -40,8 +42,8 @@ pub struct TexelRange {
 
 /// The texels with bounds on boxes of them.
 struct TexelPyramids {
-    /// (D / scale, alpha), x fastest.
-    texels: Vec<Vec4>,
+    /// (D / scale, alpha), of shape (z, y, x).
+    texels: Array3<Vec4>,
     pyramid: MinMaxPyramid<4>,
     /// At each grid point, what stored D changes by to the next one along x, along y and along z, per map unit.
     slopes: MinMaxPyramid<9>,
@@ -57,7 +59,7 @@ impl TexelPyramids {
         });
         // They vary less than what they are slopes of, and only say how far a bound is from a better one.
         let slopes = MinMaxPyramid::from_runs(size, 2, |first, last, j, k| slopes_of(&texels, size, [first, last], [j, k]));
-        Self { texels, pyramid, slopes }
+        Self { texels: shaped(size, texels), pyramid, slopes }
     }
 }
 
@@ -133,7 +135,7 @@ impl DisplacementMap {
         Self { size, storage, scale, whole, detail: detail.into(), recipe: None }
     }
 
-    /// A map whose texels a device has made of a recipe, with what they lie within.
+    /// A map whose texels a device has made of a definition, with what they lie within.
     pub fn from_device(recipe: MapDefinition, scale: f32, whole: TexelRange) -> Self {
         Self { size: recipe.size, storage: recipe.storage, scale, whole, detail: OnceLock::new(), recipe: Some(recipe) }
     }
@@ -173,12 +175,12 @@ impl DisplacementMap {
 
     #[inline(always)]
     pub(super) fn texels(&self) -> &[Vec4] {
-        &self.detail().texels
+        flat(&self.detail().texels)
     }
 
     /// Stored (D / scale, alpha) of a grid point.
     pub fn texel(&self, [i, j, k]: [usize; 3]) -> Vec4 {
-        self.texels()[(k * self.size[1] + j) * self.size[0] + i]
+        self.detail().texels[[k, j, i]]
     }
 
     /// The identity.

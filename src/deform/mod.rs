@@ -1,8 +1,9 @@
 //! Displacement maps and their kinds.
 //!
 //! A [`DisplacementMap`] is a small 3D grid over the unit cube: the inverse displacement D and the mask alpha (\[DDM06\] section 4). A
-//! *kind* ([`kinds`]) is a formula with named parameters in millimetres and degrees that is sampled into one. A [`Placement`] puts
-//! it into the world; an ordered [`Stack`] of placed maps is what a renderer walks at every sample.
+//! *kind* ([`kinds`]) is sampled into one: a formula with named parameters in millimetres and degrees; some kinds also read points, labels
+//! or files. A [`Placement`] puts the map into the world; an ordered [`Stack`] of placed maps is what a renderer walks at every sample, unless
+//! one map stands for all of them there ([`compose`]). Removals after the last map that moves anything are no maps but shapes ([`cut`]).
 //!
 //! *What we changed against the paper*:
 //! - The mask is not a blurred binary image but a ramp of the signed distance to the cut, alpha = 1/2 + d/2w. A blur moves the 1/2

@@ -4,6 +4,7 @@ use super::PlacedMap;
 use super::compose::grid_of;
 use super::invert::{self, InversionReport};
 use super::transform::VectorField;
+use crate::math::flat;
 use glam::{DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -80,7 +81,7 @@ impl CheckedField {
         let (mut largest, mut mean, mut border) = (0.0f64, 0.0, 0.0f64);
         for n in valid {
             let det = f64::from(self.determinants[n]);
-            let length = f64::from(self.field.vectors[n].length());
+            let length = f64::from(flat(&self.field.vectors)[n].length());
             let at = [n % size[0], n / size[0] % size[1], n / (size[0] * size[1])];
             count += 1;
             folds += usize::from(det <= 0.0);
@@ -145,7 +146,7 @@ impl CheckedField {
         for n in 0..self.is_valid.len() {
             let [i, j, k] = [n % size[0], n / size[0] % size[1], n / (size[0] * size[1])];
             let p = self.field.grid.world_from_voxel.transform_point3(DVec3::new(i as f64, j as f64, k as f64));
-            let d = self.field.vectors[n];
+            let d = flat(&self.field.vectors)[n];
             let _infallible = writeln!(
                 out,
                 "{i},{j},{k},{:.4},{:.4},{:.4},{:.5},{:.5},{:.5},{:.5},{}",

@@ -5,6 +5,7 @@
 
 use super::compose::{grid_of, placement_of};
 use super::{DisplacementMap, PlacedMap, Storage, TexelSample};
+use crate::math::flat;
 use crate::volume::GridGeometry;
 use crate::volume::load::{self, ReadOptions};
 use crate::volume::save::{self, Content, Format};
@@ -32,8 +33,8 @@ pub fn read(path: &Path, storage: Storage, strength: f32) -> Result<PlacedMap> {
     }
     let placement = placement_of(&grid)?;
     let map_from_world = Mat3::from(placement.map_from_world.matrix3);
-    let channels: [Vec<f32>; 4] = std::array::from_fn(|c| image.component(c));
-    let [x, y, z, alpha] = &channels;
+    let channels: [_; 4] = std::array::from_fn(|c| image.component(c));
+    let [x, y, z, alpha] = std::array::from_fn(|c| flat(&channels[c]));
     let sample = |n: usize| TexelSample {
         displacement: map_from_world * Vec3::new(x[n], y[n], z[n]) * strength,
         // Without strength nothing is cut either.

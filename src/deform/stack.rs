@@ -50,7 +50,7 @@ pub struct Stack {
     precomposed: Option<PrecomposedMap>,
 }
 
-/// One map that stands for a whole stack within a bound ([`super::compose::precomposed`]). Where it does not, at tears and cuts, its texels hold a mask
+/// One map that stands for a whole stack within a bound ([`super::compose::precompose`]). Where it does not, at tears and cuts, its texels hold a mask
 /// above every valid one, which marks each sample that interpolates any of them: there the maps themselves are evaluated.
 #[derive(Clone, PartialEq)]
 pub struct PrecomposedMap {
@@ -288,7 +288,7 @@ impl Stack {
         Some(TexelLine { texels: map.map.line(x.y, x.z)? })
     }
 
-    /// [`Self::walk`] for eight points, of which those in `lanes` are wanted. Only points inside a map's cube cost a fetch.
+    /// [`Self::source_and_alpha`] for eight points, of which those in `lanes` are wanted. Only points inside a map's cube cost a fetch.
     #[inline(always)]
     pub fn source_and_alpha_lanes<S: Simd>(&self, simd: S, deformed: Vec3x8<S>, lanes: mask32x8<S>) -> SourceLanes<S> {
         self.source_and_alpha_on_line(simd, deformed, lanes, None)
@@ -346,14 +346,14 @@ impl Stack {
         walk
     }
 
-    /// [`Self::walk`] for many points: source points and smallest masks.
+    /// [`Self::source_and_alpha`] for many points: source points and smallest masks.
     pub fn sources_and_alphas(&self, deformed: &[Vec3]) -> Vec<(Vec3, f32)> {
         let mut found = Vec::with_capacity(deformed.len());
         with_simd(SourcesKernel { stack: self, deformed, found: &mut found });
         found
     }
 
-    /// As [`Self::walk`], but through every map whatever the masks say: the pseudo-inverse, continuous across cuts.
+    /// As [`Self::source_and_alpha`], but through every map whatever the masks say: the pseudo-inverse, continuous across cuts.
     pub fn source_and_alpha_unclipped(&self, deformed: Vec3) -> (Vec3, f32) {
         let (mut p, mut at, mut smallest) = (deformed, deformed, 1.0f32);
         for map in self.maps.iter().rev() {

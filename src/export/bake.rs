@@ -4,6 +4,7 @@
 use super::rows::{BakeRow, BakeRows};
 use crate::deform::{Stack, StackAndCuts};
 use crate::math::Bounds;
+use crate::math::flat;
 use crate::math::lanes::*;
 use crate::volume::load::ScalarType;
 use crate::volume::save::{Content, Format, Writer};
@@ -128,7 +129,7 @@ impl StoredInterpolator<'_> {
     fn at(&self, c: [i64; 3]) -> f64 {
         let [nx, ny, nz] = self.volume.size;
         let clamp = |v: i64, n: usize| v.clamp(0, n as i64 - 1) as usize;
-        self.volume.voxels.get((clamp(c[2], nz) * ny + clamp(c[1], ny)) * nx + clamp(c[0], nx))
+        self.volume.voxels.at([clamp(c[0], nx), clamp(c[1], ny), clamp(c[2], nz)])
     }
 
     /// None outside the volume.
@@ -143,9 +144,7 @@ impl StoredInterpolator<'_> {
             && self.volume.voxels.is_integer()
             && (0..3).all(|a| c[a] >= 0 && c[a] + 1 < self.volume.size[a] as i64)
         {
-            let [nx, ny, _] = self.volume.size;
-            let [i, j, k] = c.map(|c| c as usize);
-            return Some(self.volume.voxels.trilinear((k * ny + j) * nx + i, [nx, nx * ny], f));
+            return Some(self.volume.voxels.trilinear(c.map(|c| c as usize), f));
         }
         Some(match self.interpolation {
             Interpolation::Nearest => self.at([p.x.round() as i64, p.y.round() as i64, p.z.round() as i64]),
@@ -165,9 +164,9 @@ impl StoredInterpolator<'_> {
         }
         let rows = BakeRows { size, deformation: *deformation, voxel_from_world: m, first, step, count, whole };
         match &self.volume.voxels {
-            Voxels::U8(v) => Some(with_simd(BakeRow { voxels: v, rows })),
-            Voxels::U16(v) => Some(with_simd(BakeRow { voxels: v, rows })),
-            Voxels::I16(v) => Some(with_simd(BakeRow { voxels: v, rows })),
+            Voxels::U8(v) => Some(with_simd(BakeRow { voxels: flat(v), rows })),
+            Voxels::U16(v) => Some(with_simd(BakeRow { voxels: flat(v), rows })),
+            Voxels::I16(v) => Some(with_simd(BakeRow { voxels: flat(v), rows })),
             _ => None,
         }
     }
@@ -386,7 +385,7 @@ mod tests {
             }
         }
         let size = [256, 256, 100];
-        let v = Volume::new(vec![1i16; 256 * 256 * 100].into(), size, Rescale::NONE, DAffine3::IDENTITY);
+        let v = Volume::new(Voxels::new(size, vec![1i16; 256 * 256 * 100]), Rescale::NONE, DAffine3::IDENTITY);
         let (stack, cuts) = (Stack::default(), crate::deform::cut::CutShapes::default());
         let deformation = StackAndCuts { stack: &stack, cuts: &cuts };
         let bake = |room: usize| volume(&v, &deformation, &v.geometry(), Interpolation::Linear, 0.0, Format::Nifti, &mut Full(room), &|_| ());
@@ -406,7 +405,7 @@ mod tests {
                 x * x - 2.0 * y
             })
             .collect();
-        let v = Volume::new(voxels.into(), [7; 3], Rescale::NONE, DAffine3::IDENTITY);
+        let v = Volume::new(Voxels::new([7; 3], voxels), Rescale::NONE, DAffine3::IDENTITY);
         let s = StoredInterpolator { volume: &v, interpolation: Interpolation::Cubic };
         let p = DVec3::new(2.3, 3.7, 3.1);
         assert!((s.sample(p).unwrap_or(f64::NAN) - (p.x * p.x - 2.0 * p.y)).abs() < 1e-9);

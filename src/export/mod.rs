@@ -10,7 +10,7 @@ use crate::{Error, Result};
 use std::path::Path;
 
 /// Nothing is ever written to a file that is read: the first check, by names, before anything is. What is found to be read later is refused by
-/// [`crate::files::Output`] itself.
+/// [`OutputFile`](crate::files::OutputFile) itself.
 ///
 /// # Errors
 /// The output is one of the files that are read, or would be one of a folder of slices that is.

@@ -1,4 +1,4 @@
-//! The workstation's state, and what happens in each of its frames.
+//! How the workstation starts, and what happens in each of its frames.
 
 use super::gizmos::Mode as GizmoMode;
 use super::state::action::{self, Action};

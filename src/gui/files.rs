@@ -1,4 +1,4 @@
-//! Opening, saving and exporting, and the questions that come with it.
+//! Opening and saving, the questions that come with it, and what is done with a file that the dialog returns.
 
 use super::state::Workstation;
 use super::state::document::Document;

@@ -1,12 +1,14 @@
 //! The workstation: a window on a scene.
 //!
-//! *How it is made*: the interface only ever edits a [`Scene`](crate::scene::Scene) and asks for pictures of it. A worker thread renders ([`worker`](state::worker)), another one
-//! answers what lies under the pointer, loading and exports are tasks with threads of their own; no frame of the interface waits for any of
-//! them. What is undone is the scene without its camera, one step for every gesture ([`history`](state::history)). What must survive a crash is written
-//! every minute and before risky steps ([`session`](state::session)).
+//! *How it is made*: the interface only ever edits a [`Scene`](crate::scene::Scene) and asks for pictures of it. A worker thread renders
+//! ([`worker`](state::worker)), another one answers what lies under the pointer, loading and exports have threads of their own; no frame of the
+//! interface waits for any of them. What is undone is the scene without its camera, one step for every gesture ([`history`](state::history)).
+//! What must survive a crash is written every minute and before risky steps ([`session`](state::session)).
 //!
-//! *Where things are*: [`state`] is what all of them read, and its [`action`](state::action) lists everything that can be done, `edit` does it; `views` are the pictures, `gizmos` the handles on them,
-//! `panels` everything beside them; `files` opens and saves, `exports` exports.
+//! *Where things are*: [`state`] is what the window remembers; it names no panel and no view, those extend its [`Workstation`]. [`app`] starts it
+//! and draws each frame. [`action`](state::action) lists everything that can be done, `edit` does it. [`views`] are the pictures, [`gizmos`] the
+//! handles on them, [`panels`] everything beside them; [`projector`] places points on the screen. [`files`] opens and saves. `exports` exports, in
+//! the background ([`tasks`]). [`theme`] says how it looks, `text` how words and numbers are written.
 
 pub mod app;
 mod edit;

@@ -323,11 +323,3 @@ fn columns_of_four<S: Simd>(simd: S, [a, b, c, d]: [[f32; 4]; 4]) -> [f32x4<S>; 
     let (bd, bd_high) = (simd.zip_low_f32x4(b, d), simd.zip_high_f32x4(b, d));
     [simd.zip_low_f32x4(ac, bd), simd.zip_high_f32x4(ac, bd), simd.zip_low_f32x4(ac_high, bd_high), simd.zip_high_f32x4(ac_high, bd_high)]
 }
-
-/// Flat indices of the voxels in a block of a grid.
-pub fn block(size: [usize; 3], factors: [usize; 3], index: usize) -> impl Iterator<Item = usize> {
-    let blocks: [usize; 3] = std::array::from_fn(|a| size[a].div_ceil(factors[a]));
-    let at = [index % blocks[0], index / blocks[0] % blocks[1], index / blocks[0] / blocks[1]];
-    let range = move |a: usize| at[a] * factors[a]..((at[a] + 1) * factors[a]).min(size[a]);
-    range(2).flat_map(move |k| range(1).flat_map(move |j| range(0).map(move |i| (k * size[1] + j) * size[0] + i)))
-}

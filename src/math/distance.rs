@@ -1,45 +1,31 @@
 //! Exact Euclidean distance on an anisotropic grid (Felzenszwalb and Huttenlocher 2012, "Distance Transforms of Sampled Functions":
 //! along each axis in turn, the lower envelope of parabolas), and connected parts of a mask.
 
+use super::arrays::{flat, shaped, size};
+use ndarray::{Array3, Axis, Zip};
 use rayon::prelude::*;
 
-/// Squared distance from every grid point to the nearest cell (the box of one spacing around a point) of `set`, in the unit of `spacing`; 0 for
-/// the points of the set, infinite if it is empty.
+/// Squared distance from every grid point to the nearest cell (the box of one spacing around a point) of `set`, in the unit of `spacing` along
+/// i, j, k; 0 for the points of the set, infinite if it is empty.
 ///
 /// A cell is the set of three parabolas per axis, at its point and at its two faces: the distance to a box is the sum of squares of the
 /// distances to its three intervals, so the axes still separate.
-pub fn squared_distance(set: &[bool], size: [usize; 3], spacing: [f32; 3]) -> Vec<f32> {
-    let [nx, ny, nz] = size;
-    let mut d: Vec<f32> = set.iter().map(|&s| if s { 0.0 } else { f32::INFINITY }).collect();
-    d.par_chunks_mut(nx.max(1)).for_each(|row| {
-        let mut line = Envelope::new(nx);
-        line.transform(row, spacing[0]);
-    });
-    d.par_chunks_mut((nx * ny).max(1)).for_each(|plane| {
-        let mut line = Envelope::new(ny);
-        let mut column = vec![0.0; ny];
-        for i in 0..nx {
-            (0..ny).for_each(|j| column[j] = plane[j * nx + i]);
-            line.transform(&mut column, spacing[1]);
-            (0..ny).for_each(|j| plane[j * nx + i] = column[j]);
-        }
-    });
-    let columns: Vec<Vec<f32>> = (0..nx * ny)
-        .into_par_iter()
-        .map_init(
-            || Envelope::new(nz),
-            |line, ij| {
-                let mut column: Vec<f32> = (0..nz).map(|k| d[k * nx * ny + ij]).collect();
-                line.transform(&mut column, spacing[2]);
-                column
-            },
-        )
-        .collect();
-    d.par_chunks_mut((nx * ny).max(1)).enumerate().for_each(|(k, plane)| plane.iter_mut().zip(&columns).for_each(|(v, c)| *v = c[k]));
+pub fn squared_distance(set: &Array3<bool>, spacing: [f32; 3]) -> Array3<f32> {
+    let mut d = set.mapv(|inside| if inside { 0.0 } else { f32::INFINITY });
+    for (axis, spacing) in [2, 1, 0].into_iter().zip(spacing) {
+        let scratch = || (Envelope::default(), Vec::new());
+        Zip::from(d.lanes_mut(Axis(axis))).into_par_iter().for_each_init(scratch, |(envelope, line), (mut lane,)| {
+            line.clear();
+            line.extend(lane.iter());
+            envelope.transform(line, spacing);
+            lane.iter_mut().zip(&*line).for_each(|(to, value)| *to = *value);
+        });
+    }
     d
 }
 
 /// Scratch space for one line.
+#[derive(Default)]
 struct Envelope {
     /// Grid points whose parabolas make the envelope.
     at: Vec<usize>,
@@ -49,10 +35,6 @@ struct Envelope {
 }
 
 impl Envelope {
-    fn new(n: usize) -> Self {
-        Self { at: Vec::with_capacity(n), from: Vec::with_capacity(n), input: Vec::with_capacity(n) }
-    }
-
     fn transform(&mut self, line: &mut [f32], spacing: f32) {
         self.at.clear();
         self.from.clear();
@@ -114,10 +96,13 @@ fn neighbours(n: usize, [nx, ny, nz]: [usize; 3]) -> impl Iterator<Item = usize>
 }
 
 /// The points of `mask` connected (across faces) to any of `seeds`.
-pub fn connected(mask: &[bool], size: [usize; 3], seeds: impl IntoIterator<Item = usize>) -> Vec<bool> {
+pub fn connected(mask: &Array3<bool>, seeds: impl IntoIterator<Item = [usize; 3]>) -> Array3<bool> {
+    let size = size(mask);
+    let mask = flat(mask);
     let mut reached = vec![false; mask.len()];
     let mut open: Vec<usize> = Vec::new();
-    for s in seeds {
+    for [i, j, k] in seeds {
+        let s = (k * size[1] + j) * size[0] + i;
         if mask[s] && !reached[s] {
             reached[s] = true;
             open.push(s);
@@ -131,11 +116,13 @@ pub fn connected(mask: &[bool], size: [usize; 3], seeds: impl IntoIterator<Item 
             }
         }
     }
-    reached
+    shaped(size, reached)
 }
 
 /// The largest connected part of a mask, by one pass that numbers all parts.
-pub fn largest_part(mask: &[bool], size: [usize; 3]) -> Vec<bool> {
+pub fn largest_part(mask: &Array3<bool>) -> Array3<bool> {
+    let size = size(mask);
+    let mask = flat(mask);
     let mut part = vec![0u32; mask.len()];
     let (mut last, mut best, mut most) = (0u32, 0u32, 0usize);
     let mut open = Vec::new();
@@ -160,7 +147,7 @@ pub fn largest_part(mask: &[bool], size: [usize; 3]) -> Vec<bool> {
             (best, most) = (last, count);
         }
     }
-    part.into_iter().map(|p| p != 0 && p == best).collect()
+    shaped(size, part.into_iter().map(|p| p != 0 && p == best).collect())
 }
 
 #[cfg(test)]
@@ -173,7 +160,7 @@ mod tests {
         fn distances_are_exact(nx in 1usize..8, ny in 1usize..8, nz in 1usize..8, seed in 0u64..1000, spacing in prop::array::uniform3(0.3f32..5.0)) {
             let n = nx * ny * nz;
             let set: Vec<bool> = (0..n as u64).map(|i| (i * 2_654_435_761 + seed * 40_503).is_multiple_of(7)).collect();
-            let got = squared_distance(&set, [nx, ny, nz], spacing);
+            let got = squared_distance(&shaped([nx, ny, nz], set.clone()), spacing);
             let at = |n: usize| [n % nx, n / nx % ny, n / nx / ny];
             for (a, got) in got.iter().enumerate() {
                 let want = (0..n).filter(|&b| set[b]).map(|b| {
@@ -186,10 +173,11 @@ mod tests {
 
     #[test]
     fn parts_are_found() {
-        let mask: Vec<bool> = "##.#..###".chars().map(|c| c == '#').collect();
-        assert_eq!(connected(&mask, [9, 1, 1], [0]).iter().filter(|c| **c).count(), 2);
-        let largest = largest_part(&mask, [9, 1, 1]);
-        assert_eq!(largest, "......###".chars().map(|c| c == '#').collect::<Vec<_>>());
-        assert_eq!(largest_part(&[false; 4], [2, 2, 1]), [false; 4]);
+        let row = |text: &str| shaped([9, 1, 1], text.chars().map(|c| c == '#').collect());
+        let mask = row("##.#..###");
+        assert_eq!(connected(&mask, [[0; 3]]), row("##......."));
+        assert_eq!(largest_part(&mask), row("......###"));
+        let none = shaped([2, 2, 1], vec![false; 4]);
+        assert_eq!(largest_part(&none), none);
     }
 }

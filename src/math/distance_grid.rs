@@ -1,15 +1,17 @@
 //! A signed distance on a grid of points, as renderers and deformations sample it: millimetres, positive inside ([`crate::model`], "Surfaces").
 
+use super::arrays::{flat, size};
 use super::trilinear;
 use glam::{Affine3A, Mat3, Vec3};
+use ndarray::Array3;
 
 /// Signed distances at the points of a grid.
 #[derive(Clone, Debug)]
 pub struct DistanceGrid {
     /// Points along i, j, k.
     pub size: [usize; 3],
-    /// Distances, mm, i fastest.
-    pub distance_mm: Vec<f32>,
+    /// Distances, mm, of shape (k, j, i).
+    pub distance_mm: Array3<f32>,
     /// Grid indices to world mm.
     pub world_from_grid: Affine3A,
     /// The inverse.
@@ -18,8 +20,9 @@ pub struct DistanceGrid {
 
 impl DistanceGrid {
     /// A grid of distances; `world_from_grid` must be invertible.
-    pub fn new(size: [usize; 3], distance_mm: Vec<f32>, world_from_grid: Affine3A) -> Self {
-        Self { size, distance_mm, world_from_grid, grid_from_world: world_from_grid.inverse() }
+    pub fn new(distance_mm: Array3<f32>, world_from_grid: Affine3A) -> Self {
+        let distance_mm = distance_mm.as_standard_layout().into_owned();
+        Self { size: size(&distance_mm), distance_mm, world_from_grid, grid_from_world: world_from_grid.inverse() }
     }
 
     /// Signed distance at a world point, mm. Beyond the grid the nearest point of the grid and the distance from it bound it: the grid is convex, so
@@ -29,7 +32,7 @@ impl DistanceGrid {
         let top = Vec3::from(self.size.map(|n| (n - 1) as f32));
         let nearest = p.clamp(Vec3::ZERO, top);
         let beyond = if nearest == p { 0.0 } else { Mat3::from(self.world_from_grid.matrix3).mul_vec3(p - nearest).length() };
-        let f = trilinear(&self.distance_mm, self.size, p);
+        let f = trilinear(flat(&self.distance_mm), self.size, p);
         if beyond > 0.0 { if f < 0.0 { -f.hypot(beyond) } else { f - beyond } } else { f }
     }
 
@@ -45,8 +48,8 @@ impl DistanceGrid {
         // Distance between two planes of points, mm: an axis of an oblique grid leans.
         let between = [per_mm.x_axis, per_mm.y_axis, per_mm.z_axis].map(|row| row.length().recip());
         let size = self.size;
-        for (n, d) in self.distance_mm.iter_mut().enumerate() {
-            let at = [n % size[0], n / size[0] % size[1], n / (size[0] * size[1])];
+        for ((k, j, i), d) in self.distance_mm.indexed_iter_mut() {
+            let at = [i, j, k];
             // A slice or two have no inside between their faces.
             let to_face = (0..3).filter(|a| size[*a] > 2).map(|a| at[a].min(size[a] - 1 - at[a]) as f32 * between[a]).fold(f32::INFINITY, f32::min);
             *d = d.min(to_face);

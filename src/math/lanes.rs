@@ -1,12 +1,13 @@
-//! Eight numbers at once: vectors whose components are SIMD registers, and the functions of light that registers lack.
+//! Eight numbers at once: vectors whose components are SIMD registers, and the functions that registers lack: powers and logarithms.
 //!
 //! *Theory*: neighbouring rays do the same to different numbers. `Vec3x8` holds the x of eight points in one register, their y in a second and
 //! their z in a third, so that what is written for one point is done for eight. Points and vectors are transformed by the operations
-//! of scalar code, to the bit. Interpolation and polynomials use fused multiply-add (`mul_add`) where the machine has it. They differ from scalar code, and machines that fuse from those that do not, in the last bit.
+//! of scalar code, to the bit. Interpolation and polynomials use fused multiply-add (`mul_add`) where the machine has it: they differ from
+//! scalar code, and machines that fuse from those that do not, in the last bit.
 //!
 //! *How to call it*: [`with_simd`] runs a function compiled for the best registers that the machine has (AVX2, else the target's least).
 //! Everything below it must be `#[inline(always)]`, closures included, and registers must not pass through functions that are not (`map` of an
-//! array): else it is compiled for the least, and every operation becomes a call, which is ten times slower.
+//! array): else it is compiled for the least, and every operation becomes a call, which is many times slower.
 
 pub use fearless_simd::prelude::{Bytes, ExtractToken, Select, Simd, SimdBase, SimdFloat, SimdInt, SimdMask};
 pub use fearless_simd::{f32x4, f32x8, i16x8, i32x4, i32x8, mask32x8};

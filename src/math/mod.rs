@@ -1,5 +1,6 @@
 //! Boxes, interpolation, min/max pyramids, distance transforms, light, and SIMD lanes: what the rest computes with.
 
+pub mod arrays;
 pub mod bounds;
 pub mod cells;
 pub mod distance;
@@ -10,6 +11,7 @@ pub mod light;
 pub mod pyramid;
 mod redistance;
 
+pub use arrays::flat;
 pub use bounds::Bounds;
 pub use distance_grid::DistanceGrid;
 pub use interpolate::trilinear;

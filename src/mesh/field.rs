@@ -13,6 +13,7 @@
 
 use super::{Mesh, Topology, TriangleBvh};
 use crate::Watch;
+use crate::math::arrays::shaped;
 use crate::math::{Bounds, DistanceGrid, normalize_or, to_f32, trilinear};
 use crate::volume::Volume;
 use glam::{Affine3A, Mat3, Vec3};
@@ -154,7 +155,7 @@ impl MeshField {
         let inside = distance.par_iter().filter(|d| **d > 0.0).count() as f64 / distance.len() as f64;
         let eikonal = eikonal(&distance, &lattice);
         (watch.progress)(1.0);
-        let grid = DistanceGrid::new(lattice.size, distance, lattice.world_from_grid());
+        let grid = DistanceGrid::new(shaped(lattice.size, distance), lattice.world_from_grid());
         Ok(Self { grid, topology, turned, windings: counts[0], doubtful: counts[1] as f64 / counts[0].max(1) as f64, inside, eikonal })
     }
 }
@@ -478,7 +479,7 @@ pub fn of_iso_value(volume: &Volume, iso: f64) -> Option<DistanceGrid> {
             *d = -*d;
         }
     });
-    Some(DistanceGrid::new(size, distance, world_from_grid))
+    Some(DistanceGrid::new(shaped(size, distance), world_from_grid))
 }
 
 #[cfg(test)]
@@ -498,7 +499,7 @@ mod tests {
                 (100.0 - world_from_voxel.transform_point3(v).distance(middle)) as f32
             })
             .collect();
-        let volume = Volume::new(voxels.into(), size, Rescale::NONE, world_from_voxel);
+        let volume = Volume::new(crate::volume::Voxels::new(size, voxels), Rescale::NONE, world_from_voxel);
         let field = of_iso_value(&volume, 85.0).unwrap_or_else(|| panic!());
         let (mut worst_near, mut worst) = (0.0f32, 0.0f32);
         for (n, d) in field.distance_mm.iter().enumerate() {

@@ -18,7 +18,7 @@ pub trait Accelerator {
         compose::evaluate(stack, points)
     }
 
-    /// The map of a recipe.
+    /// The map of a definition.
     ///
     /// # Errors
     /// Whatever the device reports; [`crate::Error::Cancelled`].

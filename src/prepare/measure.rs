@@ -74,8 +74,7 @@ pub fn nearest_value(volume: &Volume, world: DVec3) -> Option<f64> {
 
 /// Volume and surface of a label in the patient, and its volume in the deformed scene.
 fn label_quantities(labels: &Volume, label: u32, deformed: &Deformed) -> Result<Vec<Quantity>> {
-    let [nx, ny, nz] = labels.size;
-    let count: usize = (0..nx * ny * nz).into_par_iter().filter(|n| labels.voxels.get(*n) == f64::from(label)).count();
+    let count: usize = labels.voxels.fold(|| 0, |count, v| count + usize::from(v == f64::from(label)), |a, b| a + b);
     let voxel_mm3 = labels.world_from_voxel.matrix3.determinant().abs();
     if count == 0 {
         return Err(Error::value("measure.label", format!("no voxel has the label {label}")));
@@ -161,7 +160,6 @@ mod tests {
     use crate::scene::Scene;
     use crate::volume::{Rescale, Voxels};
     use glam::{DAffine3, DMat3};
-    use std::sync::Arc;
 
     fn measure(kind: MeasureKind, points: &[[f32; 3]]) -> Measure {
         Measure { kind, name: None, points: points.to_vec(), label: None, before_resampling: false }
@@ -204,8 +202,7 @@ mod tests {
             u8::from(p.length() <= radius) * 3
         };
         let voxels: Vec<u8> = (0..n * n * n).map(inside).collect();
-        let mut volume =
-            Volume::new(Voxels::U8(Arc::new(voxels)), [n; 3], Rescale::NONE, DAffine3::from_mat3(DMat3::from_diagonal(DVec3::splat(spacing))));
+        let mut volume = Volume::new(Voxels::new([n; 3], voxels), Rescale::NONE, DAffine3::from_mat3(DMat3::from_diagonal(DVec3::splat(spacing))));
         volume.declared_labels = true;
         let scene = Scene::of_volume("phantom:ball");
         let assets = Assets::of_volume(volume);

@@ -4,6 +4,7 @@ use super::mesh_settings::{deformers, formula, placement};
 use super::surface_cells::SurfaceCellsCache;
 use crate::deform::Library;
 use crate::deform::distance::{RegionSource, of_region};
+use crate::math::flat;
 use crate::math::{Bounds, DistanceGrid};
 use crate::mesh::deformer::{apply_all, deform_vertex};
 use crate::mesh::depth_map::{DepthMaps, FACES};
@@ -14,6 +15,7 @@ use crate::scene::{Mode, Scene};
 use crate::volume::Volume;
 use crate::{Error, Result, Watch};
 use glam::{Affine3A, Vec3};
+use ndarray::Array3;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -52,7 +54,7 @@ impl FieldCache {
     fn insert(&mut self, key: String, field: Arc<DistanceGrid>, max_bytes: usize) {
         self.0.retain(|(of, _)| *of != key);
         self.0.push((key, field));
-        let bytes_of = |field: &DistanceGrid| size_of_val(&*field.distance_mm);
+        let bytes_of = |field: &DistanceGrid| size_of_val(flat(&field.distance_mm));
         let mut bytes: usize = self.0.iter().map(|(_, field)| bytes_of(field)).sum();
         self.0.retain(|(_, field)| {
             let goes = bytes > max_bytes && Arc::strong_count(field) == 1;
@@ -281,7 +283,7 @@ pub fn shown_surfaces(scene: &Scene, volume: &Volume) -> Vec<MeshSource> {
 fn nothing_within(bounds: &Bounds) -> DistanceGrid {
     let size = bounds.size();
     let world_from_grid = Affine3A::from_translation(bounds.min) * Affine3A::from_scale(size);
-    DistanceGrid::new([2; 3], vec![-size.length(); 8], world_from_grid)
+    DistanceGrid::new(Array3::from_elem((2, 2, 2), -size.length()), world_from_grid)
 }
 
 #[cfg(test)]
@@ -291,7 +293,7 @@ mod tests {
     /// Fields that nothing shows are let go of beyond what is kept, those that something shows never.
     #[test]
     fn fields_are_kept_as_far_as_there_is_room() {
-        let field = || Arc::new(DistanceGrid::new([2; 3], vec![0.0; 8], Affine3A::IDENTITY));
+        let field = || Arc::new(DistanceGrid::new(Array3::zeros((2, 2, 2)), Affine3A::IDENTITY));
         let (mut entries, shown) = (FieldCache::default(), field());
         entries.insert("shown".into(), shown.clone(), 4 * 32);
         for name in ["a", "b", "c", "d", "e"] {

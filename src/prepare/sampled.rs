@@ -3,6 +3,7 @@
 use super::accelerator::Accelerator;
 use super::macrocells::{CellGrid, MacrocellKey, Macrocells, VisibilityCriteria};
 use crate::Result;
+use crate::math::flat;
 use crate::math::pyramid::ChannelRange;
 use crate::math::{Bounds, MinMaxPyramid};
 use crate::volume::{GradientVolume, Voxel, VoxelGrid, VoxelGridValues};
@@ -84,10 +85,10 @@ impl SampledVolume {
 /// Bounds of the values of a grid.
 fn value_pyramid_of(grid: &VoxelGrid) -> MinMaxPyramid<1> {
     match &grid.voxels {
-        VoxelGridValues::U8(v) => value_pyramid_of_voxels(grid, v),
-        VoxelGridValues::U16(v) => value_pyramid_of_voxels(grid, v),
-        VoxelGridValues::I16(v) => value_pyramid_of_voxels(grid, v),
-        VoxelGridValues::F32(v) => value_pyramid_of_voxels(grid, v),
+        VoxelGridValues::U8(v) => value_pyramid_of_voxels(grid, flat(v)),
+        VoxelGridValues::U16(v) => value_pyramid_of_voxels(grid, flat(v)),
+        VoxelGridValues::I16(v) => value_pyramid_of_voxels(grid, flat(v)),
+        VoxelGridValues::F32(v) => value_pyramid_of_voxels(grid, flat(v)),
     }
 }
 

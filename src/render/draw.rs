@@ -14,7 +14,7 @@ use wgpu::{BufferUsages, TextureFormat};
 
 /// Pixels per submission of rays: on hardware, and on a processor, where a band is long enough to be told to stop within.
 const PIXELS_PER_BAND: [u32; 2] = [1 << 18, 1 << 16];
-/// Rays of a workgroup along each axis, as in `shaders/rays.wgsl`.
+/// Rays of a workgroup along each axis, as in `shaders/raycast_compute.wgsl`.
 const RAYS_ACROSS: u32 = 8;
 /// Samples per submission of slices, about.
 const SAMPLES_PER_BATCH: u64 = 1 << 24;

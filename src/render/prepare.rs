@@ -1,8 +1,8 @@
 //! What the device takes over of preparing a scene: maps sampled from their formulas, with bounds on boxes of their texels, and the cells of the
 //! empty-space grid by those bounds.
 //!
-//! *Theory*: the shaders `sample`, `encode`, `bounds` and `classify` state what `src/deform/kinds`, `src/deform/map.rs`, `src/math/value_pyramid.rs` and
-//! `src/scene/macrocells.rs` state. A map stays on the device: of its texels the CPU gets to know their scale and what all of them lie within, which the
+//! *Theory*: the shaders `sample`, `encode`, `bounds` and `classify` state what `src/deform/kinds`, `src/deform/map.rs`, `src/math/pyramid.rs` and
+//! `src/prepare/macrocells.rs` state. A map stays on the device: of its texels the CPU gets to know their scale and what all of them lie within, which the
 //! deformed scene's box and the grid's place depend on; and of the grid what each cell shows. Where something asks a map for more (a picker, the CPU
 //! renderer), it is sampled there too.
 

@@ -8,7 +8,7 @@ use crate::scene::Projection;
 use glam::{Vec2, Vec3};
 use std::ops::Range;
 
-/// Slices that one fragment composites before the blend unit is asked: so many that what a fragment does before its first sample no longer dominates.
+/// Slices that one fragment composites before the blend unit is asked: so many that what a fragment does before its first sample does not dominate.
 pub const SLICES_PER_SLAB: i64 = 32;
 
 /// A triangle corner: position in world mm and the number of the slab's nearest slice.

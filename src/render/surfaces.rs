@@ -14,6 +14,7 @@ use super::uniforms::{DeformerUniform, PlacedSolidUniform, SurfaceObjectUniform}
 use super::work::ResourceKind;
 use super::{Counter, Renderer, Variant, extent, overrides};
 use crate::gpu::shaders::Program;
+use crate::math::flat;
 use crate::mesh::Implicit;
 use crate::mesh::deformer::MAX_DEFORMERS;
 use crate::mesh::formula::MAX_SOLIDS;
@@ -244,7 +245,7 @@ impl Renderer {
     /// A field in half precision, whose steps are finest where it matters, at the surface.
     fn upload_field(&self, implicit: Option<&Implicit>) -> Result<RenderTexture> {
         let (size, values): ([usize; 3], &[f32]) = match implicit {
-            Some(Implicit::Grid(g)) => (g.size, &g.distance_mm),
+            Some(Implicit::Grid(g)) => (g.size, flat(&g.distance_mm)),
             Some(Implicit::Depth(d)) => ([d.size, d.size, d.faces.len()], &d.depth_mm),
             _ => ([1; 3], &[0.0]),
         };

@@ -6,12 +6,12 @@
 use super::work::ResourceKind;
 use super::{Renderer, extent};
 use crate::gpu::wait;
+use crate::math::flat;
 use crate::prepare::Prepared;
 use crate::volume::{Colors, VoxelGrid, VoxelGridValues};
 use crate::{Error, Result};
 use half::f16;
 use rayon::prelude::*;
-use std::sync::Arc;
 use wgpu::{Features, TextureFormat};
 
 /// Bytes of a gradient volume on a GPU of its own memory, which cannot be asked how much there is: a picture must not fail for what it can do
@@ -48,10 +48,10 @@ impl VoxelGridValues {
     /// The address of the voxels, theirs alone as long as they are kept.
     pub(super) fn identity(&self) -> usize {
         match self {
-            Self::U8(v) => Arc::as_ptr(v) as usize,
-            Self::U16(v) => Arc::as_ptr(v) as usize,
-            Self::I16(v) => Arc::as_ptr(v) as usize,
-            Self::F32(v) => Arc::as_ptr(v) as usize,
+            Self::U8(v) => v.as_ptr() as usize,
+            Self::U16(v) => v.as_ptr() as usize,
+            Self::I16(v) => v.as_ptr() as usize,
+            Self::F32(v) => v.as_ptr() as usize,
         }
     }
 }
@@ -177,15 +177,15 @@ impl Renderer {
     fn write_voxels(&self, texture: &wgpu::Texture, grid: &VoxelGrid, format: TextureFormat) -> Result<()> {
         let normalise = |v: f32| f16::from_f32(v * grid.scale + grid.offset).to_bits();
         self.in_pieces(texture, grid.size, |range| match (&grid.voxels, format) {
-            (VoxelGridValues::U8(v), TextureFormat::R8Unorm) => v[range].to_vec(),
-            (VoxelGridValues::U8(v), TextureFormat::R16Unorm) => to_bytes(&v[range], |v| u16::from(v) * 257),
-            (VoxelGridValues::U16(v), TextureFormat::R16Unorm) => to_bytes(&v[range], |v| v),
-            (VoxelGridValues::I16(v), TextureFormat::R16Unorm) => to_bytes(&v[range], |v| (i32::from(v) + 32768) as u16),
-            (VoxelGridValues::F32(v), TextureFormat::R32Float) => bytemuck::cast_slice(&v[range]).to_vec(),
-            (VoxelGridValues::U8(v), _) => to_bytes(&v[range], |v| normalise(f32::from(v))),
-            (VoxelGridValues::U16(v), _) => to_bytes(&v[range], |v| normalise(f32::from(v))),
-            (VoxelGridValues::I16(v), _) => to_bytes(&v[range], |v| normalise(f32::from(v))),
-            (VoxelGridValues::F32(v), _) => to_bytes(&v[range], normalise),
+            (VoxelGridValues::U8(v), TextureFormat::R8Unorm) => flat(v)[range].to_vec(),
+            (VoxelGridValues::U8(v), TextureFormat::R16Unorm) => to_bytes(&flat(v)[range], |v| u16::from(v) * 257),
+            (VoxelGridValues::U16(v), TextureFormat::R16Unorm) => to_bytes(&flat(v)[range], |v| v),
+            (VoxelGridValues::I16(v), TextureFormat::R16Unorm) => to_bytes(&flat(v)[range], |v| (i32::from(v) + 32768) as u16),
+            (VoxelGridValues::F32(v), TextureFormat::R32Float) => bytemuck::cast_slice(&flat(v)[range]).to_vec(),
+            (VoxelGridValues::U8(v), _) => to_bytes(&flat(v)[range], |v| normalise(f32::from(v))),
+            (VoxelGridValues::U16(v), _) => to_bytes(&flat(v)[range], |v| normalise(f32::from(v))),
+            (VoxelGridValues::I16(v), _) => to_bytes(&flat(v)[range], |v| normalise(f32::from(v))),
+            (VoxelGridValues::F32(v), _) => to_bytes(&flat(v)[range], normalise),
         })
     }
 

@@ -251,7 +251,7 @@ impl ViewFrame {
         }
     }
 
-    /// The transform to clip space; every point gets depth 1/2, as slices are drawn in order and never tested.
+    /// The transform to clip space; every point gets depth 1/2: slices are drawn in order, and tested only against the mask of opaque pixels at depth 0.
     pub fn clip_from_world(&self) -> Mat4 {
         let basis = |v: Vec3| v / v.length_squared();
         let (r, u) = (basis(self.right), basis(self.up));

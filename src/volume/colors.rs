@@ -3,8 +3,7 @@
 //! Beside its colour a voxel keeps one value, which opacity is asked of as in any scalar volume (\[DDM06\] section 4: O may be a colour
 //! volume): luminance, or opacity where the image has it. Colours are mixed weighted by it, so that what is not there lends none.
 
-use super::Voxels;
-use crate::math::cells::block;
+use super::{StoredValues, Voxels};
 use glam::{Vec3, Vec4};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -132,13 +131,21 @@ impl Colors {
     }
 }
 
+/// Flat indices of the voxels in a block of a grid.
+fn block(size: [usize; 3], factors: [usize; 3], index: usize) -> impl Iterator<Item = usize> {
+    let blocks: [usize; 3] = std::array::from_fn(|a| size[a].div_ceil(factors[a]));
+    let at = [index % blocks[0], index / blocks[0] % blocks[1], index / blocks[0] / blocks[1]];
+    let range = move |a: usize| at[a] * factors[a]..((at[a] + 1) * factors[a]).min(size[a]);
+    range(2).flat_map(move |k| range(1).flat_map(move |j| range(0).map(move |i| (k * size[1] + j) * size[0] + i)))
+}
+
 /// A colour from one that is multiplied by its weight.
 pub fn straight(premultiplied: Vec4) -> Vec3 {
     (premultiplied.truncate() / premultiplied.w.max(1.0 / 1024.0)).clamp(Vec3::ZERO, Vec3::ONE)
 }
 
 /// Values and colours of interleaved RGB or RGBA. Opacity is the value where there is any; else luminance (Rec. 709).
-pub fn of_interleaved(mut rgb: Vec<u8>, components: usize) -> (Voxels, Colors) {
+pub fn of_interleaved(mut rgb: Vec<u8>, components: usize) -> (StoredValues, Colors) {
     let luminance = |v: &[u8]| ((54 * u32::from(v[0]) + 183 * u32::from(v[1]) + 19 * u32::from(v[2])) >> 8) as u8;
     if components == 3 {
         let values: Vec<u8> = rgb.par_chunks_exact(3).map(luminance).collect();
@@ -196,7 +203,7 @@ mod tests {
     #[test]
     fn nothing_lends_no_colour() {
         let stated = [Label { value: 1, name: String::new(), color: Some([200, 100, 50]) }];
-        let colors = Colors::of_labels(vec![0u8, 1].into(), 1, &stated);
+        let colors = Colors::of_labels(Voxels::new([2, 1, 1], vec![0u8, 1]), 1, &stated);
         let half = colors.sample([2, 1, 1], Vec3::new(0.5, 0.0, 0.0));
         assert!((half - Vec3::new(200.0, 100.0, 50.0) / 255.0).abs().max_element() < 1e-6);
     }

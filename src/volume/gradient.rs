@@ -8,7 +8,9 @@
 use super::pages::MappedArray;
 use super::{VoxelGrid, VoxelGridValues};
 use crate::files::memory::available_bytes;
+use crate::math::flat;
 use crate::math::lanes::*;
+use ndarray::ArcArray3;
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -44,15 +46,16 @@ impl GradientVolume {
             return None;
         }
         match &grid.voxels {
-            VoxelGridValues::U8(v) => Self::of(grid, v),
-            VoxelGridValues::U16(v) => (span(v)?.1 <= i16::MAX as u16).then(|| Self::of(grid, v))?,
-            VoxelGridValues::I16(v) => span(v).is_some_and(|(low, high)| high.checked_sub(low).is_some()).then(|| Self::of(grid, v))?,
+            VoxelGridValues::U8(v) => Self::of(v),
+            VoxelGridValues::U16(v) => (span(flat(v))?.1 <= i16::MAX as u16).then(|| Self::of(v))?,
+            VoxelGridValues::I16(v) => span(flat(v)).is_some_and(|(low, high)| high.checked_sub(low).is_some()).then(|| Self::of(v))?,
             VoxelGridValues::F32(_) => None,
         }
     }
 
-    fn of<T: FitsI16>(grid: &VoxelGrid, voxels: &[T]) -> Option<Self> {
-        let [nx, ny, nz] = grid.size;
+    fn of<T: FitsI16>(voxels: &ArcArray3<T>) -> Option<Self> {
+        let (nz, ny, nx) = voxels.dim();
+        let voxels = flat(voxels);
         let mut texels = MappedArray::zeroed(voxels.len())?;
         texels.par_chunks_mut(nx).enumerate().for_each(|(row, out)| {
             let (j, k) = (row % ny, row / ny);
@@ -160,14 +163,15 @@ fn span<T: Copy + Ord + Send + Sync>(voxels: &[T]) -> Option<(T, T)> {
 mod tests {
     use super::super::{Rescale, Volume};
     use super::*;
-    use crate::volume::{VolumeSampler, Voxel};
+    use crate::volume::{VolumeSampler, Voxel, Voxels};
     use glam::DAffine3;
     use glam::Vec3;
+    use ndarray::Array3;
 
     #[test]
     fn both_filters_are_exact_on_a_linear_field() {
         let voxels: Vec<f32> = (0..125).map(|n| (n % 5) as f32 * 2.0 + (n / 5 % 5) as f32 - 3.0 * (n / 25) as f32).collect();
-        let volume = Volume::new(voxels.into(), [5, 5, 5], Rescale::NONE, DAffine3::IDENTITY);
+        let volume = Volume::new(Voxels::new([5; 3], voxels), Rescale::NONE, DAffine3::IDENTITY);
         let grid = VoxelGrid::new(&volume);
         let VoxelGridValues::F32(v) = &grid.voxels else { panic!() };
         let s = VolumeSampler::new(&grid, v);
@@ -197,7 +201,7 @@ mod tests {
                 (value.to_array(), std::array::from_fn(|n| g.lane(n)))
             }
         }
-        fn check<T: Voxel>(grid: &VoxelGrid, voxels: &[T], note: &str) {
+        fn check<T: Voxel>(grid: &VoxelGrid, voxels: &ArcArray3<T>, note: &str) {
             let s = VolumeSampler::new(grid, voxels);
             let kept = GradientVolume::new(grid);
             assert_eq!(kept.is_none(), note == "none", "{note}");
@@ -220,19 +224,23 @@ mod tests {
                 }
             }
         }
+        fn shaped<T: Clone>([i, j, k]: [usize; 3], values: Vec<T>) -> ArcArray3<T> {
+            Array3::from_shape_vec((k, j, i), values).unwrap().into_shared()
+        }
         for size in [[5, 4, 6], [1, 4, 3], [2, 2, 2], [7, 1, 1], [4, 9, 4], [10, 2, 3], [27, 3, 2]] {
             let hashes: Vec<usize> = (0..size.iter().product::<usize>()).map(|n| n * n * 7919 % 32_749).collect();
-            let grid = |voxels: crate::volume::Voxels| VoxelGrid::new(&Volume::new(voxels, size, Rescale::NONE, DAffine3::IDENTITY));
-            let u8s: Vec<u8> = hashes.iter().map(|h| *h as u8).collect();
+            let grid = |voxels: crate::volume::Voxels| VoxelGrid::new(&Volume::new(voxels, Rescale::NONE, DAffine3::IDENTITY));
+            let u8s = shaped(size, hashes.iter().map(|h| *h as u8).collect::<Vec<u8>>());
             check(&grid(u8s.clone().into()), &u8s, "u8");
-            let u16s: Vec<u16> = hashes.iter().map(|h| *h as u16).collect();
+            let u16s = shaped(size, hashes.iter().map(|h| *h as u16).collect::<Vec<u16>>());
             check(&grid(u16s.clone().into()), &u16s, "u16");
-            let i16s: Vec<i16> = hashes.iter().map(|h| (*h as i32 - 20_000) as i16).collect();
+            let i16s = shaped(size, hashes.iter().map(|h| (*h as i32 - 20_000) as i16).collect::<Vec<i16>>());
             check(&grid(i16s.clone().into()), &i16s, "i16");
-            let f32s: Vec<f32> = hashes.iter().map(|h| *h as f32 * 0.37).collect();
+            let f32s = shaped(size, hashes.iter().map(|h| *h as f32 * 0.37).collect::<Vec<f32>>());
             check(&grid(f32s.clone().into()), &f32s, "none");
             let mut wide: Vec<u16> = hashes.iter().map(|h| 2 * *h as u16).collect();
             (wide[0], wide[1]) = (0, 32_768);
+            let wide = shaped(size, wide);
             check(&grid(wide.clone().into()), &wide, "none");
         }
     }

@@ -5,23 +5,23 @@
 //! ten-thousandth of a voxel, in which values between theirs and 0 remain.
 
 use super::{Colors, Rescale, Volume, Voxels};
-use crate::math::cells::{Strides, block};
+use crate::math::cells::Strides;
 use crate::math::lanes::{LANES, Simd, f32x8};
-use std::sync::Arc;
+use ndarray::{ArcArray3, Array3, Axis, Zip};
 
 /// The normalised value of a voxel that holds nothing.
 pub const HOLE: f32 = -1e4;
 /// Padding that lies below the lowest value by this share of the range is a hole as it is stored.
 const PADDING_BELOW: f64 = 1e-3;
 
-/// Typed voxels shared with the [`Volume`] where the type allows.
+/// Typed voxels of shape (k, j, i) in standard layout, shared with the [`Volume`] where the type allows.
 #[derive(Clone, Debug)]
 #[allow(missing_docs, reason = "the variants are the Rust types")]
 pub enum VoxelGridValues {
-    U8(Arc<Vec<u8>>),
-    U16(Arc<Vec<u16>>),
-    I16(Arc<Vec<i16>>),
-    F32(Arc<Vec<f32>>),
+    U8(ArcArray3<u8>),
+    U16(ArcArray3<u16>),
+    I16(ArcArray3<i16>),
+    F32(ArcArray3<f32>),
 }
 
 /// A grid ready for rendering.
@@ -89,11 +89,11 @@ impl VoxelGrid {
             Voxels::U16(v) => direct(VoxelGridValues::U16(v.clone())),
             Voxels::I16(v) => direct(VoxelGridValues::I16(v.clone())),
             Voxels::F32(v) if volume.non_finite == 0 => direct(VoxelGridValues::F32(v.clone())),
-            Voxels::I8(v) => direct(VoxelGridValues::I16(Arc::new(v.iter().map(|&x| i16::from(x)).collect()))),
+            Voxels::I8(v) => direct(VoxelGridValues::I16(v.mapv(i16::from).into_shared())),
             _ => None,
         };
         shared.unwrap_or_else(|| Self {
-            voxels: VoxelGridValues::F32(Arc::new(volume.voxels.map(normalise))),
+            voxels: VoxelGridValues::F32(volume.voxels.map(normalise).into_shared()),
             size: volume.size,
             scale: 1.0,
             offset: 0.0,
@@ -109,7 +109,7 @@ impl VoxelGrid {
         let colors = Colors::of_labels(volume.voxels.clone(), volume.range[1] as usize, &volume.label_table);
         let occupied = volume.voxels.map(|label| u8::from(label >= 1.0));
         Some(Self {
-            voxels: VoxelGridValues::U8(Arc::new(occupied)),
+            voxels: VoxelGridValues::U8(occupied.into_shared()),
             size: volume.size,
             scale: 1.0,
             offset: 0.0,
@@ -124,57 +124,58 @@ impl VoxelGrid {
         let size: [usize; 3] = std::array::from_fn(|a| self.size[a].div_ceil(factors[a]));
         let hole = |v: f32| v * self.scale + self.offset <= 0.5 * HOLE;
         let voxels = match &self.voxels {
-            VoxelGridValues::U8(v) => VoxelGridValues::U8(Arc::new(means(v, self.size, factors, |_| false, |m| m.round() as u8))),
-            VoxelGridValues::U16(v) => VoxelGridValues::U16(Arc::new(means(v, self.size, factors, |_| false, |m| m.round() as u16))),
-            VoxelGridValues::I16(v) => VoxelGridValues::I16(Arc::new(means(v, self.size, factors, |_| false, |m| m.round() as i16))),
-            VoxelGridValues::F32(v) => VoxelGridValues::F32(Arc::new(means(v, self.size, factors, hole, |m| if m.is_nan() { HOLE } else { m }))),
+            VoxelGridValues::U8(v) => VoxelGridValues::U8(means(v, factors, |_| false, |m| m.round() as u8)),
+            VoxelGridValues::U16(v) => VoxelGridValues::U16(means(v, factors, |_| false, |m| m.round() as u16)),
+            VoxelGridValues::I16(v) => VoxelGridValues::I16(means(v, factors, |_| false, |m| m.round() as i16)),
+            VoxelGridValues::F32(v) => VoxelGridValues::F32(means(v, factors, hole, |m| if m.is_nan() { HOLE } else { m })),
         };
         Self { voxels, size, scale: self.scale, offset: self.offset, has_holes: self.has_holes, colors: None }
     }
 
     /// Normalised value at a voxel.
     pub fn value(&self, i: usize, j: usize, k: usize) -> f32 {
-        let index = (k * self.size[1] + j) * self.size[0] + i;
         let stored = match &self.voxels {
-            VoxelGridValues::U8(v) => v[index].to_f32(),
-            VoxelGridValues::U16(v) => v[index].to_f32(),
-            VoxelGridValues::I16(v) => v[index].to_f32(),
-            VoxelGridValues::F32(v) => v[index].to_f32(),
+            VoxelGridValues::U8(v) => v[[k, j, i]].to_f32(),
+            VoxelGridValues::U16(v) => v[[k, j, i]].to_f32(),
+            VoxelGridValues::I16(v) => v[[k, j, i]].to_f32(),
+            VoxelGridValues::F32(v) => v[[k, j, i]].to_f32(),
         };
         stored * self.scale + self.offset
     }
 }
 
 /// Means of blocks; NaN for a block of holes.
-fn means<T: Voxel, U: Send>(
-    v: &[T],
-    size: [usize; 3],
+fn means<T: Voxel, U: Clone + Default + Send>(
+    v: &ArcArray3<T>,
     factors: [usize; 3],
     hole: impl Fn(f32) -> bool + Sync,
     finish: impl Fn(f32) -> U + Sync,
-) -> Vec<U> {
-    use rayon::prelude::*;
-    let blocks = (0..3).map(|a| size[a].div_ceil(factors[a])).product();
-    (0..blocks)
-        .into_par_iter()
-        .map(|index| {
-            let (sum, count) =
-                block(size, factors, index).map(|n| v[n].to_f32()).filter(|x| !hole(*x)).fold((0.0f64, 0u32), |(s, n), x| (s + f64::from(x), n + 1));
-            finish((sum / f64::from(count)) as f32)
-        })
-        .collect()
+) -> ArcArray3<U> {
+    let (nk, nj, ni) = v.dim();
+    let mut out = Array3::default((nk.div_ceil(factors[2]), nj.div_ceil(factors[1]), ni.div_ceil(factors[0])));
+    let range = |at: usize, factor: usize, n: usize| at * factor..((at + 1) * factor).min(n);
+    Zip::indexed(&mut out).par_for_each(|(k, j, i), to| {
+        let layers = v.slice_axis(Axis(0), range(k, factors[2], nk).into());
+        let rows = layers.slice_axis(Axis(1), range(j, factors[1], nj).into());
+        let block = rows.slice_axis(Axis(2), range(i, factors[0], ni).into());
+        let present = block.iter().map(|x| x.to_f32()).filter(|x| !hole(*x));
+        let (sum, count) = present.fold((0.0f64, 0u32), |(sum, n), x| (sum + f64::from(x), n + 1));
+        *to = finish((sum / f64::from(count)) as f32);
+    });
+    out.into_shared()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::volume::StoredValues;
     use glam::DAffine3;
 
     #[test]
     fn every_type_normalises_alike() {
         let values = [3u8, 7, 11, 19, 23, 31, 43, 47];
         let rescale = Rescale { slope: 0.5, intercept: -2.0 };
-        let volumes: Vec<Voxels> = vec![
+        let volumes: Vec<StoredValues> = vec![
             values.to_vec().into(),
             values.map(|v| v as i8).to_vec().into(),
             values.map(u16::from).to_vec().into(),
@@ -186,9 +187,9 @@ mod tests {
             values.map(f32::from).to_vec().into(),
             values.map(f64::from).to_vec().into(),
         ];
-        for voxels in volumes {
-            let name = voxels.type_name();
-            let grid = VoxelGrid::new(&Volume::new(voxels, [2, 2, 2], rescale, DAffine3::IDENTITY));
+        for values_of_type in volumes {
+            let name = values_of_type.type_name();
+            let grid = VoxelGrid::new(&Volume::new(Voxels::new([2; 3], values_of_type), rescale, DAffine3::IDENTITY));
             for (n, v) in values.iter().enumerate() {
                 let got = grid.value(n % 2, n / 2 % 2, n / 4);
                 let want = (f32::from(*v) - 3.0) / 44.0;
@@ -200,7 +201,7 @@ mod tests {
     #[test]
     fn blocks_are_averaged() {
         let voxels: Vec<f32> = vec![1.0, 3.0, 5.0, f32::NAN, 7.0, f32::NAN];
-        let grid = VoxelGrid::new(&Volume::new(voxels.into(), [3, 2, 1], Rescale::NONE, DAffine3::IDENTITY)).reduced([2, 2, 1]);
+        let grid = VoxelGrid::new(&Volume::new(Voxels::new([3, 2, 1], voxels), Rescale::NONE, DAffine3::IDENTITY)).reduced([2, 2, 1]);
         assert_eq!(grid.size, [2, 1, 1]);
         // Means of 1, 3, 7 and of 5 alone, normalised over 1 to 7.
         assert!((grid.value(0, 0, 0) - (11.0 / 3.0 - 1.0) / 6.0).abs() < 1e-6 && (grid.value(1, 0, 0) - 4.0 / 6.0).abs() < 1e-6);

@@ -2,7 +2,6 @@
 //! it is guessed from how the values lie.
 
 use super::{Rescale, Volume, Voxels};
-use rayon::prelude::*;
 use std::collections::HashSet;
 
 /// How far a scaled value may be from the whole number that it stands for.
@@ -68,12 +67,12 @@ impl Volume {
         }
         if !self.voxels.is_integer() || self.rescale != Rescale::NONE || padding.is_some() {
             let label = |stored: f64| if is_padding(stored) || !stored.is_finite() { 0.0 } else { value(stored).round() };
-            let voxels: Voxels = match self.range[1] {
+            let labels: Voxels = match self.range[1] {
                 v if v <= 255.0 => self.voxels.map(|s| label(s) as u8).into(),
                 v if v <= 65_535.0 => self.voxels.map(|s| label(s) as u16).into(),
                 _ => self.voxels.map(|s| label(s) as u32).into(),
             };
-            let plain = Self::new(voxels, self.size, Rescale::NONE, self.world_from_voxel);
+            let plain = Self::new(labels, Rescale::NONE, self.world_from_voxel);
             let (voxels, range) = (plain.voxels, plain.range);
             (self.voxels, self.range, self.rescale, self.padding, self.padded, self.non_finite) = (voxels, range, Rescale::NONE, None, 0, 0);
         }
@@ -129,40 +128,39 @@ impl Volume {
 
     /// Voxels with a label, and those of them that equal their predecessor along i.
     fn inside_and_like_their_neighbour(&self) -> [usize; 2] {
-        let n = self.size[0];
-        let row = |row: usize| {
-            let (mut inside, mut like) = (0, 0);
+        let of_row = |[mut inside, mut like]: [usize; 2], row: &mut dyn Iterator<Item = f64>| {
             let mut last = f64::NAN;
-            for i in 0..n {
-                let v = self.voxels.get(row * n + i);
+            for v in row {
                 inside += usize::from(v != 0.0);
                 like += usize::from(v != 0.0 && v == last);
                 last = v;
             }
             [inside, like]
         };
-        (0..self.size[1] * self.size[2]).into_par_iter().map(row).reduce(|| [0; 2], |a, b| [a[0] + b[0], a[1] + b[1]])
+        self.voxels.fold_rows([0; 2], of_row, |a, b| [a[0] + b[0], a[1] + b[1]])
     }
 
     /// Share of voxels that equal their successor along i.
     fn flat_share(&self) -> f64 {
-        let n = self.size[0];
-        let equal: usize = (0..self.size[1] * self.size[2])
-            .into_par_iter()
-            .map(|row| (1..n).filter(|i| self.voxels.get(row * n + i) == self.voxels.get(row * n + i - 1)).count())
-            .sum();
-        equal as f64 / ((n.saturating_sub(1)) * self.size[1] * self.size[2]).max(1) as f64
+        let of_row = |equal: usize, row: &mut dyn Iterator<Item = f64>| {
+            let mut last = row.next();
+            equal + row.filter(|v| last.replace(*v) == Some(*v)).count()
+        };
+        let equal = self.voxels.fold_rows(0, of_row, |a, b| a + b);
+        let [nx, ny, nz] = self.size;
+        equal as f64 / (nx.saturating_sub(1) * ny * nz).max(1) as f64
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::volume::StoredValues;
     use glam::DAffine3;
 
-    fn volume(voxels: Voxels, rescale: Rescale) -> Volume {
-        let size = [voxels.len(), 1, 1];
-        Volume::new(voxels, size, rescale, DAffine3::IDENTITY)
+    fn volume(values: StoredValues, rescale: Rescale) -> Volume {
+        let voxels = Voxels::new([values.len(), 1, 1], values);
+        Volume::new(voxels, rescale, DAffine3::IDENTITY)
     }
 
     #[test]

@@ -1,4 +1,5 @@
-//! The scalar grid: typed voxels as they were stored, their geometry in world millimetres (LPS), range and histogram.
+//! Volumes: typed voxels as they are stored, their geometry in world millimetres (LPS), range and histogram; colours and labels; samples and
+//! gradients; phantoms; reading ([`load`]) and writing ([`save`]).
 //!
 //! Renderers never see the stored type: they take a [`VoxelGrid`], which shares the voxels of the types that both the CPU and a GPU
 //! sample natively (u8, i16, u16, f32) and converts the rest once. A sample is *normalised*: 0 at the lowest finite value of the
@@ -20,7 +21,7 @@ pub use colors::{Colors, Label, straight};
 pub use gradient::{GradientFilter, GradientVolume};
 pub use grid::{HOLE, Voxel, VoxelGrid, VoxelGridValues};
 pub use sampler::VolumeSampler;
-pub use voxels::Voxels;
+pub use voxels::{StoredValues, TypedArray, Voxels};
 
 use crate::{Error, Result};
 use glam::{DAffine3, DMat3, DVec3};
@@ -29,7 +30,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 /// A scalar volume.
 #[derive(Clone, Debug)]
 pub struct Volume {
-    /// Stored values, i fastest.
+    /// Stored values, of shape (k, j, i).
     pub voxels: Voxels,
     /// Voxels along i, j, k.
     pub size: [usize; 3],
@@ -127,16 +128,14 @@ pub struct Histogram {
 }
 
 impl Volume {
-    /// Wraps voxels, finding their range.
-    ///
-    /// `voxels.len()` must be the product of `size`; the readers and phantoms see to it.
-    pub fn new(voxels: Voxels, size: [usize; 3], rescale: Rescale, world_from_voxel: DAffine3) -> Self {
-        Self::with_padding(voxels, size, rescale, world_from_voxel, None)
+    /// Wraps voxels, finding their range: [`Voxels`], or an [`Array3`](ndarray::Array3) of shape (k, j, i).
+    pub fn new(voxels: impl Into<Voxels>, rescale: Rescale, world_from_voxel: DAffine3) -> Self {
+        Self::with_padding(voxels.into(), rescale, world_from_voxel, None)
     }
 
     /// Wraps voxels of which those within a range of stored values stand for nothing.
-    pub fn with_padding(voxels: Voxels, size: [usize; 3], rescale: Rescale, world_from_voxel: DAffine3, padding: Option<[f64; 2]>) -> Self {
-        assert_eq!(voxels.len(), size.iter().product::<usize>(), "voxel count and size disagree");
+    pub fn with_padding(voxels: Voxels, rescale: Rescale, world_from_voxel: DAffine3, padding: Option<[f64; 2]>) -> Self {
+        let size = voxels.size();
         let (stored, [non_finite, padded]) = voxels.finite_range(padding);
         let range = match stored {
             Some([a, b]) => {
@@ -195,7 +194,7 @@ impl Volume {
         let middle = if bounds.is_empty() { glam::Vec3::ZERO } else { bounds.center() };
         let first = middle - glam::Vec3::from(size.map(|n| (n - 1) as f32)) * (0.5 * spacing);
         let world_from_voxel = DAffine3::from_translation(first.as_dvec3()) * DAffine3::from_scale(DVec3::splat(f64::from(spacing)));
-        Self::new(vec![0u8; size.iter().product()].into(), size, Rescale::NONE, world_from_voxel)
+        Self::new(Voxels::new(size, vec![0u8; size.iter().product()]), Rescale::NONE, world_from_voxel)
     }
 
     /// Where the voxels lie.
@@ -205,7 +204,7 @@ impl Volume {
 
     /// Data value of the voxel (i, j, k).
     pub fn value(&self, i: usize, j: usize, k: usize) -> f64 {
-        self.voxels.get((k * self.size[1] + j) * self.size[0] + i) * self.rescale.slope + self.rescale.intercept
+        self.voxels.at([i, j, k]) * self.rescale.slope + self.rescale.intercept
     }
 
     /// Distance between voxel centres along each grid axis, mm.
@@ -347,7 +346,7 @@ mod tests {
     use super::*;
 
     fn volume(direction: DMat3) -> Volume {
-        Volume::new(vec![0u8, 1, 2, 3, 4, 5, 6, 7].into(), [2, 2, 2], Rescale::NONE, DAffine3::from_mat3(direction))
+        Volume::new(Voxels::new([2; 3], (0..8u8).collect::<Vec<_>>()), Rescale::NONE, DAffine3::from_mat3(direction))
     }
 
     #[test]
@@ -367,7 +366,7 @@ mod tests {
 
     #[test]
     fn non_finite_voxels_are_counted_and_leave_the_range_alone() {
-        let v = Volume::new(vec![f32::NAN, 1.0, f32::INFINITY, -2.0].into(), [4, 1, 1], Rescale::NONE, DAffine3::IDENTITY);
+        let v = Volume::new(Voxels::new([4, 1, 1], vec![f32::NAN, 1.0, f32::INFINITY, -2.0]), Rescale::NONE, DAffine3::IDENTITY);
         assert_eq!((v.non_finite, v.range), (2, [-2.0, 1.0]));
     }
 }

@@ -4,7 +4,7 @@
 //! origin with its axes along L, P, S. Surfaces are smooth ramps of the signed distance, two voxels wide, as a scanner makes them. So that the ramp from one material to another does not pass through a third one's values, materials that touch are
 //! neighbours on the value scale (which is why the tomato's air is 255 and the piggy bank's 128).
 
-use super::{Rescale, Volume, Voxels};
+use super::{Rescale, StoredValues, Volume, Voxels};
 use crate::{Error, Result, error::suggestion};
 use glam::{DAffine3, DMat3, Quat, Vec2, Vec3, Vec3Swizzles};
 use rayon::prelude::*;
@@ -130,7 +130,7 @@ pub fn generate(name: &str, size: [usize; 3], spacing_mm: Vec3) -> Result<Volume
             })
             .collect()
     };
-    let voxels: Voxels = match phantom.kind {
+    let values: StoredValues = match phantom.kind {
         PhantomKind::Float(f) => sample(f).into(),
         PhantomKind::Bytes(f) => sample(f).into_iter().map(|v| v.round().clamp(0.0, 255.0) as u8).collect::<Vec<_>>().into(),
         PhantomKind::Hounsfield(f) => sample(f).into_iter().map(|v| v.round() as i16).collect::<Vec<_>>().into(),
@@ -140,7 +140,7 @@ pub fn generate(name: &str, size: [usize; 3], spacing_mm: Vec3) -> Result<Volume
         }
     };
     let world_from_voxel = DAffine3 { matrix3: DMat3::from_diagonal(spacing_mm.as_dvec3()), translation: origin.as_dvec3() };
-    let mut volume = Volume::new(voxels, size, Rescale::NONE, world_from_voxel);
+    let mut volume = Volume::new(Voxels::new(size, values), Rescale::NONE, world_from_voxel);
     volume.declared_labels = matches!(phantom.kind, PhantomKind::Labels(_));
     Ok(volume)
 }

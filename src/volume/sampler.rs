@@ -1,7 +1,9 @@
 //! Trilinear samples of a grid and their gradients, one at a time; [`super::lanes`] takes eight at once.
 
 use super::{GradientFilter, GradientVolume, Voxel, VoxelGrid};
+use crate::math::flat;
 use glam::{Vec3, Vec4};
+use ndarray::ArcArray3;
 
 /// Trilinear sampling of one typed grid.
 pub struct VolumeSampler<'a, T> {
@@ -17,7 +19,8 @@ pub struct VolumeSampler<'a, T> {
 
 impl<'a, T: Voxel> VolumeSampler<'a, T> {
     /// A sampler over the voxels of `grid`, which must be `grid`'s own.
-    pub fn new(grid: &VoxelGrid, voxels: &'a [T]) -> Self {
+    pub fn new(grid: &VoxelGrid, voxels: &'a ArcArray3<T>) -> Self {
+        let voxels = flat(voxels);
         assert_eq!(voxels.len(), grid.size.iter().product::<usize>());
         let top = Vec3::from(grid.size.map(|n| (n - 1) as f32));
         Self { voxels, size: grid.size, top, scale: grid.scale, offset: grid.offset, texels: None }
@@ -95,12 +98,12 @@ impl<T: Voxel> VolumeSampler<'_, T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::volume::{Rescale, Volume, VoxelGridValues};
+    use crate::volume::{Rescale, Volume, VoxelGridValues, Voxels};
     use glam::DAffine3;
 
     #[test]
     fn samples_beside_a_hole_are_holes_or_honest() {
-        let volume = Volume::new(vec![1.0f32, f32::NAN, 3.0].into(), [3, 1, 1], Rescale::NONE, DAffine3::IDENTITY);
+        let volume = Volume::new(Voxels::new([3, 1, 1], vec![1.0f32, f32::NAN, 3.0]), Rescale::NONE, DAffine3::IDENTITY);
         let grid = VoxelGrid::new(&volume);
         let VoxelGridValues::F32(v) = &grid.voxels else { panic!() };
         let s = VolumeSampler::new(&grid, v);
@@ -113,7 +116,7 @@ mod tests {
     #[test]
     fn linear_functions_are_sampled_exactly() {
         let voxels: Vec<f32> = (0..60).map(|n| (n % 3) as f32 + 10.0 * (n / 3 % 4) as f32 - 4.0 * (n / 12) as f32).collect();
-        let volume = Volume::new(voxels.into(), [3, 4, 5], Rescale::NONE, DAffine3::IDENTITY);
+        let volume = Volume::new(Voxels::new([3, 4, 5], voxels), Rescale::NONE, DAffine3::IDENTITY);
         let grid = VoxelGrid::new(&volume);
         let VoxelGridValues::F32(v) = &grid.voxels else { panic!() };
         let s = VolumeSampler::new(&grid, v);

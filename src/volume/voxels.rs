@@ -1,77 +1,128 @@
-//! Voxels in the type they were stored in.
+//! Arrays in the type that a file stores them in.
 
+use crate::math::flat;
+use ndarray::{ArcArray, Array, ArrayView, Axis, Dimension, IntoDimension, Ix1, Ix3, Zip};
 use rayon::prelude::*;
-use std::sync::Arc;
 
-/// A flat array of one scalar type, i fastest. Shared, never changed after loading.
+/// An array of one of the ten scalar types of image files, in standard layout (the last axis is fastest). Copies share the values.
 #[derive(Clone, Debug)]
 #[allow(missing_docs, reason = "the variants are the Rust types")]
-pub enum Voxels {
-    U8(Arc<Vec<u8>>),
-    I8(Arc<Vec<i8>>),
-    U16(Arc<Vec<u16>>),
-    I16(Arc<Vec<i16>>),
-    U32(Arc<Vec<u32>>),
-    I32(Arc<Vec<i32>>),
-    U64(Arc<Vec<u64>>),
-    I64(Arc<Vec<i64>>),
-    F32(Arc<Vec<f32>>),
-    F64(Arc<Vec<f64>>),
+pub enum TypedArray<D: Dimension> {
+    U8(ArcArray<u8, D>),
+    I8(ArcArray<i8, D>),
+    U16(ArcArray<u16, D>),
+    I16(ArcArray<i16, D>),
+    U32(ArcArray<u32, D>),
+    I32(ArcArray<i32, D>),
+    U64(ArcArray<u64, D>),
+    I64(ArcArray<i64, D>),
+    F32(ArcArray<f32, D>),
+    F64(ArcArray<f64, D>),
 }
 
-macro_rules! with_voxels {
-    ($voxels:expr, $v:ident => $body:expr) => {
-        match $voxels {
-            Voxels::U8($v) => $body,
-            Voxels::I8($v) => $body,
-            Voxels::U16($v) => $body,
-            Voxels::I16($v) => $body,
-            Voxels::U32($v) => $body,
-            Voxels::I32($v) => $body,
-            Voxels::U64($v) => $body,
-            Voxels::I64($v) => $body,
-            Voxels::F32($v) => $body,
-            Voxels::F64($v) => $body,
+/// The voxels of a volume, of shape (k, j, i).
+pub type Voxels = TypedArray<Ix3>;
+
+/// Values one after another, as a file holds them.
+pub type StoredValues = TypedArray<Ix1>;
+
+/// One expression for the array of each type.
+macro_rules! with_values {
+    ($values:expr, $v:ident => $body:expr) => {
+        match $values {
+            TypedArray::U8($v) => $body,
+            TypedArray::I8($v) => $body,
+            TypedArray::U16($v) => $body,
+            TypedArray::I16($v) => $body,
+            TypedArray::U32($v) => $body,
+            TypedArray::I32($v) => $body,
+            TypedArray::U64($v) => $body,
+            TypedArray::I64($v) => $body,
+            TypedArray::F32($v) => $body,
+            TypedArray::F64($v) => $body,
         }
     };
 }
 
-macro_rules! from_vec {
+/// As `with_values`, with the result in an array of the same type.
+macro_rules! of_same_type {
+    ($values:expr, $v:ident => $body:expr) => {
+        match $values {
+            TypedArray::U8($v) => TypedArray::U8($body),
+            TypedArray::I8($v) => TypedArray::I8($body),
+            TypedArray::U16($v) => TypedArray::U16($body),
+            TypedArray::I16($v) => TypedArray::I16($body),
+            TypedArray::U32($v) => TypedArray::U32($body),
+            TypedArray::I32($v) => TypedArray::I32($body),
+            TypedArray::U64($v) => TypedArray::U64($body),
+            TypedArray::I64($v) => TypedArray::I64($body),
+            TypedArray::F32($v) => TypedArray::F32($body),
+            TypedArray::F64($v) => TypedArray::F64($body),
+        }
+    };
+}
+
+macro_rules! from_arrays {
     ($($variant:ident $t:ty),*) => {
-        $(impl From<Vec<$t>> for Voxels {
+        $(impl<D: Dimension> From<Array<$t, D>> for TypedArray<D> {
+            fn from(values: Array<$t, D>) -> Self {
+                Self::$variant(if values.is_standard_layout() { values.into_shared() } else { standard(values.view()) })
+            }
+        }
+        impl<D: Dimension> From<ArcArray<$t, D>> for TypedArray<D> {
+            fn from(values: ArcArray<$t, D>) -> Self {
+                Self::$variant(if values.is_standard_layout() { values } else { standard(values.view()) })
+            }
+        }
+        impl From<Vec<$t>> for StoredValues {
             fn from(values: Vec<$t>) -> Self {
-                Self::$variant(Arc::new(values))
+                Array::from_vec(values).into()
             }
         })*
     };
 }
-from_vec!(U8 u8, I8 i8, U16 u16, I16 i16, U32 u32, I32 i32, U64 u64, I64 i64, F32 f32, F64 f64);
+from_arrays!(U8 u8, I8 i8, U16 u16, I16 i16, U32 u32, I32 i32, U64 u64, I64 i64, F32 f32, F64 f64);
+
+/// A copy in standard layout.
+pub(super) fn standard<T: Copy + Default + Send + Sync, D: Dimension>(view: ArrayView<T, D>) -> ArcArray<T, D> {
+    let mut copy = Array::default(view.raw_dim());
+    Zip::from(&mut copy).and(&view).par_for_each(|to, &value| *to = value);
+    copy.into_shared()
+}
 
 /// Voxels handled at once by one task of a parallel pass.
 const CHUNK: usize = 1 << 16;
 
-#[allow(clippy::unnecessary_cast, reason = "one of the ten types is f64 already")]
 impl Voxels {
-    /// Number of voxels.
-    pub fn len(&self) -> usize {
-        with_voxels!(self, v => v.len())
+    /// Voxels of a size along i, j, k from their values, i fastest.
+    ///
+    /// # Panics
+    /// If there are not as many values as voxels.
+    pub fn new(size: [usize; 3], values: impl Into<StoredValues>) -> Self {
+        let [i, j, k] = size;
+        values.into().reshaped((k, j, i))
     }
 
-    /// Whether there are none.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
+    /// Voxels along i, j, k.
+    pub fn size(&self) -> [usize; 3] {
+        let (k, j, i) = with_values!(self, v => v.dim());
+        [i, j, k]
     }
 
-    /// The stored value at a flat index.
-    pub fn get(&self, index: usize) -> f64 {
-        with_voxels!(self, v => v[index] as f64)
+    /// The stored value of a voxel.
+    #[allow(clippy::unnecessary_cast, reason = "one of the ten types is f64 already")]
+    pub fn at(&self, [i, j, k]: [usize; 3]) -> f64 {
+        with_values!(self, v => v[[k, j, i]] as f64)
     }
 
-    /// The trilinear mix, at shares `f` along i, j, k, of a stored value and those after it along each axis of a grid whose rows and layers are
-    /// `row` and `layer` values apart.
+    /// The trilinear mix, at shares `f` along i, j, k, of the voxel `[i, j, k]` and those after it along each axis.
     #[inline]
-    pub fn trilinear(&self, base: usize, [row, layer]: [usize; 2], f: glam::DVec3) -> f64 {
-        with_voxels!(self, v => {
+    #[allow(clippy::unnecessary_cast, reason = "one of the ten types is f64 already")]
+    pub fn trilinear(&self, [i, j, k]: [usize; 3], f: glam::DVec3) -> f64 {
+        let [row, layer] = [self.size()[0], self.size()[0] * self.size()[1]];
+        let base = k * layer + j * row + i;
+        with_values!(self, v => {
+            let v = flat(v);
             let mix = |a: f64, b: f64, t: f64| a + (b - a) * t;
             let along = |at: usize| {
                 let two = &v[at..at + 2];
@@ -79,6 +130,125 @@ impl Voxels {
             };
             mix(mix(along(base), along(base + row), f.y), mix(along(base + layer), along(base + layer + row), f.y), f.z)
         })
+    }
+
+    /// Layers interpolated each between one and the next, `(lower, share of the upper)`; from the nearer of the two where `takes_nearest` says so of
+    /// their values. Integers are rounded.
+    #[allow(clippy::unnecessary_cast, reason = "one of the ten types is f64 already")]
+    pub(super) fn interpolated_layers(&self, between: &[(usize, f64)], takes_nearest: impl Fn(f64, f64) -> bool + Sync) -> Self {
+        let round = self.is_integer();
+        of_same_type!(self, v => {
+            let (_, nj, ni) = v.dim();
+            let mut layers = Array::default((between.len(), nj, ni));
+            Zip::from(layers.outer_iter_mut()).and(between).par_for_each(|layer, &(lower, share)| {
+                let [below, above] = [lower, lower + 1].map(|k| v.index_axis(Axis(0), k));
+                Zip::from(layer).and(below).and(above).for_each(|to, &a, &b| {
+                    let (first, second) = (a as f64, b as f64);
+                    let share = if takes_nearest(first, second) { share.round() } else { share };
+                    let value = first + (second - first) * share;
+                    *to = if share <= 0.0 { a } else { (if round { value.round() } else { value }) as _ };
+                });
+            });
+            layers.into_shared()
+        })
+    }
+
+    /// Folds over the rows along i in parallel; every row comes with its values.
+    #[allow(clippy::unnecessary_cast, reason = "one of the ten types is f64 already")]
+    pub(super) fn fold_rows<A: Copy + Send + Sync>(
+        &self,
+        start: A,
+        fold: impl Fn(A, &mut dyn Iterator<Item = f64>) -> A + Sync + Send,
+        join: impl Fn(A, A) -> A + Sync + Send,
+    ) -> A {
+        let length = self.size()[0].max(1);
+        with_values!(self, v => flat(v)
+            .par_chunks(length)
+            .fold(|| start, |a, row| fold(a, &mut row.iter().map(|&x| x as f64)))
+            .reduce(|| start, &join))
+    }
+}
+
+impl StoredValues {
+    /// Makes room for more values.
+    pub(super) fn reserve(&mut self, more: usize) {
+        // Without room the values move when they are appended.
+        let _moves = with_values!(self, v => {
+            let mut owned = std::mem::take(v).into_owned();
+            let room = owned.reserve(Axis(0), more);
+            *v = owned.into_shared();
+            room
+        });
+    }
+
+    /// Appends values of the same type; false if they are of another.
+    pub(super) fn append(&mut self, more: &Self) -> bool {
+        macro_rules! same {
+            ($($variant:ident),*) => {
+                match (self, more) {
+                    $((Self::$variant(all), Self::$variant(more)) => {
+                        let mut owned = std::mem::take(all).into_owned();
+                        let fits = owned.append(Axis(0), more.view()).is_ok();
+                        *all = owned.into_shared();
+                        fits
+                    })*
+                    _ => false,
+                }
+            };
+        }
+        same!(U8, I8, U16, I16, U32, I32, U64, I64, F32, F64)
+    }
+}
+
+#[allow(clippy::unnecessary_cast, reason = "one of the ten types is f64 already")]
+impl<D: Dimension> TypedArray<D> {
+    /// Number of values.
+    pub fn len(&self) -> usize {
+        with_values!(self, v => v.len())
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The value at a flat index.
+    pub fn get(&self, index: usize) -> f64 {
+        with_values!(self, v => flat(v)[index] as f64)
+    }
+
+    /// The same values in another shape.
+    ///
+    /// # Panics
+    /// If the shape is of another number of values.
+    #[allow(clippy::expect_used, reason = "the caller has counted the values")]
+    pub fn reshaped<S: IntoDimension>(self, shape: S) -> TypedArray<S::Dim> {
+        let dimension = shape.into_dimension();
+        of_same_type!(self, v => v.into_shape_with_order(dimension).expect("the shape has as many places as there are values"))
+    }
+
+    /// The same values with their axes in another order.
+    pub(super) fn permuted(self, axes: D) -> Self {
+        of_same_type!(self, v => standard(v.permuted_axes(axes).view()))
+    }
+
+    /// What is made of the first four values of every lane along an axis, 0 where it has fewer, in the order of the other axes.
+    pub(super) fn map_lanes<T: Send>(&self, axis: Axis, make: impl Fn([f64; 4]) -> T + Sync + Send) -> Vec<T>
+    where
+        D: ndarray::RemoveAxis,
+    {
+        with_values!(self, v => {
+            let lane = |lane: ndarray::ArrayView1<_>| make(std::array::from_fn(|n| lane.get(n).map_or(0.0, |&x| x as f64)));
+            Zip::from(v.lanes(axis)).par_map_collect(lane).into_raw_vec_and_offset().0
+        })
+    }
+
+    /// The part at one place of an axis.
+    pub(super) fn at_index(&self, axis: Axis, index: usize) -> TypedArray<D::Smaller>
+    where
+        D: ndarray::RemoveAxis,
+    {
+        of_same_type!(self, v => standard(v.index_axis(axis, index)))
     }
 
     /// The name of the type, as `info` prints it.
@@ -104,27 +274,7 @@ impl Voxels {
 
     /// Bytes of one voxel.
     pub fn bytes_per_voxel(&self) -> usize {
-        with_voxels!(self, v => size_of_val(&v[..]) / v.len().max(1))
-    }
-
-    /// Makes room for more values.
-    pub(super) fn reserve(&mut self, more: usize) {
-        // Without room the values move when they are appended.
-        let _moves = with_voxels!(self, v => Arc::make_mut(v).try_reserve_exact(more));
-    }
-
-    /// Appends values of the same type; false if they are of another.
-    pub(super) fn append(&mut self, more: &Self) -> bool {
-        macro_rules! same {
-            ($($variant:ident),*) => {
-                match (self, more) {
-                    $((Self::$variant(all), Self::$variant(more)) => Arc::make_mut(all).extend_from_slice(more),)*
-                    _ => return false,
-                }
-            };
-        }
-        same!(U8, I8, U16, I16, U32, I32, U64, I64, F32, F64);
-        true
+        with_values!(self, v => size_of_val(flat(v)) / v.len().max(1))
     }
 
     /// The highest value of an integer type; 1 of the others.
@@ -142,28 +292,6 @@ impl Voxels {
         }
     }
 
-    /// `count` values of the same type, the n-th being the one at `index(n)`.
-    pub(super) fn gathered(&self, count: usize, index: impl Fn(usize) -> usize + Sync + Send) -> Self {
-        with_voxels!(self, v => (0..count).into_par_iter().map(|n| v[index(n)]).collect::<Vec<_>>().into())
-    }
-
-    /// `count` values of the same type, the n-th being the mix of two by a share of the second: `(first, second, share)`. Integers are rounded.
-    pub(super) fn mixed(&self, count: usize, of: impl Fn(usize) -> (usize, usize, f64) + Sync + Send) -> Self {
-        let round = self.is_integer();
-        with_voxels!(self, v => (0..count)
-            .into_par_iter()
-            .map(|n| {
-                let (a, b, share) = of(n);
-                if share <= 0.0 {
-                    return v[a];
-                }
-                let value = v[a] as f64 + (v[b] as f64 - v[a] as f64) * share;
-                (if round { value.round() } else { value }) as _
-            })
-            .collect::<Vec<_>>()
-            .into())
-    }
-
     /// Folds over all stored values in parallel.
     pub fn fold<A: Send>(
         &self,
@@ -171,7 +299,7 @@ impl Voxels {
         fold: impl Fn(A, f64) -> A + Sync + Send,
         join: impl Fn(A, A) -> A + Sync + Send,
     ) -> A {
-        with_voxels!(self, v => v
+        with_values!(self, v => flat(v)
             .par_chunks(CHUNK)
             .map(|chunk| chunk.iter().fold(start(), |a, &x| fold(a, x as f64)))
             .reduce(&start, &join))
@@ -204,7 +332,7 @@ impl Voxels {
     }
 
     /// All values through `convert`, in parallel.
-    pub(super) fn map<T: Send>(&self, convert: impl Fn(f64) -> T + Sync + Send) -> Vec<T> {
-        with_voxels!(self, v => v.par_iter().map(|&x| convert(x as f64)).collect())
+    pub(super) fn map<T: Send>(&self, convert: impl Fn(f64) -> T + Sync + Send) -> Array<T, D> {
+        with_values!(self, v => Zip::from(v).par_map_collect(|&x| convert(x as f64)))
     }
 }

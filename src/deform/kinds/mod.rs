@@ -1,9 +1,8 @@
 //! The kinds of deformation, a file for each or for a few that share their formula.
 //!
-//! A kind is a formula (some also read points, labels or files) in its own *local* space: millimetres from the centre of its cube, axes along the cube's. Given the resolved
-//! parameters it makes a [`Field`], which answers, for a deformed point, where its matter came from and how far the nearest cut is;
-//! and, where an exact forward map exists, where a source point goes. [`Kind::map`] samples the field into a
-//! [`DisplacementMap`].
+//! A kind is a formula (some also read points, labels or files) in its own *local* space: millimetres from the centre of its cube, axes along
+//! the cube's. Given the resolved parameters it makes a [`Field`], which answers, for a deformed point, where its matter came from and how far
+//! the nearest cut is, and for a source point where it goes. [`Kind::map`] samples the field into a [`DisplacementMap`].
 //!
 //! *Contract* (held by `tests/contract.rs` for every kind): no strength is the identity; Jacobians agree with central differences;
 //! forward then backward is the identity; D vanishes on every face that the kind does not list in `nonzero_faces`; D is continuous; odd

@@ -1,11 +1,13 @@
 //! A displacement on a grid of points in the world: what registration writes, and what baking and inversion work on.
 
 use super::{TransformContext, fsl_from_voxel, world_from_fsl};
+use crate::math::arrays::{flat, shaped, size};
 use crate::math::trilinear;
 use crate::volume::GridGeometry;
 use crate::volume::load::Image;
 use crate::{Error, Result};
 use glam::{DAffine3, DMat3, DVec3, Vec3};
+use ndarray::{Array3, Zip};
 use rayon::prelude::*;
 use std::path::Path;
 
@@ -19,29 +21,31 @@ const FSL_DISPLACEMENT: i16 = 2006;
 pub struct VectorField {
     /// Where the vectors lie.
     pub grid: GridGeometry,
-    /// Vectors, i fastest.
-    pub vectors: Vec<Vec3>,
+    /// Vectors, of shape (k, j, i).
+    pub vectors: Array3<Vec3>,
     voxel_from_world: DAffine3,
 }
 
 impl VectorField {
-    /// A field on a grid; one vector per voxel.
+    /// A field on a grid; one vector per voxel, i fastest.
     pub fn new(grid: GridGeometry, vectors: Vec<Vec3>) -> Self {
-        assert_eq!(vectors.len(), grid.size.iter().product::<usize>(), "vector count and size disagree");
+        Self::of_array(grid.world_from_voxel, shaped(grid.size, vectors))
+    }
+
+    fn of_array(world_from_voxel: DAffine3, vectors: Array3<Vec3>) -> Self {
+        let grid = GridGeometry { size: size(&vectors), world_from_voxel };
         Self { grid, vectors, voxel_from_world: grid.world_from_voxel.inverse() }
     }
 
     /// Samples a transform, given as source from deformed point, on a grid.
     pub fn sampled(grid: GridGeometry, source_from_deformed: impl Fn(DVec3) -> DVec3 + Sync) -> Self {
-        let [nx, ny, _] = grid.size;
-        let vectors = (0..grid.size.iter().product::<usize>())
-            .into_par_iter()
-            .map(|n| {
-                let p = grid.world_from_voxel.transform_point3(DVec3::new((n % nx) as f64, (n / nx % ny) as f64, (n / nx / ny) as f64));
-                (source_from_deformed(p) - p).as_vec3()
-            })
-            .collect();
-        Self::new(grid, vectors)
+        let [ni, nj, nk] = grid.size;
+        let mut vectors = Array3::default((nk, nj, ni));
+        Zip::indexed(&mut vectors).par_for_each(|(k, j, i), to| {
+            let p = grid.world_from_voxel.transform_point3(DVec3::new(i as f64, j as f64, k as f64));
+            *to = (source_from_deformed(p) - p).as_vec3();
+        });
+        Self::of_array(grid.world_from_voxel, vectors)
     }
 
     /// The displacement field that an image of three components holds.
@@ -70,12 +74,13 @@ impl VectorField {
                 )));
             }
         };
-        let raw = |n: usize| DVec3::new(f64::from(x[n]), f64::from(y[n]), f64::from(z[n]));
-        let bad = (0..x.len()).into_par_iter().filter(|&n| !raw(n).is_finite()).count();
+        let mut stated = Array3::default(x.raw_dim());
+        Zip::from(&mut stated).and(&x).and(&y).and(&z).par_for_each(|to, x, y, z| *to = Vec3::new(*x, *y, *z));
+        let bad = flat(&stated).par_iter().filter(|v| !v.is_finite()).count();
         if bad > 0 {
             return Err(fail(format!("holds {bad} vectors that are NaN or infinite; mask or replace them")));
         }
-        let turned = |m: DMat3| (0..x.len()).into_par_iter().map(|n| (m * raw(n)).as_vec3()).collect::<Vec<_>>();
+        let turned = |m: DMat3| Zip::from(&stated).par_map_collect(|v| (m * v.as_dvec3()).as_vec3());
         let vectors = match convention {
             "lps" => turned(DMat3::IDENTITY),
             "frame" => turned(image.frame.unwrap_or(DMat3::IDENTITY)),
@@ -88,20 +93,16 @@ impl VectorField {
                     // The vectors lead from the reference's millimetres to the moving image's.
                     let moving = world_from_fsl(context.moving.as_ref().unwrap_or(&grid));
                     let fsl_from_voxel = fsl_from_voxel(&grid);
-                    let [nx, ny, _] = grid.size;
-                    (0..x.len())
-                        .into_par_iter()
-                        .map(|n| {
-                            let voxel = DVec3::new((n % nx) as f64, (n / nx % ny) as f64, (n / nx / ny) as f64);
-                            let from = if convention == "fsl" { fsl_from_voxel.transform_point3(voxel) } else { DVec3::ZERO };
-                            (moving.transform_point3(from + raw(n)) - grid.world_from_voxel.transform_point3(voxel)).as_vec3()
-                        })
-                        .collect()
+                    Zip::indexed(&stated).par_map_collect(|(k, j, i), v| {
+                        let voxel = DVec3::new(i as f64, j as f64, k as f64);
+                        let from = if convention == "fsl" { fsl_from_voxel.transform_point3(voxel) } else { DVec3::ZERO };
+                        (moving.transform_point3(from + v.as_dvec3()) - grid.world_from_voxel.transform_point3(voxel)).as_vec3()
+                    })
                 }
             }
             other => return Err(Error::value("convention", format!("\"{other}\" is not known; lps, ras, fsl or fsl-absolute"))),
         };
-        Ok(Self::new(grid, vectors))
+        Ok(Self::of_array(grid.world_from_voxel, vectors))
     }
 
     /// Grid coordinates of a world point.
@@ -111,7 +112,7 @@ impl VectorField {
 
     /// The displacement at grid coordinates, clamped to the grid.
     pub fn at_voxel(&self, voxel: DVec3) -> Vec3 {
-        trilinear(&self.vectors, self.grid.size, voxel.as_vec3())
+        trilinear(flat(&self.vectors), self.grid.size, voxel.as_vec3())
     }
 
     /// The displacement at a world point. The outermost vectors hold to the faces of their voxels; nothing moves beyond, as ITK has it.
@@ -132,7 +133,7 @@ impl VectorField {
     /// d source / d deformed at a voxel, by central differences of the grid (one-sided at its faces).
     pub fn jacobian(&self, i: usize, j: usize, k: usize) -> DMat3 {
         let [nx, ny, nz] = self.grid.size;
-        let at = |c: [usize; 3]| self.vectors[(c[2] * ny + c[1]) * nx + c[0]].as_dvec3();
+        let at = |c: [usize; 3]| self.vectors[[c[2], c[1], c[0]]].as_dvec3();
         let mut per_voxel = DMat3::ZERO;
         for (axis, n) in [nx, ny, nz].into_iter().enumerate() {
             let c = [i, j, k];

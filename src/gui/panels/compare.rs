@@ -120,95 +120,18 @@ impl Workstation {
     pub(in crate::gui) fn show_compare(&mut self, ui: &mut Ui) {
         self.compare.was_drawn = true;
         let ctx = ui.ctx().clone();
-        let mut export = false;
-        egui::Frame::NONE.inner_margin(egui::Margin::symmetric(8, 4)).show(ui, |ui| {
-            ui.horizontal_wrapped(|ui| {
-                for (n, label) in ["A", "B"].into_iter().enumerate() {
-                    let side = &mut self.compare.sides[n];
-                    let combo = egui::ComboBox::from_id_salt(("side", n))
-                        .selected_text(format!("{label}: {}", word(side.mode)))
-                        .width(104.0)
-                        .show_ui(ui, |ui| {
-                            for mode in [Mode::Slice, Mode::Raycast, Mode::Surface] {
-                                ui.selectable_value(&mut side.mode, mode, word(mode));
-                            }
-                        });
-                    combo.response.widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::ComboBox, true, format!("Renderer {label}")));
-                    ui.spacing_mut().slider_width = 84.0;
-                    let slider = ui
-                        .add(Slider::new(&mut side.step, 0.1..=4.0).clamping(egui::SliderClamping::Edits).logarithmic(true).max_decimals(2))
-                        .on_hover_text("Step, voxels");
-                    slider.widget_info(|| egui::WidgetInfo::slider(true, f64::from(side.step), format!("Step {label}")));
-                }
-                ui.separator();
-                for (a, w) in [(Arrangement::Split, "Split"), (Arrangement::Swipe, "Swipe"), (Arrangement::Difference, "Difference")] {
-                    ui.selectable_value(&mut self.compare.arrangement, a, w);
-                }
-                ui.separator();
-                export = ui.button("Export report…").clicked();
-            });
-            self.show_numbers(ui);
-        });
+        let export = self.show_compare_settings(ui);
         let (rect, response) = ui.allocate_exact_size(ui.available_size().max(vec2(32.0, 32.0)), Sense::click_and_drag());
         response.widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::Other, true, "Comparison view"));
         let painter = ui.painter_at(rect);
         painter.rect_filled(rect, 0.0, theme::CANVAS);
         let panel = &mut self.compare;
-        let pane = if panel.arrangement == Arrangement::Split {
-            Rect::from_min_size(rect.min, vec2((rect.width() / 2.0 - 1.0).max(16.0), rect.height()))
-        } else {
-            rect
-        };
-        let ppp = ctx.pixels_per_point();
-        let size = [(pane.width() * ppp) as u32, (pane.height() * ppp) as u32].map(|n| n.clamp(16, 4096));
-        if size != panel.pane {
-            panel.pane = size;
-            panel.changed_at = Instant::now();
-        }
-        panel.rect = rect;
-        for n in 0..2 {
-            let current = panel.is_current(n) && panel.results[n].delay.failure.is_none();
-            panel.results[n].delay.note(current);
-        }
-        // The title and the veil are those of the picture that is there.
-        let one = |n: usize, painter: &egui::Painter, place: Rect, at: egui::Pos2, align: Align2| {
-            let result = &panel.results[n];
-            let there = result.texture.as_ref().zip(result.side);
-            if let Some((texture, _)) = there {
-                shown::image(painter, texture, place);
-            }
-            result.delay.draw(painter, painter.clip_rect().intersect(place), there.is_some());
-            if let Some((_, side)) = there {
-                text(painter, at, align, format!("{} · {}", ["A", "B"][n], side.words()), 13.0, theme::ON_CANVAS);
-            }
-        };
+        let pane = panel.place_panes(rect, ctx.pixels_per_point());
+        panel.note_delays();
         match panel.arrangement {
-            Arrangement::Split => {
-                for n in 0..2 {
-                    let place = pane.translate(vec2(n as f32 * (pane.width() + 2.0), 0.0));
-                    one(n, &painter, place, place.min + vec2(8.0, 6.0), Align2::LEFT_TOP);
-                }
-            }
-            Arrangement::Swipe => {
-                let x = rect.left() + panel.swipe * rect.width();
-                let left = painter.with_clip_rect(Rect::from_min_max(rect.min, pos2(x, rect.bottom())));
-                let right = painter.with_clip_rect(Rect::from_min_max(pos2(x, rect.top()), rect.max));
-                one(0, &left, rect, rect.min + vec2(8.0, 6.0), Align2::LEFT_TOP);
-                one(1, &right, rect, pos2(rect.right() - 8.0, rect.top() + 6.0), Align2::RIGHT_TOP);
-                painter.vline(x, rect.y_range(), Stroke::new(2.0, theme::SELECTED));
-                painter.circle(pos2(x, rect.center().y), 7.0, theme::SELECTED, Stroke::new(2.0, Color32::from_black_alpha(200)));
-            }
-            Arrangement::Difference => {
-                if let Some(texture) = &panel.difference_texture {
-                    shown::image(&painter, texture, rect);
-                    text(&painter, rect.min + vec2(8.0, 6.0), Align2::LEFT_TOP, format!("Difference × {AMPLIFY}"), 13.0, theme::ON_CANVAS);
-                }
-                if let Some(result) =
-                    panel.results.iter().find(|r| r.delay.failure.is_some()).or_else(|| panel.results.iter().find(|r| r.delay.words(true).is_some()))
-                {
-                    result.delay.draw(&painter, rect, panel.difference_texture.is_some());
-                }
-            }
+            Arrangement::Split => panel.draw_split(&painter, pane),
+            Arrangement::Swipe => panel.draw_swipe(&painter, rect),
+            Arrangement::Difference => panel.draw_difference(&painter, rect),
         }
         let failed = panel.results.iter().any(|r| r.delay.failure.is_some());
         if !panel.is_done() && !failed {
@@ -221,6 +144,26 @@ impl Workstation {
         if !self.compare.is_done() && !failed {
             ctx.request_repaint_after_secs(REST as f32);
         }
+    }
+
+    /// Both sides' settings, the arrangement and the numbers; says whether the report is to be exported.
+    fn show_compare_settings(&mut self, ui: &mut Ui) -> bool {
+        let mut export = false;
+        egui::Frame::NONE.inner_margin(egui::Margin::symmetric(8, 4)).show(ui, |ui| {
+            ui.horizontal_wrapped(|ui| {
+                for (n, label) in ["A", "B"].into_iter().enumerate() {
+                    show_side_settings(ui, n, label, &mut self.compare.sides[n]);
+                }
+                ui.separator();
+                for (a, w) in [(Arrangement::Split, "Split"), (Arrangement::Swipe, "Swipe"), (Arrangement::Difference, "Difference")] {
+                    ui.selectable_value(&mut self.compare.arrangement, a, w);
+                }
+                ui.separator();
+                export = ui.button("Export report…").clicked();
+            });
+            self.show_numbers(ui);
+        });
+        export
     }
 
     fn handle_compare_input(&mut self, ui: &Ui, response: &egui::Response, rect: Rect) {
@@ -279,5 +222,91 @@ impl Workstation {
                 }
             }
         });
+    }
+}
+
+/// The renderer and the step of one side.
+fn show_side_settings(ui: &mut Ui, n: usize, label: &str, side: &mut ComparisonSide) {
+    let combo = egui::ComboBox::from_id_salt(("side", n)).selected_text(format!("{label}: {}", word(side.mode))).width(104.0).show_ui(ui, |ui| {
+        for mode in [Mode::Slice, Mode::Raycast, Mode::Surface] {
+            ui.selectable_value(&mut side.mode, mode, word(mode));
+        }
+    });
+    combo.response.widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::ComboBox, true, format!("Renderer {label}")));
+    ui.spacing_mut().slider_width = 84.0;
+    let slider = ui
+        .add(Slider::new(&mut side.step, 0.1..=4.0).clamping(egui::SliderClamping::Edits).logarithmic(true).max_decimals(2))
+        .on_hover_text("Step, voxels");
+    slider.widget_info(|| egui::WidgetInfo::slider(true, f64::from(side.step), format!("Step {label}")));
+}
+
+impl ComparePanel {
+    /// Takes note of where the pictures are shown and how large they have to be; gives the place of the first.
+    fn place_panes(&mut self, rect: Rect, pixels_per_point: f32) -> Rect {
+        let pane = if self.arrangement == Arrangement::Split {
+            Rect::from_min_size(rect.min, vec2((rect.width() / 2.0 - 1.0).max(16.0), rect.height()))
+        } else {
+            rect
+        };
+        let size = [(pane.width() * pixels_per_point) as u32, (pane.height() * pixels_per_point) as u32].map(|n| n.clamp(16, 4096));
+        if size != self.pane {
+            self.pane = size;
+            self.changed_at = Instant::now();
+        }
+        self.rect = rect;
+        pane
+    }
+
+    /// Takes note of which pictures are behind the scene.
+    fn note_delays(&mut self) {
+        for n in 0..2 {
+            let current = self.is_current(n) && self.results[n].delay.failure.is_none();
+            self.results[n].delay.note(current);
+        }
+    }
+
+    /// One side's picture. The title and the veil are those of the picture that is there.
+    fn draw_side(&self, n: usize, painter: &egui::Painter, place: Rect, at: egui::Pos2, align: Align2) {
+        let result = &self.results[n];
+        let there = result.texture.as_ref().zip(result.side);
+        if let Some((texture, _)) = there {
+            shown::image(painter, texture, place);
+        }
+        result.delay.draw(painter, painter.clip_rect().intersect(place), there.is_some());
+        if let Some((_, side)) = there {
+            text(painter, at, align, format!("{} · {}", ["A", "B"][n], side.words()), 13.0, theme::ON_CANVAS);
+        }
+    }
+
+    /// Both pictures beside each other.
+    fn draw_split(&self, painter: &egui::Painter, pane: Rect) {
+        for n in 0..2 {
+            let place = pane.translate(vec2(n as f32 * (pane.width() + 2.0), 0.0));
+            self.draw_side(n, painter, place, place.min + vec2(8.0, 6.0), Align2::LEFT_TOP);
+        }
+    }
+
+    /// One picture left of the wiper, the other right of it.
+    fn draw_swipe(&self, painter: &egui::Painter, rect: Rect) {
+        let x = rect.left() + self.swipe * rect.width();
+        let left = painter.with_clip_rect(Rect::from_min_max(rect.min, pos2(x, rect.bottom())));
+        let right = painter.with_clip_rect(Rect::from_min_max(pos2(x, rect.top()), rect.max));
+        self.draw_side(0, &left, rect, rect.min + vec2(8.0, 6.0), Align2::LEFT_TOP);
+        self.draw_side(1, &right, rect, pos2(rect.right() - 8.0, rect.top() + 6.0), Align2::RIGHT_TOP);
+        painter.vline(x, rect.y_range(), Stroke::new(2.0, theme::SELECTED));
+        painter.circle(pos2(x, rect.center().y), 7.0, theme::SELECTED, Stroke::new(2.0, Color32::from_black_alpha(200)));
+    }
+
+    /// The difference, enlarged, under the veil of a side that failed or is behind.
+    fn draw_difference(&self, painter: &egui::Painter, rect: Rect) {
+        if let Some(texture) = &self.difference_texture {
+            shown::image(painter, texture, rect);
+            text(painter, rect.min + vec2(8.0, 6.0), Align2::LEFT_TOP, format!("Difference × {AMPLIFY}"), 13.0, theme::ON_CANVAS);
+        }
+        if let Some(result) =
+            self.results.iter().find(|r| r.delay.failure.is_some()).or_else(|| self.results.iter().find(|r| r.delay.words(true).is_some()))
+        {
+            result.delay.draw(painter, rect, self.difference_texture.is_some());
+        }
     }
 }

@@ -241,7 +241,7 @@ impl Workstation {
         }
     }
 
-    /// The menu of all actions but the tools.
+    /// The menu: all groups of actions but Tool, Deform and Transfer.
     fn show_menu(&mut self, ui: &mut Ui) {
         let mut wanted = None;
         let has_scene = self.doc.is_some();

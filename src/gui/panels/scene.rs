@@ -3,7 +3,7 @@
 use super::{heading, icon_button};
 use crate::gui::state::Workstation;
 use crate::gui::state::action::Action;
-use crate::gui::state::document::Selection;
+use crate::gui::state::document::{Document, Selection};
 use crate::gui::state::tool::{symbol, words};
 use crate::scene::Deformation;
 use eframe::egui::{self, Align, Layout, RichText, Sense, Ui, WidgetInfo, WidgetType, vec2};
@@ -36,123 +36,32 @@ fn row(ui: &mut Ui, selected: bool, text: RichText, label: &str, buttons: impl F
     response
 }
 
+/// What was clicked in the tree.
+#[derive(Default)]
+struct Clicked {
+    /// What is to be selected.
+    selection: Option<Selection>,
+    /// What is to be done, and to which row.
+    action: Option<(Selection, Action)>,
+}
+
 impl Workstation {
     /// The tree.
     pub(in crate::gui) fn show_scene(&mut self, ui: &mut Ui) {
         let Some(doc) = &mut self.doc else { return };
-        let mut select = None;
-        let mut act: Option<(Selection, Action)> = None;
+        let mut clicked = Clicked::default();
         let picture =
             row(ui, doc.selected == Selection::Nothing, RichText::new(format!("{} Picture and light", icon::CAMERA)), "Picture and light", |_| ());
         if picture.clicked() {
-            select = Some(Selection::Nothing);
+            clicked.selection = Some(Selection::Nothing);
         }
-        if let Some(volume) = &doc.scene.volume {
-            let name = std::path::Path::new(&volume.path).file_name().map_or_else(|| volume.path.clone(), |n| n.to_string_lossy().into_owned());
-            let text = RichText::new(format!("{} {name}", icon::CUBE));
-            if row(ui, doc.selected == Selection::Volume, text, &name, |_| ()).clicked() {
-                select = Some(Selection::Volume);
-            }
-            if let Some(labels) = volume.labels.clone() {
-                let name = std::path::Path::new(&labels).file_name().map_or(labels.clone(), |n| n.to_string_lossy().into_owned());
-                let mut remove = false;
-                row(ui, false, RichText::new(format!("    {} {name}", icon::BRAIN)), &name, |ui| {
-                    remove = icon_button(ui, icon::X, "Remove the label map").clicked()
-                });
-                if remove && let Some(volume) = &mut doc.scene.volume {
-                    volume.labels = None;
-                }
-            }
-        }
+        show_volume(ui, doc, &mut clicked);
         heading(ui, "Deformations");
-        let count = doc.scene.deformation.len();
-        let mut moved = None;
-        for n in 0..count {
-            let d = &doc.scene.deformation[n];
-            let title = title_of(d);
-            let shown = d.enabled && doc.solo.is_none_or(|s| s == n);
-            let mut text = RichText::new(format!("{} {} {title}", n + 1, symbol(&d.kind)));
-            if !shown {
-                text = text.weak();
-            }
-            let enabled = d.enabled;
-            let solo = doc.solo == Some(n);
-            let response = row(ui, doc.selected == Selection::Deformation(n), text, &format!("{} {title}", n + 1), |ui| {
-                let eye = if enabled { icon::EYE } else { icon::EYE_SLASH };
-                if icon_button(ui, eye, &format!("Mute {title}")).clicked() {
-                    act = Some((Selection::Deformation(n), Action::Mute));
-                }
-                if solo || enabled {
-                    let star = RichText::new(icon::STAR).color(if solo { super::super::theme::accent(ui) } else { ui.visuals().weak_text_color() });
-                    let response = ui.add(egui::Button::new(star).frame(false).min_size(vec2(20.0, 22.0)));
-                    response.widget_info(|| WidgetInfo::selected(WidgetType::Button, true, solo, format!("Solo {title}")));
-                    if response.on_hover_text("Solo: show only this deformation").clicked() {
-                        act = Some((Selection::Deformation(n), Action::Solo));
-                    }
-                }
-            });
-            if response.clicked() {
-                select = Some(Selection::Deformation(n));
-            }
-            response.dnd_set_drag_payload(Dragged(n));
-            if let Some(dragged) = response.dnd_hover_payload::<Dragged>() {
-                let y = if dragged.0 > n { response.rect.top() } else { response.rect.bottom() };
-                ui.painter().hline(response.rect.x_range(), y, egui::Stroke::new(2.0, super::super::theme::accent(ui)));
-            }
-            if let Some(dragged) = response.dnd_release_payload::<Dragged>() {
-                moved = Some((dragged.0, n));
-            }
-            response.context_menu(|ui| {
-                for (action, word) in [
-                    (Action::Duplicate, "Duplicate"),
-                    (Action::MoveUp, "Move up"),
-                    (Action::MoveDown, "Move down"),
-                    (Action::SaveMap, "Save to the library"),
-                    (Action::Delete, "Delete"),
-                ] {
-                    if ui.button(word).clicked() {
-                        act = Some((Selection::Deformation(n), action));
-                        ui.close();
-                    }
-                }
-            });
-        }
-        if count == 0 {
-            ui.label(RichText::new("None yet: choose Peel above and click the picture").weak());
-        }
-        if let Some((from, to)) = moved {
-            doc.reorder(from, to);
-        }
+        show_deformations(ui, doc, &mut clicked);
         heading(ui, "Surfaces");
-        for n in 0..doc.scene.mesh.len() {
-            let mesh = &doc.scene.mesh[n];
-            let named = mesh.name.clone().or_else(|| mesh.path.as_ref().map(|p| p.rsplit(['/', '\\']).next().unwrap_or(p).to_owned()));
-            let name = named.unwrap_or_else(|| format!("Surface {}", n + 1));
-            let hidden = mesh.hidden;
-            let text = RichText::new(format!("{} {name}", icon::POLYGON));
-            let response = row(ui, doc.selected == Selection::Mesh(n), if hidden { text.weak() } else { text }, &name, |ui| {
-                let eye = if hidden { icon::EYE_SLASH } else { icon::EYE };
-                if icon_button(ui, eye, &format!("Hide {name}")).clicked() {
-                    act = Some((Selection::Mesh(n), Action::Mute));
-                }
-            });
-            if response.clicked() {
-                select = Some(Selection::Mesh(n));
-            }
-        }
-        if doc.scene.mesh.is_empty() {
-            ui.label(RichText::new("Drop a mesh to add one").weak());
-        }
-        if !doc.scene.measure.is_empty() {
-            heading(ui, "Measurements");
-            for n in 0..doc.scene.measure.len() {
-                let name = doc.scene.measure[n].name.clone().unwrap_or_else(|| doc.scene.measure[n].kind.name().to_owned());
-                if row(ui, doc.selected == Selection::Measure(n), RichText::new(format!("{} {name}", icon::RULER)), &name, |_| ()).clicked() {
-                    select = Some(Selection::Measure(n));
-                }
-            }
-        }
-        if let Some(selection) = select {
+        show_surfaces(ui, doc, &mut clicked);
+        show_measurements(ui, doc, &mut clicked);
+        if let Some(selection) = clicked.selection {
             doc.selected = selection;
             if matches!(selection, Selection::Measure(_)) {
                 self.show_panel(crate::gui::state::layout::Panel::Measure);
@@ -160,10 +69,144 @@ impl Workstation {
                 self.show_panel(crate::gui::state::layout::Panel::Inspector);
             }
         }
-        if let Some((selection, action)) = act {
+        if let Some((selection, action)) = clicked.action {
             self.select(selection);
             let ctx = ui.ctx().clone();
             self.perform(&ctx, action);
+        }
+    }
+}
+
+/// The rows of the volume and its label map.
+fn show_volume(ui: &mut Ui, doc: &mut Document, clicked: &mut Clicked) {
+    let Some(volume) = &mut doc.scene.volume else { return };
+    let name = std::path::Path::new(&volume.path).file_name().map_or_else(|| volume.path.clone(), |n| n.to_string_lossy().into_owned());
+    let text = RichText::new(format!("{} {name}", icon::CUBE));
+    if row(ui, doc.selected == Selection::Volume, text, &name, |_| ()).clicked() {
+        clicked.selection = Some(Selection::Volume);
+    }
+    if let Some(labels) = volume.labels.clone() {
+        let name = std::path::Path::new(&labels).file_name().map_or(labels.clone(), |n| n.to_string_lossy().into_owned());
+        let mut remove = false;
+        row(ui, false, RichText::new(format!("    {} {name}", icon::BRAIN)), &name, |ui| {
+            remove = icon_button(ui, icon::X, "Remove the label map").clicked()
+        });
+        if remove {
+            volume.labels = None;
+        }
+    }
+}
+
+/// The stack's rows, which can be dragged to other places.
+fn show_deformations(ui: &mut Ui, doc: &mut Document, clicked: &mut Clicked) {
+    let count = doc.scene.deformation.len();
+    let mut moved = None;
+    for n in 0..count {
+        let response = deformation_row(ui, doc, n, clicked);
+        if response.clicked() {
+            clicked.selection = Some(Selection::Deformation(n));
+        }
+        if let Some(from) = dropped_on(ui, &response, n) {
+            moved = Some((from, n));
+        }
+        deformation_menu(&response, n, clicked);
+    }
+    if count == 0 {
+        ui.label(RichText::new("None yet: choose Peel above and click the picture").weak());
+    }
+    if let Some((from, to)) = moved {
+        doc.reorder(from, to);
+    }
+}
+
+/// A deformation's row with its buttons.
+fn deformation_row(ui: &mut Ui, doc: &Document, n: usize, clicked: &mut Clicked) -> egui::Response {
+    let d = &doc.scene.deformation[n];
+    let title = title_of(d);
+    let shown = d.enabled && doc.solo.is_none_or(|s| s == n);
+    let mut text = RichText::new(format!("{} {} {title}", n + 1, symbol(&d.kind)));
+    if !shown {
+        text = text.weak();
+    }
+    let enabled = d.enabled;
+    let solo = doc.solo == Some(n);
+    row(ui, doc.selected == Selection::Deformation(n), text, &format!("{} {title}", n + 1), |ui| {
+        let eye = if enabled { icon::EYE } else { icon::EYE_SLASH };
+        if icon_button(ui, eye, &format!("Mute {title}")).clicked() {
+            clicked.action = Some((Selection::Deformation(n), Action::Mute));
+        }
+        if solo || enabled {
+            let star = RichText::new(icon::STAR).color(if solo { super::super::theme::accent(ui) } else { ui.visuals().weak_text_color() });
+            let response = ui.add(egui::Button::new(star).frame(false).min_size(vec2(20.0, 22.0)));
+            response.widget_info(|| WidgetInfo::selected(WidgetType::Button, true, solo, format!("Solo {title}")));
+            if response.on_hover_text("Solo: show only this deformation").clicked() {
+                clicked.action = Some((Selection::Deformation(n), Action::Solo));
+            }
+        }
+    })
+}
+
+/// Lets a deformation's row be dragged and others be dropped on it; gives the place of one that was.
+fn dropped_on(ui: &Ui, response: &egui::Response, n: usize) -> Option<usize> {
+    response.dnd_set_drag_payload(Dragged(n));
+    if let Some(dragged) = response.dnd_hover_payload::<Dragged>() {
+        let y = if dragged.0 > n { response.rect.top() } else { response.rect.bottom() };
+        ui.painter().hline(response.rect.x_range(), y, egui::Stroke::new(2.0, super::super::theme::accent(ui)));
+    }
+    response.dnd_release_payload::<Dragged>().map(|dragged| dragged.0)
+}
+
+/// What a right click on a deformation's row offers.
+fn deformation_menu(response: &egui::Response, n: usize, clicked: &mut Clicked) {
+    response.context_menu(|ui| {
+        for (action, word) in [
+            (Action::Duplicate, "Duplicate"),
+            (Action::MoveUp, "Move up"),
+            (Action::MoveDown, "Move down"),
+            (Action::SaveMap, "Save to the library"),
+            (Action::Delete, "Delete"),
+        ] {
+            if ui.button(word).clicked() {
+                clicked.action = Some((Selection::Deformation(n), action));
+                ui.close();
+            }
+        }
+    });
+}
+
+/// The surfaces' rows.
+fn show_surfaces(ui: &mut Ui, doc: &Document, clicked: &mut Clicked) {
+    for n in 0..doc.scene.mesh.len() {
+        let mesh = &doc.scene.mesh[n];
+        let named = mesh.name.clone().or_else(|| mesh.path.as_ref().map(|p| p.rsplit(['/', '\\']).next().unwrap_or(p).to_owned()));
+        let name = named.unwrap_or_else(|| format!("Surface {}", n + 1));
+        let hidden = mesh.hidden;
+        let text = RichText::new(format!("{} {name}", icon::POLYGON));
+        let response = row(ui, doc.selected == Selection::Mesh(n), if hidden { text.weak() } else { text }, &name, |ui| {
+            let eye = if hidden { icon::EYE_SLASH } else { icon::EYE };
+            if icon_button(ui, eye, &format!("Hide {name}")).clicked() {
+                clicked.action = Some((Selection::Mesh(n), Action::Mute));
+            }
+        });
+        if response.clicked() {
+            clicked.selection = Some(Selection::Mesh(n));
+        }
+    }
+    if doc.scene.mesh.is_empty() {
+        ui.label(RichText::new("Drop a mesh to add one").weak());
+    }
+}
+
+/// The measurements' rows, under a heading if there are any.
+fn show_measurements(ui: &mut Ui, doc: &Document, clicked: &mut Clicked) {
+    if doc.scene.measure.is_empty() {
+        return;
+    }
+    heading(ui, "Measurements");
+    for n in 0..doc.scene.measure.len() {
+        let name = doc.scene.measure[n].name.clone().unwrap_or_else(|| doc.scene.measure[n].kind.name().to_owned());
+        if row(ui, doc.selected == Selection::Measure(n), RichText::new(format!("{} {name}", icon::RULER)), &name, |_| ()).clicked() {
+            clicked.selection = Some(Selection::Measure(n));
         }
     }
 }

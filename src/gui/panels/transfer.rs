@@ -3,9 +3,11 @@
 use super::{gallery_item, heading};
 use crate::gui::state::Workstation;
 use crate::gui::state::action::Action;
+use crate::gui::state::panels::TransferPanel;
 use crate::gui::theme;
 use crate::transfer::{self, Blend, ControlPoint, TransferFunction, TransferSettings};
-use eframe::egui::{self, Color32, DragValue, Pos2, Rect, Sense, Shape, Slider, Stroke, Ui, pos2, vec2};
+use crate::volume::Volume;
+use eframe::egui::{self, Color32, DragValue, Pos2, Rect, Response, Sense, Shape, Slider, Stroke, Ui, pos2, vec2};
 use egui_phosphor::regular as icon;
 
 const HEIGHT: f32 = 118.0;
@@ -25,6 +27,61 @@ fn explicit(function: &TransferFunction, settings: &TransferSettings) -> Transfe
 /// Opacity is drawn with its square root: what is thin matters most.
 fn lifted(opacity: f32) -> f32 {
     opacity.clamp(0.0, 1.0).sqrt()
+}
+
+/// Where values and opacities lie in the plot.
+#[derive(Clone, Copy)]
+struct PlotAxes {
+    /// The plot.
+    plot: Rect,
+    /// The value at its left edge.
+    low: f64,
+    /// The values from there to its right edge.
+    span: f64,
+}
+
+impl PlotAxes {
+    /// Where a value lies across the plot.
+    fn x_of(&self, value: f64) -> f32 {
+        self.plot.left() + ((value - self.low) / self.span) as f32 * self.plot.width()
+    }
+
+    /// The value at a place across the plot.
+    fn value_of(&self, x: f32) -> f64 {
+        self.low + f64::from((x - self.plot.left()) / self.plot.width()) * self.span
+    }
+
+    /// How high an opacity lies in the plot.
+    fn y_of(&self, opacity: f32) -> f32 {
+        self.plot.bottom() - lifted(opacity) * self.plot.height()
+    }
+
+    /// The opacity at a height in the plot.
+    fn opacity_of(&self, y: f32) -> f32 {
+        ((self.plot.bottom() - y) / self.plot.height()).clamp(0.0, 1.0).powi(2)
+    }
+}
+
+/// The function as it is plotted.
+struct Curve<'a> {
+    function: &'a TransferFunction,
+    axes: PlotAxes,
+    /// Where its points are.
+    places: Vec<Pos2>,
+}
+
+impl<'a> Curve<'a> {
+    /// A function plotted along axes.
+    fn new(function: &'a TransferFunction, axes: PlotAxes) -> Self {
+        let place = |p: &ControlPoint| pos2(axes.x_of(p.value), axes.y_of(p.opacity)).clamp(axes.plot.min, axes.plot.max);
+        Self { function, axes, places: function.points.iter().map(place).collect() }
+    }
+
+    /// The point at a place.
+    fn point_under(&self, pos: Pos2) -> Option<usize> {
+        let near = self.places.iter().enumerate().map(|(n, p)| (n, p.distance(pos))).min_by(|a, b| a.1.total_cmp(&b.1));
+        near.filter(|(_, d)| *d < 11.0).map(|(n, _)| n)
+    }
 }
 
 impl Workstation {
@@ -49,154 +106,17 @@ impl Workstation {
                 return;
             }
         };
-        let heights = self.transfer.heights(volume).to_vec();
         let mut settings = doc.scene.transfer.clone();
-        let (rect, response) = ui.allocate_exact_size(vec2(ui.available_width().max(48.0), HEIGHT), Sense::click_and_drag());
-        response.widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::Other, true, "Transfer function curve"));
-        let plot = rect.shrink2(vec2(6.0, 6.0));
-        let [low, high] = volume.range;
-        let span = (high - low).max(1e-9);
-        let x_of = |value: f64| plot.left() + ((value - low) / span) as f32 * plot.width();
-        let value_of = |x: f32| low + f64::from((x - plot.left()) / plot.width()) * span;
-        let y_of = |opacity: f32| plot.bottom() - lifted(opacity) * plot.height();
-        let opacity_of = |y: f32| ((plot.bottom() - y) / plot.height()).clamp(0.0, 1.0).powi(2);
-        draw_plot(ui, rect, plot, &heights, &function, x_of, y_of);
-        let places: Vec<Pos2> = function.points.iter().map(|p| pos2(x_of(p.value), y_of(p.opacity)).clamp(plot.min, plot.max)).collect();
-        let under = |pos: Pos2| {
-            let near = places.iter().enumerate().map(|(n, p)| (n, p.distance(pos))).min_by(|a, b| a.1.total_cmp(&b.1));
-            near.filter(|(_, d)| *d < 11.0).map(|(n, _)| n)
-        };
-        let pointer = response.interact_pointer_pos().or_else(|| response.hover_pos());
-        if response.drag_started()
-            && let Some(origin) = ui.input(|i| i.pointer.press_origin())
-        {
-            self.transfer.point = under(origin);
-            self.transfer.dragging = self.transfer.point.is_some();
-        }
-        if self.transfer.dragging
-            && response.dragged()
-            && let (Some(n), Some(pos)) = (self.transfer.point.filter(|n| *n < function.points.len()), pointer)
-        {
-            let mut next = explicit(&function, &settings);
-            let before = n.checked_sub(1).map_or(f64::NEG_INFINITY, |m| next.points[m].value);
-            let after = next.points.get(n + 1).map_or(f64::INFINITY, |p| p.value);
-            next.points[n].value = value_of(pos.x).clamp(before, after);
-            next.points[n].opacity = (opacity_of(pos.y) * 1000.0).round() / 1000.0;
-            settings = next;
-        }
-        if response.drag_stopped() {
-            self.transfer.dragging = false;
-        }
-        if response.clicked()
-            && let Some(pos) = pointer
-        {
-            self.transfer.point = under(pos);
-        }
-        if response.double_clicked()
-            && let Some(pos) = pointer.filter(|p| under(*p).is_none())
-        {
-            let mut next = explicit(&function, &settings);
-            let value = value_of(pos.x);
-            let at = next.points.partition_point(|p| p.value <= value);
-            let color = next.points.get(at).or(next.points.last()).map_or([1.0; 3], |p| p.color);
-            next.points.insert(at, ControlPoint { value, color, opacity: opacity_of(pos.y) });
-            self.transfer.point = Some(at);
-            settings = next;
-        }
-        if response.secondary_clicked()
-            && let Some(n) = pointer.and_then(under)
-            && function.points.len() > 1
-        {
-            let mut next = explicit(&function, &settings);
-            next.points.remove(n);
-            self.transfer.point = None;
-            settings = next;
-        }
-        for (n, at) in places.iter().enumerate() {
-            let selected = self.transfer.point == Some(n);
-            let [r, g, b] = function.points[n].color.map(|c| (c * 255.0) as u8);
-            ui.painter().circle(
-                *at,
-                if selected { 6.5 } else { 5.0 },
-                Color32::from_rgb(r, g, b),
-                Stroke::new(1.8, if selected { theme::SELECTED } else { Color32::from_gray(20) }),
-            );
-            if !selected {
-                ui.painter().circle_stroke(*at, 6.0, Stroke::new(1.0, Color32::from_gray(190)));
-            }
-        }
-        if let Some(pos) = response.hover_pos() {
-            response.clone().on_hover_text_at_pointer(format!("{:.1}\nDrag points; double-click to add, right-click to remove", value_of(pos.x)));
-        }
-        // The selected point, as numbers.
-        if let Some(n) = self.transfer.point.filter(|n| *n < function.points.len()) {
-            ui.horizontal(|ui| {
-                let mut p = function.points[n];
-                let mut changed = ui.color_edit_button_rgb(&mut p.color).changed();
-                changed |= ui.add(DragValue::new(&mut p.value).speed(span / 500.0).max_decimals(2).prefix("at ")).changed();
-                let mut percent = 100.0 * p.opacity;
-                changed |= ui
-                    .add(DragValue::new(&mut percent).range(0.0..=100.0).speed(0.5).suffix(" %").max_decimals(1))
-                    .on_hover_text("Opacity of one voxel")
-                    .changed();
-                if changed {
-                    let mut next = explicit(&function, &settings);
-                    let before = n.checked_sub(1).map_or(f64::NEG_INFINITY, |m| next.points[m].value);
-                    let after = next.points.get(n + 1).map_or(f64::INFINITY, |q| q.value);
-                    next.points[n] = ControlPoint { value: p.value.clamp(before, after), opacity: percent / 100.0, ..p };
-                    settings = next;
-                }
-            });
-        }
-        ui.horizontal(|ui| {
-            let [a, b] = function.domain();
-            let (mut width, mut level) = (settings.window.unwrap_or(b - a), settings.level.unwrap_or(0.5 * (a + b)));
-            let speed = span / 500.0;
-            ui.label("Window");
-            if ui.add(DragValue::new(&mut width).speed(speed).range(span * 1e-4..=span * 20.0).max_decimals(1)).changed() {
-                settings.window = Some(width);
-            }
-            ui.label("Level");
-            if ui.add(DragValue::new(&mut level).speed(speed).max_decimals(1)).changed() {
-                settings.level = Some(level);
-            }
-        });
-        ui.horizontal(|ui| {
-            ui.spacing_mut().slider_width = (ui.available_width() - 130.0).max(50.0);
-            let mut density = settings.density.unwrap_or(1.0);
-            if ui
-                .add(Slider::new(&mut density, 0.02..=20.0).clamping(egui::SliderClamping::Edits).logarithmic(true).text("density").max_decimals(2))
-                .changed()
-            {
-                settings.density = Some(density);
-            }
-        });
-        ui.horizontal(|ui| {
-            ui.label("Blend");
-            let now = function.blend;
-            for (blend, word) in [(Blend::Composite, "composite"), (Blend::Mip, "MIP"), (Blend::Minip, "MinIP"), (Blend::Average, "average")] {
-                if ui.selectable_label(now == blend, word).clicked() {
-                    settings.blend = Some(blend);
-                }
-            }
-        });
+        let span = show_curve(ui, &mut self.transfer, volume, &function, &mut settings);
+        show_selected_point(ui, self.transfer.point, &function, span, &mut settings);
+        show_window_and_level(ui, &function, span, &mut settings);
+        show_density(ui, &mut settings);
+        show_blend(ui, function.blend, &mut settings);
         doc.scene.transfer = settings;
-        let mut act = None;
-        ui.horizontal(|ui| {
-            for (symbol, word, action) in
-                [(icon::DOWNLOAD_SIMPLE, "Import", Action::ImportTransfer), (icon::FLOPPY_DISK, "Export", Action::ExportTransfer)]
-            {
-                if super::tool_button(ui, symbol, word, false, "As a file").clicked() {
-                    act = Some(action);
-                }
-            }
-            if ui.button("Reset").on_hover_text("Use the default preset for this volume").clicked() {
-                doc.scene.transfer = TransferSettings::default();
-            }
-        });
+        let action = show_file_buttons(ui, &mut doc.scene.transfer);
         heading(ui, "Presets");
         self.show_presets(ui, fallback);
-        if let Some(action) = act {
+        if let Some(action) = action {
             self.perform(&ctx, action);
         }
     }
@@ -223,7 +143,192 @@ impl Workstation {
     }
 }
 
-fn draw_plot(ui: &Ui, rect: Rect, plot: Rect, heights: &[f32], function: &TransferFunction, x_of: impl Fn(f64) -> f32, y_of: impl Fn(f32) -> f32) {
+/// The curve over the histogram, with points to drag; gives the values that it spans.
+fn show_curve(ui: &mut Ui, panel: &mut TransferPanel, volume: &Volume, function: &TransferFunction, settings: &mut TransferSettings) -> f64 {
+    let heights = panel.heights(volume);
+    let (rect, response) = ui.allocate_exact_size(vec2(ui.available_width().max(48.0), HEIGHT), Sense::click_and_drag());
+    response.widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::Other, true, "Transfer function curve"));
+    let [low, high] = volume.range;
+    let axes = PlotAxes { plot: rect.shrink2(vec2(6.0, 6.0)), low, span: (high - low).max(1e-9) };
+    let curve = Curve::new(function, axes);
+    draw_plot(ui, rect, heights, &curve);
+    drag_point(ui, &response, &curve, panel, settings);
+    click_point(&response, &curve, panel, settings);
+    draw_points(ui, &curve, panel.point);
+    if let Some(pos) = response.hover_pos() {
+        let value = axes.value_of(pos.x);
+        response.on_hover_text_at_pointer(format!("{value:.1}\nDrag points; double-click to add, right-click to remove"));
+    }
+    axes.span
+}
+
+/// Where the pointer is that does something to the curve, or could.
+fn pointer_on(response: &Response) -> Option<Pos2> {
+    response.interact_pointer_pos().or_else(|| response.hover_pos())
+}
+
+/// Moves the point that is dragged.
+fn drag_point(ui: &Ui, response: &Response, curve: &Curve, panel: &mut TransferPanel, settings: &mut TransferSettings) {
+    if response.drag_started()
+        && let Some(origin) = ui.input(|i| i.pointer.press_origin())
+    {
+        panel.point = curve.point_under(origin);
+        panel.dragging = panel.point.is_some();
+    }
+    if panel.dragging
+        && response.dragged()
+        && let (Some(n), Some(pos)) = (panel.point.filter(|n| *n < curve.function.points.len()), pointer_on(response))
+    {
+        let mut next = explicit(curve.function, settings);
+        let [before, after] = limits(&next.points, n);
+        next.points[n].value = curve.axes.value_of(pos.x).clamp(before, after);
+        next.points[n].opacity = (curve.axes.opacity_of(pos.y) * 1000.0).round() / 1000.0;
+        *settings = next;
+    }
+    if response.drag_stopped() {
+        panel.dragging = false;
+    }
+}
+
+/// The values of a point's neighbours, between which it stays.
+fn limits(points: &[ControlPoint], n: usize) -> [f64; 2] {
+    let before = n.checked_sub(1).map_or(f64::NEG_INFINITY, |m| points[m].value);
+    let after = points.get(n + 1).map_or(f64::INFINITY, |p| p.value);
+    [before, after]
+}
+
+/// Selects the point that is clicked; adds one by a double click, removes one by a right click.
+fn click_point(response: &Response, curve: &Curve, panel: &mut TransferPanel, settings: &mut TransferSettings) {
+    let pointer = pointer_on(response);
+    if response.clicked()
+        && let Some(pos) = pointer
+    {
+        panel.point = curve.point_under(pos);
+    }
+    if response.double_clicked()
+        && let Some(pos) = pointer.filter(|p| curve.point_under(*p).is_none())
+    {
+        let mut next = explicit(curve.function, settings);
+        let value = curve.axes.value_of(pos.x);
+        let at = next.points.partition_point(|p| p.value <= value);
+        let color = next.points.get(at).or(next.points.last()).map_or([1.0; 3], |p| p.color);
+        next.points.insert(at, ControlPoint { value, color, opacity: curve.axes.opacity_of(pos.y) });
+        panel.point = Some(at);
+        *settings = next;
+    }
+    if response.secondary_clicked()
+        && let Some(n) = pointer.and_then(|p| curve.point_under(p))
+        && curve.function.points.len() > 1
+    {
+        let mut next = explicit(curve.function, settings);
+        next.points.remove(n);
+        panel.point = None;
+        *settings = next;
+    }
+}
+
+/// The points of the curve.
+fn draw_points(ui: &Ui, curve: &Curve, selected: Option<usize>) {
+    for (n, at) in curve.places.iter().enumerate() {
+        let selected = selected == Some(n);
+        let [r, g, b] = curve.function.points[n].color.map(|c| (c * 255.0) as u8);
+        ui.painter().circle(
+            *at,
+            if selected { 6.5 } else { 5.0 },
+            Color32::from_rgb(r, g, b),
+            Stroke::new(1.8, if selected { theme::SELECTED } else { Color32::from_gray(20) }),
+        );
+        if !selected {
+            ui.painter().circle_stroke(*at, 6.0, Stroke::new(1.0, Color32::from_gray(190)));
+        }
+    }
+}
+
+/// The selected point, as numbers.
+fn show_selected_point(ui: &mut Ui, selected: Option<usize>, function: &TransferFunction, span: f64, settings: &mut TransferSettings) {
+    let Some(n) = selected.filter(|n| *n < function.points.len()) else { return };
+    ui.horizontal(|ui| {
+        let mut p = function.points[n];
+        let mut changed = ui.color_edit_button_rgb(&mut p.color).changed();
+        changed |= ui.add(DragValue::new(&mut p.value).speed(span / 500.0).max_decimals(2).prefix("at ")).changed();
+        let mut percent = 100.0 * p.opacity;
+        changed |= ui
+            .add(DragValue::new(&mut percent).range(0.0..=100.0).speed(0.5).suffix(" %").max_decimals(1))
+            .on_hover_text("Opacity of one voxel")
+            .changed();
+        if changed {
+            let mut next = explicit(function, settings);
+            let [before, after] = limits(&next.points, n);
+            next.points[n] = ControlPoint { value: p.value.clamp(before, after), opacity: percent / 100.0, ..p };
+            *settings = next;
+        }
+    });
+}
+
+/// Window and level, as numbers.
+fn show_window_and_level(ui: &mut Ui, function: &TransferFunction, span: f64, settings: &mut TransferSettings) {
+    ui.horizontal(|ui| {
+        let [a, b] = function.domain();
+        let (mut width, mut level) = (settings.window.unwrap_or(b - a), settings.level.unwrap_or(0.5 * (a + b)));
+        let speed = span / 500.0;
+        ui.label("Window");
+        if ui.add(DragValue::new(&mut width).speed(speed).range(span * 1e-4..=span * 20.0).max_decimals(1)).changed() {
+            settings.window = Some(width);
+        }
+        ui.label("Level");
+        if ui.add(DragValue::new(&mut level).speed(speed).max_decimals(1)).changed() {
+            settings.level = Some(level);
+        }
+    });
+}
+
+/// The slider of the density.
+fn show_density(ui: &mut Ui, settings: &mut TransferSettings) {
+    ui.horizontal(|ui| {
+        ui.spacing_mut().slider_width = (ui.available_width() - 130.0).max(50.0);
+        let mut density = settings.density.unwrap_or(1.0);
+        if ui
+            .add(Slider::new(&mut density, 0.02..=20.0).clamping(egui::SliderClamping::Edits).logarithmic(true).text("density").max_decimals(2))
+            .changed()
+        {
+            settings.density = Some(density);
+        }
+    });
+}
+
+/// The choice of how samples blend.
+fn show_blend(ui: &mut Ui, now: Blend, settings: &mut TransferSettings) {
+    ui.horizontal(|ui| {
+        ui.label("Blend");
+        for (blend, word) in [(Blend::Composite, "composite"), (Blend::Mip, "MIP"), (Blend::Minip, "MinIP"), (Blend::Average, "average")] {
+            if ui.selectable_label(now == blend, word).clicked() {
+                settings.blend = Some(blend);
+            }
+        }
+    });
+}
+
+/// Buttons to import, export and reset the function; gives what is to be done with a file.
+fn show_file_buttons(ui: &mut Ui, settings: &mut TransferSettings) -> Option<Action> {
+    let mut act = None;
+    ui.horizontal(|ui| {
+        for (symbol, word, action) in
+            [(icon::DOWNLOAD_SIMPLE, "Import", Action::ImportTransfer), (icon::FLOPPY_DISK, "Export", Action::ExportTransfer)]
+        {
+            if super::tool_button(ui, symbol, word, false, "As a file").clicked() {
+                act = Some(action);
+            }
+        }
+        if ui.button("Reset").on_hover_text("Use the default preset for this volume").clicked() {
+            *settings = TransferSettings::default();
+        }
+    });
+    act
+}
+
+/// The histogram and the curve over it.
+fn draw_plot(ui: &Ui, rect: Rect, heights: &[f32], curve: &Curve) {
+    let plot = curve.axes.plot;
     let painter = ui.painter().with_clip_rect(rect);
     painter.rect_filled(rect, 4.0, theme::CANVAS);
     let width = plot.width() / heights.len() as f32;
@@ -232,8 +337,8 @@ fn draw_plot(ui: &Ui, rect: Rect, plot: Rect, heights: &[f32], function: &Transf
         let bar = Rect::from_min_max(pos2(x, plot.bottom() - h * plot.height()), pos2(x + width.max(1.0), plot.bottom()));
         painter.rect_filled(bar, 0.0, Color32::from_gray(58));
     }
-    let p = &function.points;
-    let at = |q: &ControlPoint| pos2(x_of(q.value), y_of(q.opacity));
+    let p = &curve.function.points;
+    let at = |q: &ControlPoint| pos2(curve.axes.x_of(q.value), curve.axes.y_of(q.opacity));
     let color = |c: [f32; 3], a: f32| {
         let [r, g, b] = c.map(|v| (v * 255.0) as u8);
         Color32::from_rgba_unmultiplied(r, g, b, (a * 255.0) as u8)
@@ -250,7 +355,7 @@ fn draw_plot(ui: &Ui, rect: Rect, plot: Rect, heights: &[f32], function: &Transf
                 let mix = |t: f32| {
                     let value = pair[0].value + (pair[1].value - pair[0].value) * f64::from(t);
                     let c: [f32; 3] = std::array::from_fn(|k| pair[0].color[k] + (pair[1].color[k] - pair[0].color[k]) * t);
-                    (pos2(x_of(value), y_of(pair[0].opacity + (pair[1].opacity - pair[0].opacity) * t)), c)
+                    (pos2(curve.axes.x_of(value), curve.axes.y_of(pair[0].opacity + (pair[1].opacity - pair[0].opacity) * t)), c)
                 };
                 let ((a, ca), (b, cb)) = (mix(t), mix(t2));
                 let mut mesh = egui::Mesh::default();

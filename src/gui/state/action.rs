@@ -86,41 +86,74 @@ const CTRL_SHIFT: Modifiers = Modifiers::COMMAND.plus(Modifiers::SHIFT);
 const SHIFT: Modifiers = Modifiers::SHIFT;
 const NONE: Modifiers = Modifiers::NONE;
 
+/// Actions, being listed one after the other.
+#[derive(Default)]
+struct ActionList(Vec<ActionEntry>);
+
+impl ActionList {
+    /// Puts an action at the end.
+    fn add(&mut self, group: &'static str, action: Action, label: &str, key: Option<(Modifiers, Key)>) {
+        self.0.push(ActionEntry { action, label: label.into(), group, key: key.map(|(m, k)| KeyboardShortcut::new(m, k)) });
+    }
+}
+
 /// All of them, in the order of menus.
 pub fn list() -> Vec<ActionEntry> {
-    use super::layout::LayoutPreset as Layout;
-    let mut all = Vec::new();
-    let mut add = |group: &'static str, action: Action, label: &str, key: Option<(Modifiers, Key)>| {
-        all.push(ActionEntry { action, label: label.into(), group, key: key.map(|(m, k)| KeyboardShortcut::new(m, k)) });
-    };
-    add("File", Action::Open, "Open…", Some((CTRL, Key::O)));
-    add("File", Action::OpenFolder, "Open folder (DICOM)…", Some((CTRL_SHIFT, Key::O)));
-    add("File", Action::OpenHead, "Open the bundled head", None);
-    add("File", Action::Save, "Save", Some((CTRL, Key::S)));
-    add("File", Action::SaveAs, "Save as…", Some((CTRL_SHIFT, Key::S)));
-    add("File", Action::Close, "Close the scene", Some((CTRL, Key::W)));
-    add("File", Action::Quit, "Quit", Some((CTRL, Key::Q)));
-    add("Export", Action::ExportPicture, "Export picture…", Some((CTRL, Key::E)));
-    add("Export", Action::ExportClip, "Export clip…", None);
-    add("Export", Action::ExportVolume, "Bake the deformed volume…", None);
-    add("Export", Action::ExportField, "Bake the displacement field…", None);
-    add("Export", Action::ExportReport, "Export comparison report…", None);
-    add("Export", Action::ExportMeasures, "Export measurements…", None);
-    add("Export", Action::CopyCommand, "Copy as incise render …", Some((Modifiers::ALT, Key::C)));
-    add("Export", Action::ImportTransfer, "Import transfer function…", None);
-    add("Export", Action::ExportTransfer, "Export transfer function…", None);
-    add("Edit", Action::Undo, "Undo", Some((CTRL, Key::Z)));
-    add("Edit", Action::Redo, "Redo", Some((CTRL_SHIFT, Key::Z)));
-    add("Edit", Action::Delete, "Delete", Some((NONE, Key::Delete)));
-    add("Edit", Action::Duplicate, "Duplicate", Some((CTRL, Key::D)));
-    add("Edit", Action::Mute, "Mute", Some((NONE, Key::H)));
-    add("Edit", Action::Solo, "Solo", Some((SHIFT, Key::H)));
-    add("Edit", Action::MoveUp, "Move up in the stack", Some((CTRL, Key::ArrowUp)));
-    add("Edit", Action::MoveDown, "Move down in the stack", Some((CTRL, Key::ArrowDown)));
-    add("Edit", Action::Less, "Decrease progress", Some((NONE, Key::OpenBracket)));
-    add("Edit", Action::More, "Increase progress", Some((NONE, Key::CloseBracket)));
-    add("Edit", Action::SelectNext, "Select the next deformation", Some((NONE, Key::N)));
-    add("Edit", Action::Deselect, "Deselect", Some((NONE, Key::Escape)));
+    let mut all = ActionList::default();
+    add_file_actions(&mut all);
+    add_export_actions(&mut all);
+    add_edit_actions(&mut all);
+    add_view_actions(&mut all);
+    add_window_actions(&mut all);
+    add_tool_actions(&mut all);
+    add_deform_actions(&mut all);
+    add_map_actions(&mut all);
+    add_transfer_actions(&mut all);
+    all.0
+}
+
+/// Opening, saving and closing.
+fn add_file_actions(all: &mut ActionList) {
+    all.add("File", Action::Open, "Open…", Some((CTRL, Key::O)));
+    all.add("File", Action::OpenFolder, "Open folder (DICOM)…", Some((CTRL_SHIFT, Key::O)));
+    all.add("File", Action::OpenHead, "Open the bundled head", None);
+    all.add("File", Action::Save, "Save", Some((CTRL, Key::S)));
+    all.add("File", Action::SaveAs, "Save as…", Some((CTRL_SHIFT, Key::S)));
+    all.add("File", Action::Close, "Close the scene", Some((CTRL, Key::W)));
+    all.add("File", Action::Quit, "Quit", Some((CTRL, Key::Q)));
+}
+
+/// What goes to files and comes from them beside scenes.
+fn add_export_actions(all: &mut ActionList) {
+    all.add("Export", Action::ExportPicture, "Export picture…", Some((CTRL, Key::E)));
+    all.add("Export", Action::ExportClip, "Export clip…", None);
+    all.add("Export", Action::ExportVolume, "Bake the deformed volume…", None);
+    all.add("Export", Action::ExportField, "Bake the displacement field…", None);
+    all.add("Export", Action::ExportReport, "Export comparison report…", None);
+    all.add("Export", Action::ExportMeasures, "Export measurements…", None);
+    all.add("Export", Action::CopyCommand, "Copy as incise render …", Some((Modifiers::ALT, Key::C)));
+    all.add("Export", Action::ImportTransfer, "Import transfer function…", None);
+    all.add("Export", Action::ExportTransfer, "Export transfer function…", None);
+}
+
+/// Changes to the selection and the stack.
+fn add_edit_actions(all: &mut ActionList) {
+    all.add("Edit", Action::Undo, "Undo", Some((CTRL, Key::Z)));
+    all.add("Edit", Action::Redo, "Redo", Some((CTRL_SHIFT, Key::Z)));
+    all.add("Edit", Action::Delete, "Delete", Some((NONE, Key::Delete)));
+    all.add("Edit", Action::Duplicate, "Duplicate", Some((CTRL, Key::D)));
+    all.add("Edit", Action::Mute, "Mute", Some((NONE, Key::H)));
+    all.add("Edit", Action::Solo, "Solo", Some((SHIFT, Key::H)));
+    all.add("Edit", Action::MoveUp, "Move up in the stack", Some((CTRL, Key::ArrowUp)));
+    all.add("Edit", Action::MoveDown, "Move down in the stack", Some((CTRL, Key::ArrowDown)));
+    all.add("Edit", Action::Less, "Decrease progress", Some((NONE, Key::OpenBracket)));
+    all.add("Edit", Action::More, "Increase progress", Some((NONE, Key::CloseBracket)));
+    all.add("Edit", Action::SelectNext, "Select the next deformation", Some((NONE, Key::N)));
+    all.add("Edit", Action::Deselect, "Deselect", Some((NONE, Key::Escape)));
+}
+
+/// The camera and how the picture is rendered.
+fn add_view_actions(all: &mut ActionList) {
     for (name, label, key) in [
         ("anterior", "View from anterior", Some((NONE, Key::Num1))),
         ("posterior", "View from posterior", Some((SHIFT, Key::Num1))),
@@ -129,42 +162,55 @@ pub fn list() -> Vec<ActionEntry> {
         ("superior", "View from superior", Some((NONE, Key::Num7))),
         ("inferior", "View from inferior", Some((SHIFT, Key::Num7))),
     ] {
-        add("View", Action::View(name), label, key);
+        all.add("View", Action::View(name), label, key);
     }
-    add("View", Action::Opposite, "View from the opposite side", Some((NONE, Key::Num9)));
-    add("View", Action::ResetCamera, "Reset camera", Some((NONE, Key::R)));
-    add("View", Action::FrameSelection, "Frame selection", Some((NONE, Key::F)));
-    add("View", Action::CameraBack, "Camera back", Some((Modifiers::ALT, Key::ArrowLeft)));
-    add("View", Action::CameraForward, "Camera forward", Some((Modifiers::ALT, Key::ArrowRight)));
-    add("View", Action::ToggleProjection, "Toggle perspective/orthographic", Some((NONE, Key::Num5)));
-    add("View", Action::NextMode, "Next render mode", Some((NONE, Key::V)));
-    add("View", Action::SetMode(Mode::Slice), "Render with slices", None);
-    add("View", Action::SetMode(Mode::Raycast), "Render with ray casting", None);
-    add("View", Action::SetMode(Mode::Surface), "Render surfaces", None);
-    add("View", Action::Compare, "Compare renderers", Some((SHIFT, Key::V)));
-    add("View", Action::BeforeAfter, "Toggle before/after deformation", Some((NONE, Key::Tab)));
-    add("Window", Action::Layout(Layout::Only3d), "Layout: 3D only", None);
-    add("Window", Action::Layout(Layout::FourUp), "Layout: four-up", None);
-    add("Window", Action::Layout(Layout::Compare), "Layout: compare", None);
-    add("Window", Action::ToggleTheme, "Toggle light/dark theme", None);
-    add("Window", Action::ScaleUp, "Larger interface", Some((CTRL, Key::Plus)));
-    add("Window", Action::ScaleDown, "Smaller interface", Some((CTRL, Key::Minus)));
-    add("Window", Action::Palette, "Command palette", Some((CTRL, Key::K)));
-    add("Window", Action::Keys, "Keyboard shortcuts…", Some((NONE, Key::F1)));
-    add("Window", Action::Log, "Show log", None);
-    add("Window", Action::Navigation, "Toggle 3D Slicer/Blender navigation", None);
-    add("Window", Action::ResetGpu, "Reconnect to the GPU", None);
-    add("Window", Action::CancelTasks, "Cancel all background tasks", None);
-    add("Tool", Action::Arm(Tool::Navigate), "Orbit", Some((NONE, Key::O)));
-    add("Tool", Action::Arm(Tool::Probe), "Probe", Some((NONE, Key::I)));
-    add("Tool", Action::Arm(Tool::Measure(MeasureKind::Distance)), "Measure a distance", Some((NONE, Key::M)));
-    add("Tool", Action::Arm(Tool::Measure(MeasureKind::Angle)), "Measure an angle", Some((SHIFT, Key::M)));
-    add("Tool", Action::Arm(Tool::LassoCut), "Lasso cut", Some((NONE, Key::L)));
-    add("Tool", Action::Arm(Tool::LassoRestore), "Lasso restore", Some((SHIFT, Key::L)));
-    add("Tool", Action::Arm(Tool::BrushPush), "Brush: push", Some((NONE, Key::G)));
-    add("Tool", Action::Arm(Tool::BrushSmooth), "Brush: smooth", None);
-    add("Tool", Action::Arm(Tool::BrushCut), "Brush: cut", None);
-    add("Tool", Action::Arm(Tool::BrushRestore), "Brush: restore", None);
+    all.add("View", Action::Opposite, "View from the opposite side", Some((NONE, Key::Num9)));
+    all.add("View", Action::ResetCamera, "Reset camera", Some((NONE, Key::R)));
+    all.add("View", Action::FrameSelection, "Frame selection", Some((NONE, Key::F)));
+    all.add("View", Action::CameraBack, "Camera back", Some((Modifiers::ALT, Key::ArrowLeft)));
+    all.add("View", Action::CameraForward, "Camera forward", Some((Modifiers::ALT, Key::ArrowRight)));
+    all.add("View", Action::ToggleProjection, "Toggle perspective/orthographic", Some((NONE, Key::Num5)));
+    all.add("View", Action::NextMode, "Next render mode", Some((NONE, Key::V)));
+    all.add("View", Action::SetMode(Mode::Slice), "Render with slices", None);
+    all.add("View", Action::SetMode(Mode::Raycast), "Render with ray casting", None);
+    all.add("View", Action::SetMode(Mode::Surface), "Render surfaces", None);
+    all.add("View", Action::Compare, "Compare renderers", Some((SHIFT, Key::V)));
+    all.add("View", Action::BeforeAfter, "Toggle before/after deformation", Some((NONE, Key::Tab)));
+}
+
+/// Layout, theme, help and the application itself.
+fn add_window_actions(all: &mut ActionList) {
+    use super::layout::LayoutPreset as Layout;
+    all.add("Window", Action::Layout(Layout::Only3d), "Layout: 3D only", None);
+    all.add("Window", Action::Layout(Layout::FourUp), "Layout: four-up", None);
+    all.add("Window", Action::Layout(Layout::Compare), "Layout: compare", None);
+    all.add("Window", Action::ToggleTheme, "Toggle light/dark theme", None);
+    all.add("Window", Action::ScaleUp, "Larger interface", Some((CTRL, Key::Plus)));
+    all.add("Window", Action::ScaleDown, "Smaller interface", Some((CTRL, Key::Minus)));
+    all.add("Window", Action::Palette, "Command palette", Some((CTRL, Key::K)));
+    all.add("Window", Action::Keys, "Keyboard shortcuts…", Some((NONE, Key::F1)));
+    all.add("Window", Action::Log, "Show log", None);
+    all.add("Window", Action::Navigation, "Toggle 3D Slicer/Blender navigation", None);
+    all.add("Window", Action::ResetGpu, "Reconnect to the GPU", None);
+    all.add("Window", Action::CancelTasks, "Cancel all background tasks", None);
+}
+
+/// Tools to arm.
+fn add_tool_actions(all: &mut ActionList) {
+    all.add("Tool", Action::Arm(Tool::Navigate), "Orbit", Some((NONE, Key::O)));
+    all.add("Tool", Action::Arm(Tool::Probe), "Probe", Some((NONE, Key::I)));
+    all.add("Tool", Action::Arm(Tool::Measure(MeasureKind::Distance)), "Measure a distance", Some((NONE, Key::M)));
+    all.add("Tool", Action::Arm(Tool::Measure(MeasureKind::Angle)), "Measure an angle", Some((SHIFT, Key::M)));
+    all.add("Tool", Action::Arm(Tool::LassoCut), "Lasso cut", Some((NONE, Key::L)));
+    all.add("Tool", Action::Arm(Tool::LassoRestore), "Lasso restore", Some((SHIFT, Key::L)));
+    all.add("Tool", Action::Arm(Tool::BrushPush), "Brush: push", Some((NONE, Key::G)));
+    all.add("Tool", Action::Arm(Tool::BrushSmooth), "Brush: smooth", None);
+    all.add("Tool", Action::Arm(Tool::BrushCut), "Brush: cut", None);
+    all.add("Tool", Action::Arm(Tool::BrushRestore), "Brush: restore", None);
+}
+
+/// Deformations to place: those with keys first, then all others.
+fn add_deform_actions(all: &mut ActionList) {
     for (kind, key) in [
         ("peel", Key::P),
         ("knife", Key::K),
@@ -176,24 +222,31 @@ pub fn list() -> Vec<ActionEntry> {
         ("explode", Key::X),
     ] {
         if let Ok(found) = kinds::kind(kind) {
-            add("Deform", Action::Arm(Tool::Place(Placed(found))), &format!("Place {}", super::tool::words(kind)), Some((NONE, key)));
+            all.add("Deform", Action::Arm(Tool::Place(Placed(found))), &format!("Place {}", super::tool::words(kind)), Some((NONE, key)));
         }
     }
     for kind in kinds::list() {
         let known = ["peel", "knife", "wedge", "box", "half-space", "pull", "twist", "explode", "lasso", "brush"];
         if !known.contains(&kind.name) {
-            add("Deform", Action::Arm(Tool::Place(Placed(kind))), &format!("Place {}", super::tool::words(kind.name)), None);
+            all.add("Deform", Action::Arm(Tool::Place(Placed(kind))), &format!("Place {}", super::tool::words(kind.name)), None);
         }
     }
-    add("Map", Action::NewMap, "New painted map", None);
-    add("Map", Action::StackToMap, "Combine the stack into one map", None);
-    add("Map", Action::SaveMap, "Save the selected deformation to the library", None);
-    add("Map", Action::CheckField, "Check the field for folds", None);
+}
+
+/// Maps, painted or made of the stack.
+fn add_map_actions(all: &mut ActionList) {
+    all.add("Map", Action::NewMap, "New painted map", None);
+    all.add("Map", Action::StackToMap, "Combine the stack into one map", None);
+    all.add("Map", Action::SaveMap, "Save the selected deformation to the library", None);
+    all.add("Map", Action::CheckField, "Check the field for folds", None);
+}
+
+/// Presets of the transfer function.
+fn add_transfer_actions(all: &mut ActionList) {
     for preset in transfer::list() {
-        add("Transfer", Action::Preset(preset.name), &format!("Transfer function: {}", preset.name), None);
+        all.add("Transfer", Action::Preset(preset.name), &format!("Transfer function: {}", preset.name), None);
     }
-    add("Transfer", Action::ResetWindow, "Reset window and level", None);
-    all
+    all.add("Transfer", Action::ResetWindow, "Reset window and level", None);
 }
 
 /// A key as people read it.

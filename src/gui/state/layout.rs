@@ -57,11 +57,11 @@ impl Panel {
 /// An arrangement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum LayoutPreset {
-    /// The 3D view with the inspector.
+    /// The 3D view, large, with the panels beside it.
     Only3d,
-    /// 3D over three slices, scene and inspector beside.
+    /// The 3D view over three slices, with the panels beside them.
     FourUp,
-    /// The comparison beside the 3D view's panels.
+    /// The comparison, large; the 3D view is a tab beside the scene.
     Compare,
 }
 

@@ -18,7 +18,7 @@ pub const AUTOSAVE: Duration = Duration::from_secs(60);
 /// Recent files that are kept.
 const RECENT: usize = 12;
 
-/// The bundled head and its labels.
+/// The bundled files: the head and its labels, a mesh, and the scenes of the examples.
 const BUNDLED: [(&str, &[u8]); 9] = [
     ("colin27-head-t1.nii.gz", include_bytes!("../../../volumes/colin27-head-t1.nii.gz")),
     ("colin27-aal-labels.nii.gz", include_bytes!("../../../volumes/colin27-aal-labels.nii.gz")),

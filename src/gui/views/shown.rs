@@ -1,4 +1,4 @@
-//! What is on the screen, as opposed to what the scene has become since.
+//! Drawing a picture that the scene may have left behind ([`crate::gui::state::shown`] knows whether it has).
 //!
 //! Pictures arrive late, and some never do. Letters, cube, scale bar, handles and measurements that are drawn over a picture, and every
 //! question about a place in it, go by what that picture was rendered from. A picture that the scene has left behind is veiled, with the reason.

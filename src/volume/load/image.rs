@@ -2,11 +2,11 @@
 //! how it becomes a volume that can be shown.
 
 use super::super::colors::{self, Colors, Label};
-use super::super::{Rescale, SliceDisplacement, Volume, Voxels};
+use super::super::{Rescale, SliceDisplacement, StoredValues, TypedArray, Volume, Voxels};
 use super::ReadOptions;
 use crate::{Error, Result};
 use glam::{DAffine3, DMat3, DVec3};
-use rayon::prelude::*;
+use ndarray::{Array3, Axis, Ix4};
 use serde_json::Value;
 use std::path::Path;
 
@@ -48,8 +48,8 @@ pub struct Image {
     /// Name of the format.
     pub format: &'static str,
     /// Stored values.
-    pub voxels: Voxels,
-    /// Voxels along i, j, k.
+    pub voxels: StoredValues,
+    /// StoredValues along i, j, k.
     pub size: [usize; 3],
     /// Values per voxel.
     pub components: usize,
@@ -83,7 +83,7 @@ pub struct Image {
 
 impl Image {
     /// A scalar image of which nothing more is known.
-    pub fn new(format: &'static str, voxels: Voxels, size: [usize; 3], world_from_voxel: DAffine3) -> Self {
+    pub fn new(format: &'static str, voxels: StoredValues, size: [usize; 3], world_from_voxel: DAffine3) -> Self {
         Self {
             format,
             voxels,
@@ -127,7 +127,7 @@ impl Image {
             (self.voxels, colors) = (voxels, Some(rgb));
             (self.rescale, self.padding) = (Rescale::NONE, None);
         }
-        let mut volume = Volume::with_padding(self.voxels, self.size, self.rescale, self.world_from_voxel, self.padding);
+        let mut volume = Volume::with_padding(Voxels::new(self.size, self.voxels), self.rescale, self.world_from_voxel, self.padding);
         if !(volume.range[1] - volume.range[0]).is_finite() {
             return Err(Error::file(path, "holds values whose range cannot be represented; rescale it"));
         }
@@ -153,29 +153,38 @@ impl Image {
         Ok(volume)
     }
 
-    /// Index of component `c` of voxel `v`.
-    #[inline(always)]
-    fn index(&self, c: usize, v: usize, voxels: usize) -> usize {
-        if self.layout == Layout::Planar { c * voxels + v } else { v * self.components + c }
+    /// The values with an axis of components, and which it is: (component, k, j, i) or (k, j, i, component).
+    fn with_component_axis(&self) -> (TypedArray<Ix4>, Axis) {
+        let ([i, j, k], c) = (self.size, self.components);
+        match self.layout {
+            Layout::Planar => (self.voxels.clone().reshaped((c, k, j, i)), Axis(0)),
+            Layout::Interleaved => (self.voxels.clone().reshaped((k, j, i, c)), Axis(3)),
+        }
     }
 
     /// Component `c` of every voxel, as data values.
-    pub fn component(&self, c: usize) -> Vec<f32> {
-        let n = self.size.iter().product::<usize>();
+    pub fn component(&self, c: usize) -> Array3<f32> {
         let Rescale { slope, intercept } = self.rescale;
-        (0..n).into_par_iter().map(|v| (self.voxels.get(self.index(c, v, n)) * slope + intercept) as f32).collect()
+        Voxels::new(self.size, self.one_component(c)).map(|stored| (stored * slope + intercept) as f32)
     }
 
     /// Component `c` of every voxel, as it is stored.
-    fn one_component(&self, c: usize) -> Voxels {
-        let n = self.size.iter().product::<usize>();
-        self.voxels.gathered(n, |v| self.index(c, v, n))
+    fn one_component(&self, c: usize) -> StoredValues {
+        let (values, axis) = self.with_component_axis();
+        let voxels = self.size.iter().product::<usize>();
+        values.at_index(axis, c).reshaped(voxels)
+    }
+
+    /// What is made of all components of each voxel.
+    fn of_each_voxel<T: Send>(&self, make: impl Fn([f64; 4]) -> T + Sync + Send) -> Vec<T> {
+        let (values, axis) = self.with_component_axis();
+        values.map_lanes(axis, make)
     }
 
     /// One value and one colour for every voxel of several components.
-    fn colored(&mut self, path: &Path) -> Result<(Voxels, Colors)> {
-        let (n, c) = (self.size.iter().product::<usize>(), self.components);
-        let bytes = matches!(self.voxels, Voxels::U8(_));
+    fn colored(&mut self, path: &Path) -> Result<(StoredValues, Colors)> {
+        let c = self.components;
+        let bytes = matches!(self.voxels, StoredValues::U8(_));
         if matches!(self.meaning, Meaning::Unstated) {
             self.meaning = match c {
                 3 | 4 if bytes => Meaning::Color,
@@ -183,74 +192,69 @@ impl Image {
                 _ => Meaning::Channels(Vec::new()),
             };
         }
-        let from = |voxels: &Voxels, index: usize| voxels.get(index);
         match std::mem::replace(&mut self.meaning, Meaning::Unstated) {
-            Meaning::Color if c == 3 || c == 4 => {
-                if bytes && self.layout == Layout::Interleaved {
-                    let taken = std::mem::replace(&mut self.voxels, Vec::<u8>::new().into());
-                    if let Voxels::U8(values) = taken {
-                        return Ok(colors::of_interleaved(std::sync::Arc::unwrap_or_clone(values), c));
-                    }
-                }
-                let top = self.voxels.top();
-                let rgb = (0..n * c)
-                    .into_par_iter()
-                    .map(|at| (from(&self.voxels, self.index(at % c, at / c, n)) / top * 255.0 + 0.5).clamp(0.0, 255.0) as u8)
-                    .collect();
-                Ok(colors::of_interleaved(rgb, c))
-            }
+            Meaning::Color if c == 3 || c == 4 => Ok(colors::of_interleaved(self.color_bytes(bytes), c)),
             Meaning::Vectors if c == 3 => {
                 self.warnings.push("holds vectors; their direction is shown as colour (x red, y green, z blue) and their length as value".into());
-                let length = |v: usize| DVec3::from_array(std::array::from_fn(|k| from(&self.voxels, self.index(k, v, n)))).abs();
-                let values: Vec<f32> = (0..n).into_par_iter().map(|v| length(v).length() as f32).collect();
-                let rgb = (0..n)
-                    .into_par_iter()
-                    .flat_map_iter(|v| {
-                        let d = length(v).normalize_or_zero();
-                        d.to_array().map(|x| if x.is_finite() { (x * 255.0 + 0.5) as u8 } else { 0 })
-                    })
-                    .collect();
-                Ok((values.into(), Colors::rgb(rgb)))
+                let lengths = self.of_each_voxel(|[x, y, z, _]| DVec3::new(x, y, z).abs().length() as f32);
+                let directions = self.of_each_voxel(|[x, y, z, _]| {
+                    let direction = DVec3::new(x, y, z).abs().normalize_or_zero();
+                    direction.to_array().map(|d| if d.is_finite() { (d * 255.0 + 0.5) as u8 } else { 0 })
+                });
+                Ok((lengths.into(), Colors::rgb(directions.into_flattened())))
             }
             Meaning::Channels(channel_styles) if c <= 4 => {
                 self.warnings.push(format!("contains {c} channels, shown together in colour; use --channel (1 to {c}) to see the values of one"));
-                let planes: Vec<Channel> =
-                    (0..c).map(|k| channel_styles.get(k).cloned().unwrap_or(Channel { color: colors::CHANNELS[k], window: None })).collect();
-                let windows: Vec<[f64; 2]> = (0..c).map(|k| planes[k].window.unwrap_or_else(|| self.range_of(k, n))).collect();
-                let shares = |v: usize| -> [f64; 4] {
-                    std::array::from_fn(|k| {
-                        if k >= c {
-                            return 0.0;
-                        }
-                        let [low, high] = windows[k];
-                        let share = (from(&self.voxels, self.index(k, v, n)) - low) / (high - low).max(f64::MIN_POSITIVE);
-                        if share.is_finite() { share.clamp(0.0, 1.0) } else { 0.0 }
-                    })
-                };
-                let values: Vec<u8> = (0..n).into_par_iter().map(|v| (shares(v).into_iter().fold(0.0, f64::max) * 255.0 + 0.5) as u8).collect();
-                let rgb = (0..n)
-                    .into_par_iter()
-                    .flat_map_iter(|v| {
-                        let share = shares(v);
-                        std::array::from_fn::<u8, 3, _>(|b| {
-                            (0..c).map(|k| share[k] * f64::from(planes[k].color[b])).sum::<f64>().min(255.0).round() as u8
-                        })
-                    })
-                    .collect();
-                Ok((values.into(), Colors::rgb(rgb)))
+                Ok(self.mixed_channels(&channel_styles))
             }
             _ => Err(Error::file(path, format!("has {c} values per voxel, which cannot be shown together; choose one with --channel (1 to {c})"))),
         }
     }
 
-    /// Lowest and highest finite value of a component.
-    fn range_of(&self, c: usize, n: usize) -> [f64; 2] {
-        let (low, high) = (0..n)
-            .into_par_iter()
-            .map(|v| self.voxels.get(self.index(c, v, n)))
-            .filter(|v| v.is_finite())
-            .map(|v| (v, v))
-            .reduce(|| (f64::INFINITY, f64::NEG_INFINITY), |a, b| (a.0.min(b.0), a.1.max(b.1)));
-        if low < high { [low, high] } else { [0.0, 1.0] }
+    /// Interleaved bytes of colours, taken from the image.
+    fn color_bytes(&mut self, bytes: bool) -> Vec<u8> {
+        if bytes && self.layout == Layout::Interleaved {
+            let taken = std::mem::replace(&mut self.voxels, Vec::<u8>::new().into());
+            if let StoredValues::U8(values) = taken {
+                return values.into_owned().into_raw_vec_and_offset().0;
+            }
+        }
+        let (top, c) = (self.voxels.top(), self.components);
+        let byte = |v: f64| (v / top * 255.0 + 0.5).clamp(0.0, 255.0) as u8;
+        if c == 3 {
+            self.of_each_voxel(|[r, g, b, _]| [r, g, b].map(byte)).into_flattened()
+        } else {
+            self.of_each_voxel(|rgba| rgba.map(byte)).into_flattened()
+        }
+    }
+
+    /// Channels as one colour, each in its own over its own window; the brightest is the value.
+    fn mixed_channels(&self, styles: &[Channel]) -> (StoredValues, Colors) {
+        let c = self.components;
+        let channels: Vec<Channel> = (0..c).map(|k| styles.get(k).cloned().unwrap_or(Channel { color: colors::CHANNELS[k], window: None })).collect();
+        let windows: Vec<[f64; 2]> = (0..c).map(|k| channels[k].window.unwrap_or_else(|| self.range_of(k))).collect();
+        let shares = |values: [f64; 4]| -> [f64; 4] {
+            std::array::from_fn(|k| {
+                let Some([low, high]) = windows.get(k) else { return 0.0 };
+                let share = (values[k] - low) / (high - low).max(f64::MIN_POSITIVE);
+                if share.is_finite() { share.clamp(0.0, 1.0) } else { 0.0 }
+            })
+        };
+        let brightest = self.of_each_voxel(|values| (shares(values).into_iter().fold(0.0, f64::max) * 255.0 + 0.5) as u8);
+        let mixed = self.of_each_voxel(|values| {
+            let share = shares(values);
+            std::array::from_fn::<u8, 3, _>(|b| {
+                channels.iter().zip(share).map(|(channel, s)| s * f64::from(channel.color[b])).sum::<f64>().min(255.0).round() as u8
+            })
+        });
+        (brightest.into(), Colors::rgb(mixed.into_flattened()))
+    }
+
+    /// Lowest and highest finite value of a component; 0 to 1 where they are not two.
+    fn range_of(&self, c: usize) -> [f64; 2] {
+        match self.one_component(c).finite_range(None).0 {
+            Some([low, high]) if low < high => [low, high],
+            _ => [0.0, 1.0],
+        }
     }
 }

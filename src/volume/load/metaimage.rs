@@ -3,19 +3,20 @@
 //! *Geometry*: `Offset` and `TransformMatrix` (three consecutive numbers are one axis' direction) in LPS, as ITK writes them.
 //! Source: the MetaIO format (ITK, MetaImage documentation).
 
-use super::ReadOptions;
 use super::ScalarType;
 use super::image::Image;
 use super::nrrd::{last_bytes, numbered};
 use super::source::{
     ConcatenatedFiles, DEFLATE_LIMIT, OpenPiece, ValueReader, buffered, check_held, count, open_file, read_error, sibling_file, skip, usable,
 };
+use super::{ReadOptions, StoredValues};
 use crate::{Error, Result, Watch};
 use flate2::read::ZlibDecoder;
 use glam::{DAffine3, DMat3, DVec3};
 use serde_json::json;
 use std::collections::HashMap;
-use std::io::{BufRead, Read};
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 /// Most data files of a list.
@@ -25,21 +26,9 @@ const MAX_HEADER_BYTES: u64 = 1 << 20;
 
 /// Reads an image.
 pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
-    let fail = |problem: String| Error::file(path, problem);
-    let (mut reader, mut file_bytes) = buffered(path)?;
-    let fields = header(path, &mut reader)?;
-    let get = |names: &[&str]| names.iter().find_map(|n| fields.get(*n)).map(String::as_str);
-    let numbers = |text: &str| text.split_whitespace().map(|w| w.parse::<f64>().ok().filter(|v| v.is_finite())).collect::<Option<Vec<f64>>>();
-    let need = |name: &str| get(&[name]).ok_or_else(|| fail(format!("has no \"{name}\" in its header; it is not a MetaImage, or it is damaged")));
-    let size_text = need("dimsize")?;
-    let sizes: Vec<usize> = size_text
-        .split_whitespace()
-        .map(|w| w.parse::<usize>().ok().filter(|&n| n > 0))
-        .collect::<Option<_>>()
-        .ok_or_else(|| fail(format!("has the size \"{size_text}\", which is not a list of positive numbers")))?;
-    if !(1..=4).contains(&sizes.len()) {
-        return Err(fail(format!("has {} axes; images of 1 to 3 can be read", sizes.len())));
-    }
+    let (mut reader, file_bytes) = buffered(path)?;
+    let header = Header::read(path, &mut reader)?;
+    let sizes = header.sizes()?;
     let mut warnings = Vec::new();
     let frames = sizes.get(3).copied().unwrap_or(1);
     let time = choice.time_of(frames)?;
@@ -47,90 +36,34 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
         warnings.push(format!("holds {frames} volumes; the first is used (--time chooses another)"));
     }
     let size: [usize; 3] = std::array::from_fn(|a| sizes.get(a).copied().unwrap_or(1));
-    let components = match get(&["elementnumberofchannels"]) {
-        Some(t) => {
-            t.parse::<usize>().ok().filter(|c| (1..=1024).contains(c)).ok_or_else(|| fail(format!("has the invalid channel count \"{t}\"")))?
-        }
-        None => 1,
-    };
-    let type_name = need("elementtype")?;
-    let scalar = scalar_type(type_name).ok_or_else(|| fail(format!("has the element type \"{type_name}\", which is not supported")))?;
+    let components = header.components()?;
+    let scalar = header.scalar()?;
     let stored = count(path, &[size[0], size[1], size[2], components], scalar)?;
-    let list = |names: &[&str], n: usize| {
-        get(names)
-            .map(|t| numbers(t).filter(|v| v.len() >= n).ok_or_else(|| fail(format!("has the invalid value \"{t}\" for {}", names[0]))))
-            .transpose()
-    };
-    let rank = sizes.len();
-    let spacing = list(&["elementspacing", "elementsize"], rank)?;
-    let origin = list(&["offset", "position", "origin"], rank)?;
-    let matrix = list(&["transformmatrix", "rotation", "orientation"], rank * rank)?;
-    let mut linear = DMat3::IDENTITY;
-    for a in 0..rank.min(3) {
-        let direction =
-            matrix.as_ref().map_or(DVec3::AXES[a], |m| DVec3::from_array(std::array::from_fn(|c| if c < rank { m[a * rank + c] } else { 0.0 })));
-        *linear.col_mut(a) = direction * spacing.as_ref().map_or(1.0, |s| s[a].abs());
-    }
-    let translation = origin.map_or(DVec3::ZERO, |o| DVec3::from_array(std::array::from_fn(|c| if c < rank { o[c] } else { 0.0 })));
-    let world_from_voxel = DAffine3 { matrix3: linear, translation };
-    if !usable(&world_from_voxel) {
-        return Err(fail("has singular axes; its geometry cannot be used".into()));
-    }
-    let data = need("elementdatafile")?;
-    let yes = |names: &[&str]| get(names).is_some_and(|t| t.eq_ignore_ascii_case("true") || t == "1");
-    let text = get(&["binarydata"]).is_some_and(|t| t.eq_ignore_ascii_case("false"));
-    let big = yes(&["binarydatabyteordermsb", "elementbyteordermsb"]);
-    let swap = scalar.bytes() > 1 && big != cfg!(target_endian = "big");
-    let compressed = yes(&["compresseddata"]);
-    let bytes = (stored * scalar.bytes()) as u64;
-    let ahead = bytes.saturating_mul(time as u64);
+    let world_from_voxel = header.geometry(sizes.len())?;
+    let data = header.need("elementdatafile")?;
     let local = data.eq_ignore_ascii_case("local");
-    let header_size = get(&["headersize"]).map_or(Ok(0i64), str::parse).map_err(|_| fail("has a HeaderSize that is not a number".into()))?;
+    let values = ValueLayout {
+        path,
+        scalar,
+        count: stored,
+        frames,
+        time,
+        swap: scalar.bytes() > 1 && header.big_endian() != cfg!(target_endian = "big"),
+        text: header.get(&["binarydata"]).is_some_and(|t| t.eq_ignore_ascii_case("false")),
+        compressed: header.yes(&["compresseddata"]),
+        local,
+        header_size: header.header_size()?,
+        watch,
+    };
     let pieces = if local { None } else { data_files(path, data, &mut reader)? };
     let voxels = if let Some(files) = pieces {
-        let total = stored.checked_mul(frames).filter(|n| n.is_multiple_of(files.len()) && !text && header_size <= 0);
-        let total = total.ok_or_else(|| fail(format!("names {} data files, which cannot hold equal parts of its values", files.len())))?;
-        let piece = (total / files.len() * scalar.bytes()) as u64;
-        let mut most = 0u64;
-        for file in &files {
-            most = most.saturating_add(open_file(file)?.1);
-        }
-        check_held(path, ahead.saturating_add(bytes), most.saturating_mul(if compressed { DEFLATE_LIMIT } else { 1 }))?;
-        let open: OpenPiece = match (compressed, header_size) {
-            (true, _) => |p, _| Ok(Box::new(ZlibDecoder::new(buffered(p)?.0))),
-            (false, -1) => last_bytes,
-            _ => |p, _| Ok(Box::new(buffered(p)?.0)),
-        };
-        let mut chain = ConcatenatedFiles::new(files, piece, open);
-        skip(path, &mut chain, ahead)?;
-        ValueReader { path, reader: chain, swap, count: stored, watch }.read_as(scalar)?
+        values.read_files(files)?
+    } else if local {
+        values.read_file(path, reader, file_bytes)?
     } else {
-        let other = if local { path.to_owned() } else { sibling_file(path, data.trim())? };
-        if !local {
-            (reader, file_bytes) = buffered(&other)?;
-        }
-        if text {
-            check_held(&other, (ahead / scalar.bytes() as u64 + stored as u64).saturating_mul(2).saturating_sub(1), file_bytes)?;
-            super::text::values(&other, reader, [stored * time, stored], scalar, watch)?
-        } else if compressed {
-            check_held(&other, ahead.saturating_add(bytes), file_bytes.saturating_mul(DEFLATE_LIMIT))?;
-            let mut decoder = ZlibDecoder::new(reader);
-            skip(&other, &mut decoder, ahead)?;
-            ValueReader { path: &other, reader: decoder, swap, count: stored, watch }.read_as(scalar)?
-        } else {
-            check_held(&other, ahead.saturating_add(bytes), file_bytes)?;
-            // -1 counts from the file's end.
-            let before = match header_size {
-                -1 => file_bytes.saturating_sub(bytes.saturating_mul(frames as u64)),
-                n if n > 0 && !local => n as u64,
-                _ => 0,
-            };
-            if local && header_size == -1 {
-                reader = buffered(path)?.0;
-            }
-            skip(&other, &mut reader, before.saturating_add(ahead))?;
-            ValueReader { path: &other, reader, swap, count: stored, watch }.read_as(scalar)?
-        }
+        let other = sibling_file(path, data.trim())?;
+        let (reader, file_bytes) = buffered(&other)?;
+        values.read_file(&other, reader, file_bytes)?
     };
     let mut image = Image::new("MetaImage", voxels, size, world_from_voxel);
     (image.components, image.frame, image.warnings) = (components, Some(DMat3::IDENTITY), warnings);
@@ -138,6 +71,210 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
         image.details.push(("time_points", json!(frames)));
     }
     Ok(image)
+}
+
+/// The header's fields, their names in lower case.
+struct Header<'a> {
+    path: &'a Path,
+    fields: HashMap<String, String>,
+}
+
+impl<'a> Header<'a> {
+    /// Reads `name = value` lines up to the one that says where the data are.
+    fn read(path: &'a Path, reader: &mut impl BufRead) -> Result<Self> {
+        let mut fields = HashMap::new();
+        let mut reader = reader.take(MAX_HEADER_BYTES);
+        let mut line = Vec::new();
+        loop {
+            line.clear();
+            let read = reader.read_until(b'\n', &mut line).map_err(|e| read_error(path, e))?;
+            let text = String::from_utf8_lossy(&line);
+            let Some((name, value)) = text.split_once('=') else {
+                if read > 0 && text.trim().is_empty() {
+                    continue;
+                }
+                return Err(Error::file(path, "is not a MetaImage (its header has a line without \"=\", or ends before ElementDataFile)"));
+            };
+            let name = name.trim().to_ascii_lowercase();
+            let last = name == "elementdatafile";
+            fields.insert(name, value.trim().to_owned());
+            if last {
+                return Ok(Self { path, fields });
+            }
+        }
+    }
+
+    /// An error about the file.
+    fn fail(&self, problem: String) -> Error {
+        Error::file(self.path, problem)
+    }
+
+    /// The first of these fields that is there.
+    fn get(&self, names: &[&str]) -> Option<&str> {
+        names.iter().find_map(|n| self.fields.get(*n)).map(String::as_str)
+    }
+
+    /// A field that must be there.
+    fn need(&self, name: &str) -> Result<&str> {
+        self.get(&[name]).ok_or_else(|| self.fail(format!("has no \"{name}\" in its header; it is not a MetaImage, or it is damaged")))
+    }
+
+    /// Whether the first of these fields that is there is true.
+    fn yes(&self, names: &[&str]) -> bool {
+        self.get(names).is_some_and(|t| t.eq_ignore_ascii_case("true") || t == "1")
+    }
+
+    /// At least `n` numbers of the first of these fields that is there.
+    fn numbers(&self, names: &[&str], n: usize) -> Result<Option<Vec<f64>>> {
+        let Some(text) = self.get(names) else { return Ok(None) };
+        let numbers: Option<Vec<f64>> = text.split_whitespace().map(|w| w.parse::<f64>().ok().filter(|v| v.is_finite())).collect();
+        match numbers.filter(|v| v.len() >= n) {
+            None => Err(self.fail(format!("has the invalid value \"{text}\" for {}", names[0]))),
+            numbers => Ok(numbers),
+        }
+    }
+
+    /// Extents of the 1 to 4 axes, time last.
+    fn sizes(&self) -> Result<Vec<usize>> {
+        let text = self.need("dimsize")?;
+        let sizes: Vec<usize> = text
+            .split_whitespace()
+            .map(|w| w.parse::<usize>().ok().filter(|&n| n > 0))
+            .collect::<Option<_>>()
+            .ok_or_else(|| self.fail(format!("has the size \"{text}\", which is not a list of positive numbers")))?;
+        if !(1..=4).contains(&sizes.len()) {
+            return Err(self.fail(format!("has {} axes; images of 1 to 3 can be read", sizes.len())));
+        }
+        Ok(sizes)
+    }
+
+    /// Values per voxel.
+    fn components(&self) -> Result<usize> {
+        let Some(text) = self.get(&["elementnumberofchannels"]) else { return Ok(1) };
+        let components = text.parse::<usize>().ok().filter(|c| (1..=1024).contains(c));
+        components.ok_or_else(|| self.fail(format!("has the invalid channel count \"{text}\"")))
+    }
+
+    /// Type of a value.
+    fn scalar(&self) -> Result<ScalarType> {
+        let name = self.need("elementtype")?;
+        scalar_type(name).ok_or_else(|| self.fail(format!("has the element type \"{name}\", which is not supported")))
+    }
+
+    /// Voxel indices to world millimetres of an image with so many axes.
+    fn geometry(&self, rank: usize) -> Result<DAffine3> {
+        let spacing = self.numbers(&["elementspacing", "elementsize"], rank)?;
+        let origin = self.numbers(&["offset", "position", "origin"], rank)?;
+        let matrix = self.numbers(&["transformmatrix", "rotation", "orientation"], rank * rank)?;
+        let mut linear = DMat3::IDENTITY;
+        for a in 0..rank.min(3) {
+            let direction =
+                matrix.as_ref().map_or(DVec3::AXES[a], |m| DVec3::from_array(std::array::from_fn(|c| if c < rank { m[a * rank + c] } else { 0.0 })));
+            *linear.col_mut(a) = direction * spacing.as_ref().map_or(1.0, |s| s[a].abs());
+        }
+        let translation = origin.map_or(DVec3::ZERO, |o| DVec3::from_array(std::array::from_fn(|c| if c < rank { o[c] } else { 0.0 })));
+        let world_from_voxel = DAffine3 { matrix3: linear, translation };
+        if !usable(&world_from_voxel) {
+            return Err(self.fail("has singular axes; its geometry cannot be used".into()));
+        }
+        Ok(world_from_voxel)
+    }
+
+    /// Whether the most significant byte comes first.
+    fn big_endian(&self) -> bool {
+        self.yes(&["binarydatabyteordermsb", "elementbyteordermsb"])
+    }
+
+    /// Bytes before the values in a data file; -1 counts from the file's end.
+    fn header_size(&self) -> Result<i64> {
+        self.get(&["headersize"]).map_or(Ok(0i64), str::parse).map_err(|_| self.fail("has a HeaderSize that is not a number".into()))
+    }
+}
+
+/// How the values are stored, and which of them are read.
+struct ValueLayout<'a> {
+    /// The image's own file.
+    path: &'a Path,
+    scalar: ScalarType,
+    /// Values of one volume.
+    count: usize,
+    /// Volumes in time, and the one that is read.
+    frames: usize,
+    time: usize,
+    swap: bool,
+    text: bool,
+    compressed: bool,
+    /// The values follow the header.
+    local: bool,
+    header_size: i64,
+    watch: &'a Watch<'a>,
+}
+
+impl ValueLayout<'_> {
+    /// Bytes of the volume that is read.
+    fn bytes(&self) -> u64 {
+        (self.count * self.scalar.bytes()) as u64
+    }
+
+    /// Bytes of the volumes before it.
+    fn bytes_ahead(&self) -> u64 {
+        self.bytes().saturating_mul(self.time as u64)
+    }
+
+    /// Reads binary values that come next.
+    fn read_binary(&self, path: &Path, reader: impl Read) -> Result<StoredValues> {
+        ValueReader { path, reader, swap: self.swap, count: self.count, watch: self.watch }.read_as(self.scalar)
+    }
+
+    /// Reads values that are spread evenly over several files.
+    fn read_files(&self, files: Vec<PathBuf>) -> Result<StoredValues> {
+        let path = self.path;
+        let total = self.count.checked_mul(self.frames).filter(|n| n.is_multiple_of(files.len()) && !self.text && self.header_size <= 0);
+        let total =
+            total.ok_or_else(|| Error::file(path, format!("names {} data files, which cannot hold equal parts of its values", files.len())))?;
+        let piece = (total / files.len() * self.scalar.bytes()) as u64;
+        let mut most = 0u64;
+        for file in &files {
+            most = most.saturating_add(open_file(file)?.1);
+        }
+        let ahead = self.bytes_ahead();
+        check_held(path, ahead.saturating_add(self.bytes()), most.saturating_mul(if self.compressed { DEFLATE_LIMIT } else { 1 }))?;
+        let open: OpenPiece = match (self.compressed, self.header_size) {
+            (true, _) => |p, _| Ok(Box::new(ZlibDecoder::new(buffered(p)?.0))),
+            (false, -1) => last_bytes,
+            _ => |p, _| Ok(Box::new(buffered(p)?.0)),
+        };
+        let mut chain = ConcatenatedFiles::new(files, piece, open);
+        skip(path, &mut chain, ahead)?;
+        self.read_binary(path, chain)
+    }
+
+    /// Reads values of one file: the image's own, its reader behind the header, or one beside it.
+    fn read_file(&self, file: &Path, mut reader: BufReader<File>, file_bytes: u64) -> Result<StoredValues> {
+        let (bytes, ahead) = (self.bytes(), self.bytes_ahead());
+        if self.text {
+            check_held(file, (ahead / self.scalar.bytes() as u64 + self.count as u64).saturating_mul(2).saturating_sub(1), file_bytes)?;
+            return super::text::values(file, reader, [self.count * self.time, self.count], self.scalar, self.watch);
+        }
+        if self.compressed {
+            check_held(file, ahead.saturating_add(bytes), file_bytes.saturating_mul(DEFLATE_LIMIT))?;
+            let mut decoder = ZlibDecoder::new(reader);
+            skip(file, &mut decoder, ahead)?;
+            return self.read_binary(file, decoder);
+        }
+        check_held(file, ahead.saturating_add(bytes), file_bytes)?;
+        // -1 counts from the file's end.
+        let before = match self.header_size {
+            -1 => file_bytes.saturating_sub(bytes.saturating_mul(self.frames as u64)),
+            n if n > 0 && !self.local => n as u64,
+            _ => 0,
+        };
+        if self.local && self.header_size == -1 {
+            reader = buffered(file)?.0;
+        }
+        skip(file, &mut reader, before.saturating_add(ahead))?;
+        self.read_binary(file, reader)
+    }
 }
 
 /// The data files where there are several: a list of names after the header, or a pattern with numbers.
@@ -165,30 +302,7 @@ fn data_files(path: &Path, data: &str, reader: &mut impl BufRead) -> Result<Opti
     names.iter().map(|n: &String| sibling_file(path, n.trim())).collect::<Result<Vec<_>>>().map(Some)
 }
 
-/// `name = value` lines, names in lower case, up to the one that says where the data are.
-fn header(path: &Path, reader: &mut impl BufRead) -> Result<HashMap<String, String>> {
-    let mut fields = HashMap::new();
-    let mut reader = reader.take(MAX_HEADER_BYTES);
-    let mut line = Vec::new();
-    loop {
-        line.clear();
-        let read = reader.read_until(b'\n', &mut line).map_err(|e| read_error(path, e))?;
-        let text = String::from_utf8_lossy(&line);
-        let Some((name, value)) = text.split_once('=') else {
-            if read > 0 && text.trim().is_empty() {
-                continue;
-            }
-            return Err(Error::file(path, "is not a MetaImage (its header has a line without \"=\", or ends before ElementDataFile)"));
-        };
-        let name = name.trim().to_ascii_lowercase();
-        let last = name == "elementdatafile";
-        fields.insert(name, value.trim().to_owned());
-        if last {
-            return Ok(fields);
-        }
-    }
-}
-
+/// The type of a MetaIO name.
 fn scalar_type(name: &str) -> Option<ScalarType> {
     let name = name.strip_suffix("_ARRAY").unwrap_or(name);
     Some(match name {

@@ -26,7 +26,7 @@ pub use image::{Channel, Image, Layout, Meaning};
 pub use read_options::{RawLayout, ReadOptions};
 pub use scalar_type::ScalarType;
 
-use super::{Volume, Voxels, phantom};
+use super::{StoredValues, Volume, Voxels, phantom};
 use crate::{Error, Result, Watch};
 use std::path::Path;
 

@@ -5,7 +5,7 @@
 //! `axis maxs`) and `axis mins`. Vectors are stated in that space, unless a `measurement frame` says otherwise. Source: the NRRD format
 //! definition (Kindlmann, teem 1.11).
 
-use super::super::Voxels;
+use super::super::StoredValues;
 use super::super::colors::Label;
 use super::ReadOptions;
 use super::ScalarType;
@@ -18,6 +18,7 @@ use crate::{Error, Result, Watch};
 use bzip2::read::MultiBzDecoder;
 use flate2::read::MultiGzDecoder;
 use glam::{DAffine3, DMat3, DVec3};
+use ndarray::{Axis, IxDyn};
 use serde_json::json;
 use std::collections::HashMap;
 use std::fs::File;
@@ -92,7 +93,7 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
         return Err(fail("skips a negative number of lines or bytes; its header is damaged".into()));
     }
 
-    // A time axis in the slowest place is passed over; in any other the values are gathered afterwards.
+    // A time axis in the slowest place is passed over; in any other it is taken out afterwards.
     let frames = axes.time.map_or(1, |t| axes.sizes[t]);
     let time = choice.time_of(frames)?;
     let slowest = axes.time.is_some_and(|t| t + 1 == axes.sizes.len());
@@ -138,7 +139,7 @@ struct Data<'a> {
 
 impl Data<'_> {
     /// Reads `[ahead, count]`: passes over values and reads values, from where `reader` stands.
-    fn read(&self, path: &Path, mut reader: BufReader<File>, file_bytes: u64, [ahead, count]: [usize; 2], more: bool) -> Result<Voxels> {
+    fn read(&self, path: &Path, mut reader: BufReader<File>, file_bytes: u64, [ahead, count]: [usize; 2], more: bool) -> Result<StoredValues> {
         let size = self.scalar.bytes() as u64;
         let (before, bytes) = (ahead as u64 * size, count as u64 * size);
         skip_lines(path, &mut reader, self.line_skip)?;
@@ -185,7 +186,7 @@ impl Data<'_> {
     }
 
     /// Reads values that are spread evenly over many files.
-    fn read_pieces(&self, files: Vec<PathBuf>, total: usize, [ahead, count]: [usize; 2]) -> Result<Voxels> {
+    fn read_pieces(&self, files: Vec<PathBuf>, total: usize, [ahead, count]: [usize; 2]) -> Result<StoredValues> {
         let fail = |problem: String| Error::file(self.path, problem);
         if !total.is_multiple_of(files.len()) {
             return Err(fail(format!("names {} data files, which cannot hold equal parts of its {total} values", files.len())));
@@ -310,7 +311,7 @@ pub(super) fn numbered(pattern: &str, first: i64, last: i64, step: i64) -> Resul
 }
 
 /// Values in the order of voxels: one time taken out, components first or last.
-fn arranged(voxels: Voxels, axes: &Axes, time: Option<usize>) -> (Voxels, usize, Layout) {
+fn arranged(voxels: StoredValues, axes: &Axes, time: Option<usize>) -> (StoredValues, usize, Layout) {
     let components = axes.components.map_or(1, |c| axes.sizes[c]);
     let other_axes: Vec<usize> = (0..axes.sizes.len()).filter(|a| Some(*a) != axes.time).collect();
     let place = axes.components.and_then(|c| other_axes.iter().position(|a| *a == c));
@@ -319,23 +320,20 @@ fn arranged(voxels: Voxels, axes: &Axes, time: Option<usize>) -> (Voxels, usize,
     if in_order && (axes.time.is_none() || time.is_none()) {
         return (voxels, components, layout);
     }
-    let mut stride = vec![1usize; axes.sizes.len()];
-    for a in 1..stride.len() {
-        stride[a] = stride[a - 1] * axes.sizes[a - 1];
+    // Slowest first, as arrays are indexed. A time axis in the slowest place was passed over while reading.
+    let mut kept: Vec<usize> = (0..axes.sizes.len()).rev().filter(|a| time.is_some() || Some(*a) != axes.time).collect();
+    let shape: Vec<usize> = kept.iter().map(|&a| axes.sizes[a]).collect();
+    let mut array = voxels.reshaped(IxDyn(&shape));
+    if let Some((axis, t)) = axes.time.zip(time)
+        && let Some(place) = kept.iter().position(|a| *a == axis)
+    {
+        array = array.at_index(Axis(place), t);
+        kept.remove(place);
     }
-    // Fastest first: the spatial axes, then components.
-    let order: Vec<usize> = axes.spatial.iter().copied().chain(axes.components).collect();
-    let start = axes.time.zip(time).map_or(0, |(axis, t)| stride[axis] * t);
-    let wanted = order.iter().map(|&a| axes.sizes[a]).product();
-    let gathered = voxels.gathered(wanted, |n| {
-        let (mut rest, mut at) = (n, start);
-        for &a in &order {
-            at += rest % axes.sizes[a] * stride[a];
-            rest /= axes.sizes[a];
-        }
-        at
-    });
-    (gathered, components, Layout::Planar)
+    let wanted = axes.components.into_iter().chain(axes.spatial.iter().rev().copied());
+    let order: Vec<usize> = wanted.filter_map(|axis| kept.iter().position(|a| *a == axis)).collect();
+    let count = array.len();
+    (array.permuted(IxDyn(&order)).reshaped(count), components, Layout::Planar)
 }
 
 /// What the values are: by the kind of the component axis, or because 3D Slicer wrote segments.

@@ -1,12 +1,12 @@
 //! Slices that become one array.
 
-use super::super::Voxels;
+use super::super::StoredValues;
 
 /// One slice.
 pub(super) struct ImageSlice {
     pub size: [usize; 2],
     pub components: usize,
-    pub values: Voxels,
+    pub values: StoredValues,
 }
 
 /// Slices that become one array.
@@ -15,7 +15,7 @@ pub(super) struct ImageStack {
     pub size: [usize; 2],
     pub components: usize,
     pub count: usize,
-    values: Option<Voxels>,
+    values: Option<StoredValues>,
 }
 
 impl ImageStack {
@@ -39,7 +39,7 @@ impl ImageStack {
     }
 
     /// All values; none if there is no slice.
-    pub fn finish(self) -> Option<Voxels> {
+    pub fn finish(self) -> Option<StoredValues> {
         self.values
     }
 }

@@ -36,7 +36,7 @@ pub struct ReadOptions {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawLayout {
-    /// Voxels along i, j, k.
+    /// StoredValues along i, j, k.
     pub size: [usize; 3],
     /// Type of a value: u8, i16, f32 and so on.
     #[serde(rename = "type")]

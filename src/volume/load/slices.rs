@@ -2,7 +2,7 @@
 //!
 //! Pictures say nothing of spacing that could be trusted: voxels of 1 mm are taken unless the caller says otherwise.
 
-use super::super::Voxels;
+use super::super::StoredValues;
 use super::image::{Image, Layout, Meaning};
 use super::planes::{ImageSlice, ImageStack};
 use super::source::{check_held, open_file};
@@ -140,7 +140,7 @@ fn plane(path: &Path) -> Result<ImageSlice> {
     let size = [decoded.width() as usize, decoded.height() as usize];
     check_held(path, (size[0] * size[1]) as u64, bytes.saturating_mul(MAX_COMPRESSION_RATIO))?;
     use image::DynamicImage as D;
-    let (values, components): (Voxels, usize) = match decoded {
+    let (values, components): (StoredValues, usize) = match decoded {
         D::ImageLuma8(i) => (i.into_raw().into(), 1),
         D::ImageLuma16(i) => (i.into_raw().into(), 1),
         // What is see-through is black.

@@ -1,6 +1,6 @@
 //! Bytes of files, and how they become typed values: nothing is allocated that the file cannot fill, nothing is held twice.
 
-use super::super::Voxels;
+use super::super::StoredValues;
 use super::ScalarType;
 pub(super) use crate::files::input::{DEFLATE_LIMIT, buffered, open as open_file, read_error, unzipped as open};
 pub(super) use crate::files::memory::reserve as reserved;
@@ -49,7 +49,7 @@ pub(super) fn check_held(path: &Path, bytes: u64, max_bytes: u64) -> Result<()> 
     Ok(())
 }
 
-/// Whether a grid's geometry can be used: finite, no axis of no length or of a light year, no two of them alike. Voxels may be of any size.
+/// Whether a grid's geometry can be used: finite, no axis of no length or of a light year, no two of them alike. StoredValues may be of any size.
 pub(super) fn usable(world_from_voxel: &DAffine3) -> bool {
     let m = world_from_voxel.matrix3;
     let lengths = [m.x_axis, m.y_axis, m.z_axis].map(|c| c.length());
@@ -149,7 +149,7 @@ pub(super) struct ValueReader<'a, R> {
 
 impl<R: Read> ValueReader<'_, R> {
     /// Reads values of a type known only now.
-    pub fn read_as(&mut self, scalar: ScalarType) -> Result<Voxels> {
+    pub fn read_as(&mut self, scalar: ScalarType) -> Result<StoredValues> {
         with_scalar!(scalar, T => self.read::<T>().map(Into::into))
     }
 

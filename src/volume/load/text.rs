@@ -1,6 +1,6 @@
 //! Values written as text, separated by space.
 
-use super::super::Voxels;
+use super::super::StoredValues;
 use super::ScalarType;
 use super::source::{read_error, reserved, with_scalar};
 use crate::{ByteProgress, Error, Result, Watch};
@@ -12,7 +12,7 @@ use std::str::FromStr;
 const LONGEST: usize = 400;
 
 /// Passes over `ahead` values and reads `count` of them.
-pub(super) fn values(path: &Path, reader: impl BufRead, [ahead, count]: [usize; 2], scalar: ScalarType, watch: &Watch) -> Result<Voxels> {
+pub(super) fn values(path: &Path, reader: impl BufRead, [ahead, count]: [usize; 2], scalar: ScalarType, watch: &Watch) -> Result<StoredValues> {
     with_scalar!(scalar, T => typed::<T>(path, reader, ahead, count, watch, &|v| v as T).map(Into::into))
 }
 

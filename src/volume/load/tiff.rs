@@ -7,10 +7,11 @@ use super::ScalarType;
 use super::image::{Channel, Image, Layout, Meaning};
 use super::planes::{ImageSlice, ImageStack};
 use super::source::{ValueReader, check_held, count, open_file, skip};
-use super::{ReadOptions, Voxels};
+use super::{ReadOptions, StoredValues};
 use crate::panic_guard::catch_panic;
 use crate::{ByteProgress, Error, Result, Watch};
 use glam::{DAffine3, DVec3};
+use ndarray::Ix3;
 use quick_xml::events::Event;
 use serde_json::json;
 use std::fs::File;
@@ -89,7 +90,7 @@ fn page(path: &Path, decoder: &mut TiffDecoder) -> Result<ImageSlice> {
     if components > 1 && decoder.find_tag_unsigned::<u16>(Tag::PlanarConfiguration).ok().flatten() == Some(2) {
         return Err(fail("keeps its colours in separate planes; convert it to interleaved ones".into()));
     }
-    let values: Voxels = match decoder.read_image().map_err(damaged(path))? {
+    let values: StoredValues = match decoder.read_image().map_err(damaged(path))? {
         DecodingResult::U8(v) => v.into(),
         DecodingResult::U16(v) => v.into(),
         DecodingResult::U32(v) => v.into(),
@@ -150,154 +151,224 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     catch_panic(|| read_unguarded(path, choice, watch)).ok_or_else(ended)?
 }
 
+/// Reads all pages; [`read`] turns a panic of the decoder into an error.
 fn read_unguarded(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
-    let fail = |problem: String| Error::file(path, problem);
-    let (mut pages, file_bytes) = decoder(path)?;
-    let metadata = described(&mut pages, file_bytes);
+    let (mut decoder, file_bytes) = decoder(path)?;
+    let metadata = described(&mut decoder, file_bytes);
+    let mut pages = Pages { path, decoder, file_bytes, watch };
     let mut warnings = Vec::new();
     if metadata.imagej && !metadata.has_unit && metadata.spacing.iter().any(Option::is_some) {
         warnings.push("states its spacing without a unit; mm is assumed".into());
     }
-    let total = 1 + {
-        let mut more = 0;
-        // Directories are followed without their pixels.
-        while pages.more_images() && more < MAX_PAGES {
-            pages.next_image().map_err(damaged(path))?;
-            more += 1;
-        }
-        pages.seek_to_image(0).map_err(damaged(path))?;
-        more
-    };
-    let [slices, channels, times] = match metadata.extents {
-        Some(e) if e.iter().try_fold(1usize, |n, &d| n.checked_mul(d)) == Some(total) || (metadata.imagej && total == 1) => e,
-        Some(e) => {
-            warnings.push(format!("contains {total} pages, not the {} x {} x {} it declares; they are read as slices", e[0], e[1], e[2]));
-            [total, 1, 1]
-        }
-        None => [total, 1, 1],
-    };
+    let total = pages.count()?;
+    let [slices, channels, times] = metadata.extents_of(total, &mut warnings);
     let time = choice.time_of(times)?;
     if times > 1 && choice.time.is_none() {
         warnings.push(format!("holds {times} volumes; the first is used (--time chooses another)"));
     }
-    let index_of = |slice: usize, channel: usize| {
-        let (at, extents) = ([slice, channel, time], [slices, channels, times]);
-        let [a, b, c] = metadata.order;
-        at[a] + extents[a] * (at[b] + extents[b] * at[c])
-    };
-    let (voxels, size, components, layout) = if total == 1 && slices * channels * times > 1 {
-        contiguous(path, &mut pages, file_bytes, [slices, channels, times], time, watch)?
+    let dimensions = Dimensions { extents: [slices, channels, times], order: metadata.order, time };
+    let pixels = if total == 1 && slices * channels * times > 1 {
+        pages.read_contiguous(&dimensions)?
     } else {
-        let wanted: Vec<usize> = (0..channels).flat_map(|c| (0..slices).map(move |s| (s, c))).map(|(s, c)| index_of(s, c)).collect();
-        let mut stack = ImageStack::default();
-        let meter = ByteProgress::new(watch, wanted.len() as u64);
-        let mut left_out = 0usize;
-        for &index in &wanted {
-            pages.seek_to_image(index).map_err(damaged(path))?;
-            if stack.count == 0 {
-                let (w, h) = pages.dimensions().map_err(damaged(path))?;
-                check_held(
-                    path,
-                    (u64::from(w) * u64::from(h)).saturating_mul(wanted.len() as u64),
-                    file_bytes.saturating_mul(MAX_COMPRESSION_RATIO),
-                )?;
-            } else if pages.dimensions().map_err(damaged(path))? != (stack.size[0] as u32, stack.size[1] as u32) {
-                left_out += 1;
-                continue;
-            }
-            left_out += usize::from(!stack.push(page(path, &mut pages)?, wanted.len()));
-            meter.add(1)?;
-        }
-        if left_out > 0 && channels > 1 {
-            return Err(fail("has channels with different page sizes; export it with a single size".into()));
-        }
-        if left_out > 0 {
-            warnings.push(format!("{left_out} pages differ in size or type from the first and were skipped"));
-        }
-        let (size, samples, count) = (stack.size, stack.components, stack.count);
-        if samples > 1 && channels > 1 {
-            return Err(fail("holds both channels and colours; split them".into()));
-        }
-        let voxels = stack.finish().ok_or_else(|| fail("holds no page".into()))?;
-        let layout = if samples > 1 { Layout::Interleaved } else { Layout::Planar };
-        (voxels, [size[0], size[1], count / channels], samples * channels, layout)
+        pages.read_each(&dimensions, &mut warnings)?
     };
     let spacing = metadata.spacing.map(|s| s.filter(|s| s.is_finite() && *s > 0.0));
     if choice.spacing.is_none() && spacing.iter().any(Option::is_none) {
         warnings.push("does not state voxel spacing in every direction; 1 mm is assumed where it is missing (use --spacing to set it)".into());
     }
-    let mut image = Image::new(
-        if metadata.ome {
-            "OME-TIFF"
-        } else if metadata.imagej {
-            "ImageJ TIFF"
-        } else {
-            "TIFF"
-        },
-        voxels,
-        size,
-        DAffine3::from_scale(DVec3::from(spacing.map(|s| s.unwrap_or(1.0)))),
-    );
-    (image.components, image.layout, image.warnings) = (components, layout, warnings);
-    if channels > 1 {
-        let channel_styles = (0..channels)
-            .map(|c| Channel { color: metadata.colors.get(c).copied().flatten().unwrap_or(super::super::colors::CHANNELS[c % 4]), window: None });
-        image.meaning = Meaning::Channels(channel_styles.collect());
-    } else if components > 2 {
-        image.meaning = Meaning::Color;
-    }
+    let world_from_voxel = DAffine3::from_scale(DVec3::from(spacing.map(|s| s.unwrap_or(1.0))));
+    let mut image = Image::new(metadata.format(), pixels.voxels, pixels.size, world_from_voxel);
+    (image.components, image.layout, image.warnings) = (pixels.components, pixels.layout, warnings);
+    image.meaning = metadata.meaning(channels, pixels.components);
     if times > 1 {
         image.details.push(("time_points", json!(times)));
     }
     Ok(image)
 }
 
-/// Slices one after the other behind a single directory, as ImageJ writes large files.
-fn contiguous(
-    path: &Path,
-    pages: &mut TiffDecoder,
-    file_bytes: u64,
-    [slices, channels, times]: [usize; 3],
-    time: usize,
-    watch: &Watch,
-) -> Result<(Voxels, [usize; 3], usize, Layout)> {
-    let fail = |problem: &str| Error::file(path, problem);
-    let (width, height) = pages.dimensions().map_err(damaged(path))?;
-    let scalar = match (pages.colortype().map_err(damaged(path))?, pages.find_tag_unsigned::<u16>(Tag::SampleFormat).ok().flatten()) {
-        (ColorType::Gray(8), _) => ScalarType::U8,
-        (ColorType::Gray(16), Some(2)) => ScalarType::I16,
-        (ColorType::Gray(16), _) => ScalarType::U16,
-        (ColorType::Gray(32), Some(3)) => ScalarType::F32,
-        (ColorType::Gray(32), _) => ScalarType::U32,
-        _ => return Err(fail("has slices behind a single directory that are not grey; export it again")),
-    };
-    if pages.find_tag_unsigned::<u16>(Tag::Compression).ok().flatten().is_some_and(|c| c != 1) || channels > 1 && times > 1 {
-        return Err(fail("has packed slices behind a single directory; export it again"));
+impl Description {
+    /// Slices, channels and times of so many pages: those that are declared if they fit, else slices alone.
+    fn extents_of(&self, total: usize, warnings: &mut Vec<String>) -> [usize; 3] {
+        match self.extents {
+            Some(e) if e.iter().try_fold(1usize, |n, &d| n.checked_mul(d)) == Some(total) || (self.imagej && total == 1) => e,
+            Some(e) => {
+                warnings.push(format!("contains {total} pages, not the {} x {} x {} it declares; they are read as slices", e[0], e[1], e[2]));
+                [total, 1, 1]
+            }
+            None => [total, 1, 1],
+        }
     }
-    let first = pages.find_tag_unsigned_vec::<u64>(Tag::StripOffsets).ok().flatten().and_then(|o| o.first().copied());
-    let first = first.ok_or_else(|| fail("does not say where its pixels are"))?;
-    let big = pages.byte_order() == tiff::tags::ByteOrder::BigEndian;
-    // Channels change fastest.
-    let one_time = count(path, &[width as usize, height as usize, slices, channels], scalar)?;
-    let bytes = (one_time * scalar.bytes()) as u64;
-    let ahead = bytes.saturating_mul(time as u64);
-    check_held(path, first.saturating_add(ahead).saturating_add(bytes), file_bytes)?;
-    let mut reader = BufReader::new(open_file(path)?.0);
-    reader.seek(SeekFrom::Start(first)).map_err(|e| Error::io(path, "reading", e))?;
-    skip(path, &mut reader, ahead)?;
-    let swap = big != cfg!(target_endian = "big");
-    let voxels = ValueReader { path, reader, swap, count: one_time, watch }.read_as(scalar)?;
-    let plane = width as usize * height as usize;
-    let voxels = if channels == 1 {
-        voxels
-    } else {
-        // From slices of channels to channels of slices.
-        voxels.gathered(one_time, |n| {
-            let (within, slice, channel) = (n % plane, n / plane % slices, n / plane / slices);
-            (slice * channels + channel) * plane + within
-        })
-    };
-    Ok((voxels, [width as usize, height as usize, slices], channels, Layout::Planar))
+
+    /// Name of the format.
+    fn format(&self) -> &'static str {
+        if self.ome {
+            "OME-TIFF"
+        } else if self.imagej {
+            "ImageJ TIFF"
+        } else {
+            "TIFF"
+        }
+    }
+
+    /// What the values of so many channels and components are.
+    fn meaning(&self, channels: usize, components: usize) -> Meaning {
+        if channels > 1 {
+            let color = |c: usize| self.colors.get(c).copied().flatten().unwrap_or(super::super::colors::CHANNELS[c % 4]);
+            Meaning::Channels((0..channels).map(|c| Channel { color: color(c), window: None }).collect())
+        } else if components > 2 {
+            Meaning::Color
+        } else {
+            Meaning::Unstated
+        }
+    }
+}
+
+/// How pages are spread over slices, channels and times, and the time that is read.
+struct Dimensions {
+    /// Slices, channels, times.
+    extents: [usize; 3],
+    /// Which of these changes fastest, then next.
+    order: [usize; 3],
+    time: usize,
+}
+
+impl Dimensions {
+    /// The pages of the time that is read, channel after channel.
+    fn pages(&self) -> Vec<usize> {
+        let [slices, channels, _] = self.extents;
+        (0..channels).flat_map(|c| (0..slices).map(move |s| (s, c))).map(|(s, c)| self.page(s, c)).collect()
+    }
+
+    /// Index of a page.
+    fn page(&self, slice: usize, channel: usize) -> usize {
+        let (at, extents) = ([slice, channel, self.time], self.extents);
+        let [a, b, c] = self.order;
+        at[a] + extents[a] * (at[b] + extents[b] * at[c])
+    }
+}
+
+/// Values of one volume.
+struct Pixels {
+    voxels: StoredValues,
+    size: [usize; 3],
+    components: usize,
+    layout: Layout,
+}
+
+/// A file whose pages are read.
+struct Pages<'a> {
+    path: &'a Path,
+    decoder: TiffDecoder,
+    file_bytes: u64,
+    watch: &'a Watch<'a>,
+}
+
+impl Pages<'_> {
+    /// Number of pages; the decoder then stands at the first one.
+    fn count(&mut self) -> Result<usize> {
+        let mut more = 0;
+        // Directories are followed without their pixels.
+        while self.decoder.more_images() && more < MAX_PAGES {
+            self.decoder.next_image().map_err(damaged(self.path))?;
+            more += 1;
+        }
+        self.decoder.seek_to_image(0).map_err(damaged(self.path))?;
+        Ok(1 + more)
+    }
+
+    /// Slices and channels with a page each.
+    fn read_each(&mut self, dimensions: &Dimensions, warnings: &mut Vec<String>) -> Result<Pixels> {
+        let path = self.path;
+        let fail = |problem: &str| Error::file(path, problem);
+        let channels = dimensions.extents[1];
+        let (stack, left_out) = self.stacked(&dimensions.pages())?;
+        if left_out > 0 && channels > 1 {
+            return Err(fail("has channels with different page sizes; export it with a single size"));
+        }
+        if left_out > 0 {
+            warnings.push(format!("{left_out} pages differ in size or type from the first and were skipped"));
+        }
+        let (size, samples, count) = (stack.size, stack.components, stack.count);
+        if samples > 1 && channels > 1 {
+            return Err(fail("holds both channels and colours; split them"));
+        }
+        let voxels = stack.finish().ok_or_else(|| fail("holds no page"))?;
+        let layout = if samples > 1 { Layout::Interleaved } else { Layout::Planar };
+        Ok(Pixels { voxels, size: [size[0], size[1], count / channels], components: samples * channels, layout })
+    }
+
+    /// Pages put into one array, and how many differ from the first one and were left out.
+    fn stacked(&mut self, wanted: &[usize]) -> Result<(ImageStack, usize)> {
+        let path = self.path;
+        let mut stack = ImageStack::default();
+        let meter = ByteProgress::new(self.watch, wanted.len() as u64);
+        let mut left_out = 0usize;
+        for &index in wanted {
+            self.decoder.seek_to_image(index).map_err(damaged(path))?;
+            let (width, height) = self.decoder.dimensions().map_err(damaged(path))?;
+            if stack.count == 0 {
+                check_held(
+                    path,
+                    (u64::from(width) * u64::from(height)).saturating_mul(wanted.len() as u64),
+                    self.file_bytes.saturating_mul(MAX_COMPRESSION_RATIO),
+                )?;
+            } else if (width, height) != (stack.size[0] as u32, stack.size[1] as u32) {
+                left_out += 1;
+                continue;
+            }
+            left_out += usize::from(!stack.push(page(path, &mut self.decoder)?, wanted.len()));
+            meter.add(1)?;
+        }
+        Ok((stack, left_out))
+    }
+
+    /// Slices one after the other behind a single directory, as ImageJ writes large files.
+    fn read_contiguous(&mut self, dimensions: &Dimensions) -> Result<Pixels> {
+        let path = self.path;
+        let [slices, channels, _] = dimensions.extents;
+        let (width, height) = self.decoder.dimensions().map_err(damaged(path))?;
+        let (scalar, first) = self.contiguous_values(dimensions)?;
+        let big = self.decoder.byte_order() == tiff::tags::ByteOrder::BigEndian;
+        // Channels change fastest.
+        let one_time = count(path, &[width as usize, height as usize, slices, channels], scalar)?;
+        let bytes = (one_time * scalar.bytes()) as u64;
+        let ahead = bytes.saturating_mul(dimensions.time as u64);
+        check_held(path, first.saturating_add(ahead).saturating_add(bytes), self.file_bytes)?;
+        let mut reader = BufReader::new(open_file(path)?.0);
+        reader.seek(SeekFrom::Start(first)).map_err(|e| Error::io(path, "reading", e))?;
+        skip(path, &mut reader, ahead)?;
+        let swap = big != cfg!(target_endian = "big");
+        let voxels = ValueReader { path, reader, swap, count: one_time, watch: self.watch }.read_as(scalar)?;
+        let (width, height) = (width as usize, height as usize);
+        let voxels = if channels == 1 {
+            voxels
+        } else {
+            // From slices of channels to channels of slices.
+            voxels.reshaped((slices, channels, width * height)).permuted(Ix3(1, 0, 2)).reshaped(one_time)
+        };
+        Ok(Pixels { voxels, size: [width, height, slices], components: channels, layout: Layout::Planar })
+    }
+
+    /// Type of the values behind a single directory, and the first one's place in the file.
+    fn contiguous_values(&mut self, dimensions: &Dimensions) -> Result<(ScalarType, u64)> {
+        let path = self.path;
+        let fail = |problem: &str| Error::file(path, problem);
+        let [_, channels, times] = dimensions.extents;
+        let color = self.decoder.colortype().map_err(damaged(path))?;
+        let scalar = match (color, self.decoder.find_tag_unsigned::<u16>(Tag::SampleFormat).ok().flatten()) {
+            (ColorType::Gray(8), _) => ScalarType::U8,
+            (ColorType::Gray(16), Some(2)) => ScalarType::I16,
+            (ColorType::Gray(16), _) => ScalarType::U16,
+            (ColorType::Gray(32), Some(3)) => ScalarType::F32,
+            (ColorType::Gray(32), _) => ScalarType::U32,
+            _ => return Err(fail("has slices behind a single directory that are not grey; export it again")),
+        };
+        if self.decoder.find_tag_unsigned::<u16>(Tag::Compression).ok().flatten().is_some_and(|c| c != 1) || channels > 1 && times > 1 {
+            return Err(fail("has packed slices behind a single directory; export it again"));
+        }
+        let first = self.decoder.find_tag_unsigned_vec::<u64>(Tag::StripOffsets).ok().flatten().and_then(|o| o.first().copied());
+        Ok((scalar, first.ok_or_else(|| fail("does not say where its pixels are"))?))
+    }
 }
 
 /// ImageJ's description: `name=value` lines.

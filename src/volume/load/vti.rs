@@ -3,7 +3,7 @@
 //! *Geometry*: `Origin`, `Spacing` and `Direction` (columns are the axes) in LPS, as programs that read medical images into VTK leave them.
 //! Source: VTK file formats (VTK User's Guide; vtkXMLDataParser).
 
-use super::super::Voxels;
+use super::super::StoredValues;
 use super::ReadOptions;
 use super::ScalarType;
 use super::image::{Image, Meaning};
@@ -168,7 +168,13 @@ fn chosen(piece: &VtiPiece) -> Option<(bool, &VtiArray)> {
 }
 
 /// Pieces put into one grid.
-fn joined(path: &Path, size: [usize; 3], components: usize, scalar: ScalarType, parts: &[([usize; 3], [usize; 3], Voxels)]) -> Result<Voxels> {
+fn joined(
+    path: &Path,
+    size: [usize; 3],
+    components: usize,
+    scalar: ScalarType,
+    parts: &[([usize; 3], [usize; 3], StoredValues)],
+) -> Result<StoredValues> {
     with_scalar!(scalar, T => {
         let mut all: Vec<T> = zeroed(path, size.iter().product::<usize>() * components)?;
         for (start, part, voxels) in parts {
@@ -242,26 +248,13 @@ fn numbers<T: std::str::FromStr, const N: usize>(text: Option<&String>) -> Optio
     all.try_into().ok()
 }
 
+/// What the tags of a file say, up to the appended data.
 fn document(path: &Path, reader: BufReader<File>) -> Result<VtiDocument> {
     let fail = |problem: String| Error::file(path, problem);
     let mut xml = quick_xml::Reader::from_reader(Counting { inner: reader, at: 0, of_event: 0 });
     xml.config_mut().check_end_names = false;
-    let mut document = VtiDocument {
-        whole: [0; 6],
-        origin: DVec3::ZERO,
-        spacing: DVec3::ONE,
-        direction: DMat3::IDENTITY,
-        directed: false,
-        big_endian: false,
-        wide: false,
-        packing: Compression::None,
-        pieces: Vec::new(),
-        appended: None,
-    };
+    let mut parser = DocumentParser::new(path);
     let mut buffer = Vec::new();
-    // Whether arrays belong to points (0) or cells (1).
-    let mut section = None;
-    let mut is_image = false;
     loop {
         buffer.clear();
         xml.get_mut().of_event = 0;
@@ -271,7 +264,7 @@ fn document(path: &Path, reader: BufReader<File>) -> Result<VtiDocument> {
             Event::Empty(tag) => (tag, true),
             Event::End(tag) => {
                 if matches!(tag.name().as_ref(), "PointData" | "CellData") {
-                    section = None;
+                    parser.section = None;
                 }
                 continue;
             }
@@ -281,95 +274,142 @@ fn document(path: &Path, reader: BufReader<File>) -> Result<VtiDocument> {
         if tag.len() > MAX_TAG_BYTES {
             return Err(fail("has a tag of a megabyte; it is damaged".into()));
         }
-        let get = attributes(tag);
+        let given = attributes(tag);
         match tag.name().as_ref() {
-            "VTKFile" => {
-                let kind = get.get("type").map_or("", String::as_str);
-                if kind != "ImageData" {
-                    return Err(fail(format!("is a VTK file of type \"{kind}\"; image data (.vti) can be read as a volume")));
-                }
-                is_image = true;
-                document.big_endian = get.get("byte_order").is_some_and(|b| b == "BigEndian");
-                document.wide = get.get("header_type").is_some_and(|t| t == "UInt64");
-                document.packing = match get.get("compressor").map_or("", String::as_str) {
-                    "" => Compression::None,
-                    "vtkZLibDataCompressor" => Compression::Zlib,
-                    "vtkLZ4DataCompressor" => Compression::Lz4,
-                    "vtkLZMADataCompressor" => Compression::Lzma,
-                    other => return Err(fail(format!("is compressed by {other}, which cannot be read; save it with zlib"))),
-                };
-            }
-            "ImageData" if is_image => {
-                document.whole = numbers(get.get("WholeExtent")).ok_or_else(|| fail("has no readable WholeExtent".into()))?;
-                let vector = |name: &str, otherwise: DVec3| match get.get(name) {
-                    None => Ok(otherwise),
-                    some => numbers::<f64, 3>(some).map(DVec3::from_array).ok_or_else(|| fail(format!("has a {name} that is not three numbers"))),
-                };
-                document.origin = vector("Origin", DVec3::ZERO)?;
-                document.spacing = vector("Spacing", DVec3::ONE)?;
-                if get.contains_key("Direction") {
-                    let rows: [f64; 9] = numbers(get.get("Direction")).ok_or_else(|| fail("has a Direction that is not nine numbers".into()))?;
-                    document.direction = DMat3::from_cols_array(&rows).transpose();
-                    document.directed = true;
-                }
-            }
-            "Piece" if is_image => {
-                let extent = numbers(get.get("Extent")).unwrap_or(document.whole);
-                document.pieces.push(VtiPiece { extent, ..VtiPiece::default() });
-            }
-            name @ ("PointData" | "CellData") => {
-                section = (!empty).then_some(usize::from(name == "CellData"));
-                if let Some(piece) = document.pieces.last_mut()
-                    && piece.active == [None, None]
-                {
-                    piece.active = [get.get("Scalars").cloned(), get.get("Vectors").cloned()];
-                }
-            }
+            "VTKFile" => parser.vtk_file(&given)?,
+            "ImageData" if parser.is_image => parser.image_data(&given)?,
+            "Piece" if parser.is_image => parser.piece(&given),
+            name @ ("PointData" | "CellData") => parser.enter_section((!empty).then_some(usize::from(name == "CellData")), &given),
             "DataArray" | "Array" => {
-                let Some(section) = section else {
-                    // Data of no voxel: they are passed over, as all arrays are.
-                    if !empty {
-                        xml.get_mut().pass_to(b'<').map_err(|e| read_error(path, e))?;
-                    }
-                    continue;
-                };
-                let at = xml.get_ref().at;
-                let place = match get.get("format").map_or("ascii", String::as_str) {
-                    "ascii" => ArrayLocation::Text(at),
-                    "binary" => ArrayLocation::Base64(at),
-                    "appended" => ArrayLocation::Appended(get.get("offset").and_then(|o| o.parse().ok()).unwrap_or(0)),
-                    other => return Err(fail(format!("has an array in the format \"{other}\", which cannot be read"))),
-                };
-                let type_name = get.get("type").cloned().unwrap_or_default();
-                let components = get.get("NumberOfComponents").map_or(Some(1), |n| n.parse().ok()).filter(|n| (1..=1024).contains(n));
-                let array = VtiArray {
-                    name: get.get("Name").cloned().unwrap_or_default(),
-                    scalar: ScalarType::named(&type_name),
-                    type_name,
-                    components: components.ok_or_else(|| fail("has an array with an impossible number of components".into()))?,
-                    place,
-                };
-                if let Some(piece) = document.pieces.last_mut() {
-                    if section == 0 { &mut piece.points } else { &mut piece.cells }.push(array);
-                }
+                // Values are passed over.
+                parser.data_array(&given, xml.get_ref().at)?;
                 if !empty {
                     xml.get_mut().pass_to(b'<').map_err(|e| read_error(path, e))?;
                 }
             }
             "AppendedData" => {
-                let base64 = get.get("encoding").is_some_and(|e| e == "base64");
+                let base64 = given.get("encoding").is_some_and(|e| e == "base64");
                 let reader = xml.get_mut();
                 reader.pass_to(b'_').map_err(|e| read_error(path, e))?;
-                document.appended = Some((reader.at + 1, base64));
+                parser.document.appended = Some((reader.at + 1, base64));
                 break;
             }
             _ => {}
         }
     }
-    if !is_image {
+    if !parser.is_image {
         return Err(fail("is not a VTK file: it has no VTKFile element".into()));
     }
-    Ok(document)
+    Ok(parser.document)
+}
+
+/// A document as far as its tags have been read.
+struct DocumentParser<'a> {
+    path: &'a Path,
+    document: VtiDocument,
+    /// Whether arrays belong to points (0) or cells (1), or to neither.
+    section: Option<usize>,
+    is_image: bool,
+}
+
+impl<'a> DocumentParser<'a> {
+    /// Nothing read yet.
+    fn new(path: &'a Path) -> Self {
+        let document = VtiDocument {
+            whole: [0; 6],
+            origin: DVec3::ZERO,
+            spacing: DVec3::ONE,
+            direction: DMat3::IDENTITY,
+            directed: false,
+            big_endian: false,
+            wide: false,
+            packing: Compression::None,
+            pieces: Vec::new(),
+            appended: None,
+        };
+        Self { path, document, section: None, is_image: false }
+    }
+
+    /// An error about the file.
+    fn fail(&self, problem: String) -> Error {
+        Error::file(self.path, problem)
+    }
+
+    /// `VTKFile`: kind of data, order of bytes, compression.
+    fn vtk_file(&mut self, given: &HashMap<String, String>) -> Result<()> {
+        let kind = given.get("type").map_or("", String::as_str);
+        if kind != "ImageData" {
+            return Err(self.fail(format!("is a VTK file of type \"{kind}\"; image data (.vti) can be read as a volume")));
+        }
+        self.is_image = true;
+        self.document.big_endian = given.get("byte_order").is_some_and(|b| b == "BigEndian");
+        self.document.wide = given.get("header_type").is_some_and(|t| t == "UInt64");
+        self.document.packing = match given.get("compressor").map_or("", String::as_str) {
+            "" => Compression::None,
+            "vtkZLibDataCompressor" => Compression::Zlib,
+            "vtkLZ4DataCompressor" => Compression::Lz4,
+            "vtkLZMADataCompressor" => Compression::Lzma,
+            other => return Err(self.fail(format!("is compressed by {other}, which cannot be read; save it with zlib"))),
+        };
+        Ok(())
+    }
+
+    /// `ImageData`: extent and geometry of the whole.
+    fn image_data(&mut self, given: &HashMap<String, String>) -> Result<()> {
+        self.document.whole = numbers(given.get("WholeExtent")).ok_or_else(|| self.fail("has no readable WholeExtent".into()))?;
+        let vector = |name: &str, otherwise: DVec3| match given.get(name) {
+            None => Ok(otherwise),
+            some => numbers::<f64, 3>(some).map(DVec3::from_array).ok_or_else(|| self.fail(format!("has a {name} that is not three numbers"))),
+        };
+        let (origin, spacing) = (vector("Origin", DVec3::ZERO)?, vector("Spacing", DVec3::ONE)?);
+        (self.document.origin, self.document.spacing) = (origin, spacing);
+        if given.contains_key("Direction") {
+            let rows: [f64; 9] = numbers(given.get("Direction")).ok_or_else(|| self.fail("has a Direction that is not nine numbers".into()))?;
+            self.document.direction = DMat3::from_cols_array(&rows).transpose();
+            self.document.directed = true;
+        }
+        Ok(())
+    }
+
+    /// `Piece`: its extent, that of the whole by default.
+    fn piece(&mut self, given: &HashMap<String, String>) {
+        let extent = numbers(given.get("Extent")).unwrap_or(self.document.whole);
+        self.document.pieces.push(VtiPiece { extent, ..VtiPiece::default() });
+    }
+
+    /// `PointData` or `CellData`: what the arrays in it belong to, and which of them are active.
+    fn enter_section(&mut self, section: Option<usize>, given: &HashMap<String, String>) {
+        self.section = section;
+        if let Some(piece) = self.document.pieces.last_mut()
+            && piece.active == [None, None]
+        {
+            piece.active = [given.get("Scalars").cloned(), given.get("Vectors").cloned()];
+        }
+    }
+
+    /// `DataArray`, its text at a byte of the file; one that belongs to no voxel is left out.
+    fn data_array(&mut self, given: &HashMap<String, String>, at: u64) -> Result<()> {
+        let Some(section) = self.section else { return Ok(()) };
+        let place = match given.get("format").map_or("ascii", String::as_str) {
+            "ascii" => ArrayLocation::Text(at),
+            "binary" => ArrayLocation::Base64(at),
+            "appended" => ArrayLocation::Appended(given.get("offset").and_then(|o| o.parse().ok()).unwrap_or(0)),
+            other => return Err(self.fail(format!("has an array in the format \"{other}\", which cannot be read"))),
+        };
+        let type_name = given.get("type").cloned().unwrap_or_default();
+        let components = given.get("NumberOfComponents").map_or(Some(1), |n| n.parse().ok()).filter(|n| (1..=1024).contains(n));
+        let array = VtiArray {
+            name: given.get("Name").cloned().unwrap_or_default(),
+            scalar: ScalarType::named(&type_name),
+            type_name,
+            components: components.ok_or_else(|| self.fail("has an array with an impossible number of components".into()))?,
+            place,
+        };
+        if let Some(piece) = self.document.pieces.last_mut() {
+            if section == 0 { &mut piece.points } else { &mut piece.cells }.push(array);
+        }
+        Ok(())
+    }
 }
 
 struct Values<'a> {
@@ -381,7 +421,7 @@ struct Values<'a> {
 }
 
 impl Values<'_> {
-    fn read(&self, array: &VtiArray, count: usize) -> Result<Voxels> {
+    fn read(&self, array: &VtiArray, count: usize) -> Result<StoredValues> {
         let path = self.path;
         let start = |at: u64| -> Result<BufReader<File>> {
             let (mut reader, _) = buffered(path)?;
@@ -401,7 +441,7 @@ impl Values<'_> {
     }
 
     /// Values behind their header of lengths.
-    fn unpacked(&self, mut reader: impl Read, count: usize) -> Result<Voxels> {
+    fn unpacked(&self, mut reader: impl Read, count: usize) -> Result<StoredValues> {
         let fail = |problem: String| Error::file(self.path, problem);
         let swap = self.document.big_endian != cfg!(target_endian = "big");
         let bytes = (count * self.scalar.bytes()) as u64;

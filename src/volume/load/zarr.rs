@@ -7,14 +7,14 @@ use super::ScalarType;
 use super::image::{Channel, Image, Layout, Meaning};
 use super::source::{count, reserved, with_scalar};
 use super::tiff::mm_of;
-use super::{ReadOptions, Voxels};
+use super::{ReadOptions, StoredValues};
 use crate::files::{input, inputs, reference};
 use crate::panic_guard::catch_panic;
 use crate::{ByteProgress, Error, Result, Watch};
 use glam::{DAffine3, DMat3, DVec3};
 use serde_json::{Value, json};
 use std::ops::Range;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use zarrs::array::Array;
 use zarrs::array::ArraySubset;
@@ -58,53 +58,21 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     catch_panic(|| read_unguarded(path, choice, watch)).ok_or_else(ended)?
 }
 
+/// Reads an image; [`read`] turns a panic of the decoder into an error.
 fn read_unguarded(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let fail = |problem: String| Error::file(path, problem);
-    let mut folder = path.to_owned();
-    let mut attributes_json = attributes(&folder)?;
-    // Converted files keep their first image one level down.
-    if !attributes_json["multiscales"].is_array() && attributes_json.get("bioformats2raw.layout").is_some() {
-        folder = folder.join("0");
-        attributes_json = attributes(&folder)?;
-    }
-    if attributes_json["plate"].is_object() || attributes_json["well"].is_object() {
-        return Err(fail("is a plate of many images; name one of them (a folder such as A/1/0 inside)".into()));
-    }
-    let multiscale = &attributes_json["multiscales"][0];
-    let datasets = multiscale["datasets"].as_array().cloned().unwrap_or_default();
+    let group = ImageGroup::open(path)?;
     let level = choice.level.unwrap_or(0);
-    if datasets.is_empty() && level > 0 {
-        return Err(Error::value("level", format!("{level} is out of range; the array has a single resolution, 0")));
-    }
-    let array_folder = if datasets.is_empty() {
-        if !folder.join(".zarray").is_file() && metadata(&folder.join("zarr.json"))?["node_type"] != "array" {
-            return Err(fail("is a Zarr group without an image (no multiscales); name an image inside of it".into()));
-        }
-        folder.clone()
-    } else {
-        let dataset = datasets.get(level).ok_or_else(|| {
-            Error::value("level", format!("{level} is out of range; there are {} resolutions, counted from 0 (full)", datasets.len()))
-        })?;
-        let name = dataset["path"].as_str().ok_or_else(|| fail("has a resolution without a path; its metadata are damaged".into()))?;
-        if Path::new(name).components().any(|c| !matches!(c, std::path::Component::Normal(_))) {
-            return Err(fail(format!("names \"{name}\", which is outside the store; its metadata are damaged")));
-        }
-        folder.join(name)
-    };
+    let array_folder = group.resolution_folder(path, level)?;
     let layout = ArrayLayout::of(&array_folder)?;
-    let rank = layout.shape.len();
-    let axes = axes(multiscale, rank).map_err(&fail)?;
-    let find = |name: &str| axes.iter().position(|a| a.name == name);
-    let (Some(x), Some(y)) = (find("x"), find("y")) else { return Err(fail("has no axes x and y; a volume is needed".into())) };
-    let (z, c, t) = (find("z"), find("c"), find("t"));
-    let extent = |axis: Option<usize>| axis.map_or(1, |a| layout.shape[a] as usize);
-    let (channels, times) = (extent(c), extent(t));
+    let axes = AxisPositions::of(group.multiscale(), layout.shape.len()).map_err(&fail)?;
+    let (channels, times) = (layout.extent(axes.channel), layout.extent(axes.time));
     let mut warnings = Vec::new();
     let time = choice.time_of(times)?;
     if times > 1 && choice.time.is_none() {
         warnings.push(format!("holds {times} volumes; the first is used (--time chooses another)"));
     }
-    if x + 1 != rank || y + 2 != rank || z.is_some_and(|z| z + 3 != rank) {
+    if !axes.in_order() {
         return Err(fail("has its axes in another order than time, channel, z, y, x; reorder them".into()));
     }
     // One channel is read alone where one is asked for.
@@ -113,74 +81,21 @@ fn read_unguarded(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Im
         return Err(fail(format!("contains {channels} channels, which cannot be shown together; choose one with --channel (1 to {channels})")));
     }
     let chosen: Vec<usize> = one.map_or_else(|| (0..channels).collect(), |c| vec![c]);
-    let size = [extent(Some(x)), extent(Some(y)), extent(z)];
-    let total = count(path, &[size[0], size[1], size[2], chosen.len()], layout.scalar)?;
-    layout.check(path, &array_folder, (total * layout.scalar.bytes()) as u64)?;
-
-    // Its metadata and chunks, those that are there and those that are not.
-    inputs::note_path(path);
-    if array_folder.to_str().is_none() {
-        return Err(fail("has a path that is not UTF-8, which OME-Zarr requires; rename it".into()));
-    }
-    let store = FilesystemStore::new(&array_folder).map_err(|e| fail(format!("cannot be opened ({e})")))?;
-    let array = Array::open(Arc::new(store), "/").map_err(|e| fail(format!("holds an array that cannot be read ({e})")))?;
-    let subset = |channel: usize, slices: Range<usize>| -> ArraySubset {
-        let ranges: Vec<Range<u64>> = (0..rank)
-            .map(|a| match a {
-                a if a == x || a == y => 0..layout.shape[a],
-                a if Some(a) == z => slices.start as u64..slices.end as u64,
-                a if Some(a) == c => channel as u64..channel as u64 + 1,
-                a if Some(a) == t => time as u64..time as u64 + 1,
-                _ => 0..1,
-            })
-            .collect();
-        ArraySubset::new_with_ranges(&ranges)
-    };
-    // Whole layers of chunks at once, so that none is unpacked twice.
-    let layer = z.map_or(1, |z| layout.chunks[z] as usize).clamp(1, size[2]);
-    let voxels: Voxels = with_scalar!(layout.scalar, T => {
-        let mut values: Vec<T> = reserved(path, total)?;
-        let meter = ByteProgress::new(watch, (total * size_of::<T>()) as u64);
-        for &channel in &chosen {
-            for first in (0..size[2]).step_by(layer) {
-                let region = subset(channel, first..(first + layer).min(size[2]));
-                let part: Vec<T> = array.retrieve_array_subset(&region).map_err(|e| fail(format!("holds a chunk that cannot be read ({e})")))?;
-                values.extend_from_slice(&part);
-                meter.add(size_of_val(&part[..]) as u64)?;
-            }
-        }
-        values.into()
-    });
-    if voxels.len() != total {
-        return Err(fail("holds fewer values than it declares; it is damaged".into()));
-    }
-    let (scale, translation) = placement(multiscale, datasets.get(level).unwrap_or(&Value::Null), rank).map_err(&fail)?;
-    let mut stated = true;
-    let per_axis = |values: &[f64]| DVec3::from_array([Some(x), Some(y), z].map(|axis| axis.map_or(1.0, |a| values[a] * axes[a].mm)));
-    let linear = match &scale {
-        Some(scale) => per_axis(scale),
-        None => {
-            stated = false;
-            DVec3::ONE
-        }
-    };
-    if !stated && choice.spacing.is_none() {
+    let size = axes.space().map(|axis| layout.extent(axis));
+    let voxels = Selection { path, layout: &layout, axes: &axes, size, channels: &chosen, time, watch }.read(&array_folder)?;
+    let (scale, translation) = placement(group.multiscale(), group.datasets.get(level).unwrap_or(&Value::Null), layout.shape.len()).map_err(&fail)?;
+    if scale.is_none() && choice.spacing.is_none() {
         warnings.push("does not state its voxel spacing; 1 mm is assumed (use --spacing to set it)".into());
     }
-    let origin = translation.map_or(DVec3::ZERO, |t| DVec3::from_array([Some(x), Some(y), z].map(|axis| axis.map_or(0.0, |a| t[a] * axes[a].mm))));
-    let world_from_voxel = DAffine3 { matrix3: DMat3::from_diagonal(linear), translation: origin };
+    let linear = DMat3::from_diagonal(scale.map_or(DVec3::ONE, |scale| axes.in_mm(&scale, 1.0)));
+    let world_from_voxel = DAffine3 { matrix3: linear, translation: translation.map_or(DVec3::ZERO, |t| axes.in_mm(&t, 0.0)) };
     if !super::source::usable(&world_from_voxel) {
         return Err(fail("has a scale of zero, or one that is not finite; its geometry cannot be used".into()));
     }
-    let mut image = Image::new(if folder.join("zarr.json").is_file() { "OME-Zarr 0.5" } else { "OME-Zarr 0.4" }, voxels, size, world_from_voxel);
-    (image.components, image.layout) = (chosen.len(), Layout::Planar);
-    if chosen.len() > 1 {
-        image.meaning = Meaning::Channels(chosen.iter().map(|&n| channel_style(&attributes_json["omero"]["channels"][n], n)).collect());
-    } else if folder.parent().is_some_and(|p| p.ends_with("labels")) || attributes_json["image-label"].is_object() {
-        image.meaning = Meaning::Labels(Vec::new());
-    }
+    let mut image = Image::new(group.format(), voxels, size, world_from_voxel);
+    (image.components, image.layout, image.meaning) = (chosen.len(), Layout::Planar, group.meaning(&chosen));
     image.channel_taken = one.is_some();
-    image.details.push(("levels", json!(datasets.len().max(1))));
+    image.details.push(("levels", json!(group.datasets.len().max(1))));
     if channels > 1 {
         image.details.push(("channels", json!(channels)));
     }
@@ -189,6 +104,180 @@ fn read_unguarded(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Im
     }
     image.warnings = warnings;
     Ok(image)
+}
+
+/// A folder that holds a multiscale image, or an array without a word about it.
+struct ImageGroup {
+    folder: PathBuf,
+    attributes: Value,
+    /// Resolutions, the full one first; none of an array without a word about it.
+    datasets: Vec<Value>,
+}
+
+impl ImageGroup {
+    /// Reads the attributes; converted files keep their first image one level down.
+    fn open(path: &Path) -> Result<Self> {
+        let mut folder = path.to_owned();
+        let mut own = attributes(&folder)?;
+        if !own["multiscales"].is_array() && own.get("bioformats2raw.layout").is_some() {
+            folder = folder.join("0");
+            own = attributes(&folder)?;
+        }
+        if own["plate"].is_object() || own["well"].is_object() {
+            return Err(Error::file(path, "is a plate of many images; name one of them (a folder such as A/1/0 inside)"));
+        }
+        let datasets = own["multiscales"][0]["datasets"].as_array().cloned().unwrap_or_default();
+        Ok(Self { folder, attributes: own, datasets })
+    }
+
+    /// The first multiscale image; null if there is none.
+    fn multiscale(&self) -> &Value {
+        &self.attributes["multiscales"][0]
+    }
+
+    /// The folder of a resolution's array.
+    fn resolution_folder(&self, path: &Path, level: usize) -> Result<PathBuf> {
+        let fail = |problem: String| Error::file(path, problem);
+        if self.datasets.is_empty() {
+            if level > 0 {
+                return Err(Error::value("level", format!("{level} is out of range; the array has a single resolution, 0")));
+            }
+            if !self.folder.join(".zarray").is_file() && metadata(&self.folder.join("zarr.json"))?["node_type"] != "array" {
+                return Err(fail("is a Zarr group without an image (no multiscales); name an image inside of it".into()));
+            }
+            return Ok(self.folder.clone());
+        }
+        let dataset = self.datasets.get(level).ok_or_else(|| {
+            Error::value("level", format!("{level} is out of range; there are {} resolutions, counted from 0 (full)", self.datasets.len()))
+        })?;
+        let name = dataset["path"].as_str().ok_or_else(|| fail("has a resolution without a path; its metadata are damaged".into()))?;
+        if Path::new(name).components().any(|c| !matches!(c, std::path::Component::Normal(_))) {
+            return Err(fail(format!("names \"{name}\", which is outside the store; its metadata are damaged")));
+        }
+        Ok(self.folder.join(name))
+    }
+
+    /// Name of the format.
+    fn format(&self) -> &'static str {
+        if self.folder.join("zarr.json").is_file() { "OME-Zarr 0.5" } else { "OME-Zarr 0.4" }
+    }
+
+    /// What the values of these channels are.
+    fn meaning(&self, channels: &[usize]) -> Meaning {
+        if channels.len() > 1 {
+            Meaning::Channels(channels.iter().map(|&n| channel_style(&self.attributes["omero"]["channels"][n], n)).collect())
+        } else if self.folder.parent().is_some_and(|p| p.ends_with("labels")) || self.attributes["image-label"].is_object() {
+            Meaning::Labels(Vec::new())
+        } else {
+            Meaning::Unstated
+        }
+    }
+}
+
+/// Which axis of an array is which.
+struct AxisPositions {
+    all: Vec<ZarrAxis>,
+    x: usize,
+    y: usize,
+    z: Option<usize>,
+    channel: Option<usize>,
+    time: Option<usize>,
+}
+
+impl AxisPositions {
+    /// Finds the axes of an array of this rank by their names.
+    fn of(multiscale: &Value, rank: usize) -> Result<Self, String> {
+        let all = axes(multiscale, rank)?;
+        let find = |name: &str| all.iter().position(|a| a.name == name);
+        let (Some(x), Some(y)) = (find("x"), find("y")) else { return Err("has no axes x and y; a volume is needed".into()) };
+        let (z, channel, time) = (find("z"), find("c"), find("t"));
+        Ok(Self { all, x, y, z, channel, time })
+    }
+
+    /// Whether x, y and z are the last axes, x changing fastest.
+    fn in_order(&self) -> bool {
+        let rank = self.all.len();
+        self.x + 1 == rank && self.y + 2 == rank && self.z.is_none_or(|z| z + 3 == rank)
+    }
+
+    /// Axes x, y, z.
+    fn space(&self) -> [Option<usize>; 3] {
+        [Some(self.x), Some(self.y), self.z]
+    }
+
+    /// Of values for every axis those along x, y, z in mm; `missing` where there is no such axis.
+    fn in_mm(&self, values: &[f64], missing: f64) -> DVec3 {
+        DVec3::from_array(self.space().map(|axis| axis.map_or(missing, |a| values[a] * self.all[a].mm)))
+    }
+}
+
+/// The part of an array that is read.
+struct Selection<'a> {
+    path: &'a Path,
+    layout: &'a ArrayLayout,
+    axes: &'a AxisPositions,
+    /// StoredValues along x, y, z.
+    size: [usize; 3],
+    channels: &'a [usize],
+    time: usize,
+    watch: &'a Watch<'a>,
+}
+
+impl Selection<'_> {
+    /// Reads the values of the array in a folder, channel after channel.
+    fn read(&self, folder: &Path) -> Result<StoredValues> {
+        let (path, [width, height, depth]) = (self.path, self.size);
+        let fail = |problem: String| Error::file(path, problem);
+        let total = count(path, &[width, height, depth, self.channels.len()], self.layout.scalar)?;
+        self.layout.check(path, folder, (total * self.layout.scalar.bytes()) as u64)?;
+        let array = self.open(folder)?;
+        // Whole layers of chunks at once, so that none is unpacked twice.
+        let layer = self.axes.z.map_or(1, |a| self.layout.chunks[a] as usize).clamp(1, depth);
+        let voxels: StoredValues = with_scalar!(self.layout.scalar, T => {
+            let mut values: Vec<T> = reserved(path, total)?;
+            let meter = ByteProgress::new(self.watch, (total * size_of::<T>()) as u64);
+            for &channel in self.channels {
+                for first in (0..depth).step_by(layer) {
+                    let region = self.region(channel, first..(first + layer).min(depth));
+                    let part: Vec<T> = array.retrieve_array_subset(&region).map_err(|e| fail(format!("holds a chunk that cannot be read ({e})")))?;
+                    values.extend_from_slice(&part);
+                    meter.add(size_of_val(&part[..]) as u64)?;
+                }
+            }
+            values.into()
+        });
+        if voxels.len() != total {
+            return Err(fail("holds fewer values than it declares; it is damaged".into()));
+        }
+        Ok(voxels)
+    }
+
+    /// Opens the array in a folder.
+    fn open(&self, folder: &Path) -> Result<Array<FilesystemStore>> {
+        let fail = |problem: String| Error::file(self.path, problem);
+        // Its metadata and chunks, those that are there and those that are not.
+        inputs::note_path(self.path);
+        if folder.to_str().is_none() {
+            return Err(fail("has a path that is not UTF-8, which OME-Zarr requires; rename it".into()));
+        }
+        let store = FilesystemStore::new(folder).map_err(|e| fail(format!("cannot be opened ({e})")))?;
+        Array::open(Arc::new(store), "/").map_err(|e| fail(format!("holds an array that cannot be read ({e})")))
+    }
+
+    /// Some slices of a channel.
+    fn region(&self, channel: usize, slices: Range<usize>) -> ArraySubset {
+        let axes = self.axes;
+        let ranges: Vec<Range<u64>> = (0..self.layout.shape.len())
+            .map(|a| match a {
+                a if a == axes.x || a == axes.y => 0..self.layout.shape[a],
+                a if Some(a) == axes.z => slices.start as u64..slices.end as u64,
+                a if Some(a) == axes.channel => channel as u64..channel as u64 + 1,
+                a if Some(a) == axes.time => self.time as u64..self.time as u64 + 1,
+                _ => 0..1,
+            })
+            .collect();
+        ArraySubset::new_with_ranges(&ranges)
+    }
 }
 
 /// What a Zarr array says of itself, read before anything is allocated.
@@ -235,6 +324,11 @@ impl ArrayLayout {
         }
         let scalar = ScalarType::named(&kind).ok_or_else(|| fail(format!("stores \"{kind}\", which cannot be rendered")))?;
         Ok(Self { shape, chunks, scalar })
+    }
+
+    /// Extent of an axis; 1 of one that the array does not have.
+    fn extent(&self, axis: Option<usize>) -> usize {
+        axis.map_or(1, |a| self.shape[a] as usize)
     }
 
     /// Refuses arrays and chunks that are far larger than what is there.

@@ -6,6 +6,7 @@
 //!
 //! Source: DICOM PS3.3 C.7.6.2 (image plane), C.7.6.16 (functional groups), C.8.20 (segmentation).
 
+mod location;
 mod pixels;
 mod scan;
 mod syntax;
@@ -14,7 +15,7 @@ pub use scan::is_dicom;
 
 use super::image::{Image, Meaning};
 use super::source::{usable, zeroed};
-use super::{ReadOptions, Voxels};
+use super::{ReadOptions, StoredValues, Voxels};
 use crate::volume::{Rescale, SliceDisplacement};
 use crate::{ByteProgress, Error, Result, Watch};
 use glam::{DAffine3, DMat3, DVec3};
@@ -61,7 +62,7 @@ pub struct SeriesInfo {
     pub description: String,
     /// Modality: CT, MR, ...
     pub modality: String,
-    /// Voxels along i, j, k.
+    /// StoredValues along i, j, k.
     pub size: [usize; 3],
     /// Volumes in time.
     pub time_points: usize,
@@ -409,7 +410,7 @@ fn volume(path: &Path, objects: &[Object], frames: &[Frame], choice: &ReadOption
     let job = DecodeJob { path, objects, frames, slot: &slot, total, watch };
     let mut rescale = if one_rescale { frames[0].rescale } else { Rescale::NONE };
     let palette = format.photometric == "PALETTE COLOR";
-    let (voxels, components): (Voxels, usize) = if object.segmentation {
+    let (voxels, components): (StoredValues, usize) = if object.segmentation {
         (job.labels(warnings)?, 1)
     } else if samples == 1 && !palette {
         let voxels = match (format.float, format.allocated, format.signed) {
@@ -520,7 +521,7 @@ impl DecodeJob<'_> {
     }
 
     /// Data values, where every frame has a rescale of its own.
-    fn scaled(&self) -> Result<Voxels> {
+    fn scaled(&self) -> Result<StoredValues> {
         let value = |frame: &Frame, v: f32| {
             let nothing = self.objects[frame.object].padding.is_some_and(|[low, high]| (low..=high).contains(&f64::from(v)));
             if nothing { f32::NAN } else { (f64::from(v) * frame.rescale.slope + frame.rescale.intercept) as f32 }
@@ -568,7 +569,7 @@ impl DecodeJob<'_> {
     }
 
     /// Segments as labels; where several overlap, the last one stays.
-    fn labels(&self, warnings: &mut Vec<String>) -> Result<Voxels> {
+    fn labels(&self, warnings: &mut Vec<String>) -> Result<StoredValues> {
         let format = self.format();
         let plane = format.values();
         let mut labels: Vec<u16> = zeroed(self.path, self.total)?;
@@ -618,7 +619,6 @@ fn evened(path: &Path, image: &mut Image, placement: &SlicePlacement, warnings: 
     let step = gaps[gaps.len() / 2].max((at.len() - 1) as f64 / (MAX_RESAMPLING_FACTOR * at.len() as f64));
     let count = ((at.len() - 1) as f64 / step).round() as usize + 1;
     let step = (at.len() - 1) as f64 / (count - 1) as f64;
-    let plane = image.size[0] * image.size[1];
     let (labels, padding) = (matches!(image.meaning, Meaning::Labels(_)), image.padding);
     // Which two slices, and how far between them.
     let between: Vec<(usize, f64)> = (0..count)
@@ -628,14 +628,10 @@ fn evened(path: &Path, image: &mut Image, placement: &SlicePlacement, warnings: 
             (above - 1, ((position - at[above - 1]) / (at[above] - at[above - 1])).clamp(0.0, 1.0))
         })
         .collect();
-    image.voxels = image.voxels.mixed(count * plane, |n| {
-        let (slice, share) = between[n / plane];
-        let (a, b) = (slice * plane + n % plane, (slice + 1) * plane + n % plane);
-        let nothing = |v: f64| padding.is_some_and(|[low, high]| (low..=high).contains(&v));
-        // Labels are not mixed, nor is nothing with something.
-        let nearest = labels || padding.is_some() && (nothing(image.voxels.get(a)) || nothing(image.voxels.get(b)));
-        (a, b, if nearest { share.round() } else { share })
-    });
+    let nothing = |v: f64| padding.is_some_and(|[low, high]| (low..=high).contains(&v));
+    // Labels are not mixed, nor is nothing with something.
+    let voxels = Voxels::new(image.size, image.voxels.clone()).interpolated_layers(&between, |a, b| labels || nothing(a) || nothing(b));
+    image.voxels = voxels.reshaped(count * image.size[0] * image.size[1]);
     image.size[2] = count;
     image.world_from_voxel.matrix3.z_axis *= step;
     warnings.push(format!("its {} slices were interpolated to {count}, {:.2} mm apart", at.len(), image.world_from_voxel.matrix3.z_axis.length()));
