@@ -53,6 +53,17 @@ fn front_value(at: SceneSample, previous: vec3<f32>, before: f32, is_known: bool
     return select(at.value, earlier.value, earlier.present);
 }
 
+// Whether a sample shows something, or may lie at the face of a cut.
+fn is_to_be_shaded(at: SceneSample, depth: f32, sampled: vec3<f32>, step: f32) -> bool {
+    if GREY_FACES != 0u && at.present && is_near_cut_face(at, sampled, step) {
+        return true;
+    }
+    if ISO != ISO_NONE {
+        return at.present && at.value >= frame.iso;
+    }
+    return depth > 0.0 || is_near_mask_edge(at);
+}
+
 // Samples first .. end of a ray, at (i + 1/2) step.
 fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> RaySegment {
     let inverse_direction = 1.0 / ray.direction;
@@ -63,9 +74,8 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Ray
     var color = vec4<f32>(0.0);
     var projected = select(0.0, select(-1e30, 1e30, BLEND == BLEND_MINIP), BLEND != BLEND_AVERAGE);
     var present_count = 0.0;
-    var taken = 0u;
-    var skipped = 0u;
-    var terminated = 0u;
+    // Samples taken, skipped, and left out behind what is opaque.
+    var counted = vec3<u32>(0u);
     // Value of the last sample that was present, and its number.
     var before = 0.0;
     var before_at = -2;
@@ -89,7 +99,7 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Ray
                 let block = block_around(ray.origin + ray.direction * middle, ray.origin, inverse_direction);
                 if block.empty {
                     let next = min(max(first_sample_after(block.until, step), i + 1), end);
-                    skipped += u32(next - i);
+                    counted.y += u32(next - i);
                     i = next;
                     continue;
                 }
@@ -98,7 +108,7 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Ray
             }
             let part = retained_part(ray.origin, ray.direction, middle, step);
             i += 1;
-            taken += 1u;
+            counted.x += 1u;
             if part.share <= 0.0 {
                 continue;
             }
@@ -133,17 +143,13 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Ray
                 }
                 found = visible_segment_sample(at, front, sampled);
             }
-            if ISO != ISO_NONE {
-                stop = (at.present && at.value >= frame.iso) || (GREY_FACES != 0u && at.present && is_near_cut_face(at, sampled, step));
-            } else {
-                stop = found.depth > 0.0 || is_near_mask_edge(at) || (GREY_FACES != 0u && at.present && is_near_cut_face(at, sampled, step));
-            }
+            stop = is_to_be_shaded(at, found.depth, sampled, step);
         }
         if stop {
             let face = opaque_face(at, found.deformed, ray.direction, step);
             if face.a > 0.0 {
                 color += face * (1.0 - color.a);
-                terminated += u32(max(end - i, 0));
+                counted.z += u32(max(end - i, 0));
                 break;
             }
             if ISO != ISO_NONE {
@@ -151,11 +157,11 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Ray
             }
             color += shaded_sample(at, found, front, cut_free, ray.direction, half, step, length * share) * (1.0 - color.a);
             if 1.0 - color.a < MIN_TRANSMITTANCE && frame.early_termination != 0u {
-                terminated += u32(max(end - i, 0));
+                counted.z += u32(max(end - i, 0));
                 break;
             }
         }
     }
-    count(pixel, vec3<u32>(taken, skipped, terminated));
+    count(pixel, counted);
     return RaySegment(color, projected, present_count);
 }

@@ -359,7 +359,7 @@ mod tests {
         assert!(notice.is_some_and(|n| n.contains("3 points are too few")));
         assert!((few[1].to + i.displacement(few[1].to)).distance(few[1].from) < 1e-6);
         let flat: Vec<PointPair> = pairs().into_iter().map(|p| PointPair { to: p.to * DVec3::new(1.0, 1.0, 0.0), ..p }).collect();
-        assert!(Interpolant::new(&flat, Method::ThinPlate, None).is_ok_and(|(_, n)| n.is_some_and(|n| n.contains("plane"))));
+        assert!(Interpolant::new(&flat, Method::ThinPlate, None).is_ok_and(|(_, n)| n.is_some_and(|n| n.contains("coplanar"))));
         let mut twice = pairs();
         twice.push(PointPair { from: DVec3::ONE * 9.0, to: twice[0].to });
         assert!(Interpolant::new(&twice, Method::Gaussian, None).is_err_and(|e| e.to_string().contains("pair 7")));

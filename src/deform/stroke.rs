@@ -245,7 +245,7 @@ mod tests {
             ("", "is empty; begin with one of push"),
             ("psuh 5 1 0 0 0 1 1 1", "did you mean \"push\"?"),
             ("push", "needs a radius"),
-            ("push 5 1 0 0 0 1 1", "a point is three"),
+            ("push 5 1 0 0 0 1 1", "each point needs three"),
             ("push 5 1 0 0 0", "needs at least 2"),
             ("cut 5 1", "needs at least 1"),
             ("cut 0 1 0 0 0", "must be above 0"),
@@ -255,12 +255,12 @@ mod tests {
             ("cut 5 1 0 nan 0", "nan is outside"),
             ("cut 5 1 0 inf 0", "inf is outside"),
             ("cut 5 1 0 1e9 0", "1e9 is outside"),
-            ("cut 5 1 0,0,0", "separate numbers by blanks"),
+            ("cut 5 1 0,0,0", "separate numbers with spaces"),
             ("lasso-cut 0 0 0 0 1 0 0", "two directions"),
             ("lasso-cut -1 0 0 0 1 0 0 0 1 0 0 0 5 0 5 5", "below 0"),
             ("lasso-cut 0 0 0 0 0 0 0 0 1 0 0 0 5 0 5 5", "no length"),
             ("lasso-cut 0 0 0 0 1 0 0 -2 0 0 0 0 5 0 5 5", "parallel"),
-            ("lasso-restore 0 0 0 0 1 0 0 0 1 0 0 0 5 0 5", "a point is two"),
+            ("lasso-restore 0 0 0 0 1 0 0 0 1 0 0 0 5 0 5", "each point needs two"),
             ("lasso-restore 0 0 0 0 1 0 0 0 1 0 0 0 5 0", "needs 3"),
         ] {
             let problem = parse(text).unwrap_err();
