@@ -18,6 +18,64 @@
 //! # }
 //! ```
 //!
+//! A volume of one's own, an [`Array3`](ndarray::Array3) of shape (k, j, i):
+//!
+//! ```
+//! use incise::volume::Rescale;
+//! use incise::{Assets, Engine, RenderRequest, Scene, Volume, glam, ndarray};
+//! # fn main() -> incise::Result<()> {
+//! let ball = ndarray::Array3::from_shape_fn((48, 48, 48), |(k, j, i)| {
+//!     let from_center = glam::Vec3::new(i as f32, j as f32, k as f32) - 23.5;
+//!     (20.0 - from_center.length()).clamp(0.0, 1.0)
+//! });
+//! let volume = Volume::new(ball, Rescale::NONE, glam::DAffine3::IDENTITY);
+//! let assets = Assets::of_volume(volume);
+//! // Messages call the volume by this name; no file is opened.
+//! let scene = Scene::of_volume("ball");
+//! let shown = Engine::cpu().picture(&scene, &assets, &RenderRequest::default())?;
+//! # assert!(!shown.rendered.picture.is_blank());
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! A displacement field of a registration, applied to a volume and written as a new one, as registration programs do it:
+//!
+//! ```
+//! use incise::export::bake::{self, BakeOptions};
+//! use incise::prepare::Deformed;
+//! use incise::volume::save::Format;
+//! use incise::{Assets, Scene, Watch, kinds::ExternalField};
+//! # fn main() -> incise::Result<()> {
+//! # let field = std::env::temp_dir().join(format!("incise-doc-{}.txt", std::process::id()));
+//! # std::fs::write(&field, "#Insight Transform File V1.0\n#Transform 0\nTransform: TranslationTransform_double_3_3\nParameters: 5 0 0\nFixedParameters:\n")
+//! #     .map_err(|e| incise::Error::io(&field, "writing", e))?;
+//! let mut scene = Scene::of_volume("phantom:head-ct:size=32");
+//! scene.deformation.push(ExternalField::new().path(field.to_string_lossy().as_ref()).into());
+//! let assets = Assets::load(&scene)?;
+//! let exact = Deformed::exact(&scene, &assets, true, &Watch::NONE)?;
+//! let mut nifti = Vec::new();
+//! let grid = assets.volume.geometry();
+//! bake::volume(&assets.volume, &exact.stack_and_cuts(), &grid, Format::Nifti, &mut nifti, &BakeOptions::default())?;
+//! # assert!(nifti.len() > 2 * 32 * 32 * 32);
+//! # let _removed = std::fs::remove_file(&field);
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! A mesh as a signed distance field:
+//!
+//! ```
+//! use incise::mesh::{field::{FieldSettings, MeshField}, load};
+//! # fn main() -> incise::Result<()> {
+//! let mesh = load::mesh(std::path::Path::new("volumes/bunny.obj"))?;
+//! let settings = FieldSettings { resolution: 32, ..FieldSettings::default() };
+//! let field = MeshField::new(&mesh, &settings, &incise::Watch::NONE).map_err(|problem| incise::Error::value("mesh", problem))?;
+//! let (points, center_mm) = (field.grid.distance_mm.dim(), field.grid.sample(mesh.bounds().center()));
+//! # assert!(points.0.max(points.1).max(points.2) >= 32 && center_mm > 0.0);
+//! # Ok(())
+//! # }
+//! ```
+//!
 //! A [`Scene`] is plain data, the same that a scene file states ([`Scene::load`]). An [`Engine`] renders it on a GPU or on the CPU. Who renders many
 //! pictures of one scene keeps its [`Assets`] ([`engine::AssetCache`]) and asks with a [`RenderRequest`], which can also be stopped ([`Watch`]).
 //!
@@ -74,3 +132,6 @@ pub use prepare::{Assets, Prepared};
 pub use scene::{Deformation, Scene, kinds};
 pub use volume::Volume;
 pub use watch::{ByteProgress, Watch};
+
+// The types of vectors and arrays in the interface.
+pub use {glam, ndarray};

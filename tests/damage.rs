@@ -67,7 +67,7 @@ fn damaged(folder: &Path) -> Vec<(PathBuf, &'static str)> {
     file("bad.zarr/0/.zarray", br#"{"zarr_format":2,"shape":[100000,100000,100000],"chunks":[100000,100000,1000],"dtype":"<u2","compressor":null,"fill_value":0,"order":"C","filters":null}"#);
     all.push((folder.join("bad.zarr"), "more than the file can hold"));
     file("outside.zarr/.zattrs", br#"{"multiscales":[{"axes":["z","y","x"],"datasets":[{"path":"../../etc"}]}]}"#);
-    all.push((folder.join("outside.zarr"), "outside of it"));
+    all.push((folder.join("outside.zarr"), "outside the store"));
     file("vti.vti", br#"<VTKFile type="ImageData" compressor="vtkZLibDataCompressor"><ImageData WholeExtent="0 99999 0 99999 0 9"><Piece Extent="0 99999 0 99999 0 9"><PointData><DataArray type="Float64" Name="a" format="binary">AAAA</DataArray></PointData></Piece></ImageData></VTKFile>"#);
     all.push((folder.join("vti.vti"), "more than the file can hold"));
     all.push((PathBuf::from("/dev/null"), ""));

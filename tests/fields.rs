@@ -64,7 +64,8 @@ fn baked(scene: &Scene, fill: f64, interpolation: Interpolation) -> Volume {
     let mut file = std::fs::File::create(&path).unwrap();
     let volume = &assets.volume;
     let what = StackAndCuts { stack: &stack, cuts: &cuts };
-    bake::volume(volume, &what, &volume.geometry(), interpolation, fill, Format::NiftiGz, &mut file, &|_| ()).unwrap();
+    let options = bake::BakeOptions { interpolation: Some(interpolation), fill: Some(fill), progress: None };
+    bake::volume(volume, &what, &volume.geometry(), Format::NiftiGz, &mut file, &options).unwrap();
     drop(file);
     load::volume(&path, &load::ReadOptions::default(), &Watch::NONE).unwrap()
 }

@@ -174,7 +174,8 @@ impl Worker {
         let Deformed { stack, cuts, .. } = Deformed::exact(&scene, assets, true, &Watch::NONE)?;
         let deformation = StackAndCuts { stack: &stack, cuts: &cuts };
         let (grid, fill) = (volume.geometry(), volume.range[0]);
-        bake::volume(volume, &deformation, &grid, bake::Interpolation::Linear, fill, Format::Nifti, &mut bytes, &|_| ())?;
+        let options = bake::BakeOptions { interpolation: Some(bake::Interpolation::Linear), fill: Some(fill), progress: None };
+        bake::volume(volume, &deformation, &grid, Format::Nifti, &mut bytes, &options)?;
         let ms = ms(start);
         write(output, &bytes)?;
         Ok(json!({ "ms": ms }))

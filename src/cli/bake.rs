@@ -86,13 +86,11 @@ pub fn run(arguments: &BakeArguments) -> Result<()> {
         ));
     }
     let grid = if arguments.enlarge { bake::enlarged(volume, deformation.stack) } else { volume.geometry() };
-    let interpolation = match arguments.interpolation {
-        Some(InterpolationName::Nearest) => bake::Interpolation::Nearest,
-        Some(InterpolationName::Linear) => bake::Interpolation::Linear,
-        Some(InterpolationName::Cubic) => bake::Interpolation::Cubic,
-        None if volume.labels().is_some() => bake::Interpolation::Nearest,
-        None => bake::Interpolation::Linear,
-    };
+    let interpolation = arguments.interpolation.map(|name| match name {
+        InterpolationName::Nearest => bake::Interpolation::Nearest,
+        InterpolationName::Linear => bake::Interpolation::Linear,
+        InterpolationName::Cubic => bake::Interpolation::Cubic,
+    });
     let mut cut = 0;
     output.finish_with(|out| {
         let progress = |share| bar.set("baking", share);
@@ -100,7 +98,8 @@ pub fn run(arguments: &BakeArguments) -> Result<()> {
             cut = bake::field(&deformation, &grid, format, out, &progress)?;
             Ok(())
         } else {
-            bake::volume(volume, &deformation, &grid, interpolation, arguments.fill.unwrap_or(volume.range[0]), format, out, &progress)
+            let options = bake::BakeOptions { interpolation, fill: arguments.fill, progress: Some(&progress) };
+            bake::volume(volume, &deformation, &grid, format, out, &options)
         }
     })?;
     bar.finish();

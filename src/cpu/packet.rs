@@ -142,7 +142,7 @@ impl<S: Simd> SamplePacket<S> {
     /// What a lane saw, and its optical depth.
     #[inline(always)]
     pub(super) fn lane(&self, n: usize) -> (SceneSample, f32) {
-        let look = SceneSample { in_voxel: self.in_voxel.lane(n), value: self.value[n], present: self.present.test(n), alpha: self.alpha[n] };
-        (look, self.depth[n])
+        let sample = SceneSample { in_voxel: self.in_voxel.lane(n), value: self.value[n], present: self.present.test(n), alpha: self.alpha[n] };
+        (sample, self.depth[n])
     }
 }

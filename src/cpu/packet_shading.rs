@@ -283,13 +283,13 @@ impl<T: Voxel> RayMarcher<'_, T> {
             for _ in 0..ENTRY_STEPS {
                 width *= 0.5;
                 let p = first.deformed - rays.direction * width;
-                let look = self.sample_points(simd, p, enters, false);
-                let dense = enters & look.present & look.depth.simd_ge(enough);
+                let midway = self.sample_points(simd, p, enters, false);
+                let dense = enters & midway.present & midway.depth.simd_ge(enough);
                 first = SurfaceEntries {
                     deformed: Vec3x8::select(dense, p, first.deformed),
-                    in_voxel: Vec3x8::select(dense, look.in_voxel, first.in_voxel),
-                    value: dense.select(look.value, first.value),
-                    inside: first.inside | (dense & look.inside),
+                    in_voxel: Vec3x8::select(dense, midway.in_voxel, first.in_voxel),
+                    value: dense.select(midway.value, first.value),
+                    inside: first.inside | (dense & midway.inside),
                 };
             }
         }

@@ -235,21 +235,21 @@ impl Library {
     /// Those of making it.
     pub fn map(&self, key: String, make: impl FnOnce() -> Result<Arc<DisplacementMap>>) -> Result<Arc<DisplacementMap>> {
         {
-            let mut kept = lock(&self.maps);
-            if let Some(at) = kept.iter().position(|(k, _)| *k == key) {
-                let entry = kept.remove(at);
+            let mut cached = lock(&self.maps);
+            if let Some(at) = cached.iter().position(|(k, _)| *k == key) {
+                let entry = cached.remove(at);
                 let map = entry.1.clone();
-                kept.push(entry);
+                cached.push(entry);
                 return Ok(map);
             }
         }
         let made = make()?;
-        let mut kept = lock(&self.maps);
-        kept.push((key, made.clone()));
+        let mut cached = lock(&self.maps);
+        cached.push((key, made.clone()));
         let bytes = |map: &DisplacementMap| map.size.iter().product::<usize>() * 16;
-        let mut all: usize = kept.iter().map(|(_, map)| bytes(map)).sum();
-        while kept.len() > 1 && (all > MAX_CACHED_MAP_BYTES || kept.len() > MAX_CACHED_MAPS) {
-            all -= bytes(&kept.remove(0).1);
+        let mut all: usize = cached.iter().map(|(_, map)| bytes(map)).sum();
+        while cached.len() > 1 && (all > MAX_CACHED_MAP_BYTES || cached.len() > MAX_CACHED_MAPS) {
+            all -= bytes(&cached.remove(0).1);
         }
         Ok(made)
     }

@@ -30,6 +30,17 @@ pub enum Interpolation {
     Cubic,
 }
 
+/// How a volume is baked.
+#[derive(Clone, Copy, Default)]
+pub struct BakeOptions<'a> {
+    /// By default the nearest voxel's value for label maps, otherwise trilinear.
+    pub interpolation: Option<Interpolation>,
+    /// The value where nothing is, in data units; by default the volume's lowest.
+    pub fill: Option<f64>,
+    /// Told the share that is done.
+    pub progress: Option<&'a dyn Fn(f32)>,
+}
+
 /// The grid of a volume, grown by whole voxels until it holds the deformed scene.
 pub fn enlarged(volume: &Volume, stack: &Stack) -> GridGeometry {
     let grid = volume.geometry();
@@ -257,22 +268,23 @@ fn data_type(volume: &Volume, stored: ScalarType) -> (ScalarType, Rescale) {
     (scalar, Rescale::NONE)
 }
 
-/// Writes the deformed volume on `grid`: the source's type and scale; `fill` (in data units) where nothing is.
+/// Writes the deformed volume on `grid`, in the source's type and scale.
 ///
 /// # Errors
 /// What the destination reports; a grid or scale that the format cannot state.
-#[allow(clippy::too_many_arguments, reason = "each is one choice of the caller")]
 pub fn volume(
     volume: &Volume,
     deformation: &StackAndCuts,
     grid: &GridGeometry,
-    interpolation: Interpolation,
-    fill: f64,
     format: Format,
     out: &mut dyn Write,
-    progress: &dyn Fn(f32),
+    options: &BakeOptions,
 ) -> Result<()> {
     let fail = |e: String| Error::value("output", e);
+    let default = || if volume.labels().is_some() { Interpolation::Nearest } else { Interpolation::Linear };
+    let interpolation = options.interpolation.unwrap_or_else(default);
+    let fill = options.fill.unwrap_or(volume.range[0]);
+    let progress = options.progress.unwrap_or(&|_| ());
     let scalar = scalar_of(&volume.voxels);
     // A format without a slope and an intercept gets the data values themselves.
     let (scalar, written) = if format.states_rescale() { (scalar, volume.rescale) } else { data_type(volume, scalar) };
@@ -388,7 +400,7 @@ mod tests {
         let v = Volume::new(Voxels::new(size, vec![1i16; 256 * 256 * 100]), Rescale::NONE, DAffine3::IDENTITY);
         let (stack, cuts) = (Stack::default(), crate::deform::cut::CutShapes::default());
         let deformation = StackAndCuts { stack: &stack, cuts: &cuts };
-        let bake = |room: usize| volume(&v, &deformation, &v.geometry(), Interpolation::Linear, 0.0, Format::Nifti, &mut Full(room), &|_| ());
+        let bake = |room: usize| volume(&v, &deformation, &v.geometry(), Format::Nifti, &mut Full(room), &BakeOptions::default());
         let bytes = 352 + 2 * 256 * 256 * 100;
         for room in [1000, bytes / 2, bytes - 1] {
             let result = bake(room).map_err(|e| e.to_string());

@@ -9,7 +9,8 @@ use super::tasks::report_when_done;
 use crate::compare::Report;
 use crate::deform::{Stack, saved};
 use crate::engine::{Backend, Engine, EngineOptions, RenderRequest};
-use crate::export::{bake, clip, protect};
+use crate::export::bake::{self, BakeOptions};
+use crate::export::{clip, protect};
 use crate::files::path_text::text_of;
 use crate::files::{OutputFile, input};
 use crate::picture::Picture;
@@ -133,14 +134,13 @@ impl Workstation {
             let deformation = exact.stack_and_cuts();
             let volume = &assets.volume;
             let grid = volume.geometry();
-            let interpolation = if volume.labels().is_some() { bake::Interpolation::Nearest } else { bake::Interpolation::Linear };
             let progress = |share: f32| (watch.progress)(share);
             output.finish_with(|out| {
                 let mut out = CancellableWriter { out, watch };
                 if field {
                     bake::field(&deformation, &grid, format, &mut out, &progress).map(drop)
                 } else {
-                    bake::volume(volume, &deformation, &grid, interpolation, volume.range[0], format, &mut out, &progress)
+                    bake::volume(volume, &deformation, &grid, format, &mut out, &BakeOptions { progress: Some(&progress), ..BakeOptions::default() })
                 }
                 .map_err(|e| if watch.is_cancelled() { Error::Cancelled } else { e })
             })?;
@@ -276,7 +276,7 @@ impl Workstation {
             scene.deformation[0].enabled = true;
         }
         let path = self.session.map_path(name);
-        self.start(ctx, "Making a map", move |watch| {
+        self.start(ctx, "Exporting the map", move |watch| {
             // Masks, not shapes: a map is all there is of it.
             let exact = Deformed::exact(&scene, &assets, false, watch)?;
             watch.check()?;

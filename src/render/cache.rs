@@ -197,11 +197,11 @@ impl Renderer {
 
     /// A map by its identity, in a texture of its own: what bounds on its texels are found from, and what goes into an atlas.
     pub(super) fn map(&self, map: &Arc<DisplacementMap>) -> Result<wgpu::Texture> {
-        let mut kept = lock(&self.cache.maps);
-        if let Some(at) = kept.iter().position(|k| Arc::ptr_eq(&k.map, map)) {
-            let entry = kept.remove(at);
+        let mut cached = lock(&self.cache.maps);
+        if let Some(at) = cached.iter().position(|k| Arc::ptr_eq(&k.map, map)) {
+            let entry = cached.remove(at);
             let texture = entry.texture.clone();
-            kept.push(entry);
+            cached.push(entry);
             return Ok(texture);
         }
         self.tally.count(ResourceKind::Map);
@@ -211,17 +211,17 @@ impl Renderer {
             Some((recipe, formula)) => self.sampled_map(recipe, &formula).map(|made| (made.texture, Some(made.bounds)))?,
             None => (self.upload_map(map)?, None),
         };
-        kept.push(CachedMap { map: map.clone(), texture: texture.clone(), bounds });
+        cached.push(CachedMap { map: map.clone(), texture: texture.clone(), bounds });
         Ok(texture)
     }
 
     /// Lets go of the maps that were used longest ago, beyond what is kept.
     fn forget_maps(&self, in_use: &Stack) {
-        let mut kept = lock(&self.cache.maps);
+        let mut cached = lock(&self.cache.maps);
         let cached_bytes = |k: &CachedMap| bytes_of(&k.texture) + k.bounds.as_ref().map_or(0, MapBounds::bytes);
-        let mut bytes: usize = kept.iter().map(cached_bytes).sum();
-        let mut count = kept.len();
-        kept.retain(|k| {
+        let mut bytes: usize = cached.iter().map(cached_bytes).sum();
+        let mut count = cached.len();
+        cached.retain(|k| {
             let goes = (bytes > MAX_CACHED_MAP_BYTES || count > MAX_CACHED_MAPS) && !in_use.all_maps().any(|m| Arc::ptr_eq(&m.map, &k.map));
             if goes {
                 bytes -= cached_bytes(k);
@@ -244,8 +244,8 @@ impl Renderer {
 
     /// Bounds on boxes of the texels of a map that is kept.
     pub(super) fn bounds_of(&self, map: &Arc<DisplacementMap>) -> Result<MapBounds> {
-        let mut kept = lock(&self.cache.maps);
-        let found = kept.iter_mut().find(|k| Arc::ptr_eq(&k.map, map)).ok_or_else(|| Error::Gpu("a map was let go of".into()))?;
+        let mut cached = lock(&self.cache.maps);
+        let found = cached.iter_mut().find(|k| Arc::ptr_eq(&k.map, map)).ok_or_else(|| Error::Gpu("a map was let go of".into()))?;
         match &found.bounds {
             Some(bounds) => Ok(bounds.clone()),
             None => {
@@ -264,13 +264,13 @@ impl Renderer {
 
     /// A buffer of a purpose and at least a size, kept; its content is what it was.
     pub(super) fn scratch_of(&self, purpose: &'static str, size: u64, usage: BufferUsages) -> wgpu::Buffer {
-        let mut kept = lock(&self.cache.scratch);
-        if let Some((_, buffer)) = kept.iter().find(|(p, b)| *p == purpose && b.size() >= size) {
+        let mut cached = lock(&self.cache.scratch);
+        if let Some((_, buffer)) = cached.iter().find(|(p, b)| *p == purpose && b.size() >= size) {
             return buffer.clone();
         }
-        kept.retain(|(p, _)| *p != purpose);
+        cached.retain(|(p, _)| *p != purpose);
         let buffer = self.buffer(purpose, size.next_multiple_of(16), usage);
-        kept.push((purpose, buffer.clone()));
+        cached.push((purpose, buffer.clone()));
         buffer
     }
 

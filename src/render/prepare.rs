@@ -262,8 +262,8 @@ impl Renderer {
 
     /// The nodes of a volume's bounds, and their levels.
     fn value_bounds(&self, contents: &VisibilityCriteria, volume: &VoxelGrid) -> (wgpu::Buffer, Vec<[u32; 4]>) {
-        let mut kept = self.prepare_cache.values.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(found) = kept.as_ref().filter(|v| v.voxels.identity() == volume.voxels.identity()) {
+        let mut cached = self.prepare_cache.values.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(found) = cached.as_ref().filter(|v| v.voxels.identity() == volume.voxels.identity()) {
             return (found.nodes.clone(), found.levels.clone());
         }
         let (mut levels, mut nodes) = (Vec::new(), Vec::new());
@@ -273,7 +273,7 @@ impl Renderer {
             nodes.extend(of_level.iter().map(|r| [r.min[0], r.max[0]]));
         }
         let buffer = self.buffer_of("bounds of the volume", bytemuck::cast_slice(&nodes), BufferUsages::STORAGE);
-        *kept = Some(ValueBounds { voxels: volume.voxels.clone(), nodes: buffer.clone(), levels: levels.clone() });
+        *cached = Some(ValueBounds { voxels: volume.voxels.clone(), nodes: buffer.clone(), levels: levels.clone() });
         (buffer, levels)
     }
 
@@ -314,12 +314,12 @@ impl Renderer {
         let group = self.bind_in_order("classification", &layout, &resources);
         let key = (stack.maps().len(), contents.cuts.primitives().len(), self.strategy.exact_filter);
         let pipeline = {
-            let mut kept = self.prepare_cache.cells.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut cached = self.prepare_cache.cells.lock().unwrap_or_else(PoisonError::into_inner);
             let make = || {
                 let constants = [("MAPS", key.0 as f64), ("CUTS", key.1 as f64), ("EXACT", f64::from(u8::from(key.2)))];
                 self.compute_pipeline_at(Program::Classify, "classify", false, &[&self.stack_layout(), &layout], &constants)
             };
-            kept.entry(key).or_insert_with(make).clone()
+            cached.entry(key).or_insert_with(make).clone()
         };
         {
             let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());

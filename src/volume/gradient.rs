@@ -203,14 +203,14 @@ mod tests {
         }
         fn check<T: Voxel>(grid: &VoxelGrid, voxels: &ArcArray3<T>, note: &str) {
             let s = VolumeSampler::new(grid, voxels);
-            let kept = GradientVolume::new(grid);
-            assert_eq!(kept.is_none(), note == "none", "{note}");
-            let with = VolumeSampler::new(grid, voxels).with_gradients(kept.as_ref());
+            let gradients = GradientVolume::new(grid);
+            assert_eq!(gradients.is_none(), note == "none", "{note}");
+            let with = VolumeSampler::new(grid, voxels).with_gradients(gradients.as_ref());
             let size = grid.size;
             for (n, voxel) in voxels.iter().enumerate() {
                 let at = Vec3::new((n % size[0]) as f32, (n / size[0] % size[1]) as f32, (n / (size[0] * size[1])) as f32);
-                if let Some(kept) = &kept {
-                    let [value, d @ ..] = kept.texels[n].map(f32::from);
+                if let Some(gradients) = &gradients {
+                    let [value, d @ ..] = gradients.texels[n].map(f32::from);
                     assert_eq!(value, voxel.to_f32(), "{note} {size:?} {n}");
                     let (got, want) = (Vec3::from(d) * 0.5 * grid.scale, s.gradient(at, GradientFilter::Central));
                     assert!(got.abs_diff_eq(want, 1e-6), "{note} {size:?} {n}: {got} for {want}");

@@ -550,7 +550,7 @@ mod tests {
     fn cuts_travel_with_their_matter() {
         let field = field(&["cut 5 1 -10 0 0", "push 18 1 -10 0 0 10 0 0"]);
         assert!(cut(field.as_ref(), 10.0, 0.0, 0.0) < -1.0);
-        assert!(cut(field.as_ref(), -10.0, 0.0, 0.0) > 0.0, "matter from behind has filled the hole");
+        assert!(cut(field.as_ref(), -10.0, 0.0, 0.0) > 0.0, "what lies behind has filled the hole");
     }
 
     #[test]
@@ -659,10 +659,10 @@ mod tests {
 
     #[test]
     fn refusals_name_the_stroke() {
-        let said = |strokes: &[&str]| field_in(strokes, 1.0, Affine3A::IDENTITY).err().map(|e| e.to_string()).unwrap_or_default();
-        assert!(said(&["cut 5 1 0 0 0", "ctu 5 1 0 0 0"]).contains("stroke 2: \"ctu\" is not a tool; did you mean \"cut\"?"));
-        assert!(said(&["cut 5 1 0 0 0"; MAX_STROKES + 1]).contains("at most 4096"));
+        let refusal = |strokes: &[&str]| field_in(strokes, 1.0, Affine3A::IDENTITY).err().map(|e| e.to_string()).unwrap_or_default();
+        assert!(refusal(&["cut 5 1 0 0 0", "ctu 5 1 0 0 0"]).contains("stroke 2: \"ctu\" is not a tool; did you mean \"cut\"?"));
+        assert!(refusal(&["cut 5 1 0 0 0"; MAX_STROKES + 1]).contains("at most 4096"));
         let long = format!("cut 5 1{}", " 1 2 3".repeat(MAX_POINTS / 2));
-        assert!(said(&[&long, &long, "cut 5 1 0 0 0"]).contains("at most 200000"));
+        assert!(refusal(&[&long, &long, "cut 5 1 0 0 0"]).contains("at most 200000"));
     }
 }

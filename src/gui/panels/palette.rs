@@ -116,11 +116,11 @@ impl Workstation {
             });
             if let Some((key, modifiers)) = pressed {
                 if key != Key::Escape {
-                    let mut kept = egui::Modifiers::NONE;
-                    kept.command = modifiers.command;
-                    kept.alt = modifiers.alt;
-                    kept.shift = modifiers.shift;
-                    let shortcut = egui::KeyboardShortcut::new(kept, key);
+                    let mut pressed = egui::Modifiers::NONE;
+                    pressed.command = modifiers.command;
+                    pressed.alt = modifiers.alt;
+                    pressed.shift = modifiers.shift;
+                    let shortcut = egui::KeyboardShortcut::new(pressed, key);
                     let text = action::key_text(&shortcut);
                     // A key does one thing: whoever had it has none now.
                     for entry in &self.entries {

@@ -133,7 +133,7 @@ impl Workstation {
         let assets = doc.assets.clone();
         let scene = sliced(&doc.shown(self.shows_undeformed()));
         let shared = match &self.slices.scene {
-            Some(kept) if **kept == scene => kept.clone(),
+            Some(cached) if **cached == scene => cached.clone(),
             _ => {
                 let shared = Arc::new(scene);
                 self.slices.scene = Some(shared.clone());

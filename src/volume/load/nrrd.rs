@@ -321,17 +321,17 @@ fn arranged(voxels: StoredValues, axes: &Axes, time: Option<usize>) -> (StoredVa
         return (voxels, components, layout);
     }
     // Slowest first, as arrays are indexed. A time axis in the slowest place was passed over while reading.
-    let mut kept: Vec<usize> = (0..axes.sizes.len()).rev().filter(|a| time.is_some() || Some(*a) != axes.time).collect();
-    let shape: Vec<usize> = kept.iter().map(|&a| axes.sizes[a]).collect();
+    let mut remaining: Vec<usize> = (0..axes.sizes.len()).rev().filter(|a| time.is_some() || Some(*a) != axes.time).collect();
+    let shape: Vec<usize> = remaining.iter().map(|&a| axes.sizes[a]).collect();
     let mut array = voxels.reshaped(IxDyn(&shape));
     if let Some((axis, t)) = axes.time.zip(time)
-        && let Some(place) = kept.iter().position(|a| *a == axis)
+        && let Some(place) = remaining.iter().position(|a| *a == axis)
     {
         array = array.at_index(Axis(place), t);
-        kept.remove(place);
+        remaining.remove(place);
     }
     let wanted = axes.components.into_iter().chain(axes.spatial.iter().rev().copied());
-    let order: Vec<usize> = wanted.filter_map(|axis| kept.iter().position(|a| *a == axis)).collect();
+    let order: Vec<usize> = wanted.filter_map(|axis| remaining.iter().position(|a| *a == axis)).collect();
     let count = array.len();
     (array.permuted(IxDyn(&order)).reshaped(count), components, Layout::Planar)
 }
