@@ -1,8 +1,10 @@
-//! The one place where pictures get a backend: a GPU where there is one that will do, else the CPU; a lost GPU is opened once more, and then the
-//! CPU takes over.
+//! Selects the backend that renders: a GPU if a suitable one exists, else the CPU. A lost GPU is
+//! reopened once, after which the CPU takes over.
 //!
-//! *How to call it*: [`Engine::auto`] and [`Engine::render_scene`] for a picture of a scene. Who renders many pictures of one scene loads its assets
-//! into an [`AssetCache`] and asks for each with [`Engine::picture`]; who times the steps calls [`Engine::prepare`] and [`Engine::render`].
+//! *How to call it*: [`Engine::auto`] and [`Engine::render_scene`] for one picture of a scene. To
+//! render many pictures of a scene, load its assets into an [`AssetCache`] and call
+//! [`Engine::picture`]; to time the steps separately, call [`Engine::prepare`] and
+//! [`Engine::render`].
 //!
 //! ```no_run
 //! # fn main() -> incise::Result<()> {
@@ -44,20 +46,21 @@ pub enum Backend {
 pub struct EngineOptions {
     /// Where pictures are computed.
     pub backend: Backend,
-    /// A GPU that is missing, fails or cannot hold a scene is an error, rather than a reason to use the CPU.
+    /// Makes a GPU that is missing, fails or cannot hold a scene an error instead of falling back
+    /// to the CPU.
     pub strict: bool,
-    /// Pictures report how long the GPU drew, by its own clock.
+    /// Pictures report how long the GPU took to draw, by its own clock.
     pub time_passes: bool,
 }
 
-/// How good a picture is wanted.
+/// The requested quality of a picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Quality {
-    /// As the scene says.
+    /// As the scene specifies.
     #[default]
     Full,
-    /// For a view that moves: this many pixels of the view along each axis become one, steps are doubled where that is more than 1.5, and nothing is
-    /// antialiased.
+    /// For a moving view: `scale` pixels of the view along each axis become one pixel of the
+    /// picture, the step is doubled if `scale` exceeds 1.5, and antialiasing is off.
     Draft {
         /// Pixels of the view per pixel of the picture, along each axis.
         scale: f32,
@@ -65,7 +68,7 @@ pub enum Quality {
 }
 
 impl Quality {
-    /// The scene as it is rendered.
+    /// The scene as rendered at this quality.
     fn of(self, scene: &Scene) -> Cow<'_, Scene> {
         let Self::Draft { scale } = self else { return Cow::Borrowed(scene) };
         let mut draft = scene.clone();
@@ -76,14 +79,14 @@ impl Quality {
     }
 }
 
-/// What is wanted of one picture.
+/// What one picture should contain.
 #[derive(Clone, Copy)]
 pub struct RenderRequest<'a> {
-    /// How good it is to be.
+    /// Its quality.
     pub quality: Quality,
-    /// Whether a GPU counts its samples, which costs a little; the CPU always does.
+    /// Whether a GPU counts its samples, at a small cost; the CPU always does.
     pub count_samples: bool,
-    /// Receives the share that is done, and says when to stop.
+    /// Receives the fraction of work done, and can cancel it.
     pub watch: Watch<'a>,
 }
 
@@ -93,14 +96,14 @@ impl Default for RenderRequest<'_> {
     }
 }
 
-/// What computed a picture.
+/// The device that computed a picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DeviceInfo {
-    /// Whether it is a GPU, a software one included.
+    /// Whether it is a GPU, including a software one.
     pub is_gpu: bool,
-    /// Whether it is a GPU that a processor emulates.
+    /// Whether it is a software GPU, emulated by the processor.
     pub is_software: bool,
-    /// Its name, for people.
+    /// Its name, for display.
     pub name: String,
     /// Details of a GPU, for reports.
     pub details: Value,
@@ -117,9 +120,9 @@ impl DeviceInfo {
     }
 }
 
-/// A picture with the prepared scene that it shows.
+/// A picture with the prepared scene it shows.
 pub struct ScenePicture<'a> {
-    /// The scene as it was rendered.
+    /// The scene as rendered.
     pub prepared: Prepared<'a>,
     /// The picture.
     pub rendered: Rendered,
@@ -127,15 +130,16 @@ pub struct ScenePicture<'a> {
     pub device: DeviceInfo,
 }
 
-/// The assets of the scene that was rendered last, and of its volume if the next one shows the same.
+/// The assets of the most recently rendered scene. Its volume is reused if the next scene shows the
+/// same one.
 #[derive(Default)]
 pub struct AssetCache(Option<(AssetKey, Arc<Assets>)>);
 
 impl AssetCache {
-    /// The assets of a scene: those that are there if nothing of it needs loading.
+    /// The assets of a scene; nothing is loaded if the cached ones still apply.
     ///
     /// # Errors
-    /// What the readers report; [`Error::Cancelled`].
+    /// Errors from the readers; [`Error::Cancelled`].
     pub fn load(&mut self, scene: &Scene, options: &LoadOptions) -> Result<Arc<Assets>> {
         let key = AssetKey::of(scene);
         if let Some((_, assets)) = self.0.as_ref().filter(|(of, _)| *of == key) {
@@ -148,14 +152,14 @@ impl AssetCache {
     }
 }
 
-/// Renders prepared scenes on the backend that was chosen for it.
+/// Renders prepared scenes on the selected backend.
 pub struct Engine {
     options: EngineOptions,
     #[cfg(feature = "gpu")]
     gpu: Option<Renderer>,
-    /// Why the CPU computes although a GPU was to.
+    /// Why the CPU computes although a GPU was requested or preferred.
     fallback: Option<Error>,
-    /// Time that opening the GPU took, until a picture has reported it.
+    /// Time taken to open the GPU, until a picture has reported it.
     setup: StageTimes,
     warnings: Vec<String>,
 }
@@ -173,10 +177,10 @@ impl Engine {
         Self::closed(EngineOptions { backend: Backend::Cpu, ..EngineOptions::default() })
     }
 
-    /// As the options say.
+    /// Opens the backend that the options request.
     ///
     /// # Errors
-    /// [`Error::Gpu`] if a GPU is required (`strict`) and there is none that will do.
+    /// [`Error::Gpu`] if a GPU is required (`strict`) and no suitable one exists.
     pub fn open(options: EngineOptions) -> Result<Self> {
         let mut engine = Self::closed(options);
         match engine.open_gpu() {
@@ -197,12 +201,12 @@ impl Engine {
         }
     }
 
-    /// The backend that was asked for.
+    /// The requested backend.
     pub fn backend(&self) -> Backend {
         self.options.backend
     }
 
-    /// What computes pictures now.
+    /// The device that currently computes pictures.
     pub fn device(&self) -> DeviceInfo {
         #[cfg(feature = "gpu")]
         if let Some(renderer) = &self.gpu {
@@ -211,7 +215,8 @@ impl Engine {
         DeviceInfo::cpu()
     }
 
-    /// Bytes of the volume's textures that are on a GPU: values with colours, and gradients; none where the CPU computes.
+    /// Bytes of the volume's textures on the GPU: values with colours, and gradients; none if the
+    /// CPU computes.
     pub fn gpu_volume_bytes(&self) -> Option<[u64; 2]> {
         #[cfg(feature = "gpu")]
         return self.gpu.as_ref().map(Renderer::volume_bytes);
@@ -229,19 +234,20 @@ impl Engine {
         std::mem::take(&mut self.warnings)
     }
 
-    /// A picture of a scene. What it names is loaded for this picture alone.
+    /// Renders a scene. Its files are loaded for this picture alone.
     ///
     /// # Errors
-    /// What the readers report; any setting that cannot be used, by name.
+    /// Errors from the readers; any setting that cannot be used, by name.
     pub fn render_scene(&mut self, scene: &Scene) -> Result<Rendered> {
         let assets = Assets::load(scene)?;
         Ok(self.picture(scene, &assets, &RenderRequest::default())?.rendered)
     }
 
-    /// A picture of a scene whose assets are loaded.
+    /// Renders a scene whose assets are loaded.
     ///
     /// # Errors
-    /// Any setting that cannot be used, by name; [`Error::Cancelled`]; what a GPU reports, if the options are strict.
+    /// Any setting that cannot be used, by name; [`Error::Cancelled`]; GPU errors, if the options
+    /// are strict.
     pub fn picture<'a>(&mut self, scene: &Scene, assets: &'a Assets, request: &RenderRequest) -> Result<ScenePicture<'a>> {
         let scene = request.quality.of(scene);
         let on_gpu = self.picture_on_gpu(&scene, assets, request)?;
@@ -256,7 +262,7 @@ impl Engine {
         Ok(ScenePicture { prepared, rendered, device: DeviceInfo::cpu() })
     }
 
-    /// A scene resolved by the device that will render it.
+    /// Resolves a scene on the device that will render it.
     ///
     /// # Errors
     /// As [`Self::picture`].
@@ -273,10 +279,11 @@ impl Engine {
         Prepared::with(scene, assets, &PrepareOptions::default().watched(watch))
     }
 
-    /// A picture of a prepared scene. A GPU that fails is not opened again: what it prepared is lost with it, and the CPU renders.
+    /// Renders a prepared scene. A GPU that fails is not reopened: the scene prepared on it is lost
+    /// with it, and the CPU renders instead.
     ///
     /// # Errors
-    /// [`Error::Cancelled`]; what a GPU reports, if the options are strict.
+    /// [`Error::Cancelled`]; GPU errors, if the options are strict.
     pub fn render(&mut self, prepared: &Prepared, request: &RenderRequest) -> Result<(Rendered, DeviceInfo)> {
         #[cfg(feature = "gpu")]
         if let Some(renderer) = &mut self.gpu {
@@ -296,10 +303,10 @@ impl Engine {
     }
 }
 
-/// What a GPU made of a request.
+/// The outcome of a request on the GPU.
 enum Attempt<'a> {
     Done(Box<ScenePicture<'a>>),
-    /// The CPU has to render this picture, for a reason that its notices state if there is one.
+    /// The CPU has to render this picture, for the reason given in its notices, if any.
     Cpu(Option<String>),
 }
 
@@ -324,7 +331,8 @@ impl Engine {
         Ok(())
     }
 
-    /// Gives up the GPU, as if its driver had failed: the next picture finds the device lost. Where none is open, one is tried.
+    /// Gives up the GPU as if its driver had failed: the next picture finds the device lost. If
+    /// none is open, tries to open one.
     pub fn lose_device(&mut self) {
         match &self.gpu {
             Some(renderer) => renderer.device().device.destroy(),
@@ -343,7 +351,8 @@ impl Engine {
                     let rendered = renderer.render(&prepared, request.count_samples, &request.watch)?;
                     Ok((prepared, rendered))
                 };
-                // Lost in the middle of a picture, a device may be found out by a call that cannot report it.
+                // If the device is lost in the middle of a picture, the first call to notice may be
+                // one that cannot report it.
                 std::panic::catch_unwind(std::panic::AssertUnwindSafe(attempt)).unwrap_or_else(|_| Err(Error::Gpu("the driver failed".into())))
             };
             match attempt {
@@ -360,7 +369,7 @@ impl Engine {
                     self.warnings.push(format!("the GPU stopped responding ({problem}); {outcome}"));
                     self.fallback = self.gpu.is_none().then(|| Error::Gpu(problem));
                 }
-                // The next scene may be one for it again.
+                // The GPU may be able to render the next scene.
                 Err(error @ Error::GpuLimit(_)) if !self.options.strict => {
                     return Ok(Attempt::Cpu(Some(format!("this picture was rendered on the CPU ({error})"))));
                 }

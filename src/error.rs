@@ -1,4 +1,4 @@
-//! The one error type: every message names the file or option, says what is wrong and what to do.
+//! The error type: every message names the file or option, states what is wrong and what to do.
 
 use std::path::{Path, PathBuf};
 
@@ -10,14 +10,14 @@ pub enum Error {
     Io {
         /// The file.
         path: PathBuf,
-        /// What was being done, e.g. `reading`.
+        /// The operation that failed, e.g. `reading`.
         doing: &'static str,
-        /// The operating system's word.
+        /// The operating system's error.
         source: std::io::Error,
         /// What to do, starting with `; ` (or empty).
         hint: &'static str,
     },
-    /// A file was read but its content is not usable.
+    /// A file was read but its content is unusable.
     #[error("{}: {problem}", shown(path))]
     File {
         /// The file.
@@ -25,7 +25,7 @@ pub enum Error {
         /// What is wrong with it and what to do.
         problem: String,
     },
-    /// An option, key or parameter has a value that cannot be used.
+    /// An option, key or parameter has an unusable value.
     #[error("{name}: {problem}")]
     Value {
         /// The option or key as the user typed it.
@@ -33,7 +33,7 @@ pub enum Error {
         /// What is wrong with it and what to do.
         problem: String,
     },
-    /// The work was told to stop.
+    /// The work was cancelled.
     #[error("cancelled")]
     Cancelled,
     /// No graphics adapter, or one that failed.
@@ -47,13 +47,14 @@ pub enum Error {
 /// A result with this crate's [`Error`].
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// A path in a message: names of files may hold what moves a terminal's cursor.
+/// A path as shown in a message: file names may hold control characters, which can move a
+/// terminal's cursor.
 fn shown(path: &Path) -> String {
     path.to_string_lossy().replace(char::is_control, "\u{fffd}")
 }
 
 impl Error {
-    /// An [`Error::Io`] with a hint for the commonest causes.
+    /// An [`Error::Io`] with a hint for the most common causes.
     pub fn io(path: &Path, doing: &'static str, source: std::io::Error) -> Self {
         use std::io::ErrorKind as K;
         let hint = match source.kind() {
@@ -69,7 +70,7 @@ impl Error {
         Self::File { path: path.to_owned(), problem: problem.into() }
     }
 
-    /// The same, of a part of something that has a name: `peel: radius: ...`.
+    /// The same error inside a named part: `peel: radius: ...`.
     #[must_use]
     pub fn within(self, part: &str) -> Self {
         match self {
@@ -78,7 +79,8 @@ impl Error {
         }
     }
 
-    /// The same without line breaks and other control characters, which a damaged file may have put into what is quoted of it.
+    /// The same without line breaks and other control characters, which quoted text from a damaged
+    /// file may contain.
     pub fn printable(self) -> Self {
         let plain = |text: String| if text.contains(char::is_control) { text.replace(char::is_control, " ") } else { text };
         match self {
@@ -94,7 +96,7 @@ impl Error {
     }
 }
 
-/// `; did you mean "peel"?` for the closest of `valid_names`, or the list of them when nothing is close.
+/// `; did you mean "peel"?` for the closest of `valid_names`, or the list of them if none is close.
 pub(crate) fn suggestion<'a>(word: &str, valid_names: impl IntoIterator<Item = &'a str>) -> String {
     let valid_names: Vec<&str> = valid_names.into_iter().collect();
     let closest = valid_names.iter().map(|k| (strsim::normalized_damerau_levenshtein(word, k), k)).max_by(|a, b| a.0.total_cmp(&b.0));

@@ -1,8 +1,9 @@
-//! incise renders CT and MRI volumes that are cut, peeled, pulled and opened **at render time**: the volume is never resampled.
-//! A displacement map (a small 3D grid) says, for every point of the deformed scene, which point of the volume it shows and
-//! whether anything is there at all; slicing and ray casting look it up at every sample.
+//! incise renders CT and MRI volumes that are cut, peeled, pulled and opened **at render time**:
+//! the volume is never resampled. A displacement map (a small 3D grid) gives, for every point of
+//! the deformed scene, the corresponding source point in the volume and whether the point is cut
+//! away; slicing and ray casting look it up at every sample.
 //!
-//! A scan, a peel, a picture:
+//! Load a scan, peel it, render a picture:
 //!
 //! ```
 //! use incise::{Engine, Scene, kinds::Peel, scene::View};
@@ -18,7 +19,7 @@
 //! # }
 //! ```
 //!
-//! A volume of one's own, an [`Array3`](ndarray::Array3) of shape (k, j, i):
+//! Render your own data, an [`Array3`](ndarray::Array3) of shape (k, j, i):
 //!
 //! ```
 //! use incise::volume::Rescale;
@@ -38,7 +39,8 @@
 //! # }
 //! ```
 //!
-//! A displacement field of a registration, applied to a volume and written as a new one, as registration programs do it:
+//! Apply a registration's displacement field to a volume and write the result as a new volume, as
+//! registration programs do:
 //!
 //! ```
 //! use incise::export::bake::{self, BakeOptions};
@@ -62,7 +64,7 @@
 //! # }
 //! ```
 //!
-//! A mesh as a signed distance field:
+//! Convert a mesh to a signed distance field:
 //!
 //! ```
 //! use incise::mesh::{field::{FieldSettings, MeshField}, load};
@@ -76,8 +78,10 @@
 //! # }
 //! ```
 //!
-//! A [`Scene`] is plain data, the same that a scene file states ([`Scene::load`]). An [`Engine`] renders it on a GPU or on the CPU. Who renders many
-//! pictures of one scene keeps its [`Assets`] ([`engine::AssetCache`]) and asks with a [`RenderRequest`], which can also be stopped ([`Watch`]).
+//! A [`Scene`] is plain data, the same data that a scene file states ([`Scene::load`]). An
+//! [`Engine`] renders it on a GPU or on the CPU. To render many pictures of one scene, keep its
+//! [`Assets`] ([`engine::AssetCache`]) and pass a [`RenderRequest`] for each picture; a request can
+//! be cancelled ([`Watch`]).
 //!
 //! ```text
 //!   file, phantom ── volume ──┐
@@ -87,17 +91,20 @@
 //!   camera, light ────────────┘                                └── render (slices, rays and surfaces on a GPU, on top of gpu)
 //! ```
 //!
-//! Modules, each knowing only those before it (a test holds it): [`files`] ← [`math`] ← [`volume`] ← [`picture`], [`mesh`], [`transfer`], [`deform`] ←
-//! [`scene`] ← [`prepare`] ← [`cpu`], ([`gpu`] ← [`render`]) ← [`engine`] ← [`export`] ← [`compare`] ← [`cli`], [`gui`] (the workstation), which do not
-//! know each other.
+//! Modules, each depending only on those before it (a test enforces this): [`files`] ← [`math`] ←
+//! [`volume`] ← [`picture`], [`mesh`], [`transfer`], [`deform`] ← [`scene`] ← [`prepare`] ←
+//! [`cpu`], ([`gpu`] ← [`render`]) ← [`engine`] ← [`export`] ← [`compare`] ← [`cli`], [`gui`] (the
+//! workstation). The last two do not depend on each other.
 //!
-//! *Theory*: backward displacement maps with a discontinuity mask, \[DDM06\] = Correa, Silver, Chen, "Discontinuous Displacement
-//! Mapping for Volume Graphics", Volume Graphics 2006; \[DS07\] = Correa, Silver, "Programmable Shaders for Deformation Rendering",
-//! Graphics Hardware 2007; \[GG42\] = d'Eon, "Deformers", GPU Gems chapter 42, 2004; \[RVD01\] = Westermann, Rezk-Salama, "Real-Time Volume
-//! Deformations", Eurographics 2001. The formulas are in [`model`]. Where we differ from the papers, the module that differs says so in its first lines.
+//! *Theory*: backward displacement maps with a discontinuity mask, \[DDM06\] = Correa, Silver,
+//! Chen, "Discontinuous Displacement Mapping for Volume Graphics", Volume Graphics 2006; \[DS07\] =
+//! Correa, Silver, "Programmable Shaders for Deformation Rendering", Graphics Hardware 2007;
+//! \[GG42\] = d'Eon, "Deformers", GPU Gems chapter 42, 2004; \[RVD01\] = Westermann, Rezk-Salama,
+//! "Real-Time Volume Deformations", Eurographics 2001. The formulas are in [`model`]. Where a
+//! module differs from the papers, its header states the difference.
 //!
-//! *Spaces*: voxel (indices, centres at integers), world (millimetres, patient LPS), map (the unit cube of one displacement
-//! map), view. Transforms are named `target_from_source`.
+//! *Spaces*: voxel (indices, centres at integers), world (millimetres, patient LPS), map (the unit
+//! cube of one displacement map), view. Transforms are named `target_from_source`.
 
 pub mod cli;
 pub mod compare;
@@ -133,5 +140,5 @@ pub use scene::{Deformation, Scene, kinds};
 pub use volume::Volume;
 pub use watch::{ByteProgress, Watch};
 
-// The types of vectors and arrays in the interface.
+// Vector and array types of the public interface.
 pub use {glam, ndarray};

@@ -1,7 +1,7 @@
-//! The mathematics that every part of the program agrees with: spaces, formulas, conventions.
+//! The mathematics shared by all parts of the program: spaces, formulas, conventions.
 //!
 //! This module holds no code. CPU code, shaders, readers and tests follow it. Where two papers
-//! disagree, the choice made here stands.
+//! disagree, the choice made here applies.
 //!
 //! | | |
 //! |---|---|
@@ -21,44 +21,45 @@
 //! | local | millimetres from the centre of a deformation's box, along its axes | where kinds are stated |
 //! | view, clip | wgpu's conventions | camera |
 //!
-//! A volume carries an affine `world_from_voxel`: spacing, direction and origin. Anisotropic and oblique
-//! grids are normal. A placement `world_from_map` puts a map into the world; A is its linear part.
-//! Transforms are named `target_from_source`.
+//! A volume carries an affine `world_from_voxel`: spacing, direction and origin. Anisotropic and
+//! oblique grids are supported throughout. A placement `world_from_map` places a map in the world;
+//! A is its linear part. Transforms are named `target_from_source`.
 //!
 //! # Displacement maps
 //!
-//! A map is a 3D grid of four numbers over its unit cube: the *inverse* displacement D and the alpha
-//! mask ([`DisplacementMap`](crate::deform::DisplacementMap)). An axis of one grid point does not vary.
-//! It says where the sample at a deformed point p' came from:
+//! A map is a 3D grid of four numbers over its unit cube: the *inverse* displacement D and the
+//! alpha mask ([`DisplacementMap`](crate::deform::DisplacementMap)). An axis of one grid point does
+//! not vary. The map gives the source point p of the sample at a deformed point p':
 //!
 //! ```text
 //! p = p' + A D(world_from_map⁻¹ p')     inside the map's cube
 //! p = p'                                outside it                        [DDM06 eq 3], [DS07 eq 2]
 //! ```
 //!
-//! - D is in map units. It is stored divided by its largest component, so in \[-1, 1\], with one scale
-//!   a map: as 16-bit floats by default, or 16-bit or 8-bit steps, or 32-bit floats (fields from files).
-//!   Eight bits show (\[DDM06\] section 8).
-//! - alpha = 1: something is there. alpha = 0: nothing is. Below 1/2 a sample is cut away
-//!   (\[DDM06\] 4.2).
-//! - D is continuous, also across a cut: the *pseudo-inverse* of \[DDM06\] 4.1. The discontinuity lies
-//!   in alpha alone, so that interpolation never mixes values from both sides.
-//! - The mask is a ramp of the signed distance d to the nearest cut, in millimetres, positive where
-//!   something stays. \[DDM06\] section 5 blurs a binary mask instead, which moves the contour where a
-//!   cut bends.
+//! - D is in map units. It is stored divided by its largest component, so in \[-1, 1\], with one
+//!   scale per map: as 16-bit floats by default, or as 16-bit or 8-bit steps, or as 32-bit floats
+//!   (fields from files). Quantisation to eight bits is visible (\[DDM06\] section 8).
+//! - alpha = 1: the point is present. alpha = 0: it is cut away. A sample with alpha below 1/2 is
+//!   discarded (\[DDM06\] 4.2).
+//! - D is continuous, also across a cut: the *pseudo-inverse* of \[DDM06\] 4.1. The discontinuity
+//!   lies in alpha alone, so that interpolation never mixes values from both sides.
+//! - The mask is a ramp of the signed distance d to the nearest cut, in millimetres, positive on
+//!   the retained side. \[DDM06\] section 5 blurs a binary mask instead, which moves the contour
+//!   where a cut bends.
 //!
 //! ```text
 //! alpha = clamp(1/2 + d / 2w)      w = max(2 texels, 1.2 times the reach of the blend of normals)
 //! ```
 //!
-//! - D should vanish on the faces of the cube. A kind names the faces on which it does not
-//!   ([`nonzero_faces`](crate::deform::kinds::Kind::nonzero_faces)): there the box should end in empty space.
-//! - A field from a registration, a saved map and a composite are maps like any other. A field's
-//!   outermost vectors hold to the faces of their voxels, half a voxel beyond the cube.
+//! - D should vanish on the faces of the cube. A kind lists the faces on which it does not
+//!   ([`nonzero_faces`](crate::deform::kinds::Kind::nonzero_faces)): there the box should end in
+//!   empty space.
+//! - A field from a registration, a saved map and a composite are ordinary maps. A field's
+//!   outermost vectors extend to the faces of their voxels, half a voxel beyond the cube.
 //!
-//! **Cylindrical coordinates** (\[DS07\] 3.2) are applied when a map is sampled, so that renderers know
-//! Cartesian maps only. With the box's extents X, Y, Z and R half the shorter of X and Y, the kind is
-//! asked at
+//! **Cylindrical coordinates** (\[DS07\] 3.2) are applied when a map is sampled, so that renderers
+//! handle only Cartesian maps. With the box's extents X, Y, Z and R half the shorter of X and Y,
+//! the kind is evaluated at
 //!
 //! ```text
 //! u = (atan2(x, y) X / 2π,  z Y / Z,  (r / R - 1/2) Z)          r = √(x² + y²)
@@ -76,19 +77,20 @@
 //!                                                                               [DDM06 eq 9]
 //! ```
 //!
-//! The walk ends where a mask is below 1/2. The minimum, not the product: where smoothed masks overlap
-//! a product moves the contour (0.6 · 0.6 < 0.5). Order matters.
+//! The walk ends where a mask is below 1/2. The masks combine by their minimum, not their product:
+//! where smoothed masks overlap, a product moves the contour (0.6 · 0.6 < 0.5). The order of the
+//! maps matters.
 //!
 //! A map may be *added* to the one before it (\[DS07\] section 4). Both are evaluated at the same point
 //! and their displacements add.
 //!
-//! On the fly, every sample walks all maps. With an error bound, a single composite map stands for the
-//! stack wherever its error is within the bound; cells where it is not are marked, and there the maps
-//! are walked ([`compose`](crate::deform::compose)).
+//! On the fly, every sample walks all maps. With an error bound, a single composite map replaces
+//! the stack wherever its error is within the bound; cells where it is not are marked, and there
+//! the maps are walked ([`compose`](crate::deform::compose)).
 //!
-//! Removals at the end of the stack are no maps but shapes with a signed distance of Lipschitz
-//! constant 1 ([`cut`](crate::deform::cut)). Along a ray the retained part of each step is found
-//! exactly, and the step counts for its length.
+//! Removals at the end of the stack are not maps but shapes with a signed distance of Lipschitz
+//! constant 1 ([`cut`](crate::deform::cut)). The retained part of each ray step is found exactly,
+//! and the step is weighted by its length.
 //!
 //! # Normals
 //!
@@ -99,18 +101,19 @@
 //! n'    = normalise(ω c n + (1 - ω) n_cut)                     beside a cut     [DDM06 eq 7]
 //! ```
 //!
-//! J_D is taken by central differences over one texel to each side, shortened at the cube's faces. g is
-//! the scan's gradient in world millimetres: the gradient per voxel times the transposed inverse of the
-//! voxel axes. n is Jᵀ g normalised, pointing out of what is seen. n_cut is the unit normal of the
-//! nearest cut, out of it as well.
+//! J_D is taken by central differences over one texel to each side, shortened at the cube's faces.
+//! g is the scan's gradient in world millimetres: the gradient per voxel times the transposed
+//! inverse of the voxel axes. n is Jᵀ g normalised, pointing out of the visible material. n_cut is
+//! the outward unit normal of the nearest cut.
 //!
 //! - ω rises from 0 to 1 (smoothstep) with the distance from the cut, between s and 2.5 s, where s is
 //!   the step or the reference length, whichever is longer. The paper blends over the mask's value,
 //!   which depends on a map's resolution.
 //! - c is the surface confidence: 0 where the change of the transfer function's coordinate over one
 //!   reference length is below 0.004, 1 above 0.04. A uniform region has no surface.
-//! - The cut's normal counts only where the ray comes out of the cut, and where something at least half
-//!   as dense lies behind its face. The six faces of the volume's box are cuts as well.
+//! - The cut's normal is blended in only where the ray comes out of the cut, and where the material
+//!   behind the cut's face is at least half as dense. The six faces of the volume's box are treated
+//!   as cuts as well.
 //!
 //! For a linear map D(x) = Lx the rule is exact.
 //!
@@ -134,40 +137,40 @@
 //! out  = even + (lit - even) c
 //! ```
 //!
-//! The result is held to 0..1. Two-sided light turns n towards the eye. Surfaces have c = 1 and a highlight of their own. MIP,
-//! MinIP and average take no light.
+//! The result is clamped to 0..1. Two-sided light turns n towards the eye. Surfaces have c = 1 and
+//! their own highlight. MIP, MinIP and average are unlit.
 //!
 //! # Opacity and compositing
 //!
-//! Opacity is stated for one reference length Δ₀, the smallest voxel spacing. The table holds optical
-//! depth τ = -log₂(1 - a₀). A sample that stands for a length ℓ has the opacity
+//! Opacity is stated for one reference length Δ₀, the smallest voxel spacing. The table holds
+//! optical depth τ = -log₂(1 - a₀). A sample that represents a length ℓ has the opacity
 //!
 //! ```text
 //! a = 1 - 2^(-τ ℓ/Δ₀) = 1 - (1 - a₀)^(ℓ/Δ₀)
 //! ```
 //!
-//! Samples are composited front to back, premultiplied. A ray ends when less than 1/512 of the light
-//! passes. With a pre-integrated transfer function (Engel, Kraus, Ertl 2001), τ and colour are those of
-//! the segment between two samples.
+//! Samples are composited front to back, premultiplied. A ray ends when less than 1/512 of the
+//! light passes (early ray termination). With a pre-integrated transfer function (Engel, Kraus,
+//! Ertl 2001), τ and colour are those of the segment between two samples.
 //!
-//! **Rays** have samples at t = (i + 1/2) Δ from the eye. **Slices** are view-aligned planes at depth
-//! (i + 1/2) Δ, so that a ray meets them at t = (i + 1/2) Δ / cos θ, θ being its angle to the view
-//! direction, and ℓ = Δ / cos θ. Both are anchored at the eye, so that the box does not move them. In an
-//! orthographic view they are the same points.
+//! **Rays** have samples at t = (i + 1/2) Δ from the eye. **Slices** are view-aligned planes at
+//! depth (i + 1/2) Δ, so that a ray meets them at t = (i + 1/2) Δ / cos θ, θ being its angle to the
+//! view direction, and ℓ = Δ / cos θ. Both are anchored at the eye, so sample positions do not
+//! depend on the box. In an orthographic view the two coincide.
 //!
-//! On a GPU, slices are drawn front to back in slabs of 32 (\[DDM06\] section 4 draws them back to front
-//! and one by one). A polygon covers the slab's sections of the proxy box, which is the box of the
-//! occupied cells; a fragment composites 32 samples. If the proxy is a closed mesh (\[RVD01\] section
-//! 2), its sections are filled contours, one slice at a time. On a CPU slices are rays with the step
-//! Δ / cos θ.
+//! On a GPU, slices are drawn front to back in slabs of 32 (\[DDM06\] section 4 draws them back to
+//! front and one by one). A polygon covers the slab's sections of the proxy box, which is the box
+//! of the occupied cells; a fragment composites 32 samples. If the proxy is a closed mesh
+//! (\[RVD01\] section 2), its sections are filled contours, one slice at a time. On a CPU, slices
+//! are rays with the step Δ / cos θ.
 //!
-//! - Where a ray enters a surface, the point is found by bisection between two samples, and colour and
-//!   light are taken there.
+//! - Where a ray enters a surface, the point is found by bisection between two samples, and colour
+//!   and shading are evaluated there.
 //! - An iso-surface (`render.iso`) is the first sample at or above the value, refined by bisection. It
 //!   is lit by the transformed gradient, or by the difference of the deformed volume towards the light
 //!   (\[RVD01\] 3.3).
-//! - Next to a cut, a sample stands for the part of its length on its own side, so that a planar cut is
-//!   exact wherever samples fall.
+//! - Next to a cut, a sample represents only the part of its length on its own side, so that a
+//!   planar cut is exact wherever the samples fall.
 //!
 //! # Surfaces
 //!
@@ -182,9 +185,9 @@
 //! | solid | a hit in a cut is passed by; the face of the cut (A = 0) is a hit where f > 0 |
 //! | thick | solid, of f̂ = τ - f where f > τ/2, else f, τ being the thickness (\[DS07\] eq 7) |
 //!
-//! Both changes of sign within a step are taken in their order along the ray. On a face the normal is
-//! the cut's; elsewhere it is Jᵀ ∇f, out of the solid. The sign of a mesh is that of its generalised
-//! winding number above 1/2.
+//! Both changes of sign within a step are handled in their order along the ray. On a face the
+//! normal is the cut's; elsewhere it is Jᵀ ∇f, pointing out of the solid. A point is inside a mesh
+//! where the generalised winding number is above 1/2.
 //!
 //! | steps | δt |
 //! |---|---|
@@ -193,15 +196,16 @@
 //! | jacobian | δs / b (\[DS07\] eq 4), b a bound on \|J v\| over the cell |
 //! | sphere | 0.9 \|f\| / b, at least δs / (4 max(1, b)); even steps through depth maps and within cuts |
 //!
-//! A depth map's f is the depth below a face minus the map's; a cube of six maps is ρ min \|f_i\|, ρ = 1
-//! where all are positive, else -1 (\[DS07\] 6.1). It is no distance, so that rays take even steps through
-//! it. In *two stages* (\[DS07\] section 3) triangles outside the deformations' boxes are drawn and rays
-//! cast within; their colours are blended over a seam.
+//! A depth map's f is the depth below a face minus the map's; a cube of six maps is ρ min \|f_i\|,
+//! ρ = 1 where all are positive, else -1 (\[DS07\] 6.1). It is not a distance, so rays take uniform
+//! steps through it. In *two stages* (\[DS07\] section 3) triangles outside the deformations' boxes
+//! are rasterised and rays are cast inside the boxes; the two are blended over a seam.
 //!
 //! # Kinds of deformation
 //!
-//! Each kind is a function in local space, with parameters in millimetres and degrees: for a deformed
-//! point the source, and the signed distance to the nearest cut. Strength 0 is the identity.
+//! Each kind is a function in local space, with parameters in millimetres and degrees. For a
+//! deformed point it returns the source point and the signed distance to the nearest cut. Strength
+//! 0 is the identity.
 //!
 //! | kind | inverse |
 //! |---|---|
@@ -213,15 +217,15 @@
 //! | `strip`, `lift`, `offset`, `surface-peel`, `explode-labels` | along a distance field |
 //! | `field`, `map` | as the file has it |
 //!
-//! Pull, with z counted from the box's lower face, H its height, `amount` and σ lengths:
+//! Pull, with z measured from the box's lower face, H its height, `amount` and σ lengths:
 //!
 //! ```text
 //! source = (x, y, z (1 - (amount / H) exp(-(x² + y²) / σ²)))
 //! ```
 //!
-//! Peel, in its (x, z) plane: a layer z0 to z0 + h is rolled from the hinge x_h on into an arc of outer
-//! radius R about c = (x_h, z0 + R), its outer side inwards. With ρ = \|p' - c\| and
-//! θ = atan2(x' - x_h, z0 + R - z'):
+//! Peel, in its (x, z) plane: a layer z0 to z0 + h is rolled from the hinge x_h on into an arc of
+//! outer radius R about c = (x_h, z0 + R), its outer side inwards. With ρ = \|p' - c\| and θ =
+//! atan2(x' - x_h, z0 + R - z'):
 //!
 //! ```text
 //! in the roll (R - h <= ρ <= R, 0 <= θ <= length / R):   source = (x_h + R θ, z0 + R - ρ)
@@ -229,37 +233,37 @@
 //! elsewhere:                                             source = p'
 //! ```
 //!
-//! Progress moves the hinge. Where roll and undisplaced tissue overlap the roll wins, and a thin band
-//! around it is cut away, in which D runs from one to the other. `surface-peel` has the height above a
-//! surface for z.
+//! Progress moves the hinge. Where the roll overlaps undisplaced tissue, the roll takes precedence,
+//! and a thin band around it is cut away, in which D blends from one to the other. For
+//! `surface-peel`, z is the height above a surface.
 //!
 //! Forward fields are inverted by a fixed-point iteration (Chen et al. 2008), finished by Newton's
-//! method ([`invert`](crate::deform::invert)). What does not converge, or converges where det J <= 0,
-//! lies in a fold and is cut away.
+//! method ([`invert`](crate::deform::invert)). A point that does not converge, or converges where
+//! det J <= 0, lies in a fold and is cut away.
 //!
 //! # Empty space
 //!
-//! A coarse grid of cells lies over the deformed scene. A cell's box C is carried backwards through the
-//! stack by interval arithmetic:
+//! A coarse grid of macrocells covers the deformed scene. A cell's box C is propagated backwards
+//! through the stack by interval arithmetic:
 //!
 //! ```text
 //! B_n = C      B_(k-1) = B_k + [least, greatest displacement of map k over B_k]      alpha_max = min over k
 //! ```
 //!
-//! The bounds of D come from a min/max pyramid of the map's texels: a trilinear sample lies between the
-//! texels that it mixes. A second bound, from the differences of neighbouring texels (the mean value
-//! form), is intersected with it. A box partly inside a cube goes on in two parts, a few times. Outside
-//! every cube a box does not move.
+//! The bounds of D come from a min/max pyramid of the map's texels: a trilinear sample lies between
+//! the texels that it interpolates. A second bound, from the differences of neighbouring texels
+//! (the mean value form), is intersected with it. A box partly inside a cube is split in two, up to
+//! a few times. Outside every cube a box does not move.
 //!
-//! B_0 lies in the source. The volume's min/max pyramid bounds its values, and a range-maximum table of
-//! the transfer function bounds their opacity. The cell is empty if alpha_max < 1/2 or that opacity is 0.
-//! Every bound is conservative: skipping changes no picture. Where samples look back a step for what
-//! they show, cells are grown by it. A similar walk bounds |J v| for Jacobian and sphere steps
-//! ([`lipschitz`](crate::deform::lipschitz)).
+//! B_0 lies in the source. The volume's min/max pyramid bounds its values, and a range-maximum
+//! table of the transfer function bounds their opacity. The cell is empty if alpha_max < 1/2 or
+//! that opacity is 0. Every bound is conservative: skipping changes no picture. Where a sample also
+//! depends on the point one step before it, cells are grown by one step. A similar walk bounds |J
+//! v| for Jacobian and sphere steps ([`lipschitz`](crate::deform::lipschitz)).
 //!
 //! # Accuracy
 //!
-//! Maps and points are in single precision on both sides; geometry as read from files is in double.
-//! Tests hold statements about accuracy against closed forms: transmittance of a uniform ball, normals
-//! under linear maps and a twist, the path through a cut slab, a translated volume against a
-//! translation map, a deformed sphere as an ellipsoid.
+//! Maps and points are in single precision on both sides; geometry read from files is in double.
+//! Tests check the accuracy against closed forms: transmittance of a uniform ball, normals under
+//! linear maps and a twist, the path through a cut slab, a translated volume against a translation
+//! map, a deformed sphere as an ellipsoid.

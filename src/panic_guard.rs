@@ -1,5 +1,6 @@
-//! Panics. Decoders of others may panic on damaged data: behind [`catch_panic`] they cannot take the program with them, nor write a word of their own.
-//! A fault of this program itself is one line, however many threads run into it, and may end the program at once ([`on_panic`]).
+//! Panics. Third-party decoders may panic on damaged data: behind [`catch_panic`] they can neither
+//! end the program nor print a panic message. A fault of this program itself is reported in one
+//! line, however many threads run into it, and may end the program at once ([`on_panic`]).
 
 use std::cell::Cell;
 use std::panic::{AssertUnwindSafe, PanicHookInfo, catch_unwind};
@@ -11,15 +12,15 @@ thread_local! {
     static GUARDED: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Guards that are up: threads that they have work done by may panic on their behalf.
+/// Number of active guards: threads doing work for them may panic on their behalf.
 static UP: AtomicUsize = AtomicUsize::new(0);
 
 type Respond = Box<dyn Fn(&str) + Send + Sync>;
 
-/// What a program does about its own faults.
+/// How the program responds to its own faults.
 static RESPOND: OnceLock<Respond> = OnceLock::new();
 
-/// The last fault that was told: many threads run into the same.
+/// When the last fault was reported: many threads run into the same one.
 static LAST_REPORT: Mutex<Option<Instant>> = Mutex::new(None);
 const REPORT_INTERVAL: Duration = Duration::from_secs(2);
 
@@ -33,7 +34,7 @@ fn install() {
             }
             match RESPOND.get() {
                 None => default(info),
-                // Whoever put up the guard says what is wrong with the data.
+                // The caller that installed the guard reports what is wrong with the data.
                 Some(_) if UP.load(Ordering::SeqCst) > 0 => {}
                 Some(respond) => {
                     let mut last_report = LAST_REPORT.lock().unwrap_or_else(PoisonError::into_inner);
@@ -53,8 +54,8 @@ fn line(info: &PanicHookInfo) -> String {
     format!("internal error{place}: {what}; please report it, with the command and the scene")
 }
 
-/// From now on a fault of the program is given to `respond` as one line, once, instead of being printed by every thread. For programs; only the
-/// first call counts.
+/// From this call on, a fault of the program is passed to `respond` once, as one line, instead of
+/// being printed by every thread. For programs; only the first call has an effect.
 pub fn on_panic(respond: impl Fn(&str) + Send + Sync + 'static) {
     install();
     let _only_the_first = RESPOND.set(Box::new(respond));

@@ -1,4 +1,4 @@
-//! Pictures as every renderer returns them, with what they cost: time by stage and samples.
+//! Pictures as every renderer returns them, with their cost: time by stage and samples.
 
 use crate::files::OutputFile;
 use crate::math::lanes::*;
@@ -11,9 +11,10 @@ use std::time::Instant;
 
 /// Largest edge of a picture, pixels.
 pub const MAX_PICTURE_EDGE: u32 = 16_384;
-/// Most samples of a picture: its pixels, each as often as it is antialiased. Their floating-point form takes 16 bytes each.
+/// Most samples of a picture: pixels times samples per pixel. Each takes 16 bytes in floating
+/// point.
 pub const MAX_PIXELS: u64 = 1 << 28;
-/// An alpha below this changes no byte of a picture.
+/// An alpha below this changes no byte of the output.
 const UNSEEN: f32 = 0.5 / 255.0;
 
 /// Time spent by stage, milliseconds, in order.
@@ -21,7 +22,7 @@ const UNSEEN: f32 = 0.5 / 255.0;
 pub struct StageTimes(pub Vec<(&'static str, f64)>);
 
 impl StageTimes {
-    /// Runs a stage and notes how long it took.
+    /// Runs a stage and records how long it took.
     pub fn time<T>(&mut self, name: &'static str, stage: impl FnOnce() -> T) -> T {
         let start = Instant::now();
         let result = stage();
@@ -29,7 +30,7 @@ impl StageTimes {
         result
     }
 
-    /// Makes a part of the last stage, if that has this name, a stage of its own.
+    /// Splits a part off the last stage, if that has this name, as a stage of its own.
     pub fn divide(&mut self, name: &str, part: &'static str, milliseconds: f64) {
         if let Some((last, all)) = self.0.last_mut()
             && *last == name
@@ -51,33 +52,33 @@ pub struct Picture {
     pub pixels: Vec<[f32; 4]>,
 }
 
-/// Counts that a renderer keeps.
+/// Sample counts of a renderer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RenderStats {
-    /// Samples for which the deformation and the volume were looked up.
+    /// Samples at which the deformation and the volume were evaluated.
     pub samples_taken: u64,
-    /// Samples inside the box of what can be seen left out because their cell is empty.
+    /// Samples inside the box of visible content that were skipped because their cell is empty.
     pub samples_skipped: u64,
-    /// Samples left out because nothing behind an opaque ray can be seen.
+    /// Samples omitted because the ray was already opaque.
     pub samples_terminated: u64,
 }
 
-/// A picture with what it cost.
+/// A picture with its cost.
 pub struct Rendered {
     /// The picture.
     pub picture: Picture,
-    /// Counts; a GPU keeps them only when asked.
+    /// Sample counts; a GPU counts only on request.
     pub stats: Option<RenderStats>,
     /// Time by stage.
     pub stages: StageTimes,
-    /// What a user should be told, one sentence each.
+    /// Notices for the user, one sentence each.
     pub notices: Vec<String>,
-    /// Why nothing is to be seen, if nothing is; one of the notices.
+    /// Why the picture is empty, if it is; also one of the notices.
     pub blank: Option<String>,
 }
 
 impl Picture {
-    /// Whether it is as if nothing had been rendered.
+    /// Whether the picture shows nothing.
     pub fn is_blank(&self) -> bool {
         !self.pixels.iter().any(|p| p[3] >= UNSEEN)
     }
@@ -96,10 +97,11 @@ impl Picture {
         Self { width, height, pixels: (0..width * height).map(average).collect() }
     }
 
-    /// The picture over a background as PNG: 8 bits per channel, RGB if the background is opaque, else RGBA (not premultiplied).
+    /// The picture over a background as PNG: 8 bits per channel, RGB if the background is opaque,
+    /// else RGBA (not premultiplied).
     ///
     /// # Errors
-    /// The encoder's.
+    /// Errors from the encoder.
     pub fn png(&self, background: [f32; 4]) -> Result<Vec<u8>> {
         let mut rgba = self.over(background);
         let color = if background[3] >= 1.0 {
@@ -111,15 +113,16 @@ impl Picture {
         encode_png(&rgba, [self.width, self.height], color)
     }
 
-    /// Writes [`Self::png`] to a file; one that is there is replaced by the whole of it, or not at all.
+    /// Writes [`Self::png`] to a file. An existing file is replaced as a whole or not at all.
     ///
     /// # Errors
-    /// The encoder's; a file that cannot be written.
+    /// Errors from the encoder; a file that cannot be written.
     pub fn save_png(&self, path: impl AsRef<Path>, background: [f32; 4]) -> Result<()> {
         OutputFile::create(path.as_ref())?.finish(&self.png(background)?)
     }
 
-    /// The picture over a background (red, green, blue, alpha, not premultiplied), as 8-bit RGBA, not premultiplied.
+    /// The picture over a background (red, green, blue, alpha, not premultiplied), as 8-bit RGBA,
+    /// not premultiplied.
     pub fn over(&self, background: [f32; 4]) -> Vec<u8> {
         let [r, g, b, back_alpha] = background;
         let behind = [r * back_alpha, g * back_alpha, b * back_alpha, back_alpha];
@@ -129,10 +132,10 @@ impl Picture {
     }
 }
 
-/// Rows of 8-bit colours as PNG.
+/// Encodes rows of 8-bit colours as PNG.
 ///
 /// # Errors
-/// The encoder's.
+/// Errors from the encoder.
 pub fn encode_png(bytes: &[u8], [width, height]: [u32; 2], color: ExtendedColorType) -> Result<Vec<u8>> {
     let mut png = Vec::new();
     PngEncoder::new(&mut png)
@@ -141,7 +144,7 @@ pub fn encode_png(bytes: &[u8], [width, height]: [u32; 2], color: ExtendedColorT
     Ok(png)
 }
 
-/// Pixels over what is behind them, premultiplied both, as bytes that are not.
+/// Pixels over a background, both premultiplied, as bytes that are not.
 struct Over<'a> {
     behind: [f32; 4],
     pixels: &'a [[f32; 4]],

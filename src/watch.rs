@@ -1,14 +1,14 @@
-//! How long work reports its progress, and how it is stopped.
+//! Progress reports of long-running work, and its cancellation.
 
 use crate::{Error, Result};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-/// Receives the progress of some work, and says when it is to stop.
+/// Receives the progress of some work, and can cancel it.
 #[derive(Clone, Copy)]
 pub struct Watch<'a> {
-    /// Share of the work done, from several threads.
+    /// Receives the fraction of work done; called from several threads.
     pub progress: &'a (dyn Fn(f32) + Sync),
-    /// Set to stop.
+    /// Set to true to cancel.
     pub cancel: &'a AtomicBool,
 }
 
@@ -16,22 +16,22 @@ pub struct Watch<'a> {
 static NEVER_CANCELLED: AtomicBool = AtomicBool::new(false);
 
 impl Watch<'static> {
-    /// Reports to nothing and never stops.
+    /// Discards progress and never cancels.
     pub const NONE: Self = Self { progress: &|_| (), cancel: &NEVER_CANCELLED };
 }
 
 impl<'a> Watch<'a> {
-    /// Reports to `progress` and never stops.
+    /// Reports to `progress` and never cancels.
     pub fn reporting(progress: &'a (dyn Fn(f32) + Sync)) -> Self {
         Self { progress, cancel: &NEVER_CANCELLED }
     }
 
-    /// Whether the work is to stop.
+    /// Whether the work has been cancelled.
     pub fn is_cancelled(&self) -> bool {
         self.cancel.load(Ordering::Relaxed)
     }
 
-    /// An error if the work is to stop.
+    /// An error if the work has been cancelled.
     ///
     /// # Errors
     /// [`Error::Cancelled`].
@@ -40,7 +40,7 @@ impl<'a> Watch<'a> {
     }
 }
 
-/// Counts bytes of a known number, from any thread.
+/// Counts bytes towards a known total, from any thread.
 pub struct ByteProgress<'a> {
     watch: &'a Watch<'a>,
     done: AtomicU64,
@@ -48,7 +48,7 @@ pub struct ByteProgress<'a> {
 }
 
 impl<'a> ByteProgress<'a> {
-    /// None of `all` bytes yet.
+    /// Starts at zero of `all` bytes.
     pub fn new(watch: &'a Watch<'a>, all: u64) -> Self {
         Self { watch, done: AtomicU64::new(0), all: all.max(1) }
     }

@@ -1,4 +1,4 @@
-//! Values as people type them.
+//! Parsing of argument values.
 
 use crate::deform::file_kinds::FILE_KINDS;
 use crate::deform::{Argument, Storage};
@@ -34,7 +34,7 @@ pub struct VolumeArguments {
 }
 
 impl VolumeArguments {
-    /// What was chosen, over what had been.
+    /// These choices where given, else those of `before`.
     pub fn over(&self, before: &ReadOptions) -> ReadOptions {
         ReadOptions {
             series: self.series.clone().or_else(|| before.series.clone()),
@@ -47,7 +47,7 @@ impl VolumeArguments {
         }
     }
 
-    /// Lays the choice over a scene's.
+    /// Applies these choices to a scene.
     ///
     /// # Errors
     /// A choice for a scene without a volume.
@@ -83,7 +83,7 @@ pub fn picture_size(text: &str) -> Result<[u32; 2], String> {
     parsed.ok_or_else(|| format!("\"{text}\" is not a size; write WIDTHxHEIGHT, e.g. 512x512"))
 }
 
-/// `R,G,B[,A]`: shares of 1, or of 255 if any is above 1; `#rrggbb[aa]`; `transparent`.
+/// `R,G,B[,A]`: fractions of 1, or of 255 if any is above 1; `#rrggbb[aa]`; `transparent`.
 pub fn background(text: &str) -> Result<[f32; 4], String> {
     if text == "transparent" {
         return Ok([0.0; 4]);
@@ -105,7 +105,8 @@ pub fn background(text: &str) -> Result<[f32; 4], String> {
 /// `KIND[:name=value,...]`, a value being one number or word, or several separated by commas.
 ///
 /// # Errors
-/// An unknown kind or name, a value that is not a number where one is needed, too many or too few of them.
+/// An unknown kind or name, a value that is not a number where one is required, too many or too few
+/// of them.
 pub fn deformation(text: &str) -> Result<Deformation> {
     let option = |problem: String| Error::value(format!("--deform {text}"), problem);
     let (kind, rest) = text.split_once(':').unwrap_or((text, ""));
@@ -155,7 +156,7 @@ pub fn deformation(text: &str) -> Result<Deformation> {
                     ([word], _) => Argument::Text((*word).to_owned()),
                     (words, _) => Argument::Texts(words.iter().map(|w| (*w).to_owned()).collect()),
                 };
-                // A parameter that is a number is refused here already, with what was typed.
+                // An invalid number is rejected here, so that the message can quote the input.
                 let numeric = crate::deform::kinds::kind(kind).is_ok_and(|k| k.parameters.iter().any(|p| p.name == name));
                 if numeric {
                     one()?;

@@ -1,4 +1,4 @@
-//! `incise bake`: the deformed volume, resampled into a file, or the composed displacement.
+//! `incise bake`: writes the deformed volume, resampled, or the composed displacement, to a file.
 
 use super::arguments;
 use super::progress::TerminalProgress;

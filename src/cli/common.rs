@@ -1,4 +1,4 @@
-//! The options that `render` and `compare` share, and the scene that they make of an input.
+//! The options that `render` and `compare` share, and the scene that they result in.
 
 use super::arguments;
 use super::progress::TerminalProgress;
@@ -124,21 +124,21 @@ pub struct Common {
     pub verbose: bool,
 }
 
-/// What the volume's reader warns of.
+/// Warnings from the volume's reader.
 pub fn warnings(scene: &Scene, assets: &Assets) -> Vec<String> {
     assets.volume.warnings_with_options().iter().map(|warning| format!("{}: {warning}", shown(scene.volume_name()))).collect()
 }
 
-/// A name from a scene, as it is printed.
+/// A name from a scene, made printable.
 fn shown(name: &str) -> String {
     path_of(name).to_string_lossy().replace(char::is_control, "\u{fffd}")
 }
 
 impl Common {
-    /// The scene that the input names, with the options laid over it.
+    /// The scene of the input, with the options applied.
     ///
     /// # Errors
-    /// An input that cannot be used, options that contradict it.
+    /// An invalid input, options that contradict it.
     pub fn scene(&self) -> Result<Scene> {
         let mut scene = Scene::of_input(&self.input)?;
         self.volume.apply(&mut scene)?;
@@ -180,7 +180,8 @@ impl Common {
         }
         if let Some(mesh) = &self.inside {
             let volume = scene.volume.as_mut().ok_or_else(|| Error::value("--inside", "needs a volume to show inside of the mesh"))?;
-            // As typed, from where it was typed; a scene's own paths start at the scene.
+            // An option's path is relative to the current folder; a scene's own paths are relative
+            // to the scene.
             let path = std::path::absolute(mesh).map_err(|e| Error::io(mesh, "reading", e))?;
             volume.inside = Some(InsideMesh { path: text_of(&path), ..InsideMesh::default() });
         }
@@ -190,36 +191,36 @@ impl Common {
         Ok(scene)
     }
 
-    /// A camera of the scene from another direction, without the scene's framing of its own.
+    /// A camera in another direction, without the zoom, target and roll of the scene's own camera.
     pub fn camera_from_view(&self, view: View, camera: &Camera) -> Camera {
         let seen = Camera { view, projection: camera.projection, field_of_view: camera.field_of_view, ..Camera::default() };
         Camera { zoom: self.zoom.unwrap_or(seen.zoom), ..seen }
     }
 
-    /// As many threads as were asked for.
+    /// Sets the requested number of threads.
     ///
     /// # Errors
-    /// A number that cannot be, or threads that the system refuses.
+    /// An invalid number, or threads that the system refuses.
     pub fn use_threads(&self) -> Result<()> {
         let Some(threads) = self.threads else { return Ok(()) };
         if !(1..=1024).contains(&threads) {
             return Err(Error::value("--threads", format!("{threads} is outside 1 to 1024")));
         }
-        // The pool exists once per process; this is the first use.
+        // The pool can be created once per process; this is its first use.
         rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().map_err(|e| Error::value("--threads", e.to_string()))
     }
 
-    /// The scene's assets; what its volume's reader warns of is told.
+    /// Loads the scene's assets and prints the warnings of its volume's reader.
     ///
     /// # Errors
-    /// What the readers report.
+    /// Errors from the readers.
     pub fn load(&self, scene: &Scene, bar: &TerminalProgress) -> Result<Assets> {
         let assets = Assets::load_with(scene, &LoadOptions { progress: Some(&|what, share| bar.set(what, share)), ..LoadOptions::default() })?;
         self.report(warnings(scene, &assets));
         Ok(assets)
     }
 
-    /// Tells on stderr, unless it is to be quiet.
+    /// Prints notices to stderr, unless quiet.
     pub fn report<T: std::fmt::Display>(&self, notices: impl IntoIterator<Item = T>) {
         if !self.quiet {
             notices.into_iter().for_each(super::print_to_stderr);
@@ -231,15 +232,15 @@ impl Common {
         self.json || self.stats.as_deref() == Some(Path::new("-"))
     }
 
-    /// The file that `--stats` names, unless it is standard output.
+    /// The output file of `--stats`, unless it is standard output.
     ///
     /// # Errors
-    /// A place that cannot be written.
+    /// A destination that cannot be written.
     pub fn stats_file(&self) -> Result<Option<OutputFile>> {
         self.stats.as_deref().filter(|p| *p != Path::new("-")).map(OutputFile::create).transpose()
     }
 
-    /// Writes what `--stats` and `--json` ask for.
+    /// Writes the output of `--stats` and `--json`.
     ///
     /// # Errors
     /// A full disk.

@@ -1,4 +1,5 @@
-//! `incise compare`: slices, rays and surfaces of one scene, on the CPU and a GPU, as a folder with a page.
+//! `incise compare`: slices, rays and surfaces of one scene, on the CPU and a GPU, as a folder with
+//! a report page.
 
 use super::arguments;
 use super::common::{Common, ModeName};
@@ -70,11 +71,12 @@ pub struct CompareArguments {
     no_reference: bool,
 }
 
-/// Several directions of view, typed as one.
+/// Several view directions in one argument.
 #[derive(Clone, Debug, PartialEq)]
 struct CameraList(Vec<View>);
 
-/// Names, and pairs of numbers; a comma within a pair and one between two cameras are told apart by what stands around them.
+/// Names, and pairs of numbers. A comma after a number continues a pair; any other comma separates
+/// two cameras.
 fn cameras(text: &str) -> Result<CameraList, String> {
     let mut views = Vec::new();
     for part in text.split(';') {
@@ -91,7 +93,7 @@ fn cameras(text: &str) -> Result<CameraList, String> {
     Ok(CameraList(views))
 }
 
-/// The list without what was in it before.
+/// The list without duplicates.
 fn once<T: PartialEq + Clone>(list: &[T]) -> Vec<T> {
     let mut unique: Vec<T> = Vec::new();
     for item in list {
@@ -103,7 +105,7 @@ fn once<T: PartialEq + Clone>(list: &[T]) -> Vec<T> {
 }
 
 impl CompareArguments {
-    /// The scene with what is to be varied of it.
+    /// The plan: the scene with the settings to vary.
     fn plan(&self) -> Result<Plan> {
         let scene = self.common.scene()?;
         let mut plan = Plan::of(scene);
@@ -130,7 +132,8 @@ impl CompareArguments {
         Ok(plan)
     }
 
-    /// The folder can be written, or made; nothing of it is read. Nothing is made yet.
+    /// Checks that the folder can be written or created, and that no file of it is an input.
+    /// Creates nothing.
     fn check_output(&self, scene: &Scene) -> Result<()> {
         let folder = &self.output;
         if folder.exists() && !folder.is_dir() {
@@ -145,13 +148,14 @@ impl CompareArguments {
         if folder.is_dir() {
             names.iter().try_for_each(|name| OutputFile::create(&folder.join(name)).map(|_tried| ()))?;
         } else {
-            // It holds none of them yet; whether it can be made shows where it will be.
+            // The folder does not exist yet: check that files can be created in its nearest
+            // existing ancestor.
             OutputFile::create(&nearest.join(".incise"))?;
         }
         self.protect(scene, names.into_iter())
     }
 
-    /// Nothing is ever written to a file that is read, nor two things to one file.
+    /// Checks that no output is an input, and that no two outputs are the same file.
     fn protect<'a>(&self, scene: &Scene, names: impl Iterator<Item = &'a str> + Clone) -> Result<()> {
         let read = scene.files();
         let read = || read.iter().map(PathBuf::as_path).chain([self.common.input.as_path()]);
@@ -168,7 +172,7 @@ impl CompareArguments {
 pub fn run(arguments: &CompareArguments) -> Result<()> {
     let common = &arguments.common;
     let plan = arguments.plan()?;
-    // A GPU may be missing; what is wrong with the options is told before it is looked for.
+    // A GPU may be missing; errors in the options are reported before one is opened.
     plan.check(1)?;
     arguments.check_output(&plan.scene)?;
     let stats_file = common.stats_file()?;
@@ -206,7 +210,7 @@ pub fn run(arguments: &CompareArguments) -> Result<()> {
     Ok(())
 }
 
-/// Says what was found.
+/// Prints a summary of the results.
 fn summary(report: &Report) {
     for run in report.runs.iter().filter(|run| !run.is_reference) {
         let error = run.error.map_or(String::new(), |d| format!(", RMS error {} of 255", number(d.rms())));

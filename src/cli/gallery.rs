@@ -1,4 +1,5 @@
-//! `incise gallery`: every kind of deformation on a volume and on the checker phantom, as pictures and one page.
+//! `incise gallery`: every kind of deformation on a volume and on the checker phantom, as pictures
+//! and one page.
 
 use super::progress::TerminalProgress;
 use crate::deform::kinds::{self, Kind, Unit};
@@ -32,7 +33,7 @@ pub struct GalleryArguments {
     quiet: bool,
 }
 
-/// Renders all.
+/// Renders all pictures.
 pub fn run(arguments: &GalleryArguments) -> Result<()> {
     let wanted: Vec<&Kind> = if arguments.kind.is_empty() {
         kinds::list().collect()
@@ -42,7 +43,7 @@ pub fn run(arguments: &GalleryArguments) -> Result<()> {
     if !(16..=2048).contains(&arguments.edge) {
         return Err(Error::value("--edge", format!("{} is outside 16 to 2048 pixels", arguments.edge)));
     }
-    // One of the pictures stands for all: none may come to lie among the slices of a folder that is read.
+    // One name stands for all pictures: none may end up among the slices of an input folder.
     protect("--output", &arguments.output.join("picture.png"), [arguments.volume.as_path()])?;
     std::fs::create_dir_all(&arguments.output).map_err(|e| Error::io(&arguments.output, "making", e))?;
     let own = text_of(&arguments.volume);
@@ -67,7 +68,7 @@ pub fn run(arguments: &GalleryArguments) -> Result<()> {
                     OutputFile::create(&arguments.output.join(&file))?.finish(&picture.png(scene.render.background)?)?;
                     cells.push_str(&format!("<td><img src=\"{file}\" alt=\"{} on the {label}\"></td>", kind.name));
                 }
-                // Some kinds follow what a volume need not have: a surface, labels.
+                // Some kinds need a surface or labels, which a volume may lack.
                 Err(e) => {
                     notes.push(format!("{} on {path}: {e}", kind.name));
                     cells.push_str("<td>not available for this volume</td>");

@@ -1,4 +1,4 @@
-//! `incise info`: what a file holds. `incise list`: what there is to choose from.
+//! `incise info`: the contents of a file. `incise list`: the available presets, kinds and phantoms.
 
 use super::arguments::VolumeArguments;
 use super::progress::TerminalProgress;
@@ -30,10 +30,11 @@ pub struct InfoArguments {
     json: bool,
 }
 
-/// A volume whose k axis leans by more than this from the normal of its slices, degrees, is called tilted.
+/// A volume whose k axis deviates by more than this from the normal of its slices, degrees, is
+/// reported as tilted.
 const TILTED: f64 = 0.05;
 
-/// Prints what the file holds.
+/// Prints the contents of a file.
 pub fn run(arguments: &InfoArguments) -> Result<()> {
     let path = &arguments.file;
     let report = match path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
@@ -48,7 +49,7 @@ pub fn run(arguments: &InfoArguments) -> Result<()> {
             bar.finish();
             match (volume, series) {
                 (Ok(volume), series) => file_report(&volume, series.as_deref()),
-                // The one that cannot be read is one of several.
+                // Only one of several series is unreadable.
                 (Err(error), Some(series)) if series.len() > 1 => {
                     let report = json!({ "kind": "volume", "format": "DICOM", "all_series": series });
                     super::print(&if arguments.json { format!("{report:#}") } else { as_text(&report) })?;
@@ -61,7 +62,7 @@ pub fn run(arguments: &InfoArguments) -> Result<()> {
     super::print(&if arguments.json { format!("{report:#}") } else { as_text(&report) })
 }
 
-/// What a file holds, and every series of it.
+/// The report on a volume, with all series of its file.
 fn file_report(volume: &Volume, series: Option<&[SeriesInfo]>) -> Value {
     let mut report = volume_report(volume);
     if let (Some(series), Some(entries)) = (series, report.as_object_mut()) {
@@ -75,7 +76,8 @@ fn volume_report(volume: &Volume) -> Value {
     let rows: Vec<[f64; 3]> = (0..3).map(|r| direction.row(r).to_array()).collect();
     let voxels = volume.voxels.len();
     let stored = voxels * volume.voxels.bytes_per_voxel();
-    // Types that renderers cannot sample are converted to f32 beside the stored ones.
+    // Types that renderers cannot sample are converted (i8 to i16, others to f32) in addition to
+    // the stored voxels.
     let converted = match volume.voxels.type_name() {
         "u8" | "u16" | "i16" => 0,
         "f32" if volume.non_finite == 0 => 0,
@@ -205,7 +207,7 @@ fn as_text(report: &Value) -> String {
     out.trim_end().to_owned()
 }
 
-/// What a kind takes, and does not take, unlike others.
+/// Deviations of a kind from the common parameters.
 fn notes(kind: &Kind) -> &'static str {
     match (kind.progressive, matches!(kind.size, DefaultSize::Across(_))) {
         (true, false) => "; progress=0..1",
@@ -215,7 +217,7 @@ fn notes(kind: &Kind) -> &'static str {
     }
 }
 
-/// Presets, kinds, looks, deformers of meshes and phantoms as text.
+/// Presets, kinds, looks, mesh deformers and phantoms as text.
 pub fn catalogue() -> String {
     let mut out = String::from("Presets (--preset)\n");
     for p in transfer::list() {

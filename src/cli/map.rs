@@ -81,10 +81,10 @@ struct CheckArguments {
     picture: Option<PathBuf>,
 }
 
-/// The box that maps are made for when no volume is named: 200 mm around the origin.
+/// The box for maps if no volume is named: 200 mm around the origin.
 const NOMINAL_BOX: Bounds = Bounds { min: Vec3::splat(-100.0), max: Vec3::splat(100.0) };
 
-/// Does what was asked.
+/// Runs the command.
 pub fn run(arguments: &MapArguments) -> Result<()> {
     if let Some(MapAction::Check(check)) = &arguments.action {
         return run_check(check);
@@ -120,7 +120,7 @@ pub fn run(arguments: &MapArguments) -> Result<()> {
         let assets = Assets::load(&scene)?;
         let stack = Deformed::exact(&scene, &assets, false, &Watch::NONE)?.stack;
         assets.library.notices().into_iter().for_each(note);
-        // A chain of transforms is several maps; a file holds one.
+        // A chain of transforms is several maps, but a file holds one.
         let made = match stack.maps() {
             [one] => one.clone(),
             _ => {
@@ -139,7 +139,7 @@ pub fn run(arguments: &MapArguments) -> Result<()> {
         if arguments.invert { inverse_of_map(&made, &note)? } else { made }
     } else {
         if !input.exists() && !what.contains(['/', '.']) {
-            // Neither a kind nor a file: say what kinds there are.
+            // Neither a kind nor a file: the error lists the kinds.
             crate::deform::kinds::kind(name)?;
         }
         from_file(input, arguments, &bar, &note)?
@@ -178,7 +178,7 @@ fn report(r: &invert::InversionReport, note: &impl Fn(String)) {
     ));
 }
 
-/// The transform of a file, and the box of the volume that it is for.
+/// The transform in a file, and the box of the volume to which it applies.
 fn load_transform(path: &Path, volume: Option<&Path>, convention: Option<&str>) -> Result<(Transform, Bounds)> {
     let volume = volume.map(|v| load::volume(v, &ReadOptions::default(), &Watch::NONE)).transpose()?;
     let grid = volume.as_ref().map(|v| v.geometry());
@@ -198,7 +198,7 @@ fn from_file(input: &Path, arguments: &MapArguments, bar: &TerminalProgress, not
     if let Some(map) = saved_map(input)? {
         return if arguments.invert { inverse_of_map(&map, note) } else { Ok(map) };
     }
-    // FSL's files need the volume only for what is not along the axes; others ignore it.
+    // FSL files need the volume only if the transform is not along the axes; others ignore it.
     let (transform, bounds) = load_transform(input, arguments.volume.as_deref(), arguments.convention.as_deref())?;
     transform.warnings.iter().cloned().for_each(note);
     bar.set("working", 0.5);
@@ -213,7 +213,7 @@ fn from_file(input: &Path, arguments: &MapArguments, bar: &TerminalProgress, not
     inverse.placed(Storage::F32, 1.0)
 }
 
-/// A transform as one map: a single field keeps its grid.
+/// A transform as one map; a single field keeps its grid.
 fn one_map(transform: &Transform, bounds: &Bounds, resolution: Option<usize>) -> Result<PlacedMap> {
     let mut maps = compose::transform_maps(transform, bounds, 1.0, resolution, Storage::F32)?;
     match (maps.pop(), maps.is_empty()) {
@@ -222,7 +222,7 @@ fn one_map(transform: &Transform, bounds: &Bounds, resolution: Option<usize>) ->
     }
 }
 
-/// The map of a file if it is one of this program's.
+/// The map in a file if this program wrote it.
 fn saved_map(path: &Path) -> Result<Option<PlacedMap>> {
     let name = path.to_string_lossy().to_ascii_lowercase();
     if !name.ends_with(".nrrd") && !name.ends_with(".nhdr") {
@@ -296,7 +296,7 @@ fn run_check(arguments: &CheckArguments) -> Result<()> {
     Ok(())
 }
 
-/// A field, all of it seen.
+/// A field without cut points.
 fn whole(field: VectorField) -> CheckedField {
     let seen = vec![true; field.vectors.len()];
     CheckedField::new(field, seen)

@@ -1,4 +1,4 @@
-//! The command line: arguments as typed, resolved into a scene, then one file per command.
+//! The command line: parses arguments into a scene, then runs one command, each in its own file.
 
 mod arguments;
 mod bake;
@@ -18,7 +18,7 @@ use std::io::Write;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// What the program was called with.
+/// The command-line arguments.
 #[derive(Parser)]
 #[command(name = "incise", version, about, args_conflicts_with_subcommands = true)]
 struct Cli {
@@ -56,11 +56,11 @@ enum Command {
 /// Whether the workstation was opened.
 static WINDOW: AtomicBool = AtomicBool::new(false);
 
-/// What the program is asked to do by its command line.
+/// The outcome of the command line.
 pub enum CommandOutcome {
-    /// It is done, with this exit code.
+    /// The command is done, with this exit code.
     Done(ExitCode),
-    /// The workstation is to be opened, with a file or without one.
+    /// The workstation is to be opened, with or without a file.
     Workstation(Option<std::path::PathBuf>),
 }
 
@@ -69,7 +69,7 @@ pub fn main() -> CommandOutcome {
     files::unfinished::remove_on_signals();
     crate::panic_guard::on_panic(|line| {
         print_to_stderr(line);
-        // The window goes on without what failed; a command has nothing to go on with.
+        // The window can continue without the failed part; a command cannot.
         if !WINDOW.load(Ordering::Relaxed) {
             files::unfinished::remove_all();
             std::process::exit(1);
@@ -78,7 +78,7 @@ pub fn main() -> CommandOutcome {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(error) if error.use_stderr() => error.exit(),
-        // What was asked for: help, or the version.
+        // Help or version was requested.
         Err(wanted) => return CommandOutcome::Done(finish(print(wanted.render().to_string().trim_end()))),
     };
     if cli.allow_outside {
@@ -109,7 +109,7 @@ pub fn main() -> CommandOutcome {
     CommandOutcome::Done(finish(result))
 }
 
-/// The exit code of what was done; what went wrong is told.
+/// The exit code of a result; an error is printed.
 pub fn finish(result: Result<()>) -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
@@ -129,7 +129,8 @@ fn print(text: &str) -> Result<()> {
     files::standard_output().finish(format!("{text}\n").as_bytes())
 }
 
-/// Writes a line to standard error, which may be closed or full: there is nowhere to say so.
+/// Writes a line to standard error. A closed or full standard error is ignored: the failure cannot
+/// be reported anywhere.
 pub fn print_to_stderr(text: impl std::fmt::Display) {
     let _nowhere = writeln!(std::io::stderr(), "incise: {text}");
 }

@@ -1,17 +1,17 @@
-//! Progress bars on stderr, when it is a terminal, for what takes longer than a second.
+//! Progress bars on stderr, if it is a terminal, for work that takes longer than a second.
 
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
-/// A progress bar on a terminal for what takes longer than a second.
+/// A progress bar on a terminal, shown after one second.
 pub struct TerminalProgress {
     bar: Option<ProgressBar>,
     start: Instant,
 }
 
 impl TerminalProgress {
-    /// A bar; none if quiet.
+    /// A new bar; invisible if quiet.
     pub fn new(quiet: bool) -> Self {
         let bar = (!quiet && std::io::stderr().is_terminal()).then(|| {
             let bar = ProgressBar::hidden();
@@ -24,7 +24,7 @@ impl TerminalProgress {
         Self { bar, start: Instant::now() }
     }
 
-    /// What is being done and the share that is.
+    /// Sets the current stage and the fraction done.
     pub fn set(&self, what: &'static str, share: f32) {
         let Some(bar) = &self.bar else { return };
         if self.start.elapsed() > Duration::from_secs(1) {
@@ -36,7 +36,7 @@ impl TerminalProgress {
         }
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub fn finish(&self) {
         if let Some(bar) = &self.bar {
             bar.finish_and_clear();

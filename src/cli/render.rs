@@ -70,7 +70,8 @@ pub fn run(arguments: &RenderArguments) -> Result<()> {
     Ok(())
 }
 
-/// Where the picture and the report go: never to a file that is read, nor both to one file.
+/// The outputs for the picture and the report: neither may be an input, nor may they be the same
+/// file.
 fn outputs(arguments: &RenderArguments, scene: &Scene) -> Result<(OutputFile, Option<OutputFile>)> {
     let (picture, common) = (&arguments.output, &arguments.common);
     let read = scene.files();

@@ -1,16 +1,19 @@
-//! What renderers cost where they are equally wrong: their curves of error and time over the steps of a sweep, interpolated at a common error.
+//! The cost of renderers at equal error: their curves of error and time over the steps of a sweep,
+//! interpolated at a common error.
 //!
-//! Over a sweep of steps the time of each renderer is interpolated where all err alike, on logarithmic axes, where such curves are nearly straight.
-//! The common error is the smallest that all of them reach: as near to a picture that one would use as the measurements go. A measured step that
-//! errs no more and is cheaper counts too. Nothing is extrapolated.
+//! The time of each renderer is interpolated at the common error on logarithmic axes, where such
+//! curves are nearly straight. The common error is the smallest that all renderers reach: as close
+//! to a usable picture as the measurements allow. A measured step with no greater error and a lower
+//! cost is used instead. Nothing is extrapolated.
 
 use super::run::{Run, ViewKey};
 use crate::scene::Mode;
 
-/// RMS errors below this, of 255, are rounding and not sampling: no curve shows them, and none is interpolated to them.
+/// RMS errors below this, of 255, are rounding and not sampling: curves do not show them, and no
+/// cost is interpolated there.
 pub const MIN_ERROR: f64 = 1e-3;
 
-/// Everything that runs show, in order, each once.
+/// All distinct views of the runs, in order.
 pub fn views(runs: &[Run]) -> Vec<ViewKey> {
     let mut views: Vec<ViewKey> = Vec::new();
     for run in runs {
@@ -28,24 +31,24 @@ pub struct CurvePoint {
     pub step: f64,
     /// RMS error against the reference, of 255; not a number if there is no reference.
     pub error: f64,
-    /// Of rendering, the median.
+    /// Rendering time, the median.
     pub milliseconds: f64,
-    /// Least and greatest milliseconds.
+    /// Least and greatest time, milliseconds.
     pub spread: [f64; 2],
 }
 
 /// One renderer over the steps of a sweep, at one size and camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Curve {
-    /// How it samples.
+    /// Rendering mode.
     pub mode: Mode,
-    /// Where it renders.
+    /// Backend.
     pub backend: String,
-    /// By step, the coarsest first.
+    /// In order of step, the coarsest first.
     pub points: Vec<CurvePoint>,
 }
 
-/// The curves of all renderers of one thing, in the order of their runs.
+/// The curves of all renderers of one view, in the order of their runs.
 pub fn curves(runs: &[Run], shown: &ViewKey) -> Vec<Curve> {
     let mut curves: Vec<Curve> = Vec::new();
     for run in runs.iter().filter(|run| run.shown == *shown && !run.is_reference) {
@@ -66,51 +69,54 @@ pub fn curves(runs: &[Run], shown: &ViewKey) -> Vec<Curve> {
     curves
 }
 
-/// What a renderer costs at the common error.
+/// The cost of a renderer at the common error.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RendererCost {
-    /// How it samples.
+    /// Rendering mode.
     pub mode: Mode,
-    /// Where it renders.
+    /// Backend.
     pub backend: String,
-    /// Where its curve meets the common error; none if even its coarsest step is better.
+    /// The point at which its curve reaches the common error; none if even its coarsest step has a
+    /// smaller error.
     pub at: Option<CurvePoint>,
     /// Its coarsest step.
     pub coarsest: Option<CurvePoint>,
 }
 
-/// Renderers where they are equally wrong.
+/// Renderers at equal error.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EqualError {
-    /// What they show.
+    /// The view.
     pub shown: ViewKey,
     /// The common error, RMS of 255.
     pub error: f64,
-    /// Every renderer whose error is known at two steps or more.
+    /// Every renderer whose error is known at two or more steps.
     pub entries: Vec<RendererCost>,
 }
 
-/// For everything that runs show: what renderers cost at their common error, where there are two or more that have one.
+/// For every view of the runs: the costs of its renderers at their common error, if two or more
+/// reach one.
 pub fn equal_errors(runs: &[Run]) -> Vec<EqualError> {
     let at_one = |shown: ViewKey| -> Option<EqualError> {
         let curves: Vec<Curve> = curves(runs, &shown).into_iter().filter(|c| usable(&c.points).count() > 1).collect();
         let error = common_error(&curves)?;
         let entry = |c: Curve| RendererCost { at: at_error(&c.points, error), coarsest: usable(&c.points).next(), mode: c.mode, backend: c.backend };
         let entries: Vec<RendererCost> = curves.into_iter().map(entry).collect();
-        // Curves that do not overlap have nothing in common.
+        // Curves that do not overlap have no common error.
         (entries.iter().filter(|e| e.at.is_some()).count() > 1).then_some(EqualError { shown, error, entries })
     };
     views(runs).into_iter().filter_map(at_one).collect()
 }
 
-/// Points that logarithms can be taken of, those whose errors are rounding at the least error that says something.
+/// Points that have logarithms; errors below `MIN_ERROR` (rounding) are raised to it.
 fn usable(points: &[CurvePoint]) -> impl Iterator<Item = CurvePoint> {
     let positive = |v: f64| v.is_finite() && v > 0.0;
     let usable = points.iter().copied().filter(move |p| positive(p.step) && p.error.is_finite() && positive(p.milliseconds));
     usable.map(|p| CurvePoint { error: p.error.max(MIN_ERROR), ..p })
 }
 
-/// The smallest error that all curves reach; none for fewer than two curves, or if one has no point that can be used.
+/// The smallest error that all curves reach; none for fewer than two curves, or if one has no
+/// usable point.
 pub fn common_error(curves: &[Curve]) -> Option<f64> {
     if curves.len() < 2 {
         return None;
@@ -119,8 +125,10 @@ pub fn common_error(curves: &[Curve]) -> Option<f64> {
     curves.iter().map(best).try_fold(0.0f64, |worst, best| Some(worst.max(best?)))
 }
 
-/// Where a curve has an error: step and milliseconds interpolated between two measured points around it, all three by their logarithms, or a measured
-/// point that errs no more, whichever is cheapest. None if it lies beyond what was measured, as it does where the coarsest step is better.
+/// The point of a curve at an error: step and milliseconds interpolated between the two measured
+/// points around it, all three by their logarithms, or a measured point with no greater error,
+/// whichever is cheapest. None if the error is outside the measured range, as it is if the coarsest
+/// step has a smaller error.
 pub fn at_error(points: &[CurvePoint], error: f64) -> Option<CurvePoint> {
     let points: Vec<CurvePoint> = usable(points).collect();
     if points.len() < 2 || points[0].error < error {
@@ -164,7 +172,7 @@ mod tests {
             assert_eq!(at_error(&curve.points, beyond), None, "{beyond} was not measured");
         }
         assert_eq!(at_error(&curve.points[..1], 24.0), None);
-        // Rounding is no error of sampling: whatever it is, it is better than errors are.
+        // Rounding is not a sampling error: it is below any common error.
         let rounding = power(Mode::Slice, 1e-4, 1.0, 20.0, &steps);
         let common = common_error(&[curve, rounding.clone()]).unwrap();
         assert!((common - 3.0 * 0.5f64.powf(1.5)).abs() < 1e-12 && at_error(&rounding.points, common).is_none());
@@ -177,12 +185,13 @@ mod tests {
         let [good, bad] = [power(Mode::Raycast, 1.0, 2.0, 30.0, &steps), power(Mode::Slice, 2.0, 2.0, 10.0, &steps)];
         let common = common_error(&[good.clone(), bad.clone()]).unwrap();
         assert!((common - 0.5).abs() < 1e-12);
-        // The good one meets it at a step of √½, the bad one at its own finest.
+        // The good curve reaches it at a step of √½, the bad one at its finest step.
         let [good_at, bad_at] = [&good, &bad].map(|c| at_error(&c.points, common).unwrap());
         assert!((good_at.milliseconds - 30.0 / 0.5f64.sqrt()).abs() < 1e-9 && (bad_at.milliseconds - 20.0).abs() < 1e-9);
         let nothing = Curve { points: vec![CurvePoint { step: 1.0, error: f64::NAN, milliseconds: 1.0, spread: [1.0; 2] }], ..good.clone() };
         assert_eq!((common_error(std::slice::from_ref(&good)), common_error(&[good.clone(), nothing])), (None, None));
-        // One that is exact at its finest step has an error that the other reaches, too.
+        // A curve that is exact at its finest step still has an error that the other one also
+        // reaches.
         let exact = Curve {
             points: vec![
                 CurvePoint { error: 5.0, ..good.points[0] },
@@ -203,7 +212,7 @@ mod tests {
         let at = at_error(&points, 4.0).unwrap();
         assert!((at.step - 2f64.sqrt()).abs() < 1e-9, "{at:?}");
         assert!((at_error(&points, 2.0).unwrap().step - 1.0).abs() < 1e-9);
-        // A measured step that is better and cheaper than where the curve has the error.
+        // A measured step with a smaller error and a lower cost than the interpolated point.
         let points = [CurvePoint { milliseconds: 3.0, ..point(2.0, 4.1) }, point(1.0, 8.0), CurvePoint { milliseconds: 2.0, ..point(0.5, 3.9) }];
         assert_eq!(at_error(&points, 4.0).map(|p| (p.step, p.milliseconds)), Some((0.5, 2.0)));
     }

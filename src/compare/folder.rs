@@ -1,4 +1,4 @@
-//! A comparison as a folder: pictures, differences, numbers for people (a page) and for programs (JSON and CSV).
+//! A comparison as a folder: pictures, differences, and the numbers as a page and as JSON and CSV.
 
 use super::curves::{EqualError, RendererCost, equal_errors};
 use super::metrics::difference_picture;
@@ -14,17 +14,18 @@ use std::path::Path;
 const MAX_NAME: usize = 60;
 
 impl Report {
-    /// Writes `NAME.png` for every run, `difference-A-B.png` for every pair, `report.json`, `runs.csv`, `pairs.csv` and `index.html` into a
-    /// folder, which is made if it does not exist. Files of these names are replaced, others stay.
+    /// Writes `NAME.png` for every run, `difference-A-B.png` for every pair, `report.json`,
+    /// `runs.csv`, `pairs.csv` and `index.html` into a folder, which is created if it does not
+    /// exist. Files of these names are replaced, others stay.
     ///
     /// # Errors
-    /// A folder that cannot be made or written, an amplification that is not positive.
+    /// A folder that cannot be created or written, an amplification that is not positive.
     pub fn write(&self, folder: &Path) -> Result<()> {
         write_files(folder, &self.files()?)
     }
 
-    /// The files of the report by name, in the order in which they are to be written: the page is last, so that where there is a page, all
-    /// that it speaks of is there.
+    /// The files of the report by name, in the order in which they are to be written. The page is
+    /// last, so that all files it refers to exist before it does.
     ///
     /// # Errors
     /// An amplification that is not positive.
@@ -157,7 +158,7 @@ impl Report {
         for (pair, picture) in self.pairs.iter().zip(differences) {
             let d = pair.difference;
             let [a, b] = [pair.a, pair.b].map(|n| self.runs[n].name.clone());
-            // An infinite PSNR is `inf`, which programs that read CSV take for what it is.
+            // An infinite PSNR is written as `inf`, which CSV readers parse as infinity.
             let [mean, max, psnr_db, ssim, rms] = [d.mean, d.max, d.psnr_db, d.ssim, d.rms()].map(|v| v.to_string());
             text.push_str(&csv_line(&[a, b, mean, max, psnr_db, ssim, rms, picture.file.clone()]));
         }
@@ -165,10 +166,11 @@ impl Report {
     }
 }
 
-/// Writes files into a folder, which is made if it does not exist, in their order.
+/// Writes files into a folder, which is created if it does not exist, in their order.
 ///
 /// # Errors
-/// A folder that cannot be made or written, or holds what cannot be replaced; then nothing is written.
+/// A folder that cannot be created or written, or that holds an entry that cannot be replaced; then
+/// nothing is written.
 pub fn write_files(folder: &Path, files: &[(String, Vec<u8>)]) -> Result<()> {
     if let Some(path) = files.iter().map(|(file, _)| folder.join(file)).find(|path| path.is_dir()) {
         return Err(Error::file(&path, "is a folder where a file is to be written; remove it, or choose another folder"));
@@ -178,17 +180,18 @@ pub fn write_files(folder: &Path, files: &[(String, Vec<u8>)]) -> Result<()> {
     outputs.into_iter().zip(files).try_for_each(|(output, (_, content))| output.finish(content))
 }
 
-/// Names of stages with their milliseconds.
+/// Stage names with their milliseconds.
 fn stage_list(stages: &[(String, f64)]) -> Vec<Value> {
     stages.iter().map(|(name, ms)| json!({ "name": name, "milliseconds": ms })).collect()
 }
 
-/// A number of single precision as people write it: the nearest double has digits that nobody typed.
+/// A single-precision number with its shortest decimal form: converted directly to double it would
+/// gain digits.
 fn as_written(value: f32) -> f64 {
     value.to_string().parse().unwrap_or(f64::from(value))
 }
 
-/// JSON has no infinity.
+/// `None` for infinity, which JSON lacks.
 fn finite(value: f64) -> Option<f64> {
     value.is_finite().then_some(value)
 }
@@ -198,7 +201,8 @@ fn optional<T: ToString>(value: Option<T>) -> String {
     value.map_or_else(String::new, |v| v.to_string())
 }
 
-/// A name that any file system takes, without its ending: letters, digits, hyphens and underscores.
+/// A name that is valid on any file system, without an extension: letters, digits, hyphens and
+/// underscores.
 fn plain(name: &str) -> String {
     let safe = name.chars().map(|c| if c.is_ascii_alphanumeric() || c == '_' { c } else { '-' });
     let plain: String = safe.take(MAX_NAME).collect();
@@ -206,7 +210,7 @@ fn plain(name: &str) -> String {
     if plain.is_empty() { "run".to_owned() } else { plain.to_owned() }
 }
 
-/// The file of a picture of a plain name, different from all `taken` ones also where upper and lower case are the same.
+/// The picture file for a plain name, distinct from all `taken` names even without regard to case.
 fn file_name(plain: &str, taken: &mut HashSet<String>) -> String {
     let mut file = format!("{plain}.png");
     let mut more = 1;
@@ -217,7 +221,7 @@ fn file_name(plain: &str, taken: &mut HashSet<String>) -> String {
     file
 }
 
-/// One line of CSV (RFC 4180, but for its end).
+/// One line of CSV (RFC 4180, except for the line end).
 fn csv_line(fields: &[String]) -> String {
     let quoted = |field: &String| {
         if field.contains([',', '"', '\n', '\r']) { format!("\"{}\"", field.replace('"', "\"\"")) } else { field.clone() }

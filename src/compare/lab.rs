@@ -1,18 +1,25 @@
-//! The comparison lab: one scene by every renderer, over steps, sizes and cameras, against references of a much finer step.
+//! The comparison lab: renders one scene with every renderer, over steps, sizes and cameras,
+//! against references with a much finer step.
 //!
-//! *Theory*: the protocol of Meissner, Huang, Bartz, Mueller and Crawfis (Volume Visualization 2000): same optical model, same view, same
-//! transfer function; pictures side by side with their cost. What we add, and why:
-//! - *Error*: their pictures were judged by eye. Here each is measured against a **reference**, rays on the CPU at a step of 1/16 voxel
-//!   (surfaces, which show something else than a volume, against surfaces at that step). Errors below what the reference itself errs by mean
-//!   nothing, so a reference has to be at least twice as fine as the finest run. Where the error is proportional to the step that is 1/16 of
-//!   a run's at step 1; gaps thinner than a step, which only fine steps meet, make it more.
-//! - *Speed at equal error*: a renderer can always be made faster by a coarser step, so each is told by its time where all err alike
-//!   ([`super::curves`]).
-//! - *Time* is the median of repetitions. On a GPU a first picture, which uploads the volume and compiles shaders, is rendered and not timed.
-//!   Curves show the time after the scene was prepared, because preparing is the same work for all. What is kept from picture to picture (maps, empty
-//!   space, tables) is kept here too; what it takes to make it the first time is told once.
+//! *Theory*: the protocol of Meissner, Huang, Bartz, Mueller and Crawfis (Volume Visualization
+//! 2000): same optical model, same view, same transfer function; pictures side by side with their
+//! cost. Additions, and the reasons for them:
+//! - *Error*: their pictures were judged by eye. Here each is measured against a **reference**:
+//!   rays on the CPU at a step of 1/16 voxel (surface mode, which shows different content than the
+//!   volume modes, against surfaces at that step). Errors below the error of the reference itself
+//!   are meaningless, so a reference must be at least twice as fine as the finest run. If the error
+//!   is proportional to the step, the reference's is 1/16 of that of a run at step 1; gaps thinner
+//!   than a step, which only fine steps resolve, increase it.
+//! - *Speed at equal error*: any renderer can be made faster by a coarser step, so each is rated by
+//!   its time at a common error ([`super::curves`]).
+//! - *Time* is the median of repetitions. On a GPU a first picture, which uploads the volume and
+//!   compiles shaders, is rendered without timing. Curves show the time after the scene was
+//!   prepared, because preparation is the same for all renderers. Data that is cached between
+//!   pictures (maps, empty space, tables) is cached here too; the time to build it the first time
+//!   is reported once.
 //!
-//! *How to call it*: a [`Plan`], [`Assets`] loaded for [`Plan::loading`], [`open_gpu`] if there is to be one, [`run`].
+//! *How to call it*: a [`Plan`], [`Assets`] loaded for [`Plan::loading`], [`open_gpu`] for a GPU,
+//! then [`run`].
 
 use super::metrics::difference;
 use super::report::{Protocol, Report};
@@ -28,17 +35,18 @@ use std::collections::BTreeSet;
 pub const REFERENCE_STEP: f32 = 1.0 / 16.0;
 /// Steps that a scene can have, voxels.
 const STEPS: std::ops::RangeInclusive<f32> = 0.01..=100.0;
-/// Most times that a run is repeated.
+/// Most repetitions of a run.
 const MAX_REPETITIONS: usize = 1000;
-/// Most pixels of all pictures together: each takes 16 bytes, and they are kept until the report is written.
+/// Most pixels of all pictures together: each takes 16 bytes, and they stay in memory until the
+/// report is written.
 const MAX_TOTAL_PIXELS: u64 = 1 << 28;
-/// Work of a repetition on a GPU beside one on the CPU, for progress.
+/// Relative work of a repetition on a GPU, compared to the CPU, for progress.
 const GPU_SHARE: f32 = 0.2;
 
-/// What is compared: every combination of modes, steps, sizes and cameras on every backend.
+/// The plan of a comparison: every combination of modes, steps, sizes and cameras on every backend.
 #[derive(Clone, Debug)]
 pub struct Plan {
-    /// The scene; what follows takes the place of its own settings.
+    /// The scene; the fields below override its own settings.
     pub scene: Scene,
     /// Modes.
     pub modes: Vec<Mode>,
@@ -50,15 +58,15 @@ pub struct Plan {
     pub cameras: Vec<Camera>,
     /// How often each run is timed.
     pub repeat: usize,
-    /// Step of the references, voxels; none without them.
+    /// Step of the references, voxels; `None` for no references.
     pub reference: Option<f32>,
-    /// Whether the CPU renders runs; it renders references in any case.
+    /// Whether runs are rendered on the CPU; references always are.
     pub on_cpu: bool,
-    /// Whether a run that the GPU cannot render is an error, or is left out with a notice.
+    /// Whether a run that the GPU cannot render is an error; otherwise it is skipped with a notice.
     pub gpu_is_required: bool,
 }
 
-/// The modes that show something of a scene.
+/// The modes that apply to a scene.
 pub fn modes_of(scene: &Scene) -> Vec<Mode> {
     let volume = scene.volume.is_some().then_some([Mode::Slice, Mode::Raycast]);
     let has_surface = scene.mesh.iter().any(|m| !m.hidden) || scene.surface.iso.is_some() || scene.render.mode == Mode::Surface;
@@ -66,7 +74,7 @@ pub fn modes_of(scene: &Scene) -> Vec<Mode> {
 }
 
 impl Plan {
-    /// Everything about a scene at its own step, size and camera, on the CPU.
+    /// A plan with the scene's own step, size and camera, on the CPU.
     pub fn of(scene: Scene) -> Self {
         Self {
             modes: modes_of(&scene),
@@ -81,7 +89,7 @@ impl Plan {
         }
     }
 
-    /// The scene that the assets are to be loaded for: all modes share them, and so the view.
+    /// The scene for which the assets must be loaded: all modes share them, and the camera.
     pub fn loading(&self) -> Scene {
         let mut scene = self.scene.clone();
         if self.modes.contains(&Mode::Surface) {
@@ -90,10 +98,12 @@ impl Plan {
         scene
     }
 
-    /// Whether all of it can be done, before any of it is; `backends` is how many there are. Errors name the options of `incise compare`.
+    /// Checks that all of the plan can be carried out; `backends` is the number of backends. Errors
+    /// name the options of `incise compare`.
     ///
     /// # Errors
-    /// Lists that are empty, settings out of range, a reference that is no finer than what it is to judge, more pictures than fit.
+    /// Empty lists, settings out of range, a reference no finer than the runs it judges, more
+    /// pictures than fit into memory.
     pub fn check(&self, backends: usize) -> Result<()> {
         let empty = [("--modes", self.modes.is_empty()), ("--steps", self.steps.is_empty()), ("--sizes", self.sizes.is_empty())];
         let empty = empty.into_iter().chain([("--cameras", self.cameras.is_empty()), ("--backend", backends == 0)]);
@@ -162,7 +172,8 @@ impl Plan {
         scene
     }
 
-    /// A name that tells a run from all others: mode and backend, and what the plan varies.
+    /// A name that distinguishes a run from all others: mode and backend, and the settings that the
+    /// plan varies.
     fn name(&self, head: &str, scene: &Scene, names_step: bool) -> String {
         let mut name = head.to_owned();
         if names_step && self.steps.len() > 1 {
@@ -178,18 +189,20 @@ impl Plan {
     }
 }
 
-/// A GPU to compare, software ones included, which also reports its own times.
+/// Opens a GPU to compare, software ones included, which also reports its own timings.
 ///
 /// # Errors
-/// There is none, or it cannot be opened.
+/// There is no GPU, or it cannot be opened.
 pub fn open_gpu() -> Result<Engine> {
     Engine::open(EngineOptions { backend: Backend::Gpu, strict: true, time_passes: true })
 }
 
-/// Renders everything of a plan and compares what can be compared. `progress` is told what is being rendered, and the share of all that is done.
+/// Renders all runs of a plan and compares them. `progress` receives the current stage and the
+/// fraction of all work done.
 ///
 /// # Errors
-/// As [`Plan::check`]; any setting that cannot be used, by name; what the GPU reports, if it is required.
+/// As [`Plan::check`]; any setting that cannot be used, by name; GPU errors, if the GPU is
+/// required.
 pub fn run(plan: &Plan, assets: &Assets, mut gpu: Option<Engine>, title: &str, progress: &(dyn Fn(&'static str, f32) + Sync)) -> Result<Report> {
     plan.check(usize::from(plan.on_cpu) + usize::from(gpu.is_some()))?;
     let mut progress = SweepProgress { progress, done: 0.0, all: work(plan, gpu.is_some()) };
@@ -203,7 +216,8 @@ pub fn run(plan: &Plan, assets: &Assets, mut gpu: Option<Engine>, title: &str, p
                 for &step in &plan.steps {
                     let scene = plan.at(mode, step, size, camera);
                     let repetition = area(size) / step;
-                    // What a live view has from its second picture on is not made within a time.
+                    // Gradients, which a live view computes for its second picture, are computed
+                    // outside the timing.
                     Prepared::new(&scene, assets)?.make_gradients();
                     if plan.on_cpu {
                         let part = progress.part(mode_name(mode), repetition * plan.repeat as f32);
@@ -267,7 +281,7 @@ pub fn run(plan: &Plan, assets: &Assets, mut gpu: Option<Engine>, title: &str, p
     Ok(report)
 }
 
-/// Stages of preparing a plan's modes while nothing of them is kept.
+/// Stages of preparing a plan's modes with empty caches.
 fn first_preparation(plan: &Plan, assets: &Assets) -> Result<Vec<(String, f64)>> {
     let mut stages: Vec<(String, f64)> = Vec::new();
     for &mode in &plan.modes {
@@ -282,7 +296,7 @@ fn first_preparation(plan: &Plan, assets: &Assets) -> Result<Vec<(String, f64)>>
     Ok(stages)
 }
 
-/// How much of the whole work is done.
+/// Progress of the whole comparison.
 struct SweepProgress<'a> {
     progress: &'a (dyn Fn(&'static str, f32) + Sync),
     done: f32,
@@ -314,7 +328,7 @@ fn area([width, height]: [u32; 2]) -> f32 {
     width as f32 * height as f32
 }
 
-/// Work of a plan, in samples about.
+/// Approximate work of a plan, in samples.
 fn work(plan: &Plan, gpu: bool) -> f32 {
     let per_pixel: f32 = plan.steps.iter().map(|s| 1.0 / s).sum();
     let repetitions = if plan.on_cpu { plan.repeat as f32 } else { 0.0 } + if gpu { GPU_SHARE * (plan.repeat + 2) as f32 } else { 0.0 };
@@ -324,7 +338,7 @@ fn work(plan: &Plan, gpu: bool) -> f32 {
     (pixels * plan.cameras.len() as f32 * (plan.modes.len() as f32 * per_pixel * repetitions + references)).max(f32::MIN_POSITIVE)
 }
 
-/// A run out of repetitions of it: what the one in the middle has, with the spread of all.
+/// Merges repetitions of a run: the median repetition, with the spread of all.
 fn merged(mut all: Vec<Run>) -> Result<Run> {
     let times = Times::of(&all.iter().map(|r| r.milliseconds.median).collect::<Vec<_>>());
     let rendering = Times::of(&all.iter().map(|r| r.rendering.median).collect::<Vec<_>>());
@@ -357,15 +371,16 @@ fn on_gpu(plan: &Plan, scene: &Scene, assets: &Assets, gpu: &mut Engine, part: &
     Ok(Run { warm_up: Some(first.milliseconds.median), stats: counted.stats, ..merged(timed)? })
 }
 
-/// What a GPU is, for people.
+/// A GPU's name, for display.
 fn gpu_name(gpu: &Engine) -> String {
     let device = gpu.device();
     let soft = if device.is_software { ", a software adapter: its times are a processor's" } else { "" };
     format!("{}{soft}", device.name)
 }
 
-/// Pairs of runs whose difference says something, by index: of those that show the same, different renderers at one step, and each run with
-/// its reference. Two steps of one renderer are compared by way of the reference.
+/// Pairs of runs whose difference is meaningful, by index: among runs of the same view, different
+/// renderers at one step, and each run with its reference. Two steps of one renderer are compared
+/// through the reference.
 pub fn pairs_of(runs: &[Run]) -> Vec<[usize; 2]> {
     let all = (0..runs.len()).flat_map(|a| (a + 1..runs.len()).map(move |b| [a, b]));
     let is_informative = |[a, b]: &[usize; 2]| {
@@ -419,7 +434,7 @@ mod tests {
             assert!(message.starts_with(option), "{message}");
         }
         assert!(good().check(0).is_err());
-        // Names tell what varies, and no more.
+        // Names state only the settings that vary.
         let plan = Plan { sizes: vec![[8, 6], [16, 12]], ..good() };
         let scene = plan.at(Mode::Slice, 0.5, [8, 6], &plan.cameras[0]);
         assert_eq!(plan.name("slice cpu", &scene, true), "slice cpu step 0.5 8x6");

@@ -1,29 +1,32 @@
-//! How much two pictures of one size differ, in numbers and as a picture.
+//! The difference of two pictures of one size, as numbers and as a picture.
 //!
-//! *Theory*: pixels are compared as they are, premultiplied and without a background, so that a wrong alpha counts even where it does not
-//! show over the background at hand. Mean, maximum and PSNR say how far values are apart; SSIM (Wang, Bovik, Sheikh, Simoncelli, "Image
-//! Quality Assessment: From Error Visibility to Structural Similarity", IEEE TIP 13(4), 2004) says whether edges and textures are where
-//! they belong. Our difference from that paper: its window is cut off at the border of the picture and the mean is taken over what is left;
-//! here pixels beyond the border repeat it, so that every pixel counts.
+//! *Theory*: pixels are compared as stored, premultiplied and without a background, so that a wrong
+//! alpha counts even if it is invisible over the current background. Mean, maximum and PSNR measure
+//! how far values are apart; SSIM (Wang, Bovik, Sheikh, Simoncelli, "Image Quality Assessment: From
+//! Error Visibility to Structural Similarity", IEEE TIP 13(4), 2004) measures whether edges and
+//! textures are in place. The difference from that paper: its window is cut off at the border of
+//! the picture and the mean is taken over the rest; here pixels beyond the border repeat it, so
+//! that every pixel counts.
 
 use crate::picture::Picture;
 use crate::{Error, Result};
 use rayon::prelude::*;
 use serde::{Serialize, Serializer};
 
-/// The window of SSIM reaches this many pixels from its middle.
+/// Radius of the SSIM window, pixels.
 const RADIUS: usize = 5;
 /// Standard deviation of the window, pixels.
 const SIGMA: f64 = 1.5;
 /// (K1 L)² and (K2 L)² with K1 = 0.01, K2 = 0.03, L = 1.
 const STABILISERS: [f64; 2] = [0.01 * 0.01, 0.03 * 0.03];
-/// Weights of red, green and blue (Rec. 601): what a picture shows is not linear light.
+/// Weights of red, green and blue (Rec. 601): pictures are not in linear light.
 const LUMINANCE: [f32; 3] = [0.299, 0.587, 0.114];
 
-/// Colours of differences, evenly spaced: each is brighter than the one before it, and none needs red told from green.
+/// Colours of differences, evenly spaced: each is brighter than the one before, and none requires
+/// telling red from green.
 const RAMP: [[f32; 3]; 4] = [[0.0, 0.0, 0.0], [0.24, 0.16, 0.62], [0.93, 0.52, 0.13], [1.0, 0.97, 0.76]];
 
-/// How two pictures differ.
+/// The difference between two pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Difference {
     /// Mean over all four channels of all pixels, 0..255.
@@ -38,18 +41,18 @@ pub struct Difference {
 }
 
 impl Difference {
-    /// Root of the mean square over all four channels of all pixels, 0..255: what the PSNR says, as a length.
+    /// Root mean square over all four channels of all pixels, 0..255: the PSNR as a distance.
     pub fn rms(&self) -> f64 {
         255.0 * 10f64.powf(-self.psnr_db / 20.0)
     }
 }
 
-/// JSON has no infinity.
+/// Serialises infinity as `null`, since JSON lacks it.
 fn finite<S: Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S::Error> {
     value.is_finite().then_some(*value).serialize(serializer)
 }
 
-/// Compares two pictures; values are held to 0..1 first.
+/// Compares two pictures; values are clamped to 0..1 first.
 ///
 /// # Errors
 /// Pictures of different sizes, without pixels, or with values that are not numbers.
@@ -68,8 +71,8 @@ pub fn difference(a: &Picture, b: &Picture) -> Result<Difference> {
     Ok(Difference { mean: 255.0 * sum / count, max: 255.0 * max, psnr_db, ssim: ssim(a, b) })
 }
 
-/// The largest difference of any channel, pixel by pixel and times `amplify`, as an opaque colour: black where nothing differs, then
-/// blue-violet, orange, and pale yellow from 1 on.
+/// The largest difference of any channel, per pixel and times `amplify`, as an opaque colour: black
+/// without a difference, then blue-violet, orange, and pale yellow from 1 on.
 ///
 /// # Errors
 /// As [`difference`]; an amplification that is not positive.
@@ -102,7 +105,7 @@ fn channel_differences(p: &[f32; 4], q: &[f32; 4]) -> [f32; 4] {
     std::array::from_fn(|c| (p[c].clamp(0.0, 1.0) - q[c].clamp(0.0, 1.0)).abs())
 }
 
-/// The colour of a difference; from 1 on the last one.
+/// The colour of a difference; from 1 on, the last colour.
 fn ramp(difference: f32) -> [f32; 4] {
     let last = RAMP.len() - 1;
     let at = difference.clamp(0.0, 1.0) * last as f32;
@@ -113,7 +116,7 @@ fn ramp(difference: f32) -> [f32; 4] {
     [r, g, b, 1.0]
 }
 
-/// Luminance over black: premultiplied colour is that already.
+/// Luminance over black, which premultiplied colour already is.
 fn luminance(picture: &Picture) -> Vec<f32> {
     picture.pixels.iter().map(|p| LUMINANCE.iter().zip(p).map(|(weight, v)| weight * v.clamp(0.0, 1.0)).sum::<f32>()).collect()
 }
@@ -128,8 +131,9 @@ fn window() -> [f64; 2 * RADIUS + 1] {
     weights.map(|w| w / sum)
 }
 
-/// Mean SSIM of two pictures of one size. The window is separable: rows under it are summed for each row, then columns for each pixel, so
-/// that nothing of the picture's size is held but the luminances.
+/// Mean SSIM of two pictures of one size. The window is separable: rows under it are summed for
+/// each row, then columns for each pixel, so that only the luminances need memory of the picture's
+/// size.
 fn ssim(a: &Picture, b: &Picture) -> f64 {
     let (width, height) = (a.width as usize, a.height as usize);
     let (a, b) = (luminance(a), luminance(b));
@@ -155,7 +159,7 @@ fn ssim(a: &Picture, b: &Picture) -> f64 {
             (0..width).map(similarity_at).sum::<f64>()
         })
         .collect();
-    // In order, so that the number of threads changes nothing.
+    // Summed in order, so that the result does not depend on the number of threads.
     rows.iter().sum::<f64>() / (width * height) as f64
 }
 
@@ -225,7 +229,7 @@ mod tests {
             assert!(difference_picture(&a, b, 1.0).unwrap().pixels.iter().any(|p| p[2] > 0.0), "{name} does not show");
         }
         assert!(difference(&a, &shifted).unwrap().ssim < 0.999 && difference(&a, &swapped).unwrap().ssim < 0.999);
-        // One pixel of all.
+        // A single pixel differs.
         let mut speck = a.clone();
         speck.pixels[77][1] += 0.1;
         let d = difference(&a, &speck).unwrap();

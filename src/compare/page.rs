@@ -1,6 +1,7 @@
-//! A comparison as one page: plots, tables, pictures, and two of them wiped over each other.
+//! A comparison as one page: plots, tables, pictures, and a wipe between two of them.
 //!
-//! The page holds its pictures itself and asks for nothing else, so that it can be mailed, archived, and opened without a network.
+//! The page embeds its pictures and loads nothing else, so that it can be mailed, archived, and
+//! opened offline.
 
 use super::curves::{self, Curve, CurvePoint, EqualError, MIN_ERROR};
 use super::plot::{self, Bar, Dot, PlotAxis, PlotSeries, escaped, number};
@@ -39,7 +40,7 @@ impl Report {
             .chain(self.pairs.iter().map(|pair| format!("difference of {} and {}", self.runs[pair.a].name, self.runs[pair.b].name)))
             .map(|caption| escaped(&caption))
             .collect();
-        // Pictures of different views or sizes do not lie over each other.
+        // Pictures of different views or sizes cannot be overlaid.
         let frame_of = |run: &Run| views.iter().position(|v| v.camera == run.shown.camera && v.size == run.shown.size).unwrap_or(0);
         let frames: Vec<usize> = self.runs.iter().map(frame_of).chain(self.pairs.iter().map(|pair| frame_of(&self.runs[pair.a]))).collect();
         if captions.len() > 1 {
@@ -74,7 +75,7 @@ impl Report {
         page
     }
 
-    /// Plots of all runs that show one thing.
+    /// Plots of all runs of one view.
     fn plots(&self, shown: &ViewKey, views: &[ViewKey], equal: &[EqualError]) -> String {
         let curves = curves::curves(&self.runs, shown);
         let runs: Vec<&Run> = self.runs.iter().filter(|run| run.shown == *shown && !run.is_reference).collect();
@@ -124,7 +125,7 @@ impl Report {
         text
     }
 
-    /// What renderers cost where they are equally wrong, or why that cannot be said.
+    /// The cost of renderers at equal error, or why it cannot be given.
     fn equal_table(&self, equal: &[EqualError], views: &[ViewKey]) -> String {
         let mut text = String::from("<h2>Speed at equal error</h2>\n");
         let steps: std::collections::BTreeSet<u32> = self.runs.iter().filter(|run| !run.is_reference).map(|run| run.step.to_bits()).collect();
@@ -240,7 +241,7 @@ impl Report {
     }
 }
 
-/// How the runs were made.
+/// Describes how the runs were made.
 fn protocol_text(protocol: &Protocol) -> String {
     let mut text = String::from("<p>");
     text.push_str(&format!("{}. ", escaped(&protocol.cpu)));
@@ -283,7 +284,8 @@ fn protocol_text(protocol: &Protocol) -> String {
     text
 }
 
-/// The colour of a renderer's curves: a hue for each mode, another lightness beside the CPU's.
+/// The colour index of a renderer's curves: a hue per mode, with a different lightness for the CPU
+/// and for GPUs.
 fn color_of(mode: Mode, cpu: bool) -> usize {
     let hue = match mode {
         Mode::Slice => 0,
@@ -297,7 +299,7 @@ fn decibels(psnr_db: f64) -> String {
     if psnr_db.is_finite() { format!("{psnr_db:.2}") } else { "∞".to_owned() }
 }
 
-/// A count in groups of three digits, kept apart by spaces that do not break.
+/// A count in groups of three digits, separated by non-breaking spaces.
 fn grouped(count: u64) -> String {
     let digits = count.to_string();
     let mut out = String::new();
@@ -310,7 +312,8 @@ fn grouped(count: u64) -> String {
     out
 }
 
-/// Greys only: pictures and plots are the colours of the page. Text has a contrast of at least 7 to 1 on either background.
+/// Greys only: colour is left to the pictures and plots. Text has a contrast of at least 7 to 1 on
+/// either background.
 const STYLE: &str = "
 :root{color-scheme:light dark;--page:#fff;--text:#1b1b1b;--quiet:#505050;--line:#c4c4c4}
 @media (prefers-color-scheme:dark){:root{--page:#171717;--text:#e4e4e4;--quiet:#b4b4b4;--line:#484848}}
@@ -334,7 +337,7 @@ a{color:inherit}code{font-size:.95em}
 pre{overflow-x:auto;padding:1em;border:1px solid var(--line)}summary{margin-top:1.8em;cursor:pointer}
 ";
 
-/// The pictures of the wipe are those of the page, by their ids, so that the page holds each once.
+/// The wipe refers to the page's pictures by their ids, so that the page holds each once.
 const SCRIPT: &str = "
 (() => {
   const byId = id => document.getElementById(id);

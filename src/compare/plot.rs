@@ -1,19 +1,21 @@
-//! Plots as SVG, drawn by the page that holds them: curves over one or two logarithmic axes, and stacked bars.
+//! Plots as SVG, embedded in the page: curves over one or two logarithmic axes, and stacked bars.
 //!
-//! *Theory*: what a renderer costs and how far it errs are powers of its step, so that on two logarithmic axes a curve is nearly straight
-//! and its slope is the order of convergence. Lengths on a logarithmic axis mean nothing, so bars stand on a linear one.
+//! *Theory*: cost and error of a renderer are powers of its step, so that on two logarithmic axes a
+//! curve is nearly straight and its slope is the order of convergence. Lengths on a logarithmic
+//! axis are meaningless, so bars use a linear one.
 //!
-//! *How to call it*: [`curves`] and [`bars`] give one `<svg>` each, for a page that holds [`STYLE`]. Series differ by shape and dash as well
-//! as by colour, text has the page's colour, so that a plot can be read in light, in dark, and without colours. Values that an axis cannot
+//! *How to call it*: [`curves`] and [`bars`] return one `<svg>` each, for a page that includes
+//! [`STYLE`]. Series differ by shape and dash as well as by colour, and text has the page's colour,
+//! so that a plot is readable in light, in dark, and without colours. Values that an axis cannot
 //! show (not finite; not positive on a logarithmic one) are left out.
 
 use std::fmt::Write;
 
-/// Width of a plot, in its own units; a page may show it larger or smaller.
+/// Width of a plot, in its own units; a page may scale it.
 const WIDTH: f64 = 640.0;
 /// Height of a plot of curves.
 const HEIGHT: f64 = 330.0;
-/// Space left of, right of (for the legend), above and below what is drawn.
+/// Margins to the left, to the right (for the legend), above and below.
 const LEFT: f64 = 66.0;
 const RIGHT: f64 = 150.0;
 const TOP: f64 = 30.0;
@@ -22,17 +24,17 @@ const BOTTOM: f64 = 48.0;
 const ROW: f64 = 22.0;
 /// Room for the names of bars.
 const NAMES: f64 = 190.0;
-/// Width of a character, about, of the size that plots are lettered in.
+/// Approximate width of a character in the plots' font size.
 const CHARACTER: f64 = 6.3;
-/// Colours that curves and parts of bars go through.
+/// Number of colours for curves and parts of bars.
 const COLORS: usize = 10;
-/// Room between what is drawn and the frame of a logarithmic axis, as a share of the data's extent.
+/// Margin between the data and the frame of a logarithmic axis, as a fraction of the data's extent.
 const MARGIN: f64 = 0.08;
-/// Parts that nowhere reach this share of the longest bar are drawn as one.
+/// Parts that are below this fraction of the longest bar in every bar are merged into one.
 const MIN_PART: f64 = 0.005;
 
-/// Colours on light and on dark, each apart from its neighbours for every kind of colour vision (after Okabe and Ito, "Color Universal
-/// Design", 2008).
+/// Colours on light and on dark, adjacent ones distinguishable with every kind of colour vision
+/// (after Okabe and Ito, "Color Universal Design", 2008).
 pub const STYLE: &str = "
 .plot{display:block;width:100%;max-width:52em;height:auto;margin:.4em 0;font:12px system-ui,sans-serif}
 .plot text{fill:var(--text)}.plot .grid{stroke:var(--line);stroke-width:1;fill:none}
@@ -49,9 +51,9 @@ pub const STYLE: &str = "
 /// One axis of a plot of curves, logarithmic.
 #[derive(Clone, Debug, Default)]
 pub struct PlotAxis {
-    /// What it measures, with its unit.
+    /// Quantity and unit.
     pub label: String,
-    /// Where its ticks are; at round numbers if there are none.
+    /// Tick positions; round numbers if empty.
     pub ticks: Vec<f64>,
 }
 
@@ -62,18 +64,18 @@ pub struct Dot {
     pub x: f64,
     /// Along the vertical axis.
     pub y: f64,
-    /// Least and greatest y that were measured, if several were.
+    /// Least and greatest measured y, if there were several.
     pub spread: Option<[f64; 2]>,
 }
 
 /// A curve with its name.
 #[derive(Clone, Debug)]
 pub struct PlotSeries {
-    /// What the legend says.
+    /// Label in the legend.
     pub name: String,
-    /// Which colour, from 0; they come round again.
+    /// Colour index, from 0; colours repeat.
     pub color: usize,
-    /// Drawn with dashes and squares instead of lines and discs.
+    /// Drawn with dashes and squares instead of solid lines and discs.
     pub dashed: bool,
     /// Its points, in order.
     pub dots: Vec<Dot>,
@@ -82,9 +84,9 @@ pub struct PlotSeries {
 /// One stacked bar.
 #[derive(Clone, Debug)]
 pub struct Bar {
-    /// What stands before it.
+    /// Label to the left of the bar.
     pub name: String,
-    /// Its parts by index of their name, and how long they are.
+    /// Its parts: index into the part names, and length.
     pub parts: Vec<(usize, f64)>,
 }
 
@@ -118,7 +120,7 @@ pub fn curves(title: &str, x: &PlotAxis, y: &PlotAxis, series: &[PlotSeries], ma
     }
     for (n, s) in series.iter().enumerate() {
         let _ = write!(svg, "<g class=\"c{}\">", s.color % COLORS);
-        // A dot that cannot be shown breaks the line.
+        // A dot that cannot be shown interrupts the line.
         for stretch in s.dots.split(|d| !(shown(d.x) && shown(d.y))).filter(|stretch| stretch.len() > 1) {
             let path: Vec<String> = stretch.iter().map(at).map(|[px, py]| format!("{px:.1} {py:.1}")).collect();
             let _ = write!(svg, "<path class=\"curve\"{} d=\"M{}\"/>", dash(s.dashed), path.join("L"));
@@ -140,7 +142,8 @@ pub fn curves(title: &str, x: &PlotAxis, y: &PlotAxis, series: &[PlotSeries], ma
     svg
 }
 
-/// Stacked bars, one below the other, on a linear axis from 0. Parts that are short in every bar are drawn as one, "other".
+/// Stacked bars, one below the other, on a linear axis from 0. Parts that are short in every bar
+/// are merged into one, "other".
 pub fn bars(title: &str, label: &str, parts: &[&str], bars: &[Bar]) -> String {
     let length = |b: &Bar| b.parts.iter().map(|p| p.1).filter(|v| v.is_finite() && *v > 0.0).sum::<f64>();
     let longest = bars.iter().map(length).fold(0.0, f64::max);
@@ -216,7 +219,7 @@ fn dash(dashed: bool) -> &'static str {
     if dashed { " stroke-dasharray=\"6 4\"" } else { "" }
 }
 
-/// A disc or a square; what it tells when pointed at.
+/// A disc or a square, with its tooltip.
 fn dot(x: f64, y: f64, square: bool, tooltip: &str) -> String {
     let tooltip = if tooltip.is_empty() { String::new() } else { format!("<title>{}</title>", escaped(tooltip)) };
     if square {
@@ -225,7 +228,7 @@ fn dot(x: f64, y: f64, square: bool, tooltip: &str) -> String {
     format!("<circle class=\"dot\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4.5\">{tooltip}</circle>")
 }
 
-/// What a logarithmic axis spans.
+/// The range of a logarithmic axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Span {
     low: f64,
@@ -233,7 +236,8 @@ struct Span {
 }
 
 impl Span {
-    /// Around positive values, with a margin; around one of them, or none, a factor of two to either side.
+    /// Around positive values, with a margin; for a single value or none, a factor of two to either
+    /// side.
     fn around(values: impl Iterator<Item = f64>) -> Self {
         let [low, high] = values.fold([f64::INFINITY, 0.0f64], |[low, high], v| [low.min(v), high.max(v)]);
         if low > high {
@@ -243,13 +247,13 @@ impl Span {
         Self { low: low / more, high: high * more }
     }
 
-    /// Where a value lies, 0 at the low end and 1 at the high one.
+    /// Position of a value, 0 at the low end and 1 at the high end.
     fn share(&self, value: f64) -> f64 {
         (value / self.low).ln() / (self.high / self.low).ln()
     }
 }
 
-/// The ticks that an axis asks for, or round ones.
+/// The ticks set for an axis, or round ones.
 fn ticks_of(axis: &PlotAxis, span: &Span) -> Vec<f64> {
     if axis.ticks.is_empty() {
         return ticks(span.low, span.high);
@@ -257,7 +261,8 @@ fn ticks_of(axis: &PlotAxis, span: &Span) -> Vec<f64> {
     axis.ticks.iter().copied().filter(|v| *v >= span.low && *v <= span.high).collect()
 }
 
-/// Round numbers within `low..high` on a logarithmic axis: three to about nine of them, the rounder the farther apart its ends are.
+/// Round numbers within `low..high` on a logarithmic axis: about three to nine of them, rounder for
+/// a wider range.
 pub fn ticks(low: f64, high: f64) -> Vec<f64> {
     if !(low.is_finite() && high.is_finite() && low > 0.0 && high > low) {
         return Vec::new();
@@ -280,7 +285,7 @@ pub fn ticks(low: f64, high: f64) -> Vec<f64> {
     ];
     let found = choices.into_iter().map(|m| decades(m, 1)).find(|t| t.len() >= 4);
     found.unwrap_or_else(|| {
-        // Within a few percent no mantissa is round: even steps.
+        // Within a few percent no mantissa is round: linear steps.
         let step = round_step((high - low) / 4.0);
         let first = (low / step).ceil() as i64;
         (0..8).map(|n| (first + n) as f64 * step).filter(|v| *v >= low && *v <= high).collect()
@@ -293,7 +298,7 @@ fn linear_ticks(longest: f64) -> Vec<f64> {
     (0..=10).map(|n| f64::from(n) * step).filter(|v| *v <= longest * 1.05).collect()
 }
 
-/// The least of 1, 2 and 5 times a power of ten that is not below `step`.
+/// The least of 1, 2 and 5 times a power of ten that is at least `step`.
 fn round_step(step: f64) -> f64 {
     if !(step.is_finite() && step > 0.0) {
         return 1.0;
@@ -302,7 +307,7 @@ fn round_step(step: f64) -> f64 {
     [1.0, 2.0, 5.0, 10.0].into_iter().map(|m| m * power).find(|v| *v >= step * (1.0 - 1e-9)).unwrap_or(10.0 * power)
 }
 
-/// A tick's number: no more digits than it has, thousands as k and millions as M.
+/// A tick's number: only as many digits as needed, thousands as k and millions as M.
 pub fn tick_label(value: f64) -> String {
     let magnitude = value.abs();
     let (scaled, unit) = if magnitude >= 1e6 {
@@ -329,7 +334,7 @@ pub fn number(value: f64) -> String {
     if digits > 7 { format!("{value:.2e}") } else { format!("{value:.*}", digits.max(0) as usize) }
 }
 
-/// Text as HTML and XML take it, in an element or a quoted attribute.
+/// Text escaped for HTML and XML, in an element or a quoted attribute.
 pub fn escaped(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
@@ -403,7 +408,7 @@ mod tests {
     fn a_gap_breaks_the_line() {
         let dots: Vec<Dot> = [1.0, 2.0, f64::NAN, 4.0, 5.0, 6.0].map(|y| Dot { x: y.max(3.0), y, spread: None }).into();
         let svg = curves("", &PlotAxis::default(), &PlotAxis::default(), &[PlotSeries { name: String::new(), color: 0, dashed: false, dots }], None);
-        // Two stretches, and the sample in the legend.
+        // Two line segments, and the sample in the legend.
         assert_eq!((svg.matches("class=\"curve\"").count(), svg.matches("class=\"dot\"").count()), (2 + 1, 5 + 1));
     }
 

@@ -1,4 +1,4 @@
-//! Runs of one scene side by side: how they were made, and by how much their pictures differ.
+//! Runs of one scene side by side: how they were made, and how much their pictures differ.
 
 use super::metrics::{Difference, difference};
 use super::run::Run;
@@ -7,35 +7,36 @@ use std::collections::HashSet;
 
 /// The version of the program.
 pub(super) const VERSION: &str = env!("CARGO_PKG_VERSION");
-/// Differences are shown this many times as large: 1/8 of the range is as bright as it gets.
+/// Differences are amplified by this factor: 1/8 of the range reaches the brightest colour.
 const AMPLIFY: f32 = 8.0;
 
-/// Two runs and how their pictures differ.
+/// Two runs and the difference of their pictures.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RunPair {
     /// Index of the first run.
     pub a: usize,
     /// Index of the second run.
     pub b: usize,
-    /// How they differ.
+    /// Their difference.
     pub difference: Difference,
 }
 
 /// How the runs of a report were made.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Protocol {
-    /// The processor, for people.
+    /// The processor, for display.
     pub cpu: String,
-    /// The graphics adapter, for people, if one was used.
+    /// The graphics adapter, for display, if one was used.
     pub gpu: Option<String>,
     /// How often each run was timed.
     pub repeat: usize,
-    /// Step of the references, voxels, if there are any.
+    /// Step of the references, voxels, if there are references.
     pub reference_step: Option<f32>,
-    /// Stages of preparing the scene for the first time, as for the picture after loading, and their milliseconds. Runs find kept what any second
-    /// picture finds.
+    /// Stages of preparing the scene for the first time, as for the first picture after loading,
+    /// with their milliseconds. The runs themselves use the data that is cached from the second
+    /// picture on.
     pub first_preparation: Vec<(String, f64)>,
-    /// What a reader should know, one sentence each.
+    /// Notices for the reader, one sentence each.
     pub notices: Vec<String>,
 }
 
@@ -44,21 +45,22 @@ pub struct Protocol {
 pub struct Report {
     /// Heading of the page.
     pub title: String,
-    /// The scene that all runs show, as its file's text.
+    /// The scene that all runs show, as TOML.
     pub scene_toml: String,
     /// The runs.
     pub runs: Vec<Run>,
     /// Pairs of runs, in order.
     pub pairs: Vec<RunPair>,
-    /// Behind the pictures: red, green, blue, alpha in 0..1, not premultiplied. The numbers do not depend on it.
+    /// Background of the pictures: red, green, blue, alpha in 0..1, not premultiplied. The metrics
+    /// do not depend on it.
     pub background: [f32; 4],
-    /// Difference pictures show differences this many times as large.
+    /// Amplification of the difference pictures.
     pub amplify: f32,
-    /// How the runs were made, if all by one rule.
+    /// How the runs were made, if all were made the same way.
     pub protocol: Option<Protocol>,
 }
 
-/// A picture as it is written.
+/// A picture encoded for writing.
 pub(super) struct Encoded {
     pub(super) file: String,
     pub(super) png: Vec<u8>,
@@ -68,7 +70,8 @@ impl Report {
     /// Compares every run with every other.
     ///
     /// # Errors
-    /// No runs, two of one name, pictures of different sizes or with values that are not numbers.
+    /// No runs, two runs of one name, pictures of different sizes or with values that are not
+    /// finite.
     pub fn new(title: impl Into<String>, scene_toml: impl Into<String>, background: [f32; 4], runs: Vec<Run>) -> Result<Self> {
         let all = (0..runs.len()).flat_map(|a| (a + 1..runs.len()).map(move |b| [a, b])).collect();
         Self::of_pairs(title, scene_toml, background, runs, all)
@@ -77,7 +80,7 @@ impl Report {
     /// Compares runs by pairs of their indices.
     ///
     /// # Errors
-    /// As [`Self::new`]; a pair of runs that are not there.
+    /// As [`Self::new`]; a pair with an index out of range.
     pub fn of_pairs(
         title: impl Into<String>,
         scene_toml: impl Into<String>,
@@ -100,14 +103,14 @@ impl Report {
         Ok(Self { title: title.into(), scene_toml: scene_toml.into(), runs, pairs, background, amplify: AMPLIFY, protocol: None })
     }
 
-    /// The size that all pictures have; none if they differ in it.
+    /// The common size of all pictures; none if they differ.
     pub(super) fn size(&self) -> Option<[u32; 2]> {
         let size = |run: &Run| [run.picture.width, run.picture.height];
         let first = size(self.runs.first()?);
         self.runs.iter().all(|run| size(run) == first).then_some(first)
     }
 
-    /// Names of all stages of any run, in order of appearance.
+    /// Names of all stages of all runs, in order of appearance.
     pub(super) fn stage_names(&self) -> Vec<&str> {
         let mut seen = HashSet::new();
         self.runs.iter().flat_map(|run| &run.stages).map(|(name, _)| name.as_str()).filter(|name| seen.insert(*name)).collect()

@@ -1,4 +1,4 @@
-//! One renderer's picture of a scene, with what it took: what a comparison is made of.
+//! One renderer's picture of a scene with its cost: the unit of a comparison.
 
 use super::metrics::Difference;
 use crate::engine::{Engine, RenderRequest};
@@ -11,10 +11,10 @@ use crate::volume::{Colors, VoxelGridValues};
 use crate::{Result, Watch};
 use std::time::Instant;
 
-/// Milliseconds that something took, once or repeatedly.
+/// Milliseconds of one or more measurements.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Times {
-    /// The one in the middle; of an even number the lower of the two.
+    /// The median; of an even number, the lower of the two.
     pub median: f64,
     /// The least.
     pub min: f64,
@@ -23,7 +23,7 @@ pub struct Times {
 }
 
 impl Times {
-    /// Of any number of measurements; all 0 of none.
+    /// Of any number of measurements; all 0 if there are none.
     pub fn of(milliseconds: &[f64]) -> Self {
         let mut sorted = milliseconds.to_vec();
         sorted.sort_by(f64::total_cmp);
@@ -33,23 +33,24 @@ impl Times {
     }
 }
 
-/// Bytes that a picture needs, in the process that made it.
+/// Memory used for a picture, in the process that rendered it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Memory {
-    /// The volume's values and colours as they are sampled, by this renderer.
+    /// The volume's values and colours as this renderer samples them.
     pub volume_bytes: u64,
-    /// The gradients of all voxels, where the renderer keeps them.
+    /// The gradients of all voxels, if the renderer stores them.
     pub gradient_bytes: u64,
     /// All displacement maps, as a GPU holds them.
     pub map_bytes: u64,
     /// Distance fields of surfaces, as a GPU holds them.
     pub surface_bytes: u64,
-    /// The largest resident size of the process up to the end of the run, where the system tells.
+    /// The peak resident size of the process up to the end of the run, where the system reports it.
     pub peak_bytes: Option<u64>,
 }
 
 impl Memory {
-    /// What a scene holds that was prepared and rendered on the CPU; without a volume if it has none of its own.
+    /// Memory of a scene that was prepared and rendered on the CPU; without the volume if the scene
+    /// has none of its own.
     pub fn of(scene: &Prepared, has_volume: bool) -> Self {
         let volume = match &scene.volume().grid.voxels {
             VoxelGridValues::U8(v) => size_of_val(flat(v)),
@@ -68,24 +69,24 @@ impl Memory {
     }
 }
 
-/// Stages with names of their own.
+/// Stages with owned names.
 pub(super) fn owned(stages: &[&StageTimes]) -> Vec<(String, f64)> {
     stages.iter().flat_map(|s| &s.0).map(|&(stage, ms)| (stage.to_owned(), ms)).collect()
 }
 
-/// What a picture shows, and how large: only pictures that agree in it can be compared.
+/// The content and size of a picture: only pictures with the same key can be compared.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ViewKey {
-    /// The direction of view, as it is written in a scene file.
+    /// The view direction, as written in a scene file.
     pub camera: String,
     /// Width and height, pixels.
     pub size: [u32; 2],
-    /// Surfaces alone, which are something else than the volume.
+    /// Whether it shows surfaces alone, which is different content than the volume.
     pub surface: bool,
 }
 
 impl ViewKey {
-    /// What a scene's picture shows.
+    /// The key of a scene's picture.
     pub fn of(scene: &Scene) -> Self {
         Self { camera: scene.camera.view.into(), size: scene.render.size, surface: scene.render.mode == Mode::Surface }
     }
@@ -98,44 +99,45 @@ impl std::fmt::Display for ViewKey {
     }
 }
 
-/// One renderer's picture of the scene and what it cost.
+/// One renderer's picture of the scene with its cost.
 #[derive(Clone, Debug)]
 pub struct Run {
-    /// What it is called in the report, e.g. `slice cpu`; no two runs of a report have the same name.
+    /// Its name in the report, e.g. `slice cpu`; no two runs of a report have the same name.
     pub name: String,
     /// The picture, premultiplied, without background.
     pub picture: Picture,
-    /// What it shows.
+    /// Content and size of the picture.
     pub shown: ViewKey,
     /// How the scene was sampled.
     pub mode: Mode,
-    /// What rendered it: `cpu` or `gpu`.
+    /// The backend: `cpu` or `gpu`.
     pub backend: String,
     /// Distance between samples in voxels (of the smallest spacing).
     pub step: f32,
     /// From the loaded scene to the picture.
     pub milliseconds: Times,
-    /// The part of it after the scene was prepared: what differs between renderers.
+    /// The part after the scene was prepared, which differs between renderers.
     pub rendering: Times,
     /// How often it was timed.
     pub repetitions: usize,
-    /// How long an untimed first picture took, milliseconds, if there was one.
+    /// Time of an untimed first picture, milliseconds, if there was one.
     pub warm_up: Option<f64>,
     /// Parts of the median time by name, milliseconds, in order.
     pub stages: Vec<(String, f64)>,
-    /// Samples, if they were counted.
+    /// Sample counts, if available.
     pub stats: Option<RenderStats>,
-    /// What it needed.
+    /// Memory used.
     pub memory: Memory,
-    /// How far it is from its reference, if there is one.
+    /// The difference from its reference, if there is one.
     pub error: Option<Difference>,
-    /// Whether it is what others are measured against.
+    /// Whether it is a reference for other runs.
     pub is_reference: bool,
-    /// What a user should know of it, one sentence each.
+    /// Notices for the user, one sentence each.
     pub notices: Vec<String>,
 }
 
-/// Renders a scene, as one run of a report. Loading the assets is not part of its time, preparing the scene is.
+/// Renders a scene as one run of a report. The time excludes loading the assets but includes
+/// preparing the scene.
 ///
 /// # Errors
 /// As [`Engine::picture`].
@@ -154,7 +156,8 @@ pub fn run(engine: &mut Engine, scene: &Scene, assets: &Assets, name: &str, requ
     Ok(run)
 }
 
-/// One timed picture, nameless: the times from the start to the prepared scene, and to the picture.
+/// One timed picture without a name: the times from the start to the prepared scene, and to the
+/// picture.
 fn once(scene: &Scene, prepared: &Prepared, rendered: Rendered, [before, all]: [f64; 2]) -> Run {
     Run {
         name: String::new(),
@@ -176,7 +179,7 @@ fn once(scene: &Scene, prepared: &Prepared, rendered: Rendered, [before, all]: [
     }
 }
 
-/// The word for a mode that people type.
+/// The name of a mode on the command line.
 pub(super) fn mode_name(mode: Mode) -> &'static str {
     match mode {
         Mode::Slice => "slice",
@@ -185,12 +188,12 @@ pub(super) fn mode_name(mode: Mode) -> &'static str {
     }
 }
 
-/// Samples taken, skipped and terminated, if they were counted.
+/// Samples taken, skipped and terminated, if counted.
 pub(super) fn samples(run: &Run) -> [Option<u64>; 3] {
     run.stats.map_or([None; 3], |s| [s.samples_taken, s.samples_skipped, s.samples_terminated].map(Some))
 }
 
-/// Time that all stages of a name took together; none if there is no such stage.
+/// Total time of all stages of a name; none if there is no such stage.
 pub(super) fn stage_milliseconds(run: &Run, stage: &str) -> Option<f64> {
     let mut times = run.stages.iter().filter(|(name, _)| name == stage).map(|(_, ms)| ms).peekable();
     times.peek()?;
@@ -223,7 +226,7 @@ pub(super) mod tests {
         assert_eq!((times(&[7.0, 3.0]), times(&[2.0]), times(&[])), ([3.0, 3.0, 7.0], [2.0; 3], [0.0; 3]));
     }
 
-    /// Without perspective a ray meets slices at its own samples.
+    /// Without perspective a ray meets the slices at its own sample positions.
     #[test]
     fn slices_are_rays_where_rays_are_parallel() {
         let assets = Assets::load(&scene(Mode::Slice)).unwrap();

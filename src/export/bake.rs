@@ -1,5 +1,5 @@
-//! Baking: the deformed scene resampled into a volume, or the composed displacement into a field (\[RVD01\] section 5), slab by slab, so that
-//! nothing but the source and a few slabs is in memory.
+//! Baking: resamples the deformed scene into a volume, or the composed displacement into a field
+//! (\[RVD01\] section 5), slab by slab, so that only the source and a few slabs are in memory.
 
 use super::rows::{BakeRow, BakeRows};
 use crate::deform::{Stack, StackAndCuts};
@@ -16,32 +16,32 @@ use std::io::Write;
 use std::sync::mpsc;
 use std::thread;
 
-/// Values of a slab: about 4 MiB. What was just made is still in the cache when it is written.
+/// Size of a slab: about 4 MiB, so that a slab is still in the cache when it is written.
 const SLAB_BYTES: usize = 1 << 22;
 
-/// How values between voxels are found.
+/// Interpolation between voxels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Interpolation {
-    /// The nearest voxel's: for labels.
+    /// Nearest neighbour: for labels.
     Nearest,
     /// Trilinear.
     Linear,
-    /// Cubic convolution with a = -1/2 (Keys 1981): third order, passes through the voxels.
+    /// Cubic convolution with a = -1/2 (Keys 1981): third order, interpolating.
     Cubic,
 }
 
 /// How a volume is baked.
 #[derive(Clone, Copy, Default)]
 pub struct BakeOptions<'a> {
-    /// By default the nearest voxel's value for label maps, otherwise trilinear.
+    /// By default nearest neighbour for label maps, otherwise trilinear.
     pub interpolation: Option<Interpolation>,
-    /// The value where nothing is, in data units; by default the volume's lowest.
+    /// The value outside the volume and in cuts, in data units; by default the volume's lowest.
     pub fill: Option<f64>,
-    /// Told the share that is done.
+    /// Receives the fraction of work done.
     pub progress: Option<&'a dyn Fn(f32)>,
 }
 
-/// The grid of a volume, grown by whole voxels until it holds the deformed scene.
+/// The grid of a volume, enlarged by whole voxels until it contains the deformed scene.
 pub fn enlarged(volume: &Volume, stack: &Stack) -> GridGeometry {
     let grid = volume.geometry();
     let deformed = stack.deformed_bounds(&volume.bounds_in_world());
@@ -71,9 +71,9 @@ fn scalar_of(voxels: &Voxels) -> ScalarType {
     }
 }
 
-/// Appends a value in a type's bytes, rounded and held to its range.
+/// Appends a value in the bytes of a type, rounded and clamped to its range.
 fn put(out: &mut Vec<u8>, scalar: ScalarType, v: f64) {
-    // `as` cuts off what is behind the point, saturates, and takes NaN to 0.
+    // `as` truncates, saturates, and maps NaN to 0.
     let whole = v + 0.5f64.copysign(v);
     match scalar {
         ScalarType::U8 => out.push(whole as u8),
@@ -89,7 +89,8 @@ fn put(out: &mut Vec<u8>, scalar: ScalarType, v: f64) {
     }
 }
 
-/// Whole numbers in the range of a type of 8 or 16 bits, to be appended in its bytes; `fill`, held to that range, for what is none.
+/// Whole numbers in the range of a type of 8 or 16 bits, to be appended in its bytes; `fill`,
+/// clamped to that range, replaces NaN.
 struct Whole<'a> {
     out: &'a mut Vec<u8>,
     scalar: ScalarType,
@@ -130,7 +131,7 @@ impl SimdKernel for Whole<'_> {
     }
 }
 
-/// Stored values of a volume between its voxels; the outermost ones reach half a voxel out.
+/// Interpolates the stored values of a volume; the outermost voxels extend half a voxel outwards.
 struct StoredInterpolator<'a> {
     volume: &'a Volume,
     interpolation: Interpolation,
@@ -166,8 +167,9 @@ impl StoredInterpolator<'_> {
         })
     }
 
-    /// Stored values, rounded if `whole`, of a row of the deformed scene, with NaN where nothing is; none if [`Self::sample`] is to be asked instead.
-    /// `m` is world to voxels of the source; the row has its first voxel and the next ones by a step, mm.
+    /// Stored values, rounded if `whole`, of a row of the deformed scene, with NaN outside the
+    /// volume and in cuts; `None` if [`Self::sample`] has to be used instead. `m` is world to
+    /// voxels of the source; the row starts at `first` and advances by `step`, mm.
     fn row(&self, deformation: &StackAndCuts, m: &DAffine3, [first, step]: [DVec3; 2], count: usize, whole: bool) -> Option<Vec<f32>> {
         let size = self.volume.size;
         if self.interpolation != Interpolation::Linear || size.iter().any(|&n| n < 2) {
@@ -183,7 +185,7 @@ impl StoredInterpolator<'_> {
     }
 
     fn weighted<const N: usize>(&self, c: [i64; 3], first: i64, w: &[[f64; N]; 3]) -> f64 {
-        // A voxel that counts for nothing must not spread its NaN.
+        // A voxel with negligible weight must not spread its NaN.
         const NOTHING: f64 = 1e-9;
         let mut sum = 0.0;
         for (k, wz) in w[2].iter().enumerate() {
@@ -220,7 +222,7 @@ fn slabs(
     let [nx, ny, nz] = grid.size;
     let layers = (SLAB_BYTES / (nx * ny * bytes_per_voxel).max(1)).clamp(1, nz);
     let row = &row;
-    // The next slab is made while one is written.
+    // The next slab is computed while one is written.
     let (made, slabs) = mpsc::sync_channel(1);
     thread::scope(|scope| {
         scope.spawn(move || {
@@ -248,7 +250,8 @@ fn slabs(
     })
 }
 
-/// The type that a volume's data values are written as, where its rescale cannot be stated: integers if the rescale is, else floating point.
+/// The type for a volume's data values if the format cannot state the rescale: integers if the
+/// rescale is integral, else floating point.
 fn data_type(volume: &Volume, stored: ScalarType) -> (ScalarType, Rescale) {
     let Rescale { slope, intercept } = volume.rescale;
     if volume.rescale == Rescale::NONE {
@@ -256,7 +259,7 @@ fn data_type(volume: &Volume, stored: ScalarType) -> (ScalarType, Rescale) {
     }
     let whole = volume.voxels.is_integer() && slope.fract() == 0.0 && intercept.fract() == 0.0;
     let [low, high] = volume.range;
-    // Padding and holes lie outside of the range.
+    // Padding and holes lie outside the range.
     let (low, high) =
         volume.padding.map_or((low, high), |p| p.iter().map(|v| v * slope + intercept).fold((low, high), |(a, b), v| (a.min(v), b.max(v))));
     let scalar = match stored {
@@ -271,7 +274,7 @@ fn data_type(volume: &Volume, stored: ScalarType) -> (ScalarType, Rescale) {
 /// Writes the deformed volume on `grid`, in the source's type and scale.
 ///
 /// # Errors
-/// What the destination reports; a grid or scale that the format cannot state.
+/// Errors from the destination; a grid or scale that the format cannot state.
 pub fn volume(
     volume: &Volume,
     deformation: &StackAndCuts,
@@ -286,7 +289,7 @@ pub fn volume(
     let fill = options.fill.unwrap_or(volume.range[0]);
     let progress = options.progress.unwrap_or(&|_| ());
     let scalar = scalar_of(&volume.voxels);
-    // A format without a slope and an intercept gets the data values themselves.
+    // A format without slope and intercept gets the data values themselves.
     let (scalar, written) = if format.states_rescale() { (scalar, volume.rescale) } else { data_type(volume, scalar) };
     let content = if volume.declared_labels && written == Rescale::NONE { Content::Labels(scalar) } else { Content::Scalar(scalar, written) };
     let in_data = if written == volume.rescale { Rescale::NONE } else { volume.rescale };
@@ -313,7 +316,8 @@ pub fn volume(
         for (i, (source, alpha)) in deformation.stack.sources_and_alphas(&deformed).into_iter().enumerate() {
             let seen = alpha >= 0.5 && deformation.cuts.signed_distance_mm(deformed[i]) >= 0.0;
             let value = seen.then(|| {
-                // The walk gives the displacement in single precision; the point itself keeps its digits.
+                // The walk gives the displacement in single precision; the point itself stays in
+                // double precision.
                 let exact = at(i) + (source - deformed[i]).as_dvec3();
                 stored.sample(voxel_from_world.transform_point3(exact))
             });
@@ -324,7 +328,8 @@ pub fn volume(
     writer.finish().map(drop).map_err(|e| fail(e.to_string()))
 }
 
-/// Writes the composed displacement on `grid`. Cut regions carry the continued displacement: a field has no mask. How many points were cut.
+/// Writes the composed displacement on `grid`. In cut regions the displacement is continued, since
+/// a field has no mask. Returns the number of points in cuts.
 ///
 /// # Errors
 /// As [`volume`].
@@ -337,7 +342,8 @@ pub fn field(deformation: &StackAndCuts, grid: &GridGeometry, format: Format, ou
         let (source, alpha) = deformation.stack.source_and_alpha_unclipped(p);
         (source - p, alpha >= 0.5 && deformation.cuts.signed_distance_mm(p) >= 0.0)
     };
-    // NIfTI wants whole components one after the other: the walk is done once for each rather than kept.
+    // NIfTI stores the components one after the other: the walk is repeated for each instead of
+    // storing its results.
     let passes: &[Option<usize>] = if format.planar() { &[Some(0), Some(1), Some(2)] } else { &[None] };
     for (n, pass) in passes.iter().enumerate() {
         let row = |j: usize, k: usize, bytes: &mut Vec<u8>| {
@@ -365,7 +371,8 @@ pub fn field(deformation: &StackAndCuts, grid: &GridGeometry, format: Format, ou
 mod tests {
     use super::*;
 
-    /// Values are cut to the bytes that `as` cuts them to, and what is none gets the fill, held to the type's range.
+    /// Values are truncated to bytes as by `as`, and NaN becomes the fill value, clamped to the
+    /// type's range.
     #[test]
     fn whole_values_become_bytes() {
         let values: Vec<f32> = (0..21).map(|n| if n % 5 == 3 { f32::NAN } else { (n * 12) as f32 }).collect();
@@ -383,7 +390,7 @@ mod tests {
         }
     }
 
-    /// A destination that is full ends the baking with its message, whichever slab it is in.
+    /// A full destination ends the bake with its error, in whichever slab it occurs.
     #[test]
     fn a_full_disk_is_told() {
         struct Full(usize);

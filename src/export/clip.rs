@@ -1,10 +1,12 @@
 //! Clips: frames as one animated file, as a video, or as a folder of pictures.
 //!
-//! An animated PNG keeps every pixel and its alpha. A GIF holds 256 colours per frame, pixels that are opaque or not there at all, and
-//! delays of hundredths of a second; it is for places that show nothing else. A video needs an encoder that is no library of ours: frames
-//! are piped into the program `ffmpeg`, if there is one. A folder of pictures is for other programs to go on from.
+//! An animated PNG keeps every pixel and its alpha. A GIF holds 256 colours per frame, pixels that
+//! are either opaque or transparent, and delays in hundredths of a second; it is for viewers that
+//! support nothing else. A video needs an external encoder: frames are piped into the program
+//! `ffmpeg`, if it is installed. A folder of pictures is for further processing by other programs.
 //!
-//! As of any output, nothing partial is left: neither where the work is stopped nor where a frame fails.
+//! As with any output, no partial file is left behind, whether the work is cancelled or a frame
+//! fails.
 
 use crate::files::OutputFile;
 use crate::files::unfinished::PartFolder;
@@ -19,16 +21,16 @@ use std::process::{ChildStdin, Command, Stdio};
 
 /// Fewest and most frames per second.
 const FRAMES_PER_SECOND: [f32; 2] = [0.1, 240.0];
-/// Viewers take a delay of less than two hundredths of a second for a mistake and show a tenth.
+/// Viewers treat a delay of less than two hundredths of a second as an error and show a tenth.
 const MAX_GIF_FRAMES_PER_SECOND: f64 = 50.0;
 /// Most frames of a clip.
 const MAX_FRAMES: usize = 100_000;
 /// Effort of the search for a GIF's colours, from 1 (best) to 30 (fastest).
 const GIF_SPEED: i32 = 10;
-/// Longest part of ffmpeg's words that is repeated, characters.
+/// Longest part of ffmpeg's error output that is quoted, characters.
 const LONGEST_QUOTE: usize = 400;
 
-/// What a clip is written as.
+/// The output format of a clip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ClipFormat {
     /// Animated GIF: 256 colours per frame, no partial alpha.
@@ -42,10 +44,11 @@ pub enum ClipFormat {
 }
 
 impl ClipFormat {
-    /// The format that a path's ending asks for: `.gif`, `.png` or `.apng`, `.mp4`; none, or a folder that exists, for numbered pictures.
+    /// The format for a path's extension: `.gif`, `.png` or `.apng`, `.mp4`; no extension, or an
+    /// existing folder, gives numbered pictures.
     ///
     /// # Errors
-    /// Any other ending.
+    /// Any other extension.
     pub fn of(path: &Path) -> Result<Self> {
         let Some(ending) = path.extension().filter(|_| !path.is_dir()) else { return Ok(Self::Frames) };
         match ending.to_string_lossy().to_lowercase().as_str() {
@@ -67,13 +70,15 @@ struct Clip<'a> {
     watch: &'a Watch<'a>,
 }
 
-/// Writes a clip of `count` frames of `size` (width and height, pixels) in the format of the path's ending. `frame(n)` returns frame n,
-/// counted from 0, as 8-bit RGBA, not premultiplied, rows from the top; frames are asked for once and in order. The watch is told the share
-/// of frames that are done and asked before every frame.
+/// Writes a clip of `count` frames of `size` (width and height, pixels) in the format of the path's
+/// extension. `frame(n)` returns frame n, counted from 0, as 8-bit RGBA, not premultiplied, rows
+/// from the top; frames are requested once and in order. The watch receives the fraction of frames
+/// done and is checked before every frame.
 ///
 /// # Errors
-/// An unknown ending, a size, number or rate of frames that cannot be used; a folder of frames that exists and is not empty; a place that
-/// cannot be written; no `ffmpeg` for a video; what `frame` reports; [`Error::Cancelled`].
+/// An unknown extension; a size, number or rate of frames that is out of range; a folder of frames
+/// that exists and is not empty; a destination that cannot be written; no `ffmpeg` for a video;
+/// errors from `frame`; [`Error::Cancelled`].
 pub fn write(
     path: &Path,
     size: [u32; 2],
@@ -103,7 +108,7 @@ pub fn write(
 }
 
 impl Clip<'_> {
-    /// A frame, unless the work was told to stop.
+    /// Renders a frame, unless the work was cancelled.
     fn frame(&mut self, n: usize) -> Result<Vec<u8>> {
         self.watch.check()?;
         let rgba = (self.frame)(n)?;
@@ -148,7 +153,7 @@ impl Clip<'_> {
             let mut encoder = png::Encoder::new(file, self.size[0], self.size[1]);
             encoder.set_color(png::ColorType::Rgba);
             encoder.set_depth(png::BitDepth::Eight);
-            // Zero plays are plays without end.
+            // Zero plays means endless looping.
             encoder.set_animated(self.count as u32, 0).map_err(failed)?;
             encoder.set_frame_delay(numerator, denominator).map_err(failed)?;
             encoder.validate_sequence(true);
@@ -161,7 +166,7 @@ impl Clip<'_> {
         })
     }
 
-    /// The folder is filled under another name and gets its own at the end.
+    /// The folder is filled under a temporary name and renamed at the end.
     fn folder(&mut self) -> Result<()> {
         let path = self.path;
         if path.is_dir() {
@@ -191,22 +196,23 @@ impl Clip<'_> {
         OutputFile::create(self.path)?.finish_by_path(|file| self.encoded(file))
     }
 
-    /// Has ffmpeg write a video into a file.
+    /// Writes a video into a file with ffmpeg.
     fn encoded(&mut self, file: &Path) -> Result<()> {
         let path = self.path;
         let writing = |e: std::io::Error| Error::io(path, "writing", e);
-        // A pipe that nobody reads would fill and stop ffmpeg; a file takes what it says.
+        // A pipe without a reader would fill up and block ffmpeg; its stderr goes to a file
+        // instead.
         let mut stderr_file = tempfile::tempfile().map_err(writing)?;
         let [width, height] = self.size;
         let size = format!("{width}x{height}");
         let rate = self.frames_per_second.to_string();
-        // Whatever the path looks like, it is no option and no address.
+        // The prefix keeps ffmpeg from taking the path for an option or a URL.
         let mut target = OsString::from("file:");
         target.push(file.as_os_str());
         let mut ffmpeg = Command::new("ffmpeg")
             .args(["-hide_banner", "-loglevel", "error", "-y"])
             .args(["-f", "rawvideo", "-pix_fmt", "rgba", "-s", &size, "-r", &rate, "-i", "-"])
-            // Colour has half the resolution, so both edges are even.
+            // Chroma has half the resolution, so both edges must be even.
             .args(["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4"])
             .arg(target)
             .stdin(Stdio::piped())
@@ -222,7 +228,7 @@ impl Clip<'_> {
             None => Ok(false),
         };
         if fed.is_err() {
-            // It may have ended by itself already.
+            // It may already have exited.
             let _ = ffmpeg.kill();
         }
         let status = ffmpeg.wait().map_err(|e| Error::io(Path::new("ffmpeg"), "waiting for it", e))?;
@@ -235,7 +241,8 @@ impl Clip<'_> {
         Ok(())
     }
 
-    /// Sends all frames; false if ffmpeg stopped reading, in which case it says why.
+    /// Sends all frames; false if ffmpeg stopped reading, in which case its stderr gives the
+    /// reason.
     fn feed(&mut self, mut pipe: ChildStdin) -> Result<bool> {
         for n in 0..self.count {
             let mut rgba = self.frame(n)?;
@@ -257,19 +264,19 @@ fn encoding(path: &Path, format: &str, error: ImageError) -> Error {
     }
 }
 
-/// How long frame n of a GIF is shown, 1/100 s: whole numbers that add up to the time of all frames.
+/// Display time of frame n of a GIF, 1/100 s: whole numbers that sum to the time of all frames.
 fn hundredths(n: usize, frames_per_second: f64) -> u32 {
     let end = |frames: usize| (100.0 * frames as f64 / frames_per_second).round() as u64;
     (end(n + 1) - end(n)) as u32
 }
 
-/// How long a frame of an animated PNG is shown, as a fraction of a second.
+/// Display time of a frame of an animated PNG, as a fraction of a second.
 fn seconds(frames_per_second: f64) -> (u16, u16) {
     let numerator: u16 = if frames_per_second * 1000.0 <= f64::from(u16::MAX) { 1000 } else { 100 };
     (numerator, (f64::from(numerator) * frames_per_second).round() as u16)
 }
 
-/// Pixels that are less than half there are left out, others become opaque.
+/// Makes pixels with alpha below one half transparent and all others opaque.
 fn all_or_nothing(rgba: &mut [u8]) {
     for pixel in rgba.chunks_exact_mut(4) {
         if pixel[3] < 128 {
@@ -280,7 +287,7 @@ fn all_or_nothing(rgba: &mut [u8]) {
     }
 }
 
-/// What a video shows, which has no alpha.
+/// Composites over black, since a video has no alpha.
 fn over_black(rgba: &mut [u8]) {
     for pixel in rgba.chunks_exact_mut(4) {
         let alpha = u16::from(pixel[3]);
@@ -332,7 +339,7 @@ mod tests {
         }
     }
 
-    /// Frames of fewer than 256 colours keep them.
+    /// Frames of fewer than 256 colours are stored exactly.
     #[test]
     fn a_gif_has_its_frames() {
         let folder = tempfile::tempdir().unwrap();
@@ -394,7 +401,7 @@ mod tests {
         }
     }
 
-    /// With ffmpeg and without it.
+    /// With and without ffmpeg installed.
     #[test]
     fn a_video_is_made_or_ffmpeg_is_asked_for() {
         let folder = tempfile::tempdir().unwrap();

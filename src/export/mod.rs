@@ -9,11 +9,11 @@ use crate::volume::load;
 use crate::{Error, Result};
 use std::path::Path;
 
-/// Nothing is ever written to a file that is read: the first check, by names, before anything is. What is found to be read later is refused by
-/// [`OutputFile`](crate::files::OutputFile) itself.
+/// Checks that the output is not an input, by name, before anything is written. Files found to be
+/// inputs only later are refused by [`OutputFile`](crate::files::OutputFile) itself.
 ///
 /// # Errors
-/// The output is one of the files that are read, or would be one of a folder of slices that is.
+/// The output is one of the inputs, or would become one of the slices of an input folder.
 pub fn protect<'a>(option: &str, output: &Path, read: impl IntoIterator<Item = &'a Path> + Clone) -> Result<()> {
     let named = || format!("{option} {}", output.display());
     let id = FileId::of(output);

@@ -1,7 +1,7 @@
 //! Rows of a baked volume of small integers by trilinear interpolation, eight voxels at once.
 //!
-//! A position in the source is a whole voxel and a share of one: the deformed point's own, in fixed point, and the walk's displacement, in single
-//! precision. What does not move keeps its value to the bit.
+//! A source position is a whole voxel plus a fraction: the deformed point is in fixed point, the
+//! displacement of the walk in single precision. Undisplaced points keep their value to the bit.
 
 use crate::deform::StackAndCuts;
 use crate::math::cells::{Strides, flat, mix_rows};
@@ -9,7 +9,7 @@ use crate::math::lanes::*;
 use crate::volume::Voxel;
 use glam::{DAffine3, DVec3, Mat3};
 
-/// What is baked, and where.
+/// One row to bake.
 #[derive(Clone, Copy)]
 pub(super) struct BakeRows<'a> {
     /// Extent of the source; at least two voxels along every axis.
@@ -20,20 +20,21 @@ pub(super) struct BakeRows<'a> {
     /// World position of the first voxel, and from each to the next, mm.
     pub first: DVec3,
     pub step: DVec3,
-    /// Voxels of the row.
+    /// Number of voxels in the row.
     pub count: usize,
     /// Whether values are rounded.
     pub whole: bool,
 }
 
-/// A row of them.
+/// A row with the stored voxels.
 pub(super) struct BakeRow<'a, T> {
     /// Stored voxels of the source.
     pub voxels: &'a [T],
     pub rows: BakeRows<'a>,
 }
 
-/// Positions of eight voxels along an axis of the source, in 2^-32 voxels: they are added up, and must not gather errors.
+/// Positions of eight voxels along an axis of the source, in 2^-32 voxels: fixed point, so that
+/// repeated addition accumulates no error.
 struct FixedPointPositions {
     at: [i64; LANES],
     eight: i64,
@@ -50,8 +51,9 @@ impl FixedPointPositions {
         Self { at, eight: fixed(step * LANES as f64) }
     }
 
-    /// Lower voxels and shares of cells of an axis of `n` voxels at the positions, moved by some voxels, and which of them lie inside it: the
-    /// outermost voxels reach half a voxel out. The next eight are up then.
+    /// For an axis of `n` voxels: the lower voxel and the fraction of each position after
+    /// displacement by `moved`, and whether it lies inside the axis (the outermost voxels extend
+    /// half a voxel outwards). Advances to the next eight.
     #[inline(always)]
     fn next<S: Simd>(&mut self, simd: S, moved: f32x8<S>, n: usize) -> (i32x8<S>, f32x8<S>, mask32x8<S>) {
         let (mut whole, mut share) = ([0; LANES], [0; LANES]);
@@ -72,7 +74,7 @@ impl FixedPointPositions {
 }
 
 impl<T: Voxel> SimdKernel for BakeRow<'_, T> {
-    /// Stored values, between voxels' too; NaN where nothing is.
+    /// Interpolated stored values; NaN outside the volume and in cuts.
     type Output = Vec<f32>;
 
     #[inline(always)]

@@ -1,5 +1,5 @@
-//! The one way in: every reader opens its files here. Ordinary files only, noted as read ([`super::inputs`]), and never more of them in memory
-//! than the file can honestly hold.
+//! Input: every reader opens its files here. Only regular files are opened; each is registered as
+//! read ([`super::inputs`]), and memory use is bounded by what the file can plausibly hold.
 
 use super::{inputs, memory};
 use crate::{Error, Result};
@@ -8,31 +8,33 @@ use std::fs::File;
 use std::io::{BufReader, ErrorKind, Read};
 use std::path::Path;
 
-/// Deflate cannot shrink data by more than this factor: a header that declares more is wrong.
+/// Deflate cannot compress data by more than this factor: a header that declares more is wrong.
 pub const DEFLATE_LIMIT: u64 = 1040;
-/// What texts and meshes are believed to shrink by. Tables of numbers shrink to a tenth, a regular grid's to a hundredth.
+/// Largest compression ratio accepted for texts and meshes. Tables of numbers shrink to a tenth,
+/// those of a regular grid to a hundredth.
 const TEXT_RATIO: u64 = 100;
-/// What any small file may unpack to.
+/// Unpacked size that is always accepted, however small the file.
 const ALWAYS_BELIEVED: u64 = 64 << 20;
 /// Largest scene, in bytes.
 pub const MAX_SCENE_BYTES: u64 = 64 << 20;
 /// Bytes read at once.
 const BUFFER: usize = 1 << 18;
 
-/// An ordinary file and its length.
+/// Opens a regular file; also returns its length.
 ///
 /// # Errors
-/// A file that is not there or may not be read; a folder, pipe, socket or device.
+/// A file that does not exist or may not be read; a folder, pipe, socket or device.
 pub fn open(path: &Path) -> Result<(File, u64)> {
     let failed = |e| Error::io(path, "opening", e);
-    // Asked before it is opened: opening a pipe waits for its writer, opening a device may do anything.
+    // Checked before opening: opening a pipe waits for its writer, and opening a device can have
+    // any effect.
     let metadata = std::fs::metadata(path).map_err(failed)?;
     ordinary(path, &metadata)?;
     let mut options = std::fs::OpenOptions::new();
     options.read(true);
     #[cfg(unix)]
     {
-        // A pipe that has taken the file's place since then does not hold the program up.
+        // Does not block if a pipe has taken the file's place since the check.
         use std::os::unix::fs::OpenOptionsExt;
         options.custom_flags(rustix::fs::OFlags::NONBLOCK.bits() as i32);
     }
@@ -60,7 +62,8 @@ pub fn buffered(path: &Path) -> Result<(BufReader<File>, u64)> {
     Ok((BufReader::with_capacity(BUFFER, file), bytes))
 }
 
-/// A file's bytes, unzipped if it starts as a gzip stream does; and the most bytes that can come out.
+/// A reader of a file's bytes, decompressed if they start as a gzip stream does; and an upper bound
+/// on their number.
 ///
 /// # Errors
 /// As [`open`]; a file of less than two bytes.
@@ -76,7 +79,7 @@ pub fn unzipped(path: &Path) -> Result<(Box<dyn Read + Send>, u64)> {
     }
 }
 
-/// What went wrong while reading, in words for the file.
+/// A read error as a message about the file.
 pub fn read_error(path: &Path, e: std::io::Error) -> Error {
     match e.kind() {
         ErrorKind::UnexpectedEof => Error::file(path, "ends too early: the file is truncated; copy or download it again"),
@@ -88,7 +91,7 @@ pub fn read_error(path: &Path, e: std::io::Error) -> Error {
     }
 }
 
-/// The whole of a file of at most `most` bytes; `what` it should be is named where it is larger.
+/// A whole file of at most `most` bytes; `what` names its purpose in the error for a larger file.
 ///
 /// # Errors
 /// As [`open`]; a larger file.
@@ -100,10 +103,11 @@ pub fn bytes(path: &Path, most: u64, what: &str) -> Result<Vec<u8>> {
     read_all(path, file, length, most, what)
 }
 
-/// The whole of a file, unzipped if it starts as a gzip stream does.
+/// A whole file, decompressed if it starts as a gzip stream does.
 ///
 /// # Errors
-/// As [`bytes`]; a stream that unpacks to more than a hundred times its size, as no honest file of this kind does.
+/// As [`bytes`]; a stream that unpacks to more than a hundred times its size, as no legitimate file
+/// of this kind does.
 pub fn unzipped_bytes(path: &Path, most: u64, what: &str) -> Result<Vec<u8>> {
     let packed = bytes(path, most, what)?;
     if !packed.starts_with(&[0x1f, 0x8b]) {
@@ -122,17 +126,19 @@ fn read_all(path: &Path, reader: impl Read, expected: u64, most: u64, what: &str
     Ok(all)
 }
 
-/// The first bytes of a stream that belongs to `path`: at most `most`, and no more than there is memory for.
+/// The first bytes of a stream that belongs to `path`: at most `most`, and no more than fit into
+/// memory.
 ///
 /// # Errors
-/// A stream that is damaged or larger than the memory.
+/// A stream that is damaged or does not fit into memory.
 pub fn start_of(path: &Path, reader: impl Read, most: u64) -> Result<Vec<u8>> {
     let mut start = Vec::new();
     grow(path, &mut start, reader, most)?;
     Ok(start)
 }
 
-/// Reads in pieces that grow with what is there, so that it is measured against the memory that is left.
+/// Reads in pieces that grow with the bytes already read, so that each piece is checked against the
+/// available memory.
 fn grow(path: &Path, all: &mut Vec<u8>, reader: impl Read, most: u64) -> Result<()> {
     let mut reader = reader.take(most);
     let mut piece = 1u64 << 24;
@@ -146,10 +152,10 @@ fn grow(path: &Path, all: &mut Vec<u8>, reader: impl Read, most: u64) -> Result<
     }
 }
 
-/// The whole of a text of at most `most` bytes.
+/// A whole text file of at most `most` bytes.
 ///
 /// # Errors
-/// As [`bytes`]; bytes that are no UTF-8.
+/// As [`bytes`]; bytes that are not UTF-8.
 pub fn text(path: &Path, most: u64, what: &str) -> Result<String> {
     String::from_utf8(bytes(path, most, what)?).map_err(|_| Error::file(path, format!("is not text in UTF-8, so it is not a {what}")))
 }

@@ -1,7 +1,8 @@
-//! What was read in this run: files by device and inode, so that no other name, link or mount hides that it is the same file; and folders that
-//! are read as a whole.
+//! The inputs of this run: files by device and inode, so that a file is recognised under any other
+//! name, link or mount; and folders that are read as a whole.
 //!
-//! The record belongs to the process, as open files do: no reader has to be handed it, and none can forget to fill it in.
+//! The record belongs to the process, as open files do: readers need not pass it around and cannot
+//! forget to update it.
 
 use std::collections::HashMap;
 use std::fs::Metadata;
@@ -9,19 +10,19 @@ use std::path::{Path, PathBuf};
 use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
 use std::time::SystemTime;
 
-/// What a file is, whatever it is called.
+/// The identity of a file, independent of its name.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct FileId {
     #[cfg(unix)]
     device_and_inode: (u64, u64),
     #[cfg(not(unix))]
     path: PathBuf,
-    /// An inode is used again when its file is gone; the new file was born later.
+    /// An inode is reused when its file is deleted; the new file has a later creation time.
     born: Option<SystemTime>,
 }
 
 impl FileId {
-    /// Of the file that a path leads to; none if there is none.
+    /// The file that a path leads to; none if it does not exist.
     pub fn of(path: &Path) -> Option<Self> {
         Self::with(path, &std::fs::metadata(path).ok()?)
     }
@@ -41,25 +42,26 @@ impl FileId {
 static READ: LazyLock<Mutex<HashMap<FileId, PathBuf>>> = LazyLock::new(Mutex::default);
 
 fn read() -> MutexGuard<'static, HashMap<FileId, PathBuf>> {
-    // Entries are only ever added and removed whole.
+    // Entries are only ever added and removed as a whole.
     READ.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Notes that a file is read.
+/// Registers a file as read.
 pub fn register(path: &Path, metadata: &Metadata) {
     if let Some(id) = FileId::with(path, metadata) {
         read().entry(id).or_insert_with(|| path.to_owned());
     }
 }
 
-/// Notes that a library of others is about to read a file, or everything in a folder.
+/// Registers a file, or everything in a folder, that a third-party library is about to read.
 pub fn note_path(path: &Path) {
     if let Ok(metadata) = std::fs::metadata(path) {
         register(path, &metadata);
     }
 }
 
-/// The name under which a file was read that `path` leads to, or the folder in which it lies that was read as a whole; none if it is neither.
+/// The name under which the file at `path` was read, or the folder containing it that was read as a
+/// whole; none if neither applies.
 pub fn name_of(path: &Path) -> Option<PathBuf> {
     let registered = read();
     if registered.is_empty() {
@@ -69,7 +71,7 @@ pub fn name_of(path: &Path) -> Option<PathBuf> {
     if file.is_some() {
         return file;
     }
-    // Of a file that is not there yet, the folder is.
+    // For a file that does not exist yet, its folder is checked.
     let absolute = path.canonicalize().or_else(|_| {
         let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
         parent.canonicalize().map(|p| p.join(path.file_name().unwrap_or_default()))
@@ -100,7 +102,7 @@ mod tests {
         for name in ["b", "new", "no/such/folder"] {
             assert_eq!(name_of(&at(name)), None, "{name}");
         }
-        // Another file in its place is another.
+        // Another file in the same place is a different file.
         std::fs::rename(at("b"), at("a")).unwrap_or_else(|e| panic!("{e}"));
         assert_eq!(name_of(&at("a")), None);
     }

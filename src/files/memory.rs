@@ -1,45 +1,47 @@
-//! How much memory there is to be had. The system hands out more than it has and kills whoever uses it; asking first allows a message instead.
+//! Available memory. The system overcommits memory and kills the process that uses it; checking
+//! first allows an error message instead.
 
 use crate::{Error, Result};
 use std::path::Path;
 
-/// Bytes that a process may still take, where the system tells (Linux): what is available of the machine's memory, or of the control group's.
+/// Bytes that the process can still allocate, where the system reports it (Linux): the available
+/// memory of the machine or of the control group, whichever is less.
 pub fn available_bytes() -> Option<u64> {
     let text = std::fs::read_to_string("/proc/meminfo").ok()?;
     let line = text.lines().find(|l| l.starts_with("MemAvailable:"))?;
     let machine = line.split_whitespace().nth(1)?.parse::<u64>().ok()?.checked_mul(1024)?;
     let available = control_group_bytes().map_or(machine, |group| group.min(machine));
-    // Something is left to all others.
+    // A part is left for other processes.
     Some(available - available / 16)
 }
 
-/// What is left of the memory limit of this process's control group (version 2); none without a limit.
+/// Memory left within the limit of this process's control group (version 2); none without a limit.
 fn control_group_bytes() -> Option<u64> {
     let group = std::fs::read_to_string("/proc/self/cgroup").ok()?;
     let name = group.lines().find_map(|l| l.strip_prefix("0::"))?;
     let folder = Path::new("/sys/fs/cgroup").join(name.trim_start_matches('/'));
     let number = |file: &str| std::fs::read_to_string(folder.join(file)).ok()?.trim().parse::<u64>().ok();
-    // Pages of files that are cached count as used, and are given back at once.
+    // Cached pages of files count as used, but are reclaimed at once.
     let cached = std::fs::read_to_string(folder.join("memory.stat"))
         .ok()
         .and_then(|s| s.lines().find_map(|l| l.strip_prefix("inactive_file "))?.parse::<u64>().ok());
     Some(number("memory.max")?.saturating_sub(number("memory.current")?.saturating_sub(cached.unwrap_or(0))))
 }
 
-/// The process's largest resident size, where the system tells (Linux).
+/// The process's peak resident size, where the system reports it (Linux).
 pub fn peak_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
     line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib * 1024)
 }
 
-/// Refuses what needs more memory than there is.
+/// Returns an error if more memory is needed than is available.
 ///
 /// # Errors
 /// `path` needs `bytes`, and there are fewer.
 pub fn check(path: &Path, bytes: u64) -> Result<()> {
     match available_bytes() {
-        // Small pieces are not worth the question.
+        // Refused only if the available memory is known.
         Some(available) if bytes > available => Err(too_large(path, bytes, Some(available))),
         _ => Ok(()),
     }
@@ -51,10 +53,10 @@ fn too_large(path: &Path, bytes: u64, available: Option<u64>) -> Error {
     Error::file(path, format!("needs {} MiB of memory, {there}; close other programs or use a downsampled copy", mib(bytes)))
 }
 
-/// Room for `count` values, asked for rather than taken.
+/// Capacity for `count` values, reserved with an error instead of an abort.
 ///
 /// # Errors
-/// There is not enough memory; `path` is named.
+/// There is not enough memory; the error names `path`.
 pub fn reserve<T>(path: &Path, count: usize) -> Result<Vec<T>> {
     let bytes = (count as u64).saturating_mul(size_of::<T>() as u64);
     if bytes > 1 << 24 {

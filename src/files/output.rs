@@ -1,6 +1,7 @@
-//! The one way out. A file appears whole or not at all: it is written beside its destination and renamed into place. A link is followed and its
-//! target replaced; mode and owner stay as they were; what is write-protected, or was read in this run, is refused. Pipes, sockets and devices are
-//! no files to be replaced: they are opened and written to.
+//! Output. A file is written completely or not at all: it is written next to its destination and
+//! renamed into place. A link is followed and its target replaced; mode and owner are preserved; a
+//! file that is write-protected, or was read in this run, is refused. Pipes, sockets and devices
+//! are not replaced: they are opened and written to.
 
 use super::inputs;
 use super::unfinished::PartFile;
@@ -9,23 +10,25 @@ use std::fs::{Metadata, OpenOptions};
 use std::io::{ErrorKind, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
-/// Most links that lead from one to the next.
+/// Longest chain of links that is followed.
 const MAX_LINKS: usize = 40;
 
-/// Something that will be written. Its place is tried before the work starts, so that an output that cannot be written is known at once; nothing
-/// lies there while the work goes on.
+/// A file to be written. The destination is checked before the work starts, so that an output that
+/// cannot be written is reported at once; nothing is created there until the work is done.
 pub struct OutputFile {
-    /// As it was named.
+    /// The path as given.
     path: PathBuf,
     destination: Destination,
-    /// Whether it may replace a file that was read: the program's own files, and a document that is saved.
+    /// Whether it may replace a file that was read: the program's own files, and a document being
+    /// saved.
     replaces_read: bool,
 }
 
 enum Destination {
-    /// A file, where links lead.
+    /// A file, with links resolved.
     File(PathBuf),
-    /// A pipe, a device, or an open file under one of the system's names for it: opened and written to.
+    /// A pipe, a device, or an open file under one of the system's names for it: opened and written
+    /// to.
     Stream,
     #[cfg(unix)]
     Socket,
@@ -33,20 +36,20 @@ enum Destination {
     StandardError,
 }
 
-/// What `-` and the system's names for it write to.
+/// Standard output: `-` and the system's names for it.
 pub fn standard_output() -> OutputFile {
     OutputFile { path: PathBuf::from("standard output"), destination: Destination::StandardOutput, replaces_read: false }
 }
 
-/// Whether two outputs would be written to one file.
+/// Checks that two outputs are not the same file.
 ///
 /// # Errors
-/// They would; the second's option is named.
+/// They are the same; the error names the second's option.
 pub fn check_distinct(first: &Path, option: &str, second: &Path) -> Result<()> {
     let same = match (inputs::FileId::of(first), inputs::FileId::of(second)) {
-        // What is written through can take both, one after the other.
+        // A stream can take both, one after the other.
         (Some(a), Some(b)) => a == b && std::fs::metadata(first).is_ok_and(|m| m.is_file()),
-        // Not there yet: where links lead is what counts.
+        // Neither exists yet: compare the targets of their links.
         (None, None) => matches!((target(first), target(second)), (Ok(a), Ok(b)) if absolute(&a) == absolute(&b)),
         _ => false,
     };
@@ -57,14 +60,14 @@ pub fn check_distinct(first: &Path, option: &str, second: &Path) -> Result<()> {
     }
 }
 
-/// A path of a file that need not exist, its folder without links.
+/// The absolute path of a file that need not exist, with the links of its folder resolved.
 fn absolute(path: &Path) -> PathBuf {
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let folder = folder.canonicalize().or_else(|_| std::path::absolute(folder)).unwrap_or_else(|_| folder.to_owned());
     path.file_name().map_or(folder.clone(), |name| folder.join(name))
 }
 
-/// The file that a path leads to, through links, whether it exists or not.
+/// The target of a path after following links, whether or not it exists.
 fn target(path: &Path) -> Result<PathBuf> {
     let mut path = path.to_owned();
     for _ in 0..MAX_LINKS {
@@ -74,8 +77,8 @@ fn target(path: &Path) -> Result<PathBuf> {
     Err(Error::file(&path, "is a link that leads back to itself; choose another name"))
 }
 
-/// Whether a path is, or leads by links to, one of the names that a system has for what a process has open (`/dev/fd/3`, `/proc/self/fd/3`): a link to
-/// something that need not have a name of its own.
+/// Whether a path is, or links to, one of the system's names for an open file of the process
+/// (`/dev/fd/3`, `/proc/self/fd/3`): a link to a file that need not have a name of its own.
 fn names_an_open_file(path: &Path) -> bool {
     let mut path = path.to_owned();
     for _ in 0..MAX_LINKS {
@@ -89,7 +92,7 @@ fn names_an_open_file(path: &Path) -> bool {
     false
 }
 
-/// Refuses to replace what must not be.
+/// Checks that an existing file may be replaced.
 ///
 /// # Errors
 /// It is write-protected.
@@ -98,26 +101,28 @@ fn check_replaceable(path: &Path, there: &Metadata) -> Result<()> {
 }
 
 impl OutputFile {
-    /// Tries the place of `path`.
+    /// Checks that `path` can be written.
     ///
     /// # Errors
-    /// A folder that does not exist or cannot be written; a path that is a folder, is write-protected, or was read in this run.
+    /// A folder that does not exist or cannot be written; a path that is a folder, is
+    /// write-protected, or was read in this run.
     pub fn create(path: &Path) -> Result<Self> {
         Self::tried(path, false)
     }
 
-    /// As [`Self::create`] for a file that is read and written: a document that is saved again, settings.
+    /// As [`Self::create`] for a file that is both read and written: a document being saved again,
+    /// settings.
     ///
     /// # Errors
-    /// As [`Self::create`], but for what was read.
+    /// As [`Self::create`], except that the file may be an input.
     pub fn replacing(path: &Path) -> Result<Self> {
         Self::tried(path, true)
     }
 
-    /// As [`Self::create`], `-` being standard output.
+    /// As [`Self::create`], with `-` for standard output.
     ///
     /// # Errors
-    /// As [`Self::create`]; a terminal, which shows no such file.
+    /// As [`Self::create`]; standard output that is a terminal, where binary data is useless.
     pub fn create_or_standard(path: &Path) -> Result<Self> {
         if path != Path::new("-") {
             return Self::create(path);
@@ -144,7 +149,7 @@ impl OutputFile {
             }
             Ok(there) => {
                 check_replaceable(path, &there)?;
-                // Opened without being changed: the system's own word on whether it may be.
+                // Opened without changes, to check with the system whether it may be written.
                 OpenOptions::new().write(true).open(path).map_err(writing)?;
                 of(Destination::File(target(path)?))?
             }
@@ -156,14 +161,15 @@ impl OutputFile {
         Ok(output)
     }
 
-    /// Refuses what has been read by now: inputs are known better when they have been loaded.
+    /// Checks again that the file is not an input: more inputs are known once they have been
+    /// loaded.
     ///
     /// # Errors
     /// It is a file that was read in this run.
     pub fn check(&self) -> Result<()> {
         let target = match &self.destination {
             Destination::File(target) => target,
-            // Written through, but a file all the same.
+            // Written as a stream, but still a regular file.
             Destination::Stream if std::fs::metadata(&self.path).is_ok_and(|m| m.is_file()) => &self.path,
             _ => return Ok(()),
         };
@@ -180,7 +186,7 @@ impl OutputFile {
         }
     }
 
-    /// Whether it is an ordinary file, rather than something that is written through.
+    /// Whether it is a regular file, rather than a stream.
     pub fn is_file(&self) -> bool {
         matches!(self.destination, Destination::File(_))
     }
@@ -190,7 +196,7 @@ impl OutputFile {
         matches!(self.destination, Destination::StandardOutput)
     }
 
-    /// A new file beside the destination.
+    /// A new file next to the destination.
     fn part(&self) -> Result<Option<PartFile>> {
         let Destination::File(target) = &self.destination else { return Ok(None) };
         let folder = target.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -200,7 +206,7 @@ impl OutputFile {
         PartFile::in_folder(folder).map(Some).map_err(|e| Error::io(&self.path, "writing", e))
     }
 
-    /// Writes the content and puts the file in its place.
+    /// Writes the content and moves the file into place.
     ///
     /// # Errors
     /// A full disk, a destination that cannot be replaced.
@@ -209,10 +215,11 @@ impl OutputFile {
         self.finish_with(|file| file.write_all(content).map_err(|e| Error::io(&path, "writing", e)))
     }
 
-    /// As [`Self::finish`], the content being written piece by piece. A reader of standard output that goes away ends it without an error.
+    /// As [`Self::finish`], with the content written piece by piece. A closed reader of standard
+    /// output ends the output without an error.
     ///
     /// # Errors
-    /// As [`Self::finish`], and what `write` reports.
+    /// As [`Self::finish`], and errors from `write`.
     pub fn finish_with(self, write: impl FnOnce(&mut dyn Write) -> Result<()>) -> Result<()> {
         self.check()?;
         let writing = |e| Error::io(&self.path, "writing", e);
@@ -224,7 +231,8 @@ impl OutputFile {
             }
             Destination::Stream => {
                 let mut options = OpenOptions::new();
-                // What is appended to is open somewhere else as well (`>> log`); other files are nobody's but the system's.
+                // An open file named by its descriptor (`>> log`) is shared with its opener, so it
+                // is appended to.
                 options.write(true).append(names_an_open_file(&self.path));
                 buffered(options.open(&self.path).map_err(writing)?, &self.path, write)
             }
@@ -238,7 +246,8 @@ impl OutputFile {
         }
     }
 
-    /// As [`Self::finish_with`] for a program that writes a file by its name; what is no file is refused.
+    /// As [`Self::finish_with`] for a program that writes a file by its name; anything but a
+    /// regular file is refused.
     ///
     /// # Errors
     /// As [`Self::finish_with`]; a pipe, socket or device.
@@ -256,7 +265,7 @@ impl OutputFile {
         let writing = |e| Error::io(&self.path, "writing", e);
         let file = part.file().map_err(writing)?;
         file.sync_all().map_err(writing)?;
-        // Others may have been there since the place was tried.
+        // Another process may have changed it since the check.
         if let Ok(before) = std::fs::symlink_metadata(target) {
             if !before.is_file() {
                 return Err(Error::file(&self.path, "was replaced by something other than a file during writing; choose another name"));
@@ -268,12 +277,12 @@ impl OutputFile {
     }
 }
 
-/// Writes through a buffer to its end.
+/// Writes through a buffer and flushes it.
 fn buffered<W: Write>(to: W, path: &Path, write: impl FnOnce(&mut dyn Write) -> Result<()>) -> Result<()> {
     let mut buffer = std::io::BufWriter::with_capacity(1 << 20, to);
     let written = write(&mut buffer).and_then(|()| buffer.flush().map_err(|e| Error::io(path, "writing", e)));
     if written.is_err() {
-        // What is left in it is not written when it is dropped.
+        // Discards the rest of the buffer, which dropping would write.
         let _ = buffer.into_parts();
     }
     written
@@ -291,7 +300,8 @@ fn stream(there: &Metadata) -> Destination {
     Destination::Stream
 }
 
-/// Asks the system whether something may be written without opening it, which of a pipe waits for its reader and of a device may do anything.
+/// Checks the write permission without opening: opening a pipe waits for its reader, and opening a
+/// device can have any effect.
 fn check_may_be_written(path: &Path) -> Result<()> {
     #[cfg(unix)]
     rustix::fs::access(path, rustix::fs::Access::WRITE_OK).map_err(|e| Error::io(path, "writing", e.into()))?;
@@ -299,7 +309,8 @@ fn check_may_be_written(path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// The new file gets what the one that it replaces had. Who may not give a file away keeps it, and its group if that is allowed.
+/// Copies owner and mode of the replaced file to the new one. If the process may not change the
+/// owner, it tries the group alone.
 fn keep_owner_and_mode(file: &std::fs::File, before: &Metadata) {
     #[cfg(unix)]
     {
@@ -349,7 +360,8 @@ mod tests {
         assert_eq!(std::fs::read(&path).ok().as_deref(), Some(&b"y"[..]));
     }
 
-    /// What came to be at a place while its file was made is not replaced, unless it is a file that may be.
+    /// A file that appears at the destination during writing is not replaced, unless it may be
+    /// replaced.
     #[cfg(unix)]
     #[test]
     fn what_appears_meanwhile_is_left() {

@@ -1,5 +1,6 @@
-//! Paths as text and back. Scenes and options hold text, file systems hold bytes: a byte that is no UTF-8 becomes a character of Unicode's
-//! private area (U+F780 to U+F7FF, as MirBSD and others have it) and comes back as that byte, so that every file can be named, opened and saved.
+//! Paths as text and back. Scenes and options hold text, file systems hold bytes: a byte that is
+//! not UTF-8 becomes a character of Unicode's private use area (U+F780 to U+F7FF, as in MirBSD and
+//! others) and is converted back to that byte, so that every file can be named, opened and saved.
 
 use std::path::{Path, PathBuf};
 
@@ -22,7 +23,7 @@ pub fn text_of(path: &Path) -> String {
     path.to_string_lossy().into_owned()
 }
 
-/// The path that a text stands for.
+/// The path that a text represents.
 pub fn path_of(text: &str) -> PathBuf {
     #[cfg(unix)]
     {

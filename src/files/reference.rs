@@ -1,33 +1,35 @@
-//! Files that other files name. A header may name the file of its values; it may not make the program read what lies elsewhere on the machine:
-//! files come from strangers. Folders that are read as a whole hold to the same rule with the links in them.
+//! References from one file to another. A header may name the file that holds its values, but must
+//! not make the program read files elsewhere on the machine: input files are untrusted. In folders
+//! that are read as a whole, the same rule applies to links.
 
 use crate::{Error, Result};
 use std::path::{Component, Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Whether files may name files outside of their folders.
+/// Whether files may refer to files outside their folders.
 static OUTSIDE: AtomicBool = AtomicBool::new(false);
 
-/// Allows files to name files outside of their own folders, for the rest of this run: `--allow-outside`.
+/// Allows files to refer to files outside their own folders, for the rest of this run:
+/// `--allow-outside`.
 pub fn allow_outside() {
     OUTSIDE.store(true, Ordering::Relaxed);
 }
 
-/// Whether files may name files outside of their own folders.
+/// Whether files may refer to files outside their own folders.
 pub fn outside_is_allowed() -> bool {
     OUTSIDE.load(Ordering::Relaxed)
 }
 
-/// The file that `from` names `name`: in the folder of `from`, or below it.
+/// The file that `from` refers to as `name`: in the folder of `from`, or below it.
 ///
 /// # Errors
-/// A name that leads out of that folder, by itself or by a link, unless that is allowed.
+/// A name that leads out of that folder, by itself or by a link, unless this is allowed.
 pub fn sibling_file(from: &Path, name: &str) -> Result<PathBuf> {
     let folder = from.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     file_in_folder(from, folder, name)
 }
 
-/// As [`sibling_file`], in a folder that is not the one of `from`.
+/// As [`sibling_file`], in a folder other than that of `from`.
 ///
 /// # Errors
 /// As [`sibling_file`].
@@ -40,7 +42,7 @@ pub fn file_in_folder(from: &Path, folder: &Path, name: &str) -> Result<PathBuf>
     Ok(file)
 }
 
-/// Whether a name leaves the folder that it starts from.
+/// Whether a name leads out of the folder in which it starts.
 fn climbs(name: &Path) -> bool {
     let mut depth = 0i32;
     name.components().any(|part| {
@@ -54,17 +56,18 @@ fn climbs(name: &Path) -> bool {
     })
 }
 
-/// Whether links lead from a folder to a file outside of it. What is not there leads nowhere.
+/// Whether links lead from a folder to a file outside it. A file that does not exist leads nowhere.
 pub fn leads_out(folder: &Path, file: &Path) -> bool {
     matches!((folder.canonicalize(), file.canonicalize()), (Ok(folder), Ok(file)) if !file.starts_with(&folder))
 }
 
-/// Whether an entry of a folder that is read as a whole is a link to something outside of it, which is not followed.
+/// Whether an entry of a folder that is read as a whole is a link to a file outside it, which is
+/// not followed.
 pub fn is_link_out(folder: &Path, entry: &Path) -> bool {
     !outside_is_allowed() && entry.is_symlink() && leads_out(folder, entry)
 }
 
-/// What is said of links that were not followed; none if there are none.
+/// The notice about links that were not followed; none if there are none.
 pub fn links_left_out(links: &[PathBuf]) -> Option<String> {
     let first = links.first()?;
     let name = first.file_name().unwrap_or(first.as_os_str()).to_string_lossy();

@@ -1,6 +1,7 @@
-//! What a run that ends in the middle of writing would leave behind. Unfinished files are named after the machine and the process that write them
-//! (`.incise-HOST-PID-RANDOM.part`), known to that process, and removed: when they are dropped, when the process is told to end (INT, TERM, HUP),
-//! and, after a crash, by the next write into the same folder.
+//! Cleanup of partially written files. They are named after the host and the process that writes
+//! them (`.incise-HOST-PID-RANDOM.part`), registered in that process, and removed when they are
+//! dropped, when the process receives a termination signal (INT, TERM, HUP), or, after a crash, by
+//! the next write into the same folder.
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -9,9 +10,9 @@ use std::time::Duration;
 
 const PREFIX: &str = ".incise-";
 const SUFFIX: &str = ".part";
-/// A file that was written to within this time is nobody's left-over.
+/// A file modified within this time is never treated as a leftover.
 const FRESH: Duration = Duration::from_secs(60);
-/// One of another machine, whose processes cannot be asked for, is one after this time.
+/// A file of another machine, whose processes cannot be queried, is a leftover after this time.
 const OLD: Duration = Duration::from_secs(7 * 24 * 3600);
 
 static UNFINISHED: LazyLock<Mutex<HashSet<PathBuf>>> = LazyLock::new(Mutex::default);
@@ -20,7 +21,7 @@ fn unfinished() -> MutexGuard<'static, HashSet<PathBuf>> {
     UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// This machine's name, of letters and digits alone.
+/// This machine's name, reduced to letters and digits.
 static HOST: LazyLock<String> = LazyLock::new(|| {
     #[cfg(unix)]
     let name = rustix::system::uname().nodename().to_string_lossy().into_owned();
@@ -46,21 +47,21 @@ pub struct PartFile {
 }
 
 impl PartFile {
-    /// Makes one in a folder, after removing what dead processes left there.
+    /// Creates one in a folder, after removing the leftovers of dead processes there.
     ///
     /// # Errors
-    /// The system's.
+    /// Errors from the operating system.
     pub fn in_folder(folder: &Path) -> std::io::Result<Self> {
         remove_stale(folder);
         let prefix = own_prefix();
         let mut builder = builder(&prefix);
         #[cfg(unix)]
         {
-            // As any program's new file, less the umask.
+            // The mode of any new file, before the umask.
             use std::os::unix::fs::PermissionsExt;
             builder.permissions(std::fs::Permissions::from_mode(0o666));
         }
-        // Known before anyone can tell the process to end.
+        // Registered before a signal can end the process.
         let mut registered = unfinished();
         let file = builder.tempfile_in(folder)?;
         let path = file.path().to_owned();
@@ -68,23 +69,23 @@ impl PartFile {
         Ok(Self { file: Some(file), path })
     }
 
-    /// The file, to be written to.
+    /// The file, for writing.
     ///
     /// # Errors
-    /// None before it is in its place.
+    /// None before the file has been moved into place.
     pub fn file(&mut self) -> std::io::Result<&mut std::fs::File> {
         self.file.as_mut().map(tempfile::NamedTempFile::as_file_mut).ok_or_else(|| std::io::ErrorKind::NotFound.into())
     }
 
-    /// Where it is.
+    /// Its path.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Puts it where it belongs, in place of what is there.
+    /// Moves it to its destination, replacing an existing file.
     ///
     /// # Errors
-    /// The system's; the file is removed.
+    /// Errors from the operating system; the file is removed.
     pub fn persist(mut self, to: &Path) -> std::io::Result<()> {
         match self.file.take() {
             Some(file) => file.persist(to).map(drop).map_err(|e| e.error),
@@ -107,10 +108,10 @@ pub struct PartFolder {
 }
 
 impl PartFolder {
-    /// Makes one in a folder, after removing what dead processes left there.
+    /// Creates one in a folder, after removing the leftovers of dead processes there.
     ///
     /// # Errors
-    /// The system's.
+    /// Errors from the operating system.
     pub fn in_folder(folder: &Path) -> std::io::Result<Self> {
         remove_stale(folder);
         let prefix = own_prefix();
@@ -121,23 +122,23 @@ impl PartFolder {
         Ok(Self { folder: Some(made), path })
     }
 
-    /// Where it is.
+    /// Its path.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Gives it its name, in place of an empty folder if one is there.
+    /// Renames it to its final name, replacing an empty folder.
     ///
     /// # Errors
-    /// The system's; the folder is removed.
+    /// Errors from the operating system; the folder is removed.
     pub fn persist(mut self, to: &Path) -> std::io::Result<()> {
         if to.is_dir() {
-            // Not every system puts a folder in the place of an empty one.
+            // Not every system can replace an empty folder by renaming.
             std::fs::remove_dir(to)?;
         }
         std::fs::rename(&self.path, to)?;
         if let Some(folder) = self.folder.take() {
-            // It has another name now: there is nothing left to remove.
+            // It has been renamed: there is nothing left to remove.
             let _ = folder.keep();
         }
         Ok(())
@@ -152,11 +153,11 @@ impl Drop for PartFolder {
 }
 
 fn remove(path: &Path) {
-    // Whatever it was, it may be gone already, and nothing can be done about what stays.
+    // It may already be gone, and a failure to remove it cannot be handled.
     let _gone = if path.is_dir() { std::fs::remove_dir_all(path) } else { std::fs::remove_file(path) };
 }
 
-/// Removes what processes that are dead have left in a folder.
+/// Removes the leftovers of dead processes in a folder.
 fn remove_stale(folder: &Path) {
     let Ok(entries) = std::fs::read_dir(folder) else { return };
     for entry in entries.flatten() {
@@ -169,7 +170,7 @@ fn remove_stale(folder: &Path) {
     }
 }
 
-/// Whether a left-over of a name, without what all names have, is nobody's any more.
+/// Whether a leftover with this name (without the common prefix and suffix) is abandoned.
 fn is_stale(name: &str, age: Duration) -> bool {
     if age < FRESH {
         return false;
@@ -181,12 +182,12 @@ fn is_stale(name: &str, age: Duration) -> bool {
     }
 }
 
-/// Whether a process of this machine is running; where it cannot be told, it is.
+/// Whether a process of this machine is running; assumed so if it cannot be determined.
 fn is_alive(process: u32) -> bool {
     #[cfg(unix)]
     {
         let Some(process) = i32::try_from(process).ok().and_then(rustix::process::Pid::from_raw) else { return false };
-        // One of another user may not be signalled, and is alive.
+        // A process of another user cannot be signalled, but is alive.
         !matches!(rustix::process::test_kill_process(process), Err(rustix::io::Errno::SRCH))
     }
     #[cfg(not(unix))]
@@ -196,16 +197,17 @@ fn is_alive(process: u32) -> bool {
     }
 }
 
-/// Removes the unfinished files of this process, which is about to end.
+/// Removes the unfinished files of this process, which is about to exit.
 pub fn remove_all() {
-    // Whoever holds it may be what fails.
+    // The lock may be held by the code that failed.
     if let Ok(registered) = UNFINISHED.try_lock() {
         registered.iter().for_each(|path| remove(path));
     }
 }
 
-/// Removes unfinished files when the process is told to end. To be called once, by a program, before it has threads that write. Signals that the
-/// process was started to ignore (`nohup`) stay ignored.
+/// Removes unfinished files when the process receives a termination signal. A program calls this
+/// once, before it starts threads that write. Signals that the process was started to ignore
+/// (`nohup`) stay ignored.
 pub fn remove_on_signals() {
     #[cfg(unix)]
     {
@@ -215,19 +217,19 @@ pub fn remove_on_signals() {
         let Ok(mut signals) = signal_hook::iterator::Signals::new(heeded) else { return };
         let waiting = std::thread::Builder::new().name("signals".into()).spawn(move || {
             if let Some(signal) = signals.forever().next() {
-                // Held to the end, so that nothing new is begun.
+                // Held until exit, so that no new file is created.
                 let registered = unfinished();
                 registered.iter().for_each(|path| remove(path));
                 let _ended = signal_hook::low_level::emulate_default_handler(signal);
                 std::process::exit(128 + signal);
             }
         });
-        // Without it, what is left behind is removed by the next write.
+        // If the thread could not be started, the next write removes the leftovers.
         drop(waiting);
     }
 }
 
-/// The signals that this process ignores, a bit each, where the system tells (Linux).
+/// The signals that this process ignores, one bit each, where the system reports them (Linux).
 #[cfg(unix)]
 fn ignored_signals() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
@@ -243,7 +245,7 @@ mod tests {
     fn left_overs_of_the_dead_are_removed_and_those_of_the_living_are_not() {
         let own = std::process::id();
         let (minute, month) = (Duration::from_secs(120), Duration::from_secs(31 * 24 * 3600));
-        // No process has this number: the largest is 2^22.
+        // No process has this id: the largest is 2^22.
         let dead = 1u32 << 30;
         for (name, age, stale) in [
             (format!("{}-{dead}-abc", *HOST), minute, true),

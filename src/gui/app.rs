@@ -1,4 +1,4 @@
-//! How the workstation starts, and what happens in each of its frames.
+//! Startup of the workstation, and the work of each of its frames.
 
 use super::gizmos::Mode as GizmoMode;
 use super::state::action::{self, Action};
@@ -27,16 +27,16 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// A frame of the interface that takes longer is told in the messages.
+/// A frame of the interface that takes longer is reported in the log.
 const SLOW_MS: f32 = 50.0;
-/// Frames whose times are kept.
+/// Number of frames whose times are retained.
 const FRAMES: usize = 2000;
 
 impl Workstation {
-    /// A workstation on a context of the interface.
+    /// A workstation on an egui context.
     pub fn new(ctx: &Context, options: Options) -> Self {
         theme::install(ctx);
-        // The interface's size is ours to keep.
+        // The workstation manages the interface scale itself.
         ctx.options_mut(|o| o.zoom_with_keyboard = false);
         let mut problems = Vec::new();
         let session = Session::open(options.folder, &mut problems);
@@ -107,7 +107,7 @@ impl Workstation {
         app
     }
 
-    /// Puts the user's keys in the place of the usual ones.
+    /// Replaces the default keys by the user's.
     pub(super) fn apply_keys(&mut self) {
         self.entries = action::list();
         let keys = &mut self.session.settings.keys;
@@ -123,7 +123,7 @@ impl Workstation {
         }
     }
 
-    /// Tells something: in the messages, and as a toast if it is new.
+    /// Reports a message: in the log, and as a toast if it is new.
     pub fn report(&mut self, level: LogLevel, text: impl Into<String>) {
         let text = text.into();
         if self.log.add(level, text.clone()) {
@@ -139,7 +139,7 @@ impl Workstation {
         }
     }
 
-    /// Tells what went wrong; a cancelled task is told as such.
+    /// Reports an error; a cancelled task is reported as such.
     pub fn report_error(&mut self, error: &Error) {
         match error {
             Error::Cancelled => self.report(LogLevel::Info, "Cancelled"),
@@ -147,7 +147,7 @@ impl Workstation {
         }
     }
 
-    /// Takes over what threads have done.
+    /// Takes over the results of background threads.
     fn poll(&mut self, ctx: &Context) {
         self.poll_loading();
         self.poll_tasks(ctx);
@@ -196,10 +196,10 @@ impl Workstation {
 
     fn answered(&mut self, ctx: &Context, answer: ProbeResult) {
         if self.doc.as_ref().is_none_or(|d| !Arc::ptr_eq(&d.assets, &answer.assets)) {
-            // Asked of a scene that is gone.
+            // The request was for a scene that has been closed.
             return;
         }
-        // What went wrong, the picture of the same scene has told already.
+        // A failure has already been reported for the picture of the same scene.
         let pick = answer.pick.unwrap_or_default();
         match answer.purpose {
             ProbePurpose::Hover => {
@@ -223,7 +223,7 @@ impl Workstation {
         }
     }
 
-    /// Keys that belong to actions.
+    /// Handles the keys that are bound to actions.
     fn handle_keys(&mut self, ctx: &Context) {
         let typing = ctx.text_edit_focused();
         self.tame_keys(ctx, typing);
@@ -233,7 +233,7 @@ impl Workstation {
         }
         let menu = egui::Popup::is_any_open(ctx);
         if self.session.settings.blender && !typing && self.selected_deformation().is_some() {
-            // As in Blender: what is selected is moved, turned and sized.
+            // As in Blender: keys move, rotate and scale the selection.
             for (key, mode) in [(egui::Key::G, GizmoMode::Move), (egui::Key::R, GizmoMode::Rotate), (egui::Key::S, GizmoMode::Scale)] {
                 if ctx.input_mut(|i| i.consume_key(egui::Modifiers::NONE, key)) {
                     self.tool = Tool::Navigate;
@@ -259,7 +259,7 @@ impl Workstation {
             }
         }
         for action in wanted {
-            // A drag ends before anything else begins.
+            // A drag must end before another action begins.
             let busy = self.dialog.is_some() || self.gesture.is_some() || self.stroke_before.is_some();
             if busy && !matches!(action, Action::Deselect) {
                 continue;
@@ -268,7 +268,8 @@ impl Workstation {
         }
     }
 
-    /// Makes of keys what people mean by them: digits with Shift are digits, + needs no Shift, a key that is held does not toggle.
+    /// Normalises key events: digits with Shift are digits, + needs no Shift, and holding a key
+    /// does not repeat a toggle.
     fn tame_keys(&self, ctx: &Context, typing: bool) {
         use egui::{Event, Key};
         let digit = |key: Key| matches!(key, Key::Num1 | Key::Num3 | Key::Num5 | Key::Num7 | Key::Num9);
@@ -286,7 +287,7 @@ impl Workstation {
             let repeats = |key: &Key| matches!(key, Key::OpenBracket | Key::CloseBracket | Key::Z | Key::Plus | Key::Minus);
             i.events.retain(|e| typing || !matches!(e, Event::Key { key, repeat: true, pressed: true, .. } if !repeats(key)));
         });
-        // Tab is for before and after here, not for the next widget.
+        // Tab toggles before and after here; it does not move the focus to the next widget.
         if !typing && ctx.input(|i| i.key_pressed(Key::Tab)) {
             ctx.memory_mut(|m| {
                 if let Some(focus) = m.focused() {
@@ -296,11 +297,11 @@ impl Workstation {
         }
     }
 
-    /// Files that were dropped onto the window.
+    /// Opens files dropped onto the window.
     fn handle_drops(&mut self, ctx: &Context) {
         let dropped: Vec<PathBuf> = ctx.input(|i| i.raw.dropped_files.iter().map(|f| f.path().to_owned()).collect());
         self.dropped.extend(dropped);
-        // The next one finds the scene that the one before it opened.
+        // The next file is opened when the scene of the previous one has loaded.
         if !self.dropped.is_empty() && self.loading.is_none() && self.dialog.is_none() {
             let path = self.dropped.remove(0);
             self.dropped(ctx, &path);
@@ -314,14 +315,15 @@ impl Workstation {
         }
     }
 
-    /// Notes what has changed: one step of undo for each gesture, cameras at rest, what has to be loaded or measured anew.
+    /// Records changes once interaction rests: one undo step per gesture, cameras at rest, and what
+    /// has to be reloaded or remeasured.
     fn settle(&mut self, ctx: &Context) {
         if let Err(error) = self.session.save_settings() {
             self.report_error(&error);
         }
         let Some(doc) = &mut self.doc else { return };
         doc.check_selection();
-        // A name that is typed is one step, as a drag is.
+        // Typing a name is one step, as a drag is.
         let held = ctx.input(|i| i.pointer.any_down()) || self.gesture.is_some() || self.stroke_before.is_some() || ctx.text_edit_focused();
         if !held {
             self.history.take_snapshot(&doc.scene);
@@ -329,7 +331,7 @@ impl Workstation {
         }
         let scene_changed = self.last_scene.as_deref().is_none_or(|s| *s != doc.scene);
         if scene_changed {
-            // Points that were clicked lie where matter was seen before.
+            // Clicked points lie where the volume was displayed before the change.
             if self.last_scene.as_deref().is_some_and(|s| s.deformation != doc.scene.deformation) {
                 self.pending_points.clear();
             }
@@ -347,7 +349,7 @@ impl Workstation {
         }
     }
 
-    /// Asks for the measurements' numbers if they or the deformation changed.
+    /// Requests the values of the measurements if they or the deformation changed.
     fn measure_anew(&mut self) {
         let Some(doc) = &self.doc else { return };
         if doc.scene.measure.is_empty() {
@@ -368,7 +370,7 @@ impl Workstation {
         }
     }
 
-    /// Writes the scene where a crash does not reach it.
+    /// Writes an automatic save, from which the scene can be recovered after a crash.
     pub fn autosave(&mut self) {
         let Some(doc) = &self.doc else { return };
         let result = if doc.is_changed() {
@@ -382,7 +384,7 @@ impl Workstation {
         }
     }
 
-    /// The window is called as the scene is, with a mark if it has edits.
+    /// Shows the scene's name in the window title, with a mark if it has unsaved edits.
     fn update_title(&mut self, ctx: &Context) {
         let title = if self.doc.is_some() { format!("incise · {}", self.title()) } else { "incise".to_owned() };
         if title != self.title {
@@ -391,7 +393,7 @@ impl Workstation {
         }
     }
 
-    /// The window is to be closed: at once, or after a question.
+    /// Handles a request to close the window: at once, or after a question.
     fn handle_close(&mut self, ctx: &Context) {
         if !ctx.input(|i| i.viewport().close_requested()) || self.quitting {
             return;
@@ -407,7 +409,7 @@ impl Workstation {
         }
     }
 
-    /// Closes the window without a further question.
+    /// Closes the window without asking.
     pub(super) fn quit(&mut self, ctx: &Context) {
         self.quitting = true;
         self.session.forget();
@@ -473,18 +475,19 @@ impl Workstation {
             .show_leaf_close_all_buttons(false)
             .show_leaf_collapse_buttons(false)
             .show_inside(ui, &mut Tabs { app: self });
-        // An arrangement that was chosen meanwhile stays.
+        // An arrangement chosen in the meantime is kept.
         if self.dock.iter_all_tabs().next().is_none() {
             self.dock = dock;
         }
     }
 
-    /// Brings a panel to the front, opening it where needed.
+    /// Brings a panel to the front, opening it if necessary.
     pub fn show_panel(&mut self, panel: Panel) {
         self.panels_to_show.push((panel, true));
     }
 
-    /// Does what [`Self::show_panel`] was asked for: while panels are drawn, their arrangement is not at hand.
+    /// Carries out the requests to [`Self::show_panel`], which are deferred because the dock is not
+    /// accessible while panels are drawn.
     fn arrange_panels(&mut self) {
         for (panel, open) in std::mem::take(&mut self.panels_to_show) {
             match self.dock.find_tab(&panel) {

@@ -1,4 +1,4 @@
-//! Doing what actions and tools ask for.
+//! Carries out actions and tools.
 
 use super::state::action::Action;
 use super::state::document::Selection;
@@ -18,15 +18,15 @@ use crate::scene::{Mode, Projection};
 use eframe::egui::{self, Context};
 use glam::{Vec2, Vec3};
 
-/// How much `[` and `]` change progress.
+/// Change of progress by `[` and `]`.
 const PROGRESS_STEP: f32 = 0.05;
-/// Points of a stroke lie at least this far apart, share of its radius.
+/// Minimum distance between points of a stroke, as a fraction of its radius.
 const STROKE_STEP: f32 = 0.25;
-/// Points of one stroke.
+/// Most points of one stroke.
 const STROKE_POINTS: usize = 400;
 
 impl Workstation {
-    /// Does an action. What makes no sense at the moment does nothing.
+    /// Carries out an action; one that does not apply at the moment has no effect.
     pub fn perform(&mut self, ctx: &Context, action: Action) {
         match action {
             Action::Open => self.choose_file_to_open(),
@@ -69,7 +69,7 @@ impl Workstation {
                     loading.cancel();
                 }
             }
-            // What is about to be replaced is not edited any more.
+            // A scene that is about to be replaced is not edited.
             _ if self.loading.as_ref().is_some_and(|l| !l.same) => {}
             _ if self.doc.is_some() => self.perform_on_scene(ctx, action),
             _ => {}
@@ -214,7 +214,7 @@ impl Workstation {
         }
     }
 
-    /// Arms a tool; the one that is armed already is put down.
+    /// Arms a tool, or disarms it if it is already armed.
     pub fn arm(&mut self, tool: Tool) {
         self.pending_points.clear();
         self.tool = if self.tool == tool { Tool::Navigate } else { tool };
@@ -223,7 +223,7 @@ impl Workstation {
         }
     }
 
-    /// Esc: calls off a drag, puts down a tool, deselects.
+    /// Esc: cancels a drag, disarms a tool, deselects.
     pub(super) fn escape(&mut self) {
         if self.gesture.is_some() || self.stroke_before.is_some() {
             let gesture = self.gesture.take();
@@ -266,7 +266,7 @@ impl Workstation {
     /// The form for a clip: the selected deformation opening, or an orbit.
     fn clip_form(&self) -> ClipForm {
         let [w, h] = self.view.size();
-        // Even edges, as video wants them.
+        // Even edges, which video formats require.
         let size = [w.min(1920) & !1, h.min(1080) & !1];
         let travel = match self.selected_deformation() {
             Some(n) => ClipMotion::Progress(n),
@@ -276,7 +276,7 @@ impl Workstation {
         ClipForm { travel, range: [0.0, 1.0], back, frames: 48, rate: 24.0, size }
     }
 
-    /// A tool was used where something was picked.
+    /// Applies the armed tool at a picked point.
     pub(super) fn use_tool(&mut self, ctx: &Context, pick: Option<Pick>) {
         match self.tool {
             Tool::Place(kind) => self.place(kind.0, pick.map(|p| (p.deformed, p.normal))),
@@ -285,7 +285,7 @@ impl Workstation {
                 None => self.report(LogLevel::Info, "Nothing is visible at that point"),
             },
             Tool::Navigate => {
-                // A control point where the surface is.
+                // Adds a control point on the surface.
                 if let Some(p) = pick {
                     self.add_control_point(ctx, p.deformed);
                 }
@@ -294,7 +294,8 @@ impl Workstation {
         }
     }
 
-    /// Adds a control point to the selected ones where something is seen, so that nothing moves until it is dragged.
+    /// Adds a control point to the selected deformation at a visible point, without changing the
+    /// deformation until the point is dragged.
     fn add_control_point(&mut self, ctx: &Context, seen: Vec3) {
         let Some(doc) = &self.doc else { return };
         let Some(n) = doc.deformation_index().filter(|n| doc.scene.deformation[*n].kind == "points") else { return };
@@ -305,7 +306,8 @@ impl Workstation {
                 scene.deformation = scene.deformation[range].to_vec();
                 Deformed::new(&scene, &assets)
             };
-            // Before what comes after it; and where its own map takes that from.
+            // `to` is the point before all later deformations; `from` is where this deformation's
+            // own map takes it.
             let to = part(n + 1..scene.deformation.len())?.stack.source_and_alpha_unclipped(seen).0;
             let from = part(n..n + 1)?.stack.source_and_alpha_unclipped(to).0;
             let pair = [super::state::tool::tidy(from), super::state::tool::tidy(to)].concat();
@@ -320,15 +322,15 @@ impl Workstation {
         });
     }
 
-    /// Drops a deformation, on a surface or about the middle of the scene, and selects it.
+    /// Places a deformation on a surface or about the centre of the scene, and selects it.
     pub fn place(&mut self, kind: &'static Kind, at: Option<(Vec3, Vec3)>) {
         let Some(doc) = &mut self.doc else { return };
-        // Towards the viewer, and to the right where the surface faces the viewer.
+        // Towards the viewer; to the right if the surface faces the viewer.
         let frame = self.view.picture().map(|p| p.frame);
         let viewer = frame.map_or(Vec3::X, |f| f.right.normalize_or_zero() * 0.35 - f.forward);
         let deformation = dropped(kind, &doc.bounds(), at, viewer);
         if let Some((point, _)) = at {
-            // The slices show what was dropped.
+            // Moves the slices to the placed deformation.
             self.slices.cursor = Some(point.clamp(doc.bounds().min, doc.bounds().max));
         }
         doc.add(deformation);
@@ -341,7 +343,7 @@ impl Workstation {
         self.panels_to_show.push((panel, false));
     }
 
-    /// A point for a measurement.
+    /// Adds a point to the current measurement.
     pub fn take_point(&mut self, deformed: Vec3, source: Vec3) {
         let kind = match self.tool {
             Tool::Probe => MeasureKind::Probe,
@@ -360,7 +362,7 @@ impl Workstation {
         self.show_panel_if_hidden(Panel::Measure);
     }
 
-    /// Cuts out an outline, or puts it back.
+    /// Cuts out an outline, or restores it.
     pub fn lasso(&mut self, restores: bool, eye_mm: f32, origin: Vec3, right: Vec3, up: Vec3, outline: Vec<Vec2>) {
         let Some(doc) = &mut self.doc else { return };
         let rounded = |v: Vec3| Vec3::from(super::state::tool::tidy(v));
@@ -372,7 +374,7 @@ impl Workstation {
         }
     }
 
-    /// A stroke of the brush begins.
+    /// Begins a stroke of the brush.
     pub(super) fn begin_stroke(&mut self) {
         let Some(doc) = &mut self.doc else { return };
         self.stroke_points.clear();
@@ -381,7 +383,7 @@ impl Workstation {
         self.stroke_scene = self.view.picture().map(|p| p.of.scene.clone());
     }
 
-    /// A further point of it.
+    /// Adds a point to the stroke.
     pub(super) fn extend_stroke(&mut self, at: Vec3) {
         let Some(before) = self.stroke_before.clone() else { return };
         let Some(tool) = self.tool.brush() else { return };
@@ -403,14 +405,15 @@ impl Workstation {
         doc.set_strokes(n, &strokes);
     }
 
-    /// It ends.
+    /// Ends the stroke.
     pub(super) fn end_stroke(&mut self) {
         self.stroke_points.clear();
         self.stroke_before = None;
         self.stroke_scene = None;
     }
 
-    /// Changes window and level of the slices by a drag: across the width, down the level.
+    /// Changes window and level of the slices by a drag: horizontally the window, vertically the
+    /// level.
     pub(super) fn drag_window(&mut self, dx: f32, dy: f32) {
         let Some(doc) = &self.doc else { return };
         let range = doc.assets.volume.range;
@@ -434,7 +437,7 @@ impl Workstation {
         doc.scene.transfer.level = Some(level);
     }
 
-    /// Looks for folds in the selected deformation, or in all of them.
+    /// Checks the selected deformation, or all of them, for folds.
     fn check_field(&mut self, ctx: &Context) {
         let Some(doc) = &self.doc else { return };
         let (assets, mut scene) = (doc.assets.clone(), doc.shown(false));

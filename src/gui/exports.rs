@@ -1,5 +1,5 @@
-//! What leaves the workstation: pictures, clips, baked volumes and fields, maps, tables, reports, command lines. Each is a task of its own, and
-//! nothing that the scene reads is written over.
+//! Exports: pictures, clips, baked volumes and fields, maps, tables, reports, command lines. Each
+//! runs as a background task, and no input of the scene is overwritten.
 
 use super::files::with_ending;
 use super::state::Workstation;
@@ -24,11 +24,11 @@ use eframe::egui::Context;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-/// Points along the longest axis of a map made of a whole stack.
+/// Points along the longest axis of a map computed from a whole stack.
 const MAP_POINTS: usize = 128;
 
 impl Workstation {
-    /// The form for a picture, as the view has it.
+    /// The form for a picture, initialised from the view.
     pub fn picture_form(&self) -> PictureForm {
         let [w, h] = self.view.size();
         let scale = 3840.0 / f64::from(w.max(1));
@@ -37,7 +37,7 @@ impl Workstation {
         PictureForm { size, antialias: 1, step, transparent: false }
     }
 
-    /// Asks where a picture goes.
+    /// Opens a dialog for the picture's file.
     pub fn choose_picture_file(&mut self, form: PictureForm) {
         self.files.open_dialog(FilePurpose::Picture(form), "Export picture", Some("picture.png"), &[]);
     }
@@ -62,7 +62,7 @@ impl Workstation {
         });
     }
 
-    /// The scene as it is shown, if nothing of it would be overwritten by an export.
+    /// The scene as shown, unless the export would overwrite one of its inputs.
     fn export_scene(&mut self, path: &Path) -> Option<Scene> {
         let doc = self.doc.as_ref()?;
         let scene = doc.shown(self.shows_undeformed());
@@ -74,9 +74,9 @@ impl Workstation {
         Some(scene)
     }
 
-    /// What renders exports: the backend of the view, on a device of its own.
+    /// A renderer for exports: the backend of the view, on its own device.
     fn renderer(&self) -> impl Fn(&Scene, &Assets, &Watch) -> Result<Picture> + Send + 'static {
-        // A view that had to do without a GPU would find none for an export either.
+        // If the view fell back from the GPU, an export would not find one either.
         let backend = if self.view.facts.device.as_ref().is_some_and(|d| d.is_gpu) { self.backend() } else { Backend::Cpu };
         let engine = Mutex::new(None::<Engine>);
         move |scene, assets, watch| {
@@ -90,7 +90,7 @@ impl Workstation {
         }
     }
 
-    /// Asks where a clip goes.
+    /// Opens a dialog for the clip's file.
     pub fn choose_clip_file(&mut self, form: ClipForm) {
         self.files.open_dialog(FilePurpose::Clip(form), "Export clip: .gif, .png (animated), .mp4, or a folder", Some("clip.gif"), &[]);
     }
@@ -113,7 +113,7 @@ impl Workstation {
         });
     }
 
-    /// Asks where a baked volume or field goes.
+    /// Opens a dialog for a baked volume or field.
     pub fn choose_bake_file(&mut self, field: bool) {
         let (title, name) = if field { ("Bake the displacement field", "field.nii.gz") } else { ("Bake the deformed volume", "deformed.nii.gz") };
         self.files.open_dialog(FilePurpose::Bake { field }, title, Some(name), &[]);
@@ -148,7 +148,7 @@ impl Workstation {
         });
     }
 
-    /// Asks for the folder of a report.
+    /// Opens a dialog for the folder of a report.
     pub fn choose_report_folder(&mut self) {
         self.files.open_folder_dialog(FilePurpose::Report, "Folder for the comparison report");
     }
@@ -180,7 +180,7 @@ impl Workstation {
         });
     }
 
-    /// Asks where the table of measurements goes.
+    /// Opens a dialog for the table of measurements.
     pub fn choose_measures_file(&mut self) {
         self.files.open_dialog(FilePurpose::Measures, "Export measurements", Some("measurements.csv"), &[]);
     }
@@ -193,7 +193,7 @@ impl Workstation {
             self.report(LogLevel::Info, "Measurements are still being computed; try again in a moment");
             return;
         }
-        // What could not be measured has a row all the same.
+        // A measurement without a result still gets a row.
         let unknown = measure::Quantity { what: "not measured", value: None, unit: "" };
         let rows: Vec<_> =
             self.measured.iter().zip(all).map(|(m, now)| (now.clone(), m.quantities.clone().unwrap_or_else(|_| vec![unknown.clone()]))).collect();
@@ -204,7 +204,7 @@ impl Workstation {
         }
     }
 
-    /// Asks for a transfer function.
+    /// Opens a dialog for a transfer function to import.
     pub fn choose_transfer_import(&mut self) {
         self.files.open_dialog(
             FilePurpose::ImportTransfer,
@@ -214,12 +214,12 @@ impl Workstation {
         );
     }
 
-    /// Asks where the transfer function goes.
+    /// Opens a dialog for the exported transfer function.
     pub fn choose_transfer_export(&mut self) {
         self.files.open_dialog(FilePurpose::ExportTransfer, "Export the transfer function", Some("transfer.toml"), &[]);
     }
 
-    /// Reads a transfer function: a file of its own, or that of a scene.
+    /// Reads a transfer function: from its own file, or from a scene.
     pub fn import_transfer(&mut self, path: &Path) {
         let read = || -> Result<TransferSettings> {
             let text = input::text(path, input::MAX_SCENE_BYTES, "transfer function")?;
@@ -253,19 +253,19 @@ impl Workstation {
         }
     }
 
-    /// Asks for a label map.
+    /// Opens a dialog for a label map.
     pub fn choose_label_map(&mut self) {
         self.files.open_dialog(FilePurpose::Labels, "Open a label map for the volume", None, &[]);
     }
 
-    /// Puts a label map over the volume.
+    /// Sets a label map for the volume.
     pub fn set_labels(&mut self, path: &Path) {
         if let Some(volume) = self.doc.as_mut().and_then(|d| d.scene.volume.as_mut()) {
             volume.labels = Some(text_of(path));
         }
     }
 
-    /// Writes a deformation, or the stack of all, as a map into the user's library.
+    /// Saves a deformation, or the whole stack, as a map in the user's library.
     pub fn save_map(&mut self, ctx: &Context, name: &str, whole_stack: bool) {
         let Some(doc) = &self.doc else { return };
         let assets = doc.assets.clone();
@@ -277,7 +277,7 @@ impl Workstation {
         }
         let path = self.session.map_path(name);
         self.start(ctx, "Exporting the map", move |watch| {
-            // Masks, not shapes: a map is all there is of it.
+            // Masks instead of exact shapes, since the file holds only a map.
             let exact = Deformed::exact(&scene, &assets, false, watch)?;
             watch.check()?;
             let maps = exact.stack.maps();
@@ -304,7 +304,7 @@ impl Workstation {
         });
     }
 
-    /// The scene as a command line, for the clipboard; the scene is saved first.
+    /// Copies a command line for the scene to the clipboard; the scene is saved first.
     pub fn copy_command(&mut self, ctx: &Context) {
         let Some(doc) = &self.doc else { return };
         let Some(path) = doc.path.clone() else {
@@ -325,16 +325,16 @@ impl Workstation {
 }
 
 impl ClipForm {
-    /// The scene of a frame.
+    /// The scene of frame `n`.
     ///
     /// # Errors
-    /// A deformation that is no longer there.
+    /// The animated deformation does not exist.
     pub fn frame(&self, scene: &Scene, n: usize) -> Result<Scene> {
         let mut scene = scene.clone();
         scene.render.size = self.size;
         let last = self.frames.saturating_sub(1).max(1);
         let share = n as f32 / last as f32;
-        // There and back: up to the middle and down again.
+        // Forwards and backwards: up to the middle and down again.
         let share = if self.back { 1.0 - (2.0 * share - 1.0).abs() } else { share };
         let value = self.range[0] + (self.range[1] - self.range[0]) * share;
         let of = |scene: &mut Scene, d: usize| -> Result<()> {
@@ -342,7 +342,7 @@ impl ClipForm {
         };
         match &self.travel {
             ClipMotion::Orbit => {
-                // The last frame is followed by the first.
+                // The last frame is followed by the first, so the full turn is not reached.
                 let turn = 360.0 * n as f32 / self.frames.max(1) as f32;
                 let azimuth = scene.camera.view.azimuth_deg + turn;
                 scene.camera.view.azimuth_deg = (azimuth + 180.0).rem_euclid(360.0) - 180.0;
@@ -360,7 +360,7 @@ impl ClipForm {
     }
 }
 
-/// A destination that refuses more once it is told to stop.
+/// A writer that fails once the work is cancelled.
 struct CancellableWriter<'a> {
     out: &'a mut dyn std::io::Write,
     watch: &'a Watch<'a>,

@@ -1,4 +1,5 @@
-//! Opening and saving, the questions that come with it, and what is done with a file that the dialog returns.
+//! Opening and saving with the related questions, and the handling of a file returned by the
+//! dialog.
 
 use super::state::Workstation;
 use super::state::document::Document;
@@ -20,7 +21,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{TryRecvError, channel};
 use std::sync::{Mutex, PoisonError};
 
-/// The first file of a scene that is not there.
+/// The first file of a scene that does not exist.
 fn missing(scene: &Scene) -> Option<PathBuf> {
     scene.files().into_iter().find(|p| !p.starts_with("phantom:") && !p.to_string_lossy().starts_with("phantom:") && !p.exists())
 }
@@ -31,7 +32,7 @@ impl Workstation {
         self.after(ctx, NextStep::Open(path.to_owned()));
     }
 
-    /// Does something that gives up the open scene, after a question if edits would be lost.
+    /// Takes a step that closes the open scene, after a question if edits would be lost.
     pub fn after(&mut self, ctx: &Context, after: NextStep) {
         if self.doc.as_ref().is_some_and(Document::is_changed) {
             self.autosave();
@@ -41,7 +42,7 @@ impl Workstation {
         }
     }
 
-    /// Does it.
+    /// Takes the step.
     pub fn proceed(&mut self, ctx: &Context, after: NextStep) {
         self.dialog = None;
         match after {
@@ -63,7 +64,7 @@ impl Workstation {
         self.forget_pictures();
     }
 
-    /// Nothing that was shown belongs to the scene any more.
+    /// Discards pictures and results of the previous scene.
     fn forget_pictures(&mut self) {
         self.view.clear();
         self.slices.forget();
@@ -98,7 +99,8 @@ impl Workstation {
     fn load_recovered(&mut self, ctx: &Context, file: &Path, original: Option<PathBuf>) {
         match Scene::load(file) {
             Ok(mut scene) => {
-                // Its paths are absolute, or relative to where it was saved; it goes on living where it came from.
+                // A recovered scene's paths are absolute, or relative to where it was saved; it
+                // stays associated with its original file.
                 if let Some(folder) = original.as_deref().and_then(Path::parent) {
                     match scene.moved_to(folder) {
                         Ok(moved) => scene = moved,
@@ -135,9 +137,9 @@ impl Workstation {
         let spawned = std::thread::Builder::new().name("loading".into()).spawn(move || {
             let progress = |what: &'static str, share: f32| *shared_stage.lock().unwrap_or_else(PoisonError::into_inner) = (what, share);
             let assets = Assets::load_with(&scene, &LoadOptions { progress: Some(&progress), cancel: Some(&stop), previous: before.as_deref() });
-            // A scene that cannot be resolved is no better than a file that cannot be read.
+            // A scene that cannot be resolved is rejected like a file that cannot be read.
             let loaded = assets.map(|assets| {
-                // What every frame asks is found out here.
+                // Values that every frame needs are computed here.
                 let problem = Prepared::new(&small(&scene), &assets).err();
                 assets.volume.histogram(super::state::panels::BINS);
                 assets.volume.window(None, None);
@@ -153,14 +155,14 @@ impl Workstation {
         }
     }
 
-    /// Loads what the open scene has come to need.
+    /// Loads the files that the open scene newly requires.
     pub(super) fn reload(&mut self, ctx: &Context) {
         let Some(doc) = &self.doc else { return };
         let (scene, path, name) = (doc.scene.clone(), doc.path.clone(), doc.name.clone());
         self.start_loading(ctx, scene, path, name, true, None);
     }
 
-    /// Takes over what was loaded.
+    /// Takes over a finished load.
     pub(super) fn poll_loading(&mut self) {
         let Some(loading) = &self.loading else { return };
         let outcome = match loading.result.try_recv() {
@@ -189,7 +191,7 @@ impl Workstation {
             Err(error) => {
                 self.report_error(&error);
                 if loading.same {
-                    // The scene goes on with what it had.
+                    // The scene continues with its previous assets.
                     self.failed_assets = loading.key;
                 }
             }
@@ -220,7 +222,7 @@ impl Workstation {
         }
         self.doc = Some(doc);
         if let Some(recovered) = recovered.filter(|r| r.file.exists()) {
-            // Its old automatic save goes once there is a new one.
+            // The old automatic save is removed only once there is a new one.
             match self.doc.as_ref().map(|d| self.session.autosave(&d.scene, d.path.as_deref())) {
                 Some(Ok(())) => self.session.discard(&recovered),
                 Some(Err(error)) => self.report_error(&error),
@@ -230,12 +232,12 @@ impl Workstation {
         self.failed_assets = None;
     }
 
-    /// The open scene's name, marked if it has edits.
+    /// The open scene's name, marked if it has unsaved edits.
     pub fn title(&self) -> String {
         self.doc.as_ref().map_or_else(String::new, |d| format!("{}{}", d.name, if d.is_changed() { "*" } else { "" }))
     }
 
-    /// A file was dropped onto the window, or chosen beside an open scene.
+    /// Handles a file that was dropped onto the window, or chosen in addition to an open scene.
     pub fn dropped(&mut self, ctx: &Context, path: &Path) {
         let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
         let Some(doc) = &mut self.doc else {
@@ -265,7 +267,7 @@ impl Workstation {
         }
     }
 
-    /// Adds the surface of another volume at the value where its body begins.
+    /// Adds the surface of another volume, at the threshold of its body.
     pub fn add_surface_of(&mut self, ctx: &Context, path: &Path) {
         let path = path.to_owned();
         self.start(ctx, "Reading a volume", move |watch| {
@@ -288,12 +290,12 @@ impl Workstation {
         doc.add(field);
     }
 
-    /// Puts the file dialog away.
+    /// Closes the file dialog.
     pub fn cancel_files(&mut self) {
         self.files.purpose = None;
     }
 
-    /// Asks for a file to open.
+    /// Opens a dialog for a file to open.
     pub fn choose_file_to_open(&mut self) {
         const VOLUMES: &[&str] = &["gz", "nii", "nrrd", "nhdr", "mha", "mhd", "vti", "vtk", "tif", "tiff", "npy", "raw", "dcm", "zip", "hdr"];
         const MESHES: &[&str] = &["stl", "obj", "ply", "off", "gltf", "glb", "gii"];
@@ -305,12 +307,12 @@ impl Workstation {
         );
     }
 
-    /// Asks for a folder to open.
+    /// Opens a dialog for a folder to open.
     pub fn choose_folder_to_open(&mut self) {
         self.files.open_folder_dialog(FilePurpose::Open, "Open a folder of DICOM files, slices or a Zarr store");
     }
 
-    /// Saves the scene where it belongs, or asks where.
+    /// Saves the scene to its file, or asks for one.
     pub fn save(&mut self, ctx: &Context, after: Option<NextStep>) {
         match self.doc.as_ref().and_then(|d| d.path.clone()) {
             Some(path) => self.save_to(ctx, &path, after),
@@ -318,7 +320,7 @@ impl Workstation {
         }
     }
 
-    /// Asks where to save the scene.
+    /// Opens a dialog for the scene's file.
     pub fn choose_save_file(&mut self, after: Option<NextStep>) {
         let Some(doc) = &self.doc else { return };
         let stem = doc.name.split('.').next().filter(|s| !s.is_empty()).unwrap_or("scene");
@@ -326,7 +328,7 @@ impl Workstation {
         self.files.open_dialog(FilePurpose::Save(after), "Save the scene", Some(&name), &[]);
     }
 
-    /// Saves the scene into a file.
+    /// Saves the scene to a file.
     pub fn save_to(&mut self, ctx: &Context, path: &Path, after: Option<NextStep>) {
         let path = with_ending(path, "toml");
         let Some(doc) = &mut self.doc else { return };
@@ -335,7 +337,7 @@ impl Workstation {
             let folder = path.parent().unwrap_or(Path::new(""));
             let moved = doc.scene.moved_to(folder)?;
             let text = moved.to_toml()?;
-            // The scene's own file was read and is written again; what it names is not.
+            // The scene's own file is an input that is written again; the files it names are not.
             OutputFile::replacing(&path)?.finish(text.as_bytes())?;
             Ok::<Scene, Error>(moved)
         })();
@@ -357,7 +359,7 @@ impl Workstation {
         }
     }
 
-    /// Shows the file dialog and does what a chosen file is wanted for.
+    /// Shows the file dialog and handles a chosen file.
     pub(super) fn show_files(&mut self, ctx: &Context) {
         if self.files.purpose.is_none() {
             return;
@@ -374,7 +376,7 @@ impl Workstation {
         }
     }
 
-    /// Does what a file is wanted for.
+    /// Handles a chosen file according to its purpose.
     pub fn chosen(&mut self, ctx: &Context, path: &Path, purpose: FilePurpose) {
         match purpose {
             FilePurpose::Open => self.open(ctx, path),
@@ -391,7 +393,7 @@ impl Workstation {
                 if let Dialog::Locate { missing, scene, path: file, name, .. } = *dialog {
                     let mut scene = *scene;
                     scene.relocate(&missing, path);
-                    // Under its new place it was never saved.
+                    // At its new place the scene has never been saved.
                     let recovered = Recovered { file: PathBuf::new(), original: file.clone(), saved: None };
                     self.start_loading(ctx, scene, file, name, false, Some(recovered));
                 }
@@ -399,7 +401,7 @@ impl Workstation {
         }
     }
 
-    /// Asks where a missing file is.
+    /// Opens a dialog to locate a missing file.
     pub fn choose_missing_file(&mut self, dialog: Dialog) {
         let title = match &dialog {
             Dialog::Locate { missing, .. } => format!("Locate {}", missing.file_name().unwrap_or_default().to_string_lossy()),
@@ -409,14 +411,14 @@ impl Workstation {
     }
 }
 
-/// The scene as small as it can be: enough to find what cannot be used.
+/// The scene at the smallest size, which suffices to find invalid settings.
 fn small(scene: &Scene) -> Scene {
     let mut scene = scene.clone();
     scene.render.size = [16, 16];
     scene
 }
 
-/// A path with an ending, if it has none.
+/// A path with an extension, added if it has none.
 pub(super) fn with_ending(path: &Path, ending: &str) -> PathBuf {
     if path.extension().is_some_and(|e| e.eq_ignore_ascii_case(ending)) {
         return path.to_owned();

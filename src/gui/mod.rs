@@ -1,14 +1,18 @@
-//! The workstation: a window on a scene.
+//! The workstation: an interactive window on a scene.
 //!
-//! *How it is made*: the interface only ever edits a [`Scene`](crate::scene::Scene) and asks for pictures of it. A worker thread renders
-//! ([`worker`](state::worker)), another one answers what lies under the pointer, loading and exports have threads of their own; no frame of the
-//! interface waits for any of them. What is undone is the scene without its camera, one step for every gesture ([`history`](state::history)).
-//! What must survive a crash is written every minute and before risky steps ([`session`](state::session)).
+//! *Design*: the interface only edits a [`Scene`](crate::scene::Scene) and requests pictures of it.
+//! A worker thread renders ([`worker`](state::worker)), another one picks the point under the
+//! pointer, and loading and exports have their own threads; no frame of the interface waits for any
+//! of them. Undo covers the scene without its camera, one step per gesture
+//! ([`history`](state::history)). Automatic saves for recovery after a crash are written every
+//! minute and before risky steps ([`session`](state::session)).
 //!
-//! *Where things are*: [`state`] is what the window remembers; it names no panel and no view, those extend its [`Workstation`]. [`app`] starts it
-//! and draws each frame. [`action`](state::action) lists everything that can be done, `edit` does it. [`views`] are the pictures, [`gizmos`] the
-//! handles on them, [`panels`] everything beside them; [`projector`] places points on the screen. [`files`] opens and saves. `exports` exports, in
-//! the background ([`tasks`]). [`theme`] says how it looks, `text` how words and numbers are written.
+//! *Modules*: [`state`] holds the state of the window; it depends on no panel and no view, which
+//! extend its [`Workstation`]. [`app`] starts it and draws each frame. [`action`](state::action)
+//! lists all actions, `edit` carries them out. [`views`] are the pictures, [`gizmos`] the handles
+//! on them, [`panels`] everything else; [`projector`] maps points to the screen. [`files`] opens
+//! and saves. `exports` exports, in the background ([`tasks`]). [`theme`] defines the appearance,
+//! `text` the formatting of words and numbers.
 
 pub mod app;
 mod edit;
@@ -29,7 +33,7 @@ use crate::{Error, Result};
 use eframe::egui;
 use std::path::PathBuf;
 
-/// Opens the workstation, with a file or without one, until its window is closed.
+/// Opens the workstation, with or without a file, and returns when its window is closed.
 ///
 /// # Errors
 /// No window can be opened: there is no display, or no graphics driver.

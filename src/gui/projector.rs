@@ -1,15 +1,15 @@
-//! The camera of a view on the screen.
+//! Projection between a view's world space and the screen.
 
 use crate::scene::{Projection, ViewFrame};
 use eframe::egui::{Pos2, Rect, vec2};
 use glam::Vec3;
 
-/// The camera of a view and its place on the screen.
+/// The camera of a view and its rectangle on the screen.
 #[derive(Clone, Copy, Debug)]
 pub struct Projector {
     /// The camera.
     pub frame: ViewFrame,
-    /// Where the picture is, points.
+    /// Rectangle of the picture, points.
     pub rect: Rect,
 }
 
@@ -30,26 +30,26 @@ impl Projector {
         (u.is_finite() && v.is_finite()).then_some((u, v, depth))
     }
 
-    /// Where a world point is on the screen.
+    /// The screen position of a world point.
     pub fn screen(&self, world: Vec3) -> Option<Pos2> {
         let (u, v, _) = self.uv(world)?;
         let at = self.rect.center() + vec2(u * self.rect.width() / 2.0, -v * self.rect.height() / 2.0);
         (at.x.abs() < 1e5 && at.y.abs() < 1e5).then_some(at)
     }
 
-    /// Picture coordinates of a place on the screen.
+    /// Picture coordinates of a screen position.
     pub fn at(&self, pos: Pos2) -> [f32; 2] {
         let d = pos - self.rect.center();
         [2.0 * d.x / self.rect.width().max(1.0), -2.0 * d.y / self.rect.height().max(1.0)]
     }
 
-    /// The ray through a place on the screen: origin and unit direction.
+    /// The ray through a screen position: origin and unit direction.
     pub fn ray(&self, pos: Pos2) -> (Vec3, Vec3) {
         let [u, v] = self.at(pos);
         self.frame.ray(u, v)
     }
 
-    /// Length of a point of the screen at the depth of a world point, mm.
+    /// Length of one screen point at the depth of a world point, mm.
     pub fn mm_per_point(&self, world: Vec3) -> f32 {
         let scale = match self.frame.projection {
             Projection::Perspective => (world - self.frame.eye).dot(self.frame.forward).max(1e-3),
@@ -58,7 +58,7 @@ impl Projector {
         2.0 * self.frame.up.length() * scale / self.rect.height().max(1.0)
     }
 
-    /// Where the ray through a place on the screen meets a plane.
+    /// The intersection of the ray through a screen position with a plane.
     pub fn on_plane(&self, pos: Pos2, point: Vec3, normal: Vec3) -> Option<Vec3> {
         let (origin, direction) = self.ray(pos);
         let facing = direction.dot(normal);
@@ -69,7 +69,7 @@ impl Projector {
         (t.is_finite() && (t > 0.0 || self.frame.projection == Projection::Orthographic)).then(|| origin + direction * t)
     }
 
-    /// How far along a line (mm) the point nearest to the ray through a place on the screen lies.
+    /// Position along a line (mm) of the point nearest to the ray through a screen position.
     pub fn along_line(&self, pos: Pos2, point: Vec3, direction: Vec3) -> Option<f32> {
         let (origin, ray) = self.ray(pos);
         let line = direction.normalize_or_zero();
@@ -113,7 +113,7 @@ mod tests {
         }
     }
 
-    /// Two points a millimetre apart across the view are as far apart on the screen as it says.
+    /// Two points a millimetre apart across the view have the stated distance on the screen.
     #[test]
     fn the_scale_is_that_of_the_screen() {
         for p in projectors() {

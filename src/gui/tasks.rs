@@ -1,4 +1,5 @@
-//! Work in the background that ends in something: exports, baking, reports. Each has a thread, a progress bar and a button that cancels it.
+//! Background tasks: exports, baking, reports. Each has a thread, a progress bar and a button that
+//! cancels it.
 
 use super::state::Workstation;
 use super::state::log::LogLevel;
@@ -9,15 +10,15 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::mpsc::{TryRecvError, channel};
 
-/// Ends by telling something.
+/// A finish that reports a message.
 pub fn report_when_done(text: String) -> Finish {
     Box::new(move |app, _| app.report(LogLevel::Info, text))
 }
 
 impl Workstation {
-    /// Starts a piece of work.
+    /// Starts a task.
     pub fn start(&mut self, ctx: &Context, name: &str, work: impl FnOnce(&Watch) -> Result<Finish> + Send + 'static) {
-        // Whatever it does, the scene is safe.
+        // The scene is saved in case the task crashes the program.
         self.autosave();
         let (progress, cancel) = (Arc::new(AtomicU32::new(0)), Arc::new(AtomicBool::new(false)));
         let (send, result) = channel();
@@ -34,7 +35,7 @@ impl Workstation {
         }
     }
 
-    /// Waits a little for tasks that were told to stop, so that no half of a file stays behind.
+    /// Waits briefly for cancelled tasks, so that they can remove partial files.
     pub(super) fn end_tasks(&mut self) {
         let start = std::time::Instant::now();
         while !self.tasks.is_empty() && start.elapsed() < std::time::Duration::from_millis(800) {
@@ -44,7 +45,7 @@ impl Workstation {
         self.tasks.clear();
     }
 
-    /// Finishes what is done.
+    /// Runs the finish of completed tasks.
     pub(super) fn poll_tasks(&mut self, ctx: &Context) {
         let mut n = 0;
         while n < self.tasks.len() {

@@ -1,6 +1,6 @@
-//! Words and numbers as the window shows them.
+//! Formatting of words and numbers in the window.
 
-/// A number with as many digits as it deserves, and its unit.
+/// A number with suitable precision, and its unit.
 pub fn number(value: f64, unit: &str) -> String {
     let digits = match value.abs() {
         v if v >= 1000.0 => 0,
@@ -15,7 +15,7 @@ pub fn number(value: f64, unit: &str) -> String {
     }
 }
 
-/// A text broken into lines of at most so many characters, at blanks where there are any.
+/// A text broken into lines of at most `most` characters, at spaces where possible.
 pub fn wrapped(text: &str, most: usize) -> String {
     let mut out = String::new();
     let mut length = 0;
@@ -41,7 +41,7 @@ pub fn wrapped(text: &str, most: usize) -> String {
     out
 }
 
-/// The text with a capital in front.
+/// The text with an initial capital.
 pub(in crate::gui) fn capital(text: &str) -> String {
     let mut text = text.to_owned();
     if let Some(first) = text.get_mut(0..1) {

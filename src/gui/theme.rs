@@ -1,26 +1,28 @@
-//! Colours, sizes and fonts: neutral greys behind pictures, one accent, nothing red against green.
+//! Colours, sizes and fonts: neutral greys behind pictures, one accent, no distinction of red from
+//! green.
 
 use eframe::egui::{self, Color32, CornerRadius, FontFamily, FontId, Stroke, TextStyle, Theme, Visuals, vec2};
 
-/// The accent on dark and on light.
+/// The accent in the dark and in the light theme.
 const ACCENT_DARK: Color32 = Color32::from_rgb(92, 170, 240);
 const ACCENT_LIGHT: Color32 = Color32::from_rgb(20, 92, 170);
 
-/// Behind pictures.
+/// Background of pictures.
 pub const CANVAS: Color32 = Color32::from_rgb(20, 22, 26);
-/// Lines and letters on pictures.
+/// Lines and text on pictures.
 pub const ON_CANVAS: Color32 = Color32::from_rgb(226, 229, 233);
-/// Handles: one colour per axis that nobody confuses (orange, sky blue, yellowish).
+/// Handles: one colour per axis, distinguishable with any colour vision (orange, sky blue,
+/// yellowish).
 pub const AXES: [Color32; 3] = [Color32::from_rgb(240, 140, 60), Color32::from_rgb(110, 190, 245), Color32::from_rgb(240, 215, 110)];
-/// What is selected on a picture.
+/// The selection on a picture.
 pub const SELECTED: Color32 = Color32::from_rgb(120, 195, 255);
 
-/// The accent of the present theme.
+/// The accent of the current theme.
 pub fn accent(ui: &egui::Ui) -> Color32 {
     if ui.visuals().dark_mode { ACCENT_DARK } else { ACCENT_LIGHT }
 }
 
-/// Sets fonts and both themes.
+/// Installs the fonts and both themes.
 pub fn install(ctx: &egui::Context) {
     let mut fonts = egui::FontDefinitions::default();
     egui_phosphor::add_to_fonts(&mut fonts, egui_phosphor::Variant::Regular);

@@ -6,11 +6,8 @@
 //! which they are copied, so that a hand that goes back and forth between two states uploads nothing.
 
 use super::target::RenderTexture;
-use super::{Renderer, extent};
-use crate::deform::{DisplacementMap, PlacedMap, Stack, Storage};
-use crate::{Error, Result};
+use crate::deform::DisplacementMap;
 use std::sync::Arc;
-use wgpu::{Features, TextureFormat, TextureUsages};
 
 /// Where a map lies, texels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -22,9 +19,9 @@ pub(super) struct AtlasSlot {
 
 /// A box of texels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct TexelBox {
-    origin: [u32; 3],
-    size: [u32; 3],
+pub(super) struct TexelBox {
+    pub(super) origin: [u32; 3],
+    pub(super) size: [u32; 3],
 }
 
 impl TexelBox {
@@ -52,8 +49,8 @@ impl TexelBox {
 
 /// Boxes in a box that grows.
 #[derive(Default)]
-struct AtlasPacking {
-    size: [u32; 3],
+pub(super) struct AtlasPacking {
+    pub(super) size: [u32; 3],
     free: Vec<TexelBox>,
 }
 
@@ -89,19 +86,19 @@ impl AtlasPacking {
 }
 
 /// A map in an atlas.
-struct AtlasEntry {
+pub(super) struct AtlasEntry {
     /// Kept, so that nothing else can take its address.
-    map: Arc<DisplacementMap>,
-    region: TexelBox,
+    pub(super) map: Arc<DisplacementMap>,
+    pub(super) region: TexelBox,
 }
 
 /// One texture of maps.
 #[derive(Default)]
 pub(super) struct Atlas {
-    target: Option<RenderTexture>,
-    packing: AtlasPacking,
+    pub(super) target: Option<RenderTexture>,
+    pub(super) packing: AtlasPacking,
     /// The most recently used last.
-    entries: Vec<AtlasEntry>,
+    pub(super) entries: Vec<AtlasEntry>,
 }
 
 fn texels_of(map: &DisplacementMap) -> [u32; 3] {
@@ -109,12 +106,12 @@ fn texels_of(map: &DisplacementMap) -> [u32; 3] {
 }
 
 impl Atlas {
-    fn find(&self, map: &Arc<DisplacementMap>) -> Option<usize> {
+    pub(super) fn find(&self, map: &Arc<DisplacementMap>) -> Option<usize> {
         self.entries.iter().position(|e| Arc::ptr_eq(&e.map, map))
     }
 
     /// A place for a map, if there is one without growing: what is free, or that of an unused map of the same size.
-    fn place(&mut self, map: &Arc<DisplacementMap>, in_use: &[Arc<DisplacementMap>]) -> Option<TexelBox> {
+    pub(super) fn place(&mut self, map: &Arc<DisplacementMap>, in_use: &[Arc<DisplacementMap>]) -> Option<TexelBox> {
         let size = texels_of(map);
         let unused = |e: &AtlasEntry| e.region.size == size && !in_use.iter().any(|m| Arc::ptr_eq(m, &e.map));
         if let Some(n) = self.entries.iter().position(unused) {
@@ -124,7 +121,7 @@ impl Atlas {
     }
 
     /// A packing of maps alone, and their places by order.
-    fn packed(maps: &[Arc<DisplacementMap>], most: u32) -> Option<(AtlasPacking, Vec<TexelBox>)> {
+    pub(super) fn packed(maps: &[Arc<DisplacementMap>], most: u32) -> Option<(AtlasPacking, Vec<TexelBox>)> {
         let mut packing = AtlasPacking::default();
         let mut order: Vec<usize> = (0..maps.len()).collect();
         order.sort_by_key(|n| std::cmp::Reverse(maps[*n].size.iter().product::<usize>()));
@@ -139,109 +136,6 @@ impl Atlas {
             regions[n] = TexelBox { origin, size };
         }
         Some((packing, regions))
-    }
-}
-
-impl Renderer {
-    /// The atlas that a map goes into, and its format.
-    pub(super) fn format_of(&self, map: &DisplacementMap) -> (bool, TextureFormat) {
-        // What cannot be filtered cannot be bound where filtering is.
-        let single = map.storage != Storage::F16 && self.device.device.features().contains(Features::FLOAT32_FILTERABLE);
-        (single, if single { TextureFormat::Rgba32Float } else { TextureFormat::Rgba16Float })
-    }
-
-    /// Puts the maps of a stack into their atlases: both textures, the place of each map, and whether a texture was replaced.
-    pub(super) fn place_maps(&self, stack: &Stack) -> Result<([wgpu::TextureView; 2], Vec<AtlasSlot>, bool)> {
-        let all: Vec<&PlacedMap> = stack.all_maps().collect();
-        let mut atlases = self.cache.atlases();
-        let mut places = vec![AtlasSlot::default(); all.len()];
-        let (mut views, mut replaced) = (Vec::with_capacity(2), false);
-        for (atlas, single) in atlases.iter_mut().zip([false, true]) {
-            let of_atlas = |n: &usize| self.format_of(&all[*n].map).0 == single;
-            let members: Vec<usize> = (0..all.len()).filter(of_atlas).collect();
-            let mut maps: Vec<Arc<DisplacementMap>> = Vec::new();
-            for n in &members {
-                let map = &all[*n].map;
-                if !maps.iter().any(|m| Arc::ptr_eq(m, map)) {
-                    maps.push(map.clone());
-                }
-            }
-            let format = if single { TextureFormat::Rgba32Float } else { TextureFormat::Rgba16Float };
-            replaced |= self.fill(atlas, &maps, format)?;
-            for n in members {
-                let entry = atlas.find(&all[n].map).map(|e| atlas.entries[e].region.origin);
-                places[n] = AtlasSlot { origin: entry.unwrap_or_default(), single };
-            }
-            views.push(self.view_of(atlas, format)?);
-        }
-        let [half, single] = <[wgpu::TextureView; 2]>::try_from(views).map_err(|_| Error::Gpu("an atlas is missing".into()))?;
-        Ok(([half, single], places, replaced))
-    }
-
-    /// The texture of an atlas; a single texel if nothing is in it.
-    fn view_of(&self, atlas: &mut Atlas, format: TextureFormat) -> Result<wgpu::TextureView> {
-        if let Some(target) = &atlas.target {
-            return Ok(target.view.clone());
-        }
-        let filterable = format == TextureFormat::Rgba16Float || self.device.device.features().contains(Features::FLOAT32_FILTERABLE);
-        let format = if filterable { format } else { TextureFormat::Rgba16Float };
-        let target = RenderTexture::new(self.texture_3d("no displacement maps", [1; 3], format)?);
-        Ok(atlas.target.insert(target).view.clone())
-    }
-
-    /// Sees to it that maps are in an atlas; whether its texture was replaced.
-    fn fill(&self, atlas: &mut Atlas, maps: &[Arc<DisplacementMap>], format: TextureFormat) -> Result<bool> {
-        let missing: Vec<&Arc<DisplacementMap>> = maps.iter().filter(|m| atlas.find(m).is_none()).collect();
-        // Used last: they go last.
-        for map in maps {
-            if let Some(n) = atlas.find(map) {
-                let entry = atlas.entries.remove(n);
-                atlas.entries.push(entry);
-            }
-        }
-        if missing.is_empty() {
-            return Ok(false);
-        }
-        let mut found = Vec::new();
-        for map in &missing {
-            match atlas.place(map, maps) {
-                Some(region) => found.push(((*map).clone(), region)),
-                None => return self.rebuild(atlas, maps, format),
-            }
-        }
-        self.copy_into(atlas, found)?;
-        Ok(false)
-    }
-
-    /// A new texture for some maps alone.
-    fn rebuild(&self, atlas: &mut Atlas, maps: &[Arc<DisplacementMap>], format: TextureFormat) -> Result<bool> {
-        let most = self.device.device.limits().max_texture_dimension_3d;
-        let (packing, regions) = Atlas::packed(maps, most).ok_or_else(|| {
-            Error::GpuLimit(format!(
-                "the scene's {} displacement maps do not fit into a texture of this GPU (at most {most} texels per axis)",
-                maps.len()
-            ))
-        })?;
-        let usage = TextureUsages::COPY_DST;
-        let texture = self.texture_3d_for("displacement maps", packing.size.map(|n| n as usize), format, usage)?;
-        *atlas = Atlas { target: Some(RenderTexture::new(texture)), packing, entries: Vec::new() };
-        self.copy_into(atlas, maps.iter().cloned().zip(regions).collect())?;
-        Ok(true)
-    }
-
-    fn copy_into(&self, atlas: &mut Atlas, found: Vec<(Arc<DisplacementMap>, TexelBox)>) -> Result<()> {
-        let Some(target) = atlas.target.clone() else { return Ok(()) };
-        let mut encoder = self.device.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        for (map, region) in &found {
-            let texture = self.map(map)?;
-            let [x, y, z] = region.origin;
-            let mut to = target.texture.as_image_copy();
-            to.origin = wgpu::Origin3d { x, y, z };
-            encoder.copy_texture_to_texture(texture.as_image_copy(), to, extent(map.size));
-        }
-        self.device.queue.submit([encoder.finish()]);
-        atlas.entries.extend(found.into_iter().map(|(map, region)| AtlasEntry { map, region }));
-        Ok(())
     }
 }
 

@@ -1,9 +1,13 @@
 //! Submissions: bands of rays, slabs of slices. Two are under way at a time, so that the device need not wait for the next one to be recorded.
 
+use super::Renderer;
+use super::context::{Context, lock};
+use super::counter::Counter;
 use super::pass_timer::PassTimer;
+use super::pipelines::gathered_layout;
 use super::slices::{self, SLICES_PER_SLAB};
-use super::target::{Layer, RenderTexture};
-use super::{Counter, PROJECTION_FORMAT, Renderer, Variant, overrides};
+use super::target::{Layer, MASK, PROJECTION_FORMAT, RenderTexture};
+use super::variant::{Variant, overrides};
 use crate::gpu::shaders::Program;
 use crate::gpu::{wait, wait_for};
 use crate::prepare::Prepared;
@@ -18,8 +22,6 @@ const PIXELS_PER_BAND: [u32; 2] = [1 << 18, 1 << 16];
 const RAYS_ACROSS: u32 = 8;
 /// Samples per submission of slices, about.
 const SAMPLES_PER_BATCH: u64 = 1 << 24;
-/// Depth of the mask of opaque pixels.
-pub(super) const MASK: TextureFormat = TextureFormat::Depth32Float;
 
 /// One picture being drawn.
 #[derive(Clone, Copy)]
@@ -35,8 +37,8 @@ pub(super) struct Draw<'a> {
 }
 
 impl Draw<'_> {
-    fn variant(&self, renderer: &Renderer, program: Program) -> Variant {
-        renderer.variant(self.scene, program, self.counter.is_some())
+    fn variant(&self, context: &Context, program: Program) -> Variant {
+        context.variant(self.scene, program, self.counter.is_some())
     }
 
     /// Binds the scene, and the counters if samples are counted.
@@ -93,7 +95,7 @@ struct Bands {
 #[derive(Default)]
 struct PendingSubmissions(VecDeque<(wgpu::SubmissionIndex, f32)>);
 
-impl Renderer {
+impl Context {
     /// Submits; waits for the submission before it, tells how far that was, and stops if told to.
     fn submit(&self, encoder: wgpu::CommandEncoder, share: f32, pending: &mut PendingSubmissions, watch: &Watch) -> Result<()> {
         pending.0.push_back((self.device.queue.submit([encoder.finish()]), share));
@@ -104,59 +106,6 @@ impl Renderer {
             (watch.progress)(share);
         }
         watch.check()
-    }
-
-    fn encoder(&self) -> wgpu::CommandEncoder {
-        self.device.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
-    }
-
-    /// A ray a pixel, band by band.
-    pub(super) fn draw_rays(&mut self, draw: &Draw) -> Result<()> {
-        let [width, height] = draw.scene.frame.size;
-        let program = self.strategy.rays();
-        let variant = draw.variant(self, program);
-        let bands = (program == Program::RaycastCompute).then(|| self.bands(draw));
-        let pixels = PIXELS_PER_BAND[usize::from(self.device.is_software())];
-        // Whole workgroups: what one band does is not done, and counted, by the next one as well.
-        let rows = (pixels / width).clamp(1, height).next_multiple_of(RAYS_ACROSS);
-        let mut pending = PendingSubmissions::default();
-        for top in (0..height).step_by(rows as usize) {
-            let count = rows.min(height - top);
-            let mut encoder = self.encoder();
-            if let Some(bands) = &bands {
-                // Written before the submission that reads it, after the one before it.
-                self.device.queue.write_buffer(&bands.first_row, 0, bytemuck::bytes_of(&[top, 0, 0, 0]));
-                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-                    label: Some("rays"),
-                    timestamp_writes: draw.clock.and_then(PassTimer::next_computing),
-                });
-                pass.set_pipeline(&self.ray_pipelines[&variant]);
-                pass.set_bind_group(0, draw.bindings, &[]);
-                pass.set_bind_group(1, &bands.group, &[]);
-                pass.dispatch_workgroups(width.div_ceil(RAYS_ACROSS), count.div_ceil(RAYS_ACROSS), 1);
-            } else {
-                let load = if top == 0 { wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT) } else { wgpu::LoadOp::Load };
-                Canvas::of(&draw.target.view, load).pass(draw.clock, &mut encoder, |pass| {
-                    pass.set_scissor_rect(0, top, width, count);
-                    pass.set_pipeline(&self.pipelines[&variant]);
-                    draw.bind(pass);
-                    pass.draw(0..3, 0..1);
-                });
-            }
-            self.submit(encoder, (top + count) as f32 / height as f32, &mut pending, draw.watch)?;
-        }
-        wait(&self.device.device)
-    }
-
-    /// What rays by invocations bind besides the scene.
-    fn bands(&mut self, draw: &Draw) -> Bands {
-        let first_row = self.scratch_of("first row", 16, BufferUsages::UNIFORM | BufferUsages::COPY_DST);
-        let layout = Self::bands_layout(&self.device.device, draw.counter.is_some());
-        let mut others = vec![(2, first_row.as_entire_binding())];
-        others.extend(draw.counter.map(|c| (0, c.buffer.as_entire_binding())));
-        let purpose = if draw.counter.is_some() { "rays, counted" } else { "rays" };
-        let group = self.cached_bind_group(purpose, &layout, vec![(1, draw.target.view.clone())], &others);
-        Bands { first_row, group }
     }
 
     fn bands_layout(device: &wgpu::Device, counting: bool) -> wgpu::BindGroupLayout {
@@ -177,8 +126,67 @@ impl Renderer {
     }
 
     pub(super) fn ray_pipeline(&self, variant: Variant) -> wgpu::ComputePipeline {
-        let own = Self::bands_layout(&self.device.device, variant.counting);
-        self.compute_pipeline(variant.program, variant.counting, [&self.shared_layout, &own], &overrides(&variant))
+        let make = || {
+            let own = Self::bands_layout(&self.device.device, variant.counting);
+            self.compute_pipeline(variant.program, variant.counting, [&self.shared_layout, &own], &overrides(&variant))
+        };
+        lock(&self.ray_pipelines).entry(variant).or_insert_with(make).clone()
+    }
+
+    fn gathered_group(&self, view: &wgpu::TextureView) -> wgpu::BindGroup {
+        let layout = gathered_layout(&self.device.device);
+        self.cached_bind_group("gathered", &layout, vec![(1, view.clone())], &[])
+    }
+}
+
+impl Renderer {
+    /// A ray a pixel, band by band.
+    pub(super) fn draw_rays(&mut self, draw: &Draw) -> Result<()> {
+        let [width, height] = draw.scene.frame.size;
+        let program = self.context.strategy.rays();
+        let variant = draw.variant(&self.context, program);
+        let bands = (program == Program::RaycastCompute).then(|| self.bands(draw));
+        let pixels = PIXELS_PER_BAND[usize::from(self.context.device.is_software())];
+        // Whole workgroups: what one band does is not done, and counted, by the next one as well.
+        let rows = (pixels / width).clamp(1, height).next_multiple_of(RAYS_ACROSS);
+        let mut pending = PendingSubmissions::default();
+        for top in (0..height).step_by(rows as usize) {
+            let count = rows.min(height - top);
+            let mut encoder = self.context.encoder();
+            if let Some(bands) = &bands {
+                // Written before the submission that reads it, after the one before it.
+                self.context.device.queue.write_buffer(&bands.first_row, 0, bytemuck::bytes_of(&[top, 0, 0, 0]));
+                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+                    label: Some("rays"),
+                    timestamp_writes: draw.clock.and_then(PassTimer::next_computing),
+                });
+                pass.set_pipeline(&self.context.ray_pipeline(variant));
+                pass.set_bind_group(0, draw.bindings, &[]);
+                pass.set_bind_group(1, &bands.group, &[]);
+                pass.dispatch_workgroups(width.div_ceil(RAYS_ACROSS), count.div_ceil(RAYS_ACROSS), 1);
+            } else {
+                let load = if top == 0 { wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT) } else { wgpu::LoadOp::Load };
+                Canvas::of(&draw.target.view, load).pass(draw.clock, &mut encoder, |pass| {
+                    pass.set_scissor_rect(0, top, width, count);
+                    pass.set_pipeline(&self.context.pipeline(variant));
+                    draw.bind(pass);
+                    pass.draw(0..3, 0..1);
+                });
+            }
+            self.context.submit(encoder, (top + count) as f32 / height as f32, &mut pending, draw.watch)?;
+        }
+        wait(&self.context.device.device)
+    }
+
+    /// What rays by invocations bind besides the scene.
+    fn bands(&mut self, draw: &Draw) -> Bands {
+        let first_row = self.context.scratch_of("first row", 16, BufferUsages::UNIFORM | BufferUsages::COPY_DST);
+        let layout = Context::bands_layout(&self.context.device.device, draw.counter.is_some());
+        let mut others = vec![(2, first_row.as_entire_binding())];
+        others.extend(draw.counter.map(|c| (0, c.buffer.as_entire_binding())));
+        let purpose = if draw.counter.is_some() { "rays, counted" } else { "rays" };
+        let group = self.context.cached_bind_group(purpose, &layout, vec![(1, draw.target.view.clone())], &others);
+        Bands { first_row, group }
     }
 
     /// Slabs of slices, front to back: each blended under what is there, and where that is opaque, not drawn. Projections are gathered
@@ -187,8 +195,8 @@ impl Renderer {
         let scene = draw.scene;
         let [width, height] = scene.frame.size;
         let composite = scene.volume().blend == Blend::Composite;
-        let projection_values = (!composite).then(|| self.target("gathered", width, height, PROJECTION_FORMAT));
-        let mask = composite.then(|| self.target("opaque pixels", width, height, MASK));
+        let projection_values = (!composite).then(|| self.targets.target(&self.context, "gathered", width, height, PROJECTION_FORMAT));
+        let mask = composite.then(|| self.targets.target(&self.context, "opaque pixels", width, height, MASK));
         let canvas = projection_values.as_ref().map_or(&draw.target.view, |t| &t.view);
         let empty = match scene.volume().blend {
             Blend::Composite | Blend::Average => wgpu::Color::TRANSPARENT,
@@ -196,11 +204,11 @@ impl Renderer {
             Blend::Mip | Blend::Minip => wgpu::Color { r: -1e4, ..wgpu::Color::TRANSPARENT },
         };
         let polygons = slices::slabs(&scene.frame, &scene.volume().macrocells, scene.proxy_mesh.as_deref());
-        let vertices = self.slice_vertices(bytemuck::cast_slice(&polygons.corners));
-        let seen = mask.as_ref().filter(|_| scene.settings.early_termination).map(|_| self.gathered_group(&draw.target.view));
-        let pipeline = &self.pipelines[&draw.variant(self, Program::Slice)];
+        let vertices = self.targets.slice_vertices(&self.context, bytemuck::cast_slice(&polygons.corners));
+        let seen = mask.as_ref().filter(|_| scene.settings.early_termination).map(|_| self.context.gathered_group(&draw.target.view));
+        let pipeline = &self.context.pipeline(draw.variant(&self.context, Program::Slice));
         let mut pending = PendingSubmissions::default();
-        let mut encoder = self.encoder();
+        let mut encoder = self.context.encoder();
         let depth = |load| mask.as_ref().map(|m| (&m.view, load));
         Canvas { color: Some((canvas, wgpu::LoadOp::Clear(empty))), depth: depth(wgpu::LoadOp::Clear(1.0)) }.pass(draw.clock, &mut encoder, |_| {});
         let samples_per_slab = u64::from(width) * u64::from(height) * if scene.proxy_mesh.is_some() { 1 } else { SLICES_PER_SLAB as u64 };
@@ -218,7 +226,7 @@ impl Renderer {
             // Only where the next slabs come.
             if let (Some(seen), Some((_, (_, next)))) = (&seen, parts.peek()) {
                 Canvas { color: None, depth: depth(wgpu::LoadOp::Load) }.pass(draw.clock, &mut encoder, |pass| {
-                    pass.set_pipeline(&self.pipelines[&draw.variant(self, Program::Opaque)]);
+                    pass.set_pipeline(&self.context.pipeline(draw.variant(&self.context, Program::Opaque)));
                     pass.set_bind_group(0, draw.bindings, &[]);
                     pass.set_bind_group(1, seen, &[]);
                     pass.set_vertex_buffer(0, vertices.slice(..));
@@ -228,33 +236,28 @@ impl Renderer {
             samples += samples_per_slab * slabs;
             if samples >= SAMPLES_PER_BATCH {
                 let share = ((n + 1) * slabs_at_once).min(count) as f32 / count as f32;
-                self.submit(std::mem::replace(&mut encoder, self.encoder()), share, &mut pending, draw.watch)?;
+                self.context.submit(std::mem::replace(&mut encoder, self.context.encoder()), share, &mut pending, draw.watch)?;
                 samples = 0;
             }
         }
         if composite {
             if draw.behind.is_some() {
                 Canvas::of(canvas, wgpu::LoadOp::Load).pass(draw.clock, &mut encoder, |pass| {
-                    pass.set_pipeline(&self.pipelines[&draw.variant(self, Program::SurfacesBehind)]);
+                    pass.set_pipeline(&self.context.pipeline(draw.variant(&self.context, Program::SurfacesBehind)));
                     pass.set_bind_group(0, draw.bindings, &[]);
                     pass.draw(0..3, 0..1);
                 });
             }
         } else {
-            let group = self.gathered_group(canvas);
+            let group = self.context.gathered_group(canvas);
             Canvas::of(&draw.target.view, wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT)).pass(draw.clock, &mut encoder, |pass| {
-                pass.set_pipeline(&self.pipelines[&draw.variant(self, Program::Resolve)]);
+                pass.set_pipeline(&self.context.pipeline(draw.variant(&self.context, Program::Resolve)));
                 pass.set_bind_group(0, draw.bindings, &[]);
                 pass.set_bind_group(1, &group, &[]);
                 pass.draw(0..3, 0..1);
             });
         }
-        self.submit(encoder, 1.0, &mut pending, draw.watch)?;
-        wait(&self.device.device)
-    }
-
-    fn gathered_group(&mut self, view: &wgpu::TextureView) -> wgpu::BindGroup {
-        let layout = super::gathered_layout(&self.device.device);
-        self.cached_bind_group("gathered", &layout, vec![(1, view.clone())], &[])
+        self.context.submit(encoder, 1.0, &mut pending, draw.watch)?;
+        wait(&self.context.device.device)
     }
 }

@@ -1,9 +1,10 @@
 //! The shaders' functions at many points: numbers for tests, and stacks composed on the device.
 
-use super::constants::wgsl_constants;
+use super::Renderer;
+use super::context::Context;
+use super::maps::MapCache;
 use super::uniforms::{CutShapeUniform, PlacedMapUniform};
-use super::work::ResourceKind;
-use super::{Renderer, overrides};
+use super::variant::overrides;
 use crate::deform::compose::SourcesAndAlphas;
 use crate::deform::cut::{CutShapes, MAX_CUTS};
 use crate::deform::{MAX_MAPS, Stack};
@@ -17,60 +18,7 @@ use wgpu::util::DeviceExt;
 /// Points of one submission: their results stay below the storage that any device binds.
 const POINTS_AT_ONCE: usize = 1 << 20;
 
-impl Renderer {
-    /// Evaluates the shaders' shared functions at points of the deformed scene, 24 floats each as `Probe` in `shaders/probe.wgsl` has them: numbers to
-    /// compare with the CPU's.
-    ///
-    /// # Errors
-    /// Whatever the device reports.
-    pub fn probe(&mut self, scene: &Prepared, points: &[[f32; 3]]) -> Result<Vec<[f32; 24]>> {
-        let device = self.device.device.clone();
-        checked(&device, || {
-            self.upload_volume(scene.volume().grid, scene.volume().colors)?;
-            let bindings = self.bind(scene)?;
-            let variant = self.variant(scene, Program::Probe, false);
-            let pipeline = self.compute_pipeline(Program::Probe, false, [&self.shared_layout, &self.points_layout()], &overrides(&variant));
-            self.compute(&pipeline, &bindings, points)
-        })
-    }
-
-    /// A stack's source points and smallest masks.
-    ///
-    /// # Errors
-    /// More maps than a pass binds; whatever the device reports.
-    pub(super) fn evaluate_stack(&self, stack: &Stack, points: &[Vec3]) -> Result<SourcesAndAlphas> {
-        let device = &self.device.device;
-        let mut results = points.iter().map(|p| (*p, 1.0f32)).collect::<Vec<_>>();
-        // The last maps act first; a map that is added to the one before it stays with it.
-        let mut end = stack.maps().len();
-        while end > 0 {
-            let mut first = end.saturating_sub(MAX_MAPS);
-            while first > 0 && stack.maps()[first].added && first + 1 < end {
-                first += 1;
-            }
-            if stack.maps()[first].added && first > 0 {
-                return Err(Error::GpuLimit(format!("more than {MAX_MAPS} deformations are added together, which a GPU does not support")));
-            }
-            let part = Stack::new(stack.maps()[first..end].to_vec());
-            let positions: Vec<[f32; 3]> = results.iter().map(|(p, _)| p.to_array()).collect();
-            let moved: Vec<[f32; 4]> = checked(device, || {
-                let bindings = self.bind_stack(&part, &CutShapes::default())?;
-                let pipeline = self.compute_pipeline(
-                    Program::Compose,
-                    false,
-                    [&self.stack_layout(), &self.points_layout()],
-                    &[("MAPS", part.maps().len() as f64), ("EXACT", f64::from(u8::from(self.strategy.exact_filter)))],
-                );
-                self.compute(&pipeline, &bindings, &positions)
-            })?;
-            for (result, m) in results.iter_mut().zip(moved) {
-                *result = (Vec3::new(m[0], m[1], m[2]), result.1.min(m[3]));
-            }
-            end = first;
-        }
-        Ok(results)
-    }
-
+impl Context {
     pub(super) fn stack_layout(&self) -> wgpu::BindGroupLayout {
         let stages = wgpu::ShaderStages::COMPUTE;
         let entry = |binding, ty| wgpu::BindGroupLayoutEntry { binding, visibility: stages, ty, count: None };
@@ -85,30 +33,7 @@ impl Renderer {
         self.device.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some("stack"), entries: &entries })
     }
 
-    /// The maps of a stack and shapes that cut, with nothing of the scene.
-    pub(super) fn bind_stack(&self, stack: &Stack, cuts: &CutShapes) -> Result<wgpu::BindGroup> {
-        let (views, placed, _) = self.upload_maps(stack)?;
-        let mut shapes = [bytemuck::Zeroable::zeroed(); MAX_CUTS];
-        for (shape, cut) in shapes.iter_mut().zip(cuts.primitives()) {
-            *shape = CutShapeUniform::new(cut);
-        }
-        let uniform = self.scratch("placements", bytemuck::cast_slice::<PlacedMapUniform, u8>(&placed), wgpu::BufferUsages::UNIFORM);
-        let shapes = self.scratch("shapes", bytemuck::cast_slice::<CutShapeUniform, u8>(&shapes), wgpu::BufferUsages::UNIFORM);
-        let mut entries = vec![
-            wgpu::BindGroupEntry { binding: 1, resource: uniform.as_entire_binding() },
-            wgpu::BindGroupEntry { binding: 14, resource: shapes.as_entire_binding() },
-            wgpu::BindGroupEntry { binding: 3, resource: wgpu::BindingResource::Sampler(&self.sampler) },
-        ];
-        entries.extend(
-            views
-                .iter()
-                .enumerate()
-                .map(|(k, view)| wgpu::BindGroupEntry { binding: 6 + k as u32, resource: wgpu::BindingResource::TextureView(view) }),
-        );
-        Ok(self.bind_group("stack", &self.stack_layout(), &entries))
-    }
-
-    fn points_layout(&self) -> wgpu::BindGroupLayout {
+    pub(super) fn points_layout(&self) -> wgpu::BindGroupLayout {
         let storage = |binding, read_only| wgpu::BindGroupLayoutEntry {
             binding,
             visibility: wgpu::ShaderStages::COMPUTE,
@@ -116,44 +41,6 @@ impl Renderer {
             count: None,
         };
         self.device.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: None, entries: &[storage(0, true), storage(1, false)] })
-    }
-
-    /// A program with the entry point `main` and what it binds.
-    pub(super) fn compute_pipeline(
-        &self,
-        program: Program,
-        counting: bool,
-        layouts: [&wgpu::BindGroupLayout; 2],
-        constants: &[(&str, f64)],
-    ) -> wgpu::ComputePipeline {
-        self.compute_pipeline_at(program, "main", counting, &layouts, constants)
-    }
-
-    /// A program from one of its entry points.
-    pub(super) fn compute_pipeline_at(
-        &self,
-        program: Program,
-        entry: &str,
-        counting: bool,
-        layouts: &[&wgpu::BindGroupLayout],
-        constants: &[(&str, f64)],
-    ) -> wgpu::ComputePipeline {
-        self.tally.count(ResourceKind::Pipeline);
-        let device = &self.device.device;
-        let layouts: Vec<_> = layouts.iter().copied().map(Some).collect();
-        let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor { label: None, bind_group_layouts: &layouts, immediate_size: 0 });
-        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
-            label: Some(&format!("{program:?}")),
-            source: wgpu::ShaderSource::Wgsl(program.source(wgsl_constants(), counting).into()),
-        });
-        device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-            label: Some(&format!("{program:?}")),
-            layout: Some(&layout),
-            module: &module,
-            entry_point: Some(entry),
-            compilation_options: wgpu::PipelineCompilationOptions { constants, ..Default::default() },
-            cache: None,
-        })
     }
 
     /// Runs a program with one invocation per point; `T` is what it writes for each.
@@ -197,5 +84,93 @@ impl Renderer {
             results.extend(bytemuck::pod_collect_to_vec::<u8, T>(&read_buffer(device, &back)?));
         }
         Ok(results)
+    }
+}
+
+impl MapCache {
+    /// A stack's source points and smallest masks.
+    ///
+    /// # Errors
+    /// More maps than a pass binds; whatever the device reports.
+    pub(super) fn evaluate_stack(&self, context: &Context, stack: &Stack, points: &[Vec3]) -> Result<SourcesAndAlphas> {
+        let device = &context.device.device;
+        let mut results = points.iter().map(|p| (*p, 1.0f32)).collect::<Vec<_>>();
+        // The last maps act first; a map that is added to the one before it stays with it.
+        let mut end = stack.maps().len();
+        while end > 0 {
+            let mut first = end.saturating_sub(MAX_MAPS);
+            while first > 0 && stack.maps()[first].added && first + 1 < end {
+                first += 1;
+            }
+            if stack.maps()[first].added && first > 0 {
+                return Err(Error::GpuLimit(format!("more than {MAX_MAPS} deformations are added together, which a GPU does not support")));
+            }
+            let part = Stack::new(stack.maps()[first..end].to_vec());
+            let positions: Vec<[f32; 3]> = results.iter().map(|(p, _)| p.to_array()).collect();
+            let moved: Vec<[f32; 4]> = checked(device, || {
+                let bindings = self.bind_stack(context, &part, &CutShapes::default())?;
+                let pipeline = context.compute_pipeline(
+                    Program::Compose,
+                    false,
+                    [&context.stack_layout(), &context.points_layout()],
+                    &[("MAPS", part.maps().len() as f64), ("EXACT", f64::from(u8::from(context.strategy.exact_filter)))],
+                );
+                context.compute(&pipeline, &bindings, &positions)
+            })?;
+            for (result, m) in results.iter_mut().zip(moved) {
+                *result = (Vec3::new(m[0], m[1], m[2]), result.1.min(m[3]));
+            }
+            end = first;
+        }
+        Ok(results)
+    }
+
+    /// The maps of a stack and shapes that cut, with nothing of the scene.
+    pub(super) fn bind_stack(&self, context: &Context, stack: &Stack, cuts: &CutShapes) -> Result<wgpu::BindGroup> {
+        let (views, placed, _) = self.upload_maps(context, stack)?;
+        let mut shapes = [bytemuck::Zeroable::zeroed(); MAX_CUTS];
+        for (shape, cut) in shapes.iter_mut().zip(cuts.primitives()) {
+            *shape = CutShapeUniform::new(cut);
+        }
+        let uniform = context.scratch("placements", bytemuck::cast_slice::<PlacedMapUniform, u8>(&placed), wgpu::BufferUsages::UNIFORM);
+        let shapes = context.scratch("shapes", bytemuck::cast_slice::<CutShapeUniform, u8>(&shapes), wgpu::BufferUsages::UNIFORM);
+        let mut entries = vec![
+            wgpu::BindGroupEntry { binding: 1, resource: uniform.as_entire_binding() },
+            wgpu::BindGroupEntry { binding: 14, resource: shapes.as_entire_binding() },
+            wgpu::BindGroupEntry { binding: 3, resource: wgpu::BindingResource::Sampler(&context.sampler) },
+        ];
+        entries.extend(
+            views
+                .iter()
+                .enumerate()
+                .map(|(k, view)| wgpu::BindGroupEntry { binding: 6 + k as u32, resource: wgpu::BindingResource::TextureView(view) }),
+        );
+        Ok(context.bind_group("stack", &context.stack_layout(), &entries))
+    }
+}
+
+impl Renderer {
+    /// Evaluates the shaders' shared functions at points of the deformed scene, 24 floats each as `Probe` in `shaders/probe.wgsl` has them: numbers to
+    /// compare with the CPU's.
+    ///
+    /// # Errors
+    /// Whatever the device reports.
+    pub fn probe(&mut self, scene: &Prepared, points: &[[f32; 3]]) -> Result<Vec<[f32; 24]>> {
+        let device = self.context.device.device.clone();
+        checked(&device, || {
+            self.scene.volume.upload(&self.context, scene.volume().grid, scene.volume().colors)?;
+            let bindings = {
+                let shared = self.shared(scene)?;
+                self.scene.group(&self.context, &shared, None)
+            };
+            let variant = self.context.variant(scene, Program::Probe, false);
+            let pipeline = self.context.compute_pipeline(
+                Program::Probe,
+                false,
+                [&self.context.shared_layout, &self.context.points_layout()],
+                &overrides(&variant),
+            );
+            self.context.compute(&pipeline, &bindings, points)
+        })
     }
 }

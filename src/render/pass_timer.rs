@@ -1,6 +1,6 @@
 //! Time by the GPU's own clock: each pass of a picture writes when it began and when it ended.
 
-use super::Renderer;
+use super::context::Context;
 use super::work::{ResourceKind, WorkCounters};
 use crate::Result;
 use crate::gpu::read_buffer;
@@ -74,12 +74,12 @@ impl PassTimer {
     }
 
     /// Time of all passes since the restart, milliseconds; none if there were too many, or none.
-    pub fn milliseconds(&self, renderer: &Renderer) -> Result<Option<f64>> {
+    pub fn milliseconds(&self, context: &Context) -> Result<Option<f64>> {
         let passes = self.passes.load(Ordering::Relaxed);
         if !(1..=MAX_TIMED_PASSES).contains(&passes) {
             return Ok(None);
         }
-        let (device, queue) = (&renderer.device.device, &renderer.device.queue);
+        let (device, queue) = (&context.device.device, &context.device.queue);
         let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         encoder.resolve_query_set(&self.set, 0..2 * passes, &self.resolved, 0);
         encoder.copy_buffer_to_buffer(&self.resolved, 0, &self.back, 0, self.back.size());

@@ -3,13 +3,13 @@
 //! A volume beyond the device's limits is reduced by whole factors, each texel being the mean of a block of voxels, and the user is told. The
 //! whole of it stays on the CPU, whose renderer shows every voxel.
 
+use super::context::Context;
 use super::work::ResourceKind;
-use super::{Renderer, extent};
+use crate::Result;
 use crate::gpu::wait;
 use crate::math::flat;
 use crate::prepare::Prepared;
 use crate::volume::{Colors, VoxelGrid, VoxelGridValues};
-use crate::{Error, Result};
 use half::f16;
 use rayon::prelude::*;
 use wgpu::{Features, TextureFormat};
@@ -73,94 +73,7 @@ fn factors(size: [usize; 3], bytes_per_voxel: u64, max_voxels: usize, max_bytes:
     }
 }
 
-impl Renderer {
-    /// Holds volumes to smaller limits than the device's: voxels along an axis, and bytes of a texture. What is larger is reduced.
-    pub fn limit_volume(&mut self, max_voxels: usize, max_bytes: u64) {
-        self.most = Some((max_voxels, max_bytes));
-        self.volume = None;
-        self.cache.forget_groups();
-    }
-
-    /// Puts the volume on the GPU unless it is there already.
-    pub(super) fn upload_volume(&mut self, grid: &VoxelGrid, colors: Option<&Colors>) -> Result<()> {
-        let identity = (grid.voxels.identity(), colors.is_some());
-        if self.volume.as_ref().is_some_and(|v| v.identity == identity) {
-            return Ok(());
-        }
-        self.volume = None;
-        self.cache.forget_groups();
-        self.tally.count(ResourceKind::Volume);
-        let limits = self.device.device.limits();
-        let (max_voxels, max_bytes) = self.most.unwrap_or((usize::MAX, u64::MAX));
-        let max_voxels = max_voxels.min(limits.max_texture_dimension_3d as usize);
-        let max_bytes = max_bytes.min(limits.max_buffer_size);
-        let format = self.volume_format(grid);
-        let texel = u64::from(format.block_copy_size(None).unwrap_or(4)).max(if colors.is_some() { 4 } else { 1 });
-        let factors = factors(grid.size, texel, max_voxels, max_bytes);
-        let reduced = (factors != [1; 3]).then(|| grid.reduced(factors));
-        let shown = reduced.as_ref().unwrap_or(grid);
-        let notice = reduced.as_ref().map(|r| {
-            let by = |s: [usize; 3]| format!("{} x {} x {}", s[0], s[1], s[2]);
-            format!(
-                "the volume of {} voxels exceeds this GPU's limits and is downsampled to {}; use --backend cpu for full resolution",
-                by(grid.size),
-                by(r.size)
-            )
-        });
-        let texture = self.texture_3d("volume", shown.size, format)?;
-        self.write_voxels(&texture, shown, format)?;
-        let colors = match colors {
-            Some(colors) => Some(self.upload_colors(colors, grid.size, factors)?),
-            None => None,
-        };
-        let (scale, offset) = match (&shown.voxels, format) {
-            (_, TextureFormat::R16Float) => (1.0, 0.0),
-            (VoxelGridValues::U8(_), _) => (255.0 * shown.scale, shown.offset),
-            (VoxelGridValues::U16(_), _) => (65535.0 * shown.scale, shown.offset),
-            (VoxelGridValues::I16(_), _) => (65535.0 * shown.scale, shown.offset - 32768.0 * shown.scale),
-            (VoxelGridValues::F32(_), _) => (shown.scale, shown.offset),
-        };
-        let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
-        let texture_span_voxels = std::array::from_fn(|a| (shown.size[a] * factors[a]) as f32);
-        self.volume =
-            Some(VolumeTexture { identity, _voxels: grid.voxels.clone(), view, colors, gradients: None, scale, offset, texture_span_voxels, notice });
-        Ok(())
-    }
-
-    /// Bytes of the volume's textures that are on the device: values with colours, and gradients.
-    pub fn volume_bytes(&self) -> [u64; 2] {
-        let bytes = |view: &wgpu::TextureView| {
-            let texture = view.texture();
-            let texels = u64::from(texture.width()) * u64::from(texture.height()) * u64::from(texture.depth_or_array_layers());
-            texels * u64::from(texture.format().block_copy_size(None).unwrap_or(0))
-        };
-        self.volume.as_ref().map_or([0; 2], |v| [bytes(&v.view) + v.colors.as_ref().map_or(0, bytes), v.gradients.as_ref().map_or(0, bytes)])
-    }
-
-    /// Puts the scene's gradient volume beside the volume, where there is one, the volume is shown whole, and the device can filter it.
-    pub(super) fn upload_gradients(&mut self, scene: &Prepared) -> Result<()> {
-        let size = scene.volume().grid.size;
-        let fits = |v: &VolumeTexture| v.gradients.is_none() && v.notice.is_none();
-        let limits = self.device.device.limits();
-        let bytes = size.iter().map(|&n| n as u64).product::<u64>() * 8;
-        if !self.volume.as_ref().is_some_and(fits)
-            || !self.device.device.features().contains(Features::TEXTURE_FORMAT_16BIT_NORM)
-            || bytes > self.most.map_or(u64::MAX, |(_, bytes)| bytes).min(limits.max_buffer_size)
-            || (bytes > MAX_GRADIENT_BYTES && !self.device.is_software())
-        {
-            return Ok(());
-        }
-        let Some(gradients) = scene.gradients_for_picture() else { return Ok(()) };
-        let texture = self.texture_3d("gradient volume", size, TextureFormat::Rgba16Snorm)?;
-        self.in_pieces(&texture, size, |range| bytemuck::cast_slice(&gradients.texels[range]).to_vec())?;
-        self.tally.count(ResourceKind::Volume);
-        self.cache.forget_groups();
-        if let Some(volume) = &mut self.volume {
-            volume.gradients = Some(texture.create_view(&wgpu::TextureViewDescriptor::default()));
-        }
-        Ok(())
-    }
-
+impl Context {
     fn volume_format(&self, grid: &VoxelGrid) -> TextureFormat {
         let features = self.device.device.features();
         let (unorm16, float32) = (features.contains(Features::TEXTURE_FORMAT_16BIT_NORM), features.contains(Features::FLOAT32_FILTERABLE));
@@ -217,28 +130,101 @@ impl Renderer {
         }
         Ok(())
     }
+}
 
-    /// An empty 3D texture.
-    pub(super) fn texture_3d(&self, label: &str, size: [usize; 3], format: TextureFormat) -> Result<wgpu::Texture> {
-        self.texture_3d_for(label, size, format, wgpu::TextureUsages::COPY_DST)
+/// The volume on the device.
+#[derive(Default)]
+pub(super) struct VolumeCache {
+    pub texture: Option<VolumeTexture>,
+    /// Smaller limits than the device's: voxels along an axis, and bytes.
+    limits: Option<(usize, u64)>,
+}
+
+impl VolumeCache {
+    /// Holds volumes to smaller limits than the device's: voxels along an axis, and bytes of a texture. What is larger is reduced.
+    pub fn limit(&mut self, max_voxels: usize, max_bytes: u64) {
+        self.limits = Some((max_voxels, max_bytes));
+        self.texture = None;
     }
 
-    /// The same to be filled otherwise.
-    pub(super) fn texture_3d_for(&self, label: &str, size: [usize; 3], format: TextureFormat, usage: wgpu::TextureUsages) -> Result<wgpu::Texture> {
-        let most = self.device.device.limits().max_texture_dimension_3d as usize;
-        if size.iter().any(|&n| n > most) {
-            return Err(Error::GpuLimit(format!("the {label} of {} x {} x {} exceeds this GPU's {most} per axis", size[0], size[1], size[2])));
+    /// Puts the volume on the GPU unless it is there already.
+    pub(super) fn upload(&mut self, context: &Context, grid: &VoxelGrid, colors: Option<&Colors>) -> Result<()> {
+        let identity = (grid.voxels.identity(), colors.is_some());
+        if self.texture.as_ref().is_some_and(|v| v.identity == identity) {
+            return Ok(());
         }
-        Ok(self.texture(&wgpu::TextureDescriptor {
-            label: Some(label),
-            size: extent(size),
-            mip_level_count: 1,
-            sample_count: 1,
-            dimension: wgpu::TextureDimension::D3,
-            format,
-            usage: wgpu::TextureUsages::TEXTURE_BINDING | usage,
-            view_formats: &[],
-        }))
+        self.texture = None;
+        context.forget_groups();
+        context.tally.count(ResourceKind::Volume);
+        let limits = context.device.device.limits();
+        let (max_voxels, max_bytes) = self.limits.unwrap_or((usize::MAX, u64::MAX));
+        let max_voxels = max_voxels.min(limits.max_texture_dimension_3d as usize);
+        let max_bytes = max_bytes.min(limits.max_buffer_size);
+        let format = context.volume_format(grid);
+        let texel = u64::from(format.block_copy_size(None).unwrap_or(4)).max(if colors.is_some() { 4 } else { 1 });
+        let factors = factors(grid.size, texel, max_voxels, max_bytes);
+        let reduced = (factors != [1; 3]).then(|| grid.reduced(factors));
+        let shown = reduced.as_ref().unwrap_or(grid);
+        let notice = reduced.as_ref().map(|r| {
+            let by = |s: [usize; 3]| format!("{} x {} x {}", s[0], s[1], s[2]);
+            format!(
+                "the volume of {} voxels exceeds this GPU's limits and is downsampled to {}; use --backend cpu for full resolution",
+                by(grid.size),
+                by(r.size)
+            )
+        });
+        let texture = context.texture_3d("volume", shown.size, format)?;
+        context.write_voxels(&texture, shown, format)?;
+        let colors = match colors {
+            Some(colors) => Some(context.upload_colors(colors, grid.size, factors)?),
+            None => None,
+        };
+        let (scale, offset) = match (&shown.voxels, format) {
+            (_, TextureFormat::R16Float) => (1.0, 0.0),
+            (VoxelGridValues::U8(_), _) => (255.0 * shown.scale, shown.offset),
+            (VoxelGridValues::U16(_), _) => (65535.0 * shown.scale, shown.offset),
+            (VoxelGridValues::I16(_), _) => (65535.0 * shown.scale, shown.offset - 32768.0 * shown.scale),
+            (VoxelGridValues::F32(_), _) => (shown.scale, shown.offset),
+        };
+        let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
+        let texture_span_voxels = std::array::from_fn(|a| (shown.size[a] * factors[a]) as f32);
+        self.texture =
+            Some(VolumeTexture { identity, _voxels: grid.voxels.clone(), view, colors, gradients: None, scale, offset, texture_span_voxels, notice });
+        Ok(())
+    }
+
+    /// Bytes of the volume's textures that are on the device: values with colours, and gradients.
+    pub fn bytes(&self) -> [u64; 2] {
+        let bytes = |view: &wgpu::TextureView| {
+            let texture = view.texture();
+            let texels = u64::from(texture.width()) * u64::from(texture.height()) * u64::from(texture.depth_or_array_layers());
+            texels * u64::from(texture.format().block_copy_size(None).unwrap_or(0))
+        };
+        self.texture.as_ref().map_or([0; 2], |v| [bytes(&v.view) + v.colors.as_ref().map_or(0, bytes), v.gradients.as_ref().map_or(0, bytes)])
+    }
+
+    /// Puts the scene's gradient volume beside the volume, where there is one, the volume is shown whole, and the device can filter it.
+    pub(super) fn upload_gradients(&mut self, context: &Context, scene: &Prepared) -> Result<()> {
+        let size = scene.volume().grid.size;
+        let fits = |v: &VolumeTexture| v.gradients.is_none() && v.notice.is_none();
+        let limits = context.device.device.limits();
+        let bytes = size.iter().map(|&n| n as u64).product::<u64>() * 8;
+        if !self.texture.as_ref().is_some_and(fits)
+            || !context.device.device.features().contains(Features::TEXTURE_FORMAT_16BIT_NORM)
+            || bytes > self.limits.map_or(u64::MAX, |(_, bytes)| bytes).min(limits.max_buffer_size)
+            || (bytes > MAX_GRADIENT_BYTES && !context.device.is_software())
+        {
+            return Ok(());
+        }
+        let Some(gradients) = scene.gradients_for_picture() else { return Ok(()) };
+        let texture = context.texture_3d("gradient volume", size, TextureFormat::Rgba16Snorm)?;
+        context.in_pieces(&texture, size, |range| bytemuck::cast_slice(&gradients.texels[range]).to_vec())?;
+        context.tally.count(ResourceKind::Volume);
+        context.forget_groups();
+        if let Some(volume) = &mut self.texture {
+            volume.gradients = Some(texture.create_view(&wgpu::TextureViewDescriptor::default()));
+        }
+        Ok(())
     }
 }
 

@@ -1,4 +1,4 @@
-//! The camera: a named or turned view of the scene, and its frame in world space.
+//! The camera: a named or free view direction of the scene, and its frame in world space.
 
 use crate::math::Bounds;
 use crate::math::lanes::*;
@@ -67,7 +67,7 @@ impl From<View> for String {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Projection {
-    /// Nearer is larger.
+    /// Perspective projection: nearer objects appear larger.
     #[default]
     Perspective,
     /// Parallel projection: lengths in the view plane are to scale.
@@ -80,7 +80,7 @@ pub enum Projection {
 pub struct Camera {
     /// Direction of view.
     pub view: View,
-    /// 1 shows the whole volume; larger is nearer.
+    /// 1 shows the whole volume; larger values zoom in.
     pub zoom: f32,
     /// Perspective or orthographic.
     pub projection: Projection,
@@ -106,11 +106,12 @@ impl Default for Camera {
     }
 }
 
-/// A camera resolved for a scene and a picture: pixel (x, y) looks along `forward + u right + v up` (perspective) or from
-/// `eye + u right + v up` (orthographic), u and v in -1..1 over the picture, v upwards.
+/// A camera resolved for a scene and a picture: the ray of pixel (x, y) runs along `forward + u
+/// right + v up` (perspective) or starts at `eye + u right + v up` (orthographic), u and v in -1..1
+/// over the picture, v upwards.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ViewFrame {
-    /// The eye; for the orthographic camera a point in front of everything.
+    /// The eye; for the orthographic camera, a point in front of the scene.
     pub eye: Vec3,
     /// Unit direction of view.
     pub forward: Vec3,
@@ -118,12 +119,13 @@ pub struct ViewFrame {
     pub right: Vec3,
     /// Half the picture's height, as a vector upwards.
     pub up: Vec3,
-    /// Which of the two.
+    /// Perspective or orthographic.
     pub projection: Projection,
 }
 
 impl Camera {
-    /// Largest ratio of a ray's step between slices to the slices' distance: 1/cos of the angle to the picture's corners.
+    /// Largest ratio of a ray's step between slices to the distance between slices: 1/cos of the
+    /// angle to the picture's corners.
     pub fn slant(&self, size: [u32; 2]) -> f32 {
         if self.projection == Projection::Orthographic {
             return 1.0;
@@ -136,7 +138,7 @@ impl Camera {
     /// Places the camera so that at zoom 1 the box just fits the picture.
     ///
     /// # Errors
-    /// A zoom, field of view or target that cannot be used.
+    /// A zoom, field of view or target that is out of range.
     pub fn frame(&self, bounds: &Bounds, size: [u32; 2]) -> Result<ViewFrame> {
         if !(self.zoom.is_finite() && (1e-3..=1e3).contains(&self.zoom)) {
             return Err(Error::value("camera.zoom", format!("{} is outside 0.001 to 1000", self.zoom)));
@@ -156,7 +158,7 @@ impl Camera {
         let (right, up) = (right * cos_roll + up * sin_roll, up * cos_roll - right * sin_roll);
         let target = self.target.map_or_else(|| bounds.center(), Vec3::from);
         let aspect = size[0] as f32 / size[1] as f32;
-        // A little air around the volume.
+        // A small margin around the volume.
         const MARGIN: f32 = 1.04;
         let corners = bounds.corners().map(|c| {
             let d = c - bounds.center();
@@ -178,7 +180,8 @@ impl Camera {
             Projection::Perspective => {
                 let tan = (self.field_of_view.to_radians() / 2.0).tan();
                 let away = corners.iter().map(|&(x, y, z)| (y / tan).max(x / (tan * aspect)) - z).fold(0.0, f32::max);
-                // Zoom narrows the field of view: the perspective stays, the picture grows.
+                // Zoom narrows the field of view: the perspective is unchanged, the picture is
+                // magnified.
                 let tan = tan / self.zoom;
                 ViewFrame { eye: target - forward * away, forward, right: right * tan * aspect, up: up * tan, projection: self.projection }
             }
@@ -187,8 +190,9 @@ impl Camera {
 }
 
 impl ViewFrame {
-    /// Moves an orthographic eye back until a box lies in front of it: deformations can carry matter out of the volume's box. (A
-    /// perspective eye stays: what it has behind it, it does not see.)
+    /// Moves an orthographic eye back until a box lies in front of it: deformations can move parts
+    /// of the volume out of its box. (A perspective eye does not move: it does not see what lies
+    /// behind it.)
     pub fn step_back_from(&mut self, bounds: &Bounds, margin_mm: f32) {
         let nearest = bounds.corners().iter().map(|&c| (c - self.eye).dot(self.forward)).fold(f32::INFINITY, f32::min);
         if self.projection == Projection::Orthographic && nearest < margin_mm {
@@ -220,7 +224,8 @@ impl ViewFrame {
         }
     }
 
-    /// The pixels of a picture, first and past the last along x and along y, whose rays can meet a box; all of them if it reaches behind the eye.
+    /// The range of pixels (first, and one past the last, along x and along y) whose rays can meet
+    /// a box; all pixels if the box reaches behind the eye.
     pub fn pixels_of(&self, b: &Bounds, size: [u32; 2]) -> [[usize; 2]; 2] {
         if b.is_empty() {
             return [[0; 2]; 2];
@@ -238,7 +243,7 @@ impl ViewFrame {
             let pixel = (at + 1.0) * 0.5 * size;
             (low, high) = (low.min(pixel), high.max(pixel));
         }
-        // A pixel more on each side covers what rounds.
+        // Two more pixels on each side absorb rounding.
         let (low, high) = ((low - 2.0).floor().clamp(Vec2::ZERO, size), (high + 2.0).ceil().clamp(Vec2::ZERO, size));
         [[low.x as usize, high.x as usize], [low.y as usize, high.y as usize]]
     }
@@ -251,7 +256,8 @@ impl ViewFrame {
         }
     }
 
-    /// The transform to clip space; every point gets depth 1/2: slices are drawn in order, and tested only against the mask of opaque pixels at depth 0.
+    /// The transform to clip space. Every point gets depth 1/2: slices are drawn in order, and are
+    /// tested only against the mask of opaque pixels at depth 0.
     pub fn clip_from_world(&self) -> Mat4 {
         let basis = |v: Vec3| v / v.length_squared();
         let (r, u) = (basis(self.right), basis(self.up));
@@ -274,7 +280,8 @@ mod tests {
         camera.frame(&Bounds::new(Vec3::splat(-50.0), Vec3::splat(50.0)), [200, 100]).unwrap_or_else(|e| panic!("{e}"))
     }
 
-    /// No ray of any other pixel meets the box, and not many pixels more are said to; what lies behind the eye counts as everywhere.
+    /// No ray outside the returned pixels meets the box, and the range is not much too large; a box
+    /// that reaches behind the eye counts as the whole picture.
     #[test]
     fn pixels_of_a_box_are_all_that_meet_it() {
         let size = [200u32, 100];
@@ -301,7 +308,8 @@ mod tests {
         assert_eq!(f.pixels_of(&Bounds::EMPTY, size), [[0, 0], [0, 0]]);
     }
 
-    /// Eight rays at once, and where they meet a box, are single ones to the bit; along an axis, beside the box and of an empty box too.
+    /// Eight rays at once, and their intersections with a box, equal single rays to the bit, also
+    /// for rays along an axis, rays that miss the box, and an empty box.
     #[test]
     fn eight_rays_are_single_rays() {
         struct RaysKernel<'a>(&'a ViewFrame, &'a Bounds, [f32; LANES], [f32; LANES]);

@@ -1,11 +1,13 @@
-//! A scene as a command line that renders the same picture.
+//! A scene as an equivalent command line.
 
 use super::{Mode, Projection, Scene};
 use std::path::Path;
 
-/// `incise render FILE -o picture.png ...`: the scene file, with the camera and the picture's settings as options laid over it.
+/// `incise render FILE -o picture.png ...`: the scene file, with the camera and the render settings
+/// as options that override it.
 ///
-/// Everything else (deformations, transfer function, meshes) is in the file, which must hold the scene as it is.
+/// Everything else (deformations, transfer function, meshes) comes from the file, which must hold
+/// this scene unchanged.
 pub fn render_command(scene: &Scene, file: &Path, output: &str) -> String {
     let camera = &scene.camera;
     let [width, height] = scene.render.size;
@@ -23,7 +25,7 @@ pub fn render_command(scene: &Scene, file: &Path, output: &str) -> String {
     option("--mode", mode.into());
     option("--size", format!("{width}x{height}"));
     option("--step", scene.render.step.to_string());
-    // A camera that was panned or rolled is only in the file: an option would set it straight.
+    // A pan or roll of the camera exists only in the file, and the option would reset it.
     if camera.target.is_none() && camera.roll == 0.0 {
         option("--camera", quoted(&String::from(camera.view)));
         option("--zoom", camera.zoom.to_string());
@@ -32,7 +34,7 @@ pub fn render_command(scene: &Scene, file: &Path, output: &str) -> String {
     words.join(" ")
 }
 
-/// A word as a shell takes it.
+/// A word quoted for a shell.
 fn quoted(word: &str) -> String {
     let plain = !word.is_empty() && word.chars().all(|c| c.is_alphanumeric() || "/._-:,=+".contains(c));
     if plain { word.to_owned() } else { format!("'{}'", word.replace('\'', "'\\''")) }

@@ -1,14 +1,15 @@
-//! A scene that shows one kind of deformation at its best: for galleries and thumbnails.
+//! An example scene for one kind of deformation, for galleries and thumbnails.
 
 use super::{Deformation, Scene, Size, View};
 use crate::deform::kinds::Kind;
 use crate::math::Bounds;
 use glam::Vec3;
 
-/// Where a kind shows best: centre and size in shares of the volume's extent from its middle; rotation in degrees.
+/// Placement that shows a kind well: centre (offset from the volume's centre) and size as fractions
+/// of the volume's extent; rotation in degrees.
 type ExamplePlacement = ([f32; 3], [f32; 3], [f32; 3]);
 
-/// On top, somewhat to the front and left, where the camera looks.
+/// On top, slightly to the front and left, facing the camera.
 const ON_TOP: ExamplePlacement = ([0.05, -0.05, 0.38], [0.75, 0.6, 0.5], [0.0, 0.0, 0.0]);
 const CORNER: ExamplePlacement = ([0.25, -0.28, 0.28], [0.5, 0.5, 0.5], [0.0, 0.0, 0.0]);
 
@@ -29,7 +30,7 @@ fn place(kind: &str) -> Option<ExamplePlacement> {
     })
 }
 
-/// The scene that shows a kind: its defaults, at full strength, where the camera sees it.
+/// The example scene of a kind: its defaults, at full strength, in view of the camera.
 pub fn of_kind(kind: &Kind, volume: &str, edge: u32, bounds: &Bounds) -> Scene {
     let mut scene = Scene::of_volume(volume);
     scene.render.size = [edge, edge];
@@ -46,7 +47,7 @@ pub fn of_kind(kind: &Kind, volume: &str, edge: u32, bounds: &Bounds) -> Scene {
     deformation.parameters = kind.example(&Bounds::new(center - size / 2.0, center + size / 2.0));
     scene.deformation.push(deformation);
     if kind.name == "lift" {
-        // What is lifted off hides what it was lifted from.
+        // The lifted layer hides the surface below it; a wedge exposes it.
         let mut wedge = Deformation::new("wedge");
         wedge.size = Some(Size::Box((bounds.size() * 2.0).into()));
         wedge.rotate = Some([0.0, 0.0, -55.0]);

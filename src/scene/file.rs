@@ -1,4 +1,4 @@
-//! Scene files: TOML in, TOML out, unknown keys named with the closest known one.
+//! Scene files: reading and writing TOML; unknown keys are reported with the closest known one.
 
 use super::{FORMAT_VERSION, Scene, keys};
 use crate::files::input;
@@ -10,7 +10,8 @@ impl Scene {
     /// Reads a scene file.
     ///
     /// # Errors
-    /// A file that cannot be read, is not TOML, has an unknown key (named, with the closest known one) or a value of the wrong type.
+    /// A file that cannot be read, is not TOML, or has an unknown key (reported with the closest
+    /// known one) or a value of the wrong type.
     pub fn load(path: &Path) -> Result<Self> {
         let text = input::text(path, input::MAX_SCENE_BYTES, "scene")?;
         let mut scene = Self::from_toml(&text).map_err(|problem| Error::file(path, problem))?;
@@ -28,7 +29,7 @@ impl Scene {
             None => e.message().to_owned(),
         };
         let table: toml::Table = text.parse().map_err(|e: toml::de::Error| format!("is not valid TOML ({})", wrong(&e)))?;
-        // Another version has other keys.
+        // Another version has other keys, so the version is checked first.
         if let Some(version) = table.get("incise").and_then(toml::Value::as_integer).filter(|v| *v != i64::from(FORMAT_VERSION)) {
             return Err(format!("has format version {version}; this program reads version {FORMAT_VERSION}"));
         }
@@ -40,10 +41,10 @@ impl Scene {
         Ok(scene)
     }
 
-    /// The scene as a file's text.
+    /// The scene as the text of a scene file.
     ///
     /// # Errors
-    /// None that a scene can cause; the serialiser's own.
+    /// Only errors of the serialiser; no scene causes one.
     pub fn to_toml(&self) -> Result<String> {
         toml::to_string_pretty(self).map_err(|e| Error::value("scene", e.to_string()))
     }

@@ -1,5 +1,6 @@
-//! A scene's text against the schema of the format: keys that are not known are named with the closest known one, values of a wrong type with
-//! what they must be. The parser alone names the table in which something is wrong, not the key.
+//! Checks a scene's text against the schema of the format. An unknown key is reported with the
+//! closest known one, a value of the wrong type with the expected type. The parser alone reports
+//! only the table in which an error is, not the key.
 
 use crate::deform::file_kinds::FILE_KINDS;
 use crate::deform::kinds;
@@ -19,7 +20,7 @@ struct Checker<'a> {
     root: &'a Schema,
 }
 
-/// Names of a kind's parameters and settings; none if there is no such kind.
+/// Names of a kind's parameters and settings; none if the kind is unknown.
 fn parameters(kind: &str) -> Option<Vec<&'static str>> {
     if let Some(file) = FILE_KINDS.iter().find(|k| k.name == kind) {
         return Some(file.settings.iter().map(|s| s.name).collect());
@@ -28,7 +29,7 @@ fn parameters(kind: &str) -> Option<Vec<&'static str>> {
     Some(kind.parameters.iter().map(|p| p.name).chain(kind.settings().map(|s| s.name)).collect())
 }
 
-/// A value in words, cut short.
+/// A value in words, truncated.
 fn shown(value: &Value) -> String {
     match value {
         Value::String(text) => format!("the string \"{}\"", text.chars().take(40).collect::<String>()),
@@ -50,7 +51,7 @@ impl<'a> Checker<'a> {
         }
     }
 
-    /// The ways in which a value may be written, `null` left out: TOML has none.
+    /// The alternative schemas of a value, without `null`, which TOML does not have.
     fn ways(&self, schema: &'a Schema) -> Vec<&'a Schema> {
         let schema = self.resolved(schema);
         match schema.get("anyOf").and_then(Schema::as_array) {
@@ -67,7 +68,7 @@ impl<'a> Checker<'a> {
             if let (Value::Array(items), Some(list), None) = (value, lists.next(), lists.next())
                 && let Some(of_items) = list.get("items")
             {
-                // Only what is in it is of a wrong type.
+                // Only the items can be of a wrong type.
                 items.iter().try_for_each(|item| self.value(of_items, item, path))?;
             }
             let needed: Vec<String> = ways.iter().map(|way| self.needed(way)).collect();
@@ -98,7 +99,7 @@ impl<'a> Checker<'a> {
             }
             let mut valid_names: Vec<&str> = properties.keys().map(String::as_str).collect();
             if path.contains(".deformer") {
-                // Numbers of a deformer are checked by its kind when it is made.
+                // A deformer's numbers are checked by its kind when it is built.
                 match entry {
                     Value::Float(_) | Value::Integer(_) => continue,
                     other if matches!(key.as_str(), "angle" | "factor" | "amount" | "width" | "amplitude" | "length" | "phase") => {
@@ -108,7 +109,7 @@ impl<'a> Checker<'a> {
                 }
             }
             if section == "deformation" {
-                // A deformation's further keys are its kind's parameters.
+                // A deformation's remaining keys are its kind's parameters.
                 let Some(own) = entries.get("kind").and_then(Value::as_str).and_then(parameters) else { continue };
                 if own.contains(&key.as_str()) {
                     argument(entry, &within(key))?;
@@ -126,7 +127,8 @@ impl<'a> Checker<'a> {
         }
     }
 
-    /// Whether a value is of a schema's type. What it holds is checked apart, so that the culprit is named.
+    /// Whether a value is of a schema's type. Its contents are checked separately, so that the
+    /// offending item is named.
     fn fits(&self, schema: &'a Schema, value: &Value) -> bool {
         if let Some(choices) = choices(schema) {
             return value.as_str().is_some_and(|v| choices.contains(&v));
@@ -139,7 +141,7 @@ impl<'a> Checker<'a> {
             | ("number", Value::Float(_) | Value::Integer(_)) => true,
             ("integer", Value::Integer(n)) => bound("minimum").is_none_or(|m| *n as f64 >= m) && bound("maximum").is_none_or(|m| *n as f64 <= m),
             ("array", Value::Array(items)) => {
-                // Of several ways to write a list, the one with items of this kind.
+                // Of several schemas for a list, the one whose items have this type.
                 let first = schema.get("items").zip(items.first()).is_none_or(|(s, i)| self.ways(s).into_iter().any(|way| self.fits(way, i)));
                 first && has_length(schema, value)
             }
@@ -147,7 +149,7 @@ impl<'a> Checker<'a> {
         })
     }
 
-    /// What a schema asks for, in words.
+    /// What a schema requires, in words.
     fn needed(&self, schema: &'a Schema) -> String {
         if let Some(choices) = choices(schema) {
             return format!("one of {}", choices.iter().map(|c| format!("\"{c}\"")).collect::<Vec<_>>().join(", "));
@@ -180,14 +182,14 @@ impl<'a> Checker<'a> {
     }
 }
 
-/// Whether a value is a list as long as a schema asks for.
+/// Whether a list has a length that the schema allows.
 fn has_length(schema: &Schema, value: &Value) -> bool {
     let bound = |name: &str| schema.get(name).and_then(Schema::as_u64);
     let Some(n) = value.as_array().map(|items| items.len() as u64) else { return false };
     types(schema).contains(&"array") && bound("minItems").is_none_or(|m| n >= m) && bound("maxItems").is_none_or(|m| n <= m)
 }
 
-/// The types of a schema, `null` left out.
+/// The types of a schema, without `null`.
 fn types(schema: &Schema) -> Vec<&str> {
     match schema.get("type") {
         Some(Schema::String(one)) => vec![one],
@@ -196,7 +198,7 @@ fn types(schema: &Schema) -> Vec<&str> {
     }
 }
 
-/// The words that a schema allows, if it is a choice.
+/// The strings that a schema allows, if it is an enumeration.
 fn choices(schema: &Schema) -> Option<Vec<&str>> {
     let one = |s: &'_ Schema| s.get("const").and_then(Schema::as_str).is_some();
     if let Some(all) = schema.get("enum").and_then(Schema::as_array) {
@@ -211,7 +213,8 @@ fn choices(schema: &Schema) -> Option<Vec<&str>> {
     )
 }
 
-/// A value of a deformation's parameter: true or false, a number, a text, or a list of numbers, texts or rows of numbers.
+/// Checks a value of a deformation's parameter: a boolean, number or string, or a list of numbers,
+/// strings or rows of numbers.
 fn argument(value: &Value, path: &str) -> Result<(), String> {
     let is_number = |v: &Value| matches!(v, Value::Float(_) | Value::Integer(_));
     let is_row = |v: &Value| v.as_array().is_some_and(|row| row.iter().all(is_number));

@@ -1,5 +1,7 @@
-//! The kinds of deformation as types: what is typed as `peel:size=80,progress=0.7` is `Peel::new().size(80.0).progress(0.7)` here. Lengths are in
-//! millimetres, angles in degrees, positions in the patient's world (LPS). What is not set has the kind's default ([`crate::deform::kinds`]).
+//! The kinds of deformation as types: the command-line form `peel:size=80,progress=0.7` is
+//! `Peel::new().size(80.0).progress(0.7)` here. Lengths are in millimetres, angles in degrees,
+//! positions in world coordinates (patient LPS). Unset values have the kind's defaults
+//! ([`crate::deform::kinds`]).
 
 use super::{Deformation, Size};
 use crate::deform::Argument;
@@ -64,14 +66,14 @@ macro_rules! kinds {
                     self
                 }
 
-                /// Turn about x, then y, then z, degrees.
+                /// Rotation about x, then y, then z, degrees.
                 #[must_use]
                 pub fn rotate(mut self, degrees: impl Into<[f32; 3]>) -> Self {
                     self.0.rotate = Some(degrees.into());
                     self
                 }
 
-                /// From nothing (0) to full (1).
+                /// Progress from none (0) to full (1).
                 #[must_use]
                 pub fn progress(mut self, progress: f32) -> Self {
                     self.0.progress = Some(progress);
@@ -80,7 +82,7 @@ macro_rules! kinds {
             }
         )*
 
-        /// Every type's kind, with its numbers and its settings.
+        /// Every type's kind name, with the names of its numbers and its settings.
         #[cfg(test)]
         const ALL: &[(&str, &[&str], &[&str])] = &[$(($name, &[$($number_name),*], &[$($setting_name),*])),*];
     };
@@ -99,10 +101,10 @@ impl From<[f32; 3]> for Size {
 }
 
 kinds! {
-    /// Pulls matter out along the box's z axis in a Gaussian bump.
+    /// Pulls material out along the box's z axis in a Gaussian bump.
     Pull = "pull" {
         numbers {
-            /// Pull at the upper face, on the axis, mm.
+            /// Displacement at the upper face, on the axis, mm.
             amount = "amount",
             /// Width of the Gaussian, mm.
             sigma = "sigma",
@@ -110,7 +112,7 @@ kinds! {
         settings {
         }
     }
-    /// Pulls matter up along the box's z axis, squeezing what is above.
+    /// Pulls material up along the box's z axis, compressing what lies above.
     SplinePull = "spline-pull" {
         numbers {
             /// Displacement at the peak, mm.
@@ -122,9 +124,9 @@ kinds! {
     /// A circular wave along the box's z axis.
     RadialWave = "wave" {
         numbers {
-            /// Largest rise, mm.
+            /// Amplitude, mm.
             amplitude = "amplitude",
-            /// Distance from crest to crest, mm.
+            /// Wavelength, mm.
             wavelength = "wavelength",
             /// Phase on the axis, degrees.
             phase = "phase",
@@ -132,12 +134,12 @@ kinds! {
         settings {
         }
     }
-    /// A wave along the box's z axis that runs along its x.
+    /// A wave along the box's z axis that propagates along its x.
     PlanarWave = "planar-wave" {
         numbers {
-            /// Largest rise, mm.
+            /// Amplitude, mm.
             amplitude = "amplitude",
-            /// Distance from crest to crest, mm.
+            /// Wavelength, mm.
             wavelength = "wavelength",
             /// Phase on the axis, degrees.
             phase = "phase",
@@ -148,18 +150,18 @@ kinds! {
     /// Turns the upper end of the box against the lower one.
     Twist = "twist" {
         numbers {
-            /// Turn of the upper face, degrees.
+            /// Rotation of the upper face, degrees.
             angle = "angle",
-            /// Share of the radius over which the turn fades.
+            /// Fraction of the radius over which the rotation fades.
             falloff = "falloff",
         }
         settings {
         }
     }
-    /// Bends the box's z axis towards its +x, the lower face staying in place.
+    /// Bends the box's z axis towards its +x; the lower face stays in place.
     Bend = "bend" {
         numbers {
-            /// Turn of the upper face, degrees.
+            /// Rotation of the upper face, degrees.
             angle = "angle",
         }
         settings {
@@ -168,27 +170,27 @@ kinds! {
     /// Narrows or widens the box towards its upper face.
     Taper = "taper" {
         numbers {
-            /// Width of the upper face, 1 being as it was.
+            /// Scale factor of the upper face; 1 is unchanged.
             factor = "factor",
         }
         settings {
         }
     }
-    /// Slides the box's upper face along x and y, the lower one staying in place.
+    /// Slides the box's upper face along x and y; the lower face stays in place.
     Shear = "shear" {
         numbers {
-            /// Of the box's edges along x, degrees.
+            /// Shear angle of the box's edges along x, degrees.
             angle = "angle",
-            /// Of the box's edges along y, degrees.
+            /// Shear angle of the box's edges along y, degrees.
             angle_y = "angle-y",
         }
         settings {
         }
     }
-    /// Magnifies the middle of the box like a lens.
+    /// Magnifies the centre of the box like a lens.
     Bulge = "bulge" {
         numbers {
-            /// At the centre, matter is 1 / (1 - amount) times as large.
+            /// The magnification at the centre is 1 / (1 - amount).
             amount = "amount",
         }
         settings {
@@ -199,7 +201,7 @@ kinds! {
         numbers {
             /// Thickness of the layer, mm.
             depth = "depth",
-            /// Of the roll's outer side; at least 1.2 times the depth is used, mm.
+            /// Outer radius of the roll; at least 1.2 times the depth is used, mm.
             radius = "radius",
         }
         settings {
@@ -208,11 +210,11 @@ kinds! {
     /// Cuts into slabs across the box's z axis and spreads them apart.
     Slab = "slab" {
         numbers {
-            /// Of one slab, mm.
+            /// Thickness of one slab, mm.
             thickness = "thickness",
-            /// Between two slabs, mm.
+            /// Gap between two slabs, mm.
             gap = "gap",
-            /// Height that stays in place: 0 the lower face, 1 the upper.
+            /// Height that stays in place: 0 is the lower face, 1 the upper.
             anchor = "anchor",
         }
         settings {
@@ -221,7 +223,7 @@ kinds! {
     /// Cuts into pieces along the axes and moves them apart.
     Explode = "explode" {
         numbers {
-            /// Between two pieces, mm.
+            /// Gap between two pieces, mm.
             gap = "gap",
             /// Pieces along x (whole number).
             pieces_x = "pieces-x",
@@ -247,7 +249,7 @@ kinds! {
         numbers {
             /// Swing of each half, degrees.
             angle = "angle",
-            /// Height of the spine in the box: 0 the lower face, 1 the upper.
+            /// Height of the spine in the box: 0 is the lower face, 1 the upper.
             spine = "spine",
         }
         settings {
@@ -256,11 +258,11 @@ kinds! {
     /// An incision along the box's y axis, held open.
     Knife = "knife" {
         numbers {
-            /// Of the cut, mm.
+            /// Length of the cut, mm.
             length = "length",
-            /// Of the cut below the box's upper face, mm.
+            /// Depth of the cut below the box's upper face, mm.
             depth = "depth",
-            /// Between the lips at the widest place, mm.
+            /// Opening between the lips at the widest point, mm.
             opening = "opening",
         }
         settings {
@@ -269,11 +271,11 @@ kinds! {
     /// An incision along the box's x axis held open to an ellipse.
     Retractor = "retractor" {
         numbers {
-            /// Of the incision, mm.
+            /// Length of the incision, mm.
             length = "length",
-            /// Between the lips at the widest place, mm.
+            /// Opening between the lips at the widest point, mm.
             opening = "opening",
-            /// Of the incision below the box's upper face, mm.
+            /// Depth of the incision below the box's upper face, mm.
             depth = "depth",
         }
         settings {
@@ -286,7 +288,7 @@ kinds! {
         settings {
         }
     }
-    /// Removes a sphere (an ellipsoid, in a box of unequal sides).
+    /// Removes a sphere (an ellipsoid if the box's sides are unequal).
     RemoveSphere = "sphere" {
         numbers {
         }
@@ -300,23 +302,23 @@ kinds! {
         settings {
         }
     }
-    /// Removes a slice of cake about the box's z axis.
+    /// Removes a wedge about the box's z axis.
     RemoveWedge = "wedge" {
         numbers {
-            /// Of the wedge, about the box's z axis, centred on +x, degrees.
+            /// Angle of the wedge, centred on +x, degrees.
             angle = "angle",
         }
         settings {
         }
     }
-    /// Removes everything above the plane through the box's centre, across its z axis.
+    /// Removes everything above the plane through the box's centre, perpendicular to its z axis.
     RemoveHalfSpace = "half-space" {
         numbers {
         }
         settings {
         }
     }
-    /// Removes a sphere whose box turns with the camera.
+    /// Removes a sphere whose box is aligned with the camera.
     RemoveViewSphere = "view-sphere" {
         numbers {
         }
@@ -326,78 +328,83 @@ kinds! {
     /// Removes a cone that opens from the box's centre towards the viewer.
     RemoveViewCone = "view-cone" {
         numbers {
-            /// Between the cone's sides, degrees.
+            /// Opening angle of the cone, degrees.
             angle = "angle",
         }
         settings {
         }
     }
-    /// Removes what lies behind a closed outline, along the view.
+    /// Removes everything behind a closed outline, along the view direction.
     Lasso = "lasso" {
         numbers {
-            /// Distance of the eye from the box's centre, for an outline drawn in perspective; 0 for a parallel one, mm.
+            /// Distance of the eye from the box's centre, for an outline drawn in perspective; 0
+            /// for an orthographic one, mm.
             eye = "eye",
         }
         settings {
-            /// X,y of the outline in the box's plane through its centre, mm (x right, y up in the view).
+            /// Points x,y of the outline in the box's plane through its centre, mm (x right, y up
+            /// in the view).
             points = "points",
-            /// True removes what lies around the outline instead.
+            /// True removes everything outside the outline instead.
             invert = "invert",
         }
     }
-    /// Drags matter by a lattice of control points.
+    /// Deforms by a lattice of control points.
     Lattice = "lattice" {
         numbers {
         }
         settings {
             /// Control points along x, y, z; 4,4,4 by default.
             lattice = "lattice",
-            /// Bernstein or b-spline.
+            /// `bernstein` or `b-spline`.
             basis = "basis",
-            /// I,j,k,dx,dy,dz (indices from 0, mm), point after point; or a .csv file of six columns.
+            /// Rows i,j,k,dx,dy,dz (indices from 0, mm), one per point; or a .csv file of six
+            /// columns.
             offsets = "offsets",
         }
     }
-    /// Moves given points to given places, and what lies between smoothly.
+    /// Moves given points to given targets, and interpolates smoothly between them.
     ControlPoints = "points" {
         numbers {
-            /// Share of the way to the box's faces over which the displacement fades.
+            /// Fraction of the way to the box's faces over which the displacement fades.
             fade = "fade",
-            /// Of the Gaussians; 0 takes the points' distance, mm.
+            /// Width of the Gaussians; 0 uses the distance between points, mm.
             width = "width",
         }
         settings {
-            /// From x,y,z and to x,y,z in mm, pair after pair; or a .csv file of six columns.
+            /// Rows of source x,y,z and target x,y,z in mm, one per pair; or a .csv file of six
+            /// columns.
             pairs = "pairs",
-            /// File of the points (.mrk.json, .fcsv, .csv), in the order of to.
+            /// File of the source points (.mrk.json, .fcsv, .csv), in the order of the targets.
             from_file = "from",
             /// File of the target points.
             to_file = "to",
-            /// Tps (thin-plate spline), rbf (Gaussians) or idw (inverse distances).
+            /// `tps` (thin-plate spline), `rbf` (Gaussians) or `idw` (inverse distance weighting).
             method = "method",
         }
     }
-    /// Drags places of an elastic lattice, with cuts; looks elastic, no more is claimed.
+    /// Drags places of an elastic lattice, with cuts; plausible rather than physically accurate.
     Elastic = "elastic" {
         numbers {
-            /// Along the box's longest axis (whole number).
+            /// Nodes along the box's longest axis (whole number).
             nodes = "nodes",
         }
         settings {
-            /// X,y,z,radius,dx,dy,dz in mm: a ball that is dragged, and its displacement; repeat for more.
+            /// Rows x,y,z,radius,dx,dy,dz in mm: a ball to drag, and its displacement; repeat for
+            /// more.
             grab = "grab",
-            /// X,y,z,radius: what is held, besides the box's faces.
+            /// Rows x,y,z,radius: regions held fixed, in addition to the box's faces.
             fixed = "fixed",
-            /// X,y,z,nx,ny,nz,radius: a round cut and its normal.
+            /// Rows x,y,z,nx,ny,nz,radius: a circular cut and its normal.
             incision = "incision",
-            /// Label,stiffness: relative to 1, by the labels of `labels`.
+            /// Rows label,stiffness: relative to 1, by the labels of `labels`.
             stiffness = "stiffness",
         }
     }
-    /// Removes what lies above a depth below a surface, within the box.
+    /// Removes everything above a depth below a surface, within the box.
     StripSurface = "strip" {
         numbers {
-            /// Below the surface, mm.
+            /// Depth below the surface, mm.
             depth = "depth",
         }
         settings {
@@ -405,16 +412,16 @@ kinds! {
             labels = "label",
             /// A file whose voxels above 0 are inside.
             mask = "mask",
-            /// Threshold of the body's surface; automatic if not set.
+            /// Threshold of the body's surface; automatic by default.
             iso = "iso",
         }
     }
-    /// Lifts the layer above a depth below a surface off along its normals.
+    /// Lifts the layer above a depth below a surface off, along the surface normals.
     LiftSurface = "lift" {
         numbers {
-            /// Below the surface, mm.
+            /// Depth below the surface, mm.
             depth = "depth",
-            /// By which it is lifted, mm.
+            /// Height by which the layer is lifted, mm.
             height = "height",
         }
         settings {
@@ -422,16 +429,17 @@ kinds! {
             labels = "label",
             /// A file whose voxels above 0 are inside.
             mask = "mask",
-            /// Threshold of the body's surface; automatic if not set.
+            /// Threshold of the body's surface; automatic by default.
             iso = "iso",
         }
     }
-    /// Pushes a surface and what is near it outwards, or inwards.
+    /// Moves a surface and its neighbourhood outwards or inwards.
     OffsetSurface = "offset" {
         numbers {
-            /// Outwards; negative inwards, mm.
+            /// Distance outwards, mm; negative is inwards.
             amount = "amount",
-            /// To either side of the surface that moves with it; at least 2.5 times the amount is used, mm.
+            /// Width of the band on either side of the surface that moves with it, mm; at least 2.5
+            /// times the amount is used.
             band = "band",
         }
         settings {
@@ -439,16 +447,16 @@ kinds! {
             labels = "label",
             /// A file whose voxels above 0 are inside.
             mask = "mask",
-            /// Threshold of the body's surface; automatic if not set.
+            /// Threshold of the body's surface; automatic by default.
             iso = "iso",
         }
     }
     /// Cuts a flap at a depth below a surface and rolls it back, towards the box's -x.
     SurfacePeel = "surface-peel" {
         numbers {
-            /// Below the surface, mm.
+            /// Depth below the surface, mm.
             depth = "depth",
-            /// Of the roll's outer side; at least 1.2 times the depth is used, mm.
+            /// Outer radius of the roll; at least 1.2 times the depth is used, mm.
             radius = "radius",
         }
         settings {
@@ -456,29 +464,31 @@ kinds! {
             labels = "label",
             /// A file whose voxels above 0 are inside.
             mask = "mask",
-            /// Threshold of the body's surface; automatic if not set.
+            /// Threshold of the body's surface; automatic by default.
             iso = "iso",
         }
     }
-    /// Moves labels apart; what has none of them is hidden, or stays.
+    /// Moves labels apart; voxels without one of the labels are hidden, or stay.
     ExplodeLabels = "explode-labels" {
         numbers {
-            /// Way of the outermost label, mm.
+            /// Displacement of the outermost label, mm.
             gap = "gap",
         }
         settings {
             /// The labels.
             labels = "label",
-            /// Hide or keep what has none of the labels.
+            /// Whether to hide or keep voxels without one of the labels.
             rest = "rest",
         }
     }
-    /// Painted by strokes: push, smooth, cut, restore, and outlines cut out or put back.
+    /// A painted deformation made of strokes: push, smooth, cut, restore, and outlines cut out or
+    /// restored.
     Brush = "brush" {
         numbers {
         }
         settings {
-            /// One text each: push, smooth, cut or restore with RADIUS STRENGTH x y z ..., lasso-cut or lasso-restore with EYE, a point, right, up and x y ...; mm.
+            /// One string per stroke: push, smooth, cut or restore with RADIUS STRENGTH x y z ...,
+            /// lasso-cut or lasso-restore with EYE, a point, right, up and x y ...; mm.
             strokes = "strokes",
         }
     }
@@ -487,19 +497,21 @@ kinds! {
         numbers {
         }
         settings {
-            /// File, or files that a deformed point goes through in order.
+            /// File, or files that are applied to a deformed point in order.
             path = "path",
-            /// The image that is deformed, for FSL's files.
+            /// The image that is deformed, for FSL files.
             moving = "moving",
-            /// The image onto which it was registered, for FSL's files.
+            /// The image to which it was registered, for FSL files.
             reference = "reference",
-            /// Of vectors: lps, ras, fsl or fsl-absolute, where the file does not say.
+            /// Convention of the vectors: lps, ras, fsl or fsl-absolute, if the file does not state
+            /// it.
             convention = "convention",
             /// True uses the inverse.
             invert = "invert",
         }
     }
-    /// A displacement map made by incise map; placed anew where center, size or rotate are given.
+    /// A displacement map made by incise map; its placement is replaced if center, size or rotate
+    /// are given.
     SavedMap = "map" {
         numbers {
         }
@@ -516,7 +528,7 @@ mod tests {
     use crate::deform::file_kinds::FILE_KINDS;
     use crate::deform::kinds;
 
-    /// Every kind has its type, with all of its parameters and settings, and no other.
+    /// Every kind has a type, with exactly its parameters and settings.
     #[test]
     fn every_kind_has_its_type() {
         let formulas = kinds::list().map(|k| {

@@ -1,29 +1,30 @@
-//! What the numbers of a scene may be, checked in one place before anything is made of them: every number is finite and of a size with which
-//! single precision still computes. What a number means besides (a progress is 0 to 1, an angle of a kind has its range) is checked where it is
-//! used, by name.
+//! Limits on the numbers of a scene, checked in one place before the scene is used: every number
+//! must be finite and small enough for single-precision arithmetic. Further constraints (a progress
+//! is 0 to 1, an angle of a kind has its range) are checked where the number is used, by name.
 
 use super::Scene;
 use crate::{Error, Result};
 use toml::Value;
 
-/// Largest length or coordinate, mm: ten kilometres. Its fourth power, which weights of control points take, is still far from overflow.
+/// Largest length or coordinate, mm: ten kilometres. Its fourth power, which occurs in
+/// control-point weights, is still far from overflow.
 const MAX_LENGTH_MM: f64 = 1e7;
 /// Largest angle, degrees: a thousand turns.
 const MAX_ANGLE_DEG: f64 = 3.6e5;
-/// Largest value of a scan.
+/// Largest data value.
 const MAX_DATA_VALUE: f64 = 1e30;
 /// Most entries of a list of the scene.
 const MAX_ENTRIES: usize = 100_000;
 /// Longest text, bytes.
 const MAX_TEXT: usize = 1 << 24;
 
-/// Keys whose numbers are values of the scan.
+/// Keys whose numbers are data values.
 const DATA_VALUES: [&str; 6] = ["value", "iso", "window", "level", "magnitude", "density"];
 /// Keys whose numbers are degrees.
 const ANGLES: [&str; 5] = ["rotate", "angle", "phase", "roll", "field_of_view"];
 
 impl Scene {
-    /// Checks that every number, list and text of the scene is of a size that can be worked with.
+    /// Checks that every number, list and text of the scene is within the limits.
     ///
     /// # Errors
     /// The first one that is not, by its key.
@@ -36,7 +37,7 @@ impl Scene {
     }
 }
 
-/// `name` is the key that the value belongs to, `path` the way to it.
+/// `name` is the key of the value, `path` the full key path to it.
 fn walk(path: &str, name: &str, value: &Value) -> Result<()> {
     match value {
         Value::Table(table) => table.iter().try_for_each(|(key, value)| {
@@ -49,7 +50,7 @@ fn walk(path: &str, name: &str, value: &Value) -> Result<()> {
             }
             let tables = items.first().is_some_and(Value::is_table);
             items.iter().enumerate().try_for_each(|(n, item)| {
-                // Entries of lists are counted as people count them.
+                // List entries are counted from 1 in messages.
                 let path = if tables { format!("{path} {}", n + 1) } else { path.to_owned() };
                 walk(&path, name, item)
             })

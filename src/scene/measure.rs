@@ -1,5 +1,6 @@
-//! What has been measured in a scene: distances, angles, points, labels. Points are kept where they are in the patient, so that they ride along
-//! with whatever is deformed; [`crate::prepare::measure`] works the measurements out.
+//! The measurements of a scene: distances, angles, points, labels. Points are stored in source
+//! coordinates, so that they move with the deformation; [`crate::prepare::measure`] evaluates the
+//! measurements.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -39,7 +40,7 @@ pub struct Measure {
 }
 
 impl MeasureKind {
-    /// How many points it takes.
+    /// Number of points that the kind takes.
     pub fn points(self) -> usize {
         match self {
             Self::Distance => 2,

@@ -1,4 +1,5 @@
-//! What a scene file says, the command line overrides and a test states, as plain data.
+//! The contents of a scene file as plain data. The command line overrides it, and tests build it
+//! directly.
 //!
 //! A [`Scene`] names volumes, meshes and fields by path and never holds voxels, threads or devices. [`crate::prepare`] resolves it for rendering.
 
@@ -208,7 +209,7 @@ pub struct Light {
 }
 
 impl Light {
-    /// Its strengths.
+    /// The Blinn-Phong coefficients.
     pub fn blinn_phong(&self) -> BlinnPhong {
         let Self { ambient, diffuse, specular, shininess, .. } = *self;
         BlinnPhong { ambient, diffuse, specular, shininess }
@@ -244,7 +245,7 @@ pub enum Normals {
     Source,
     /// Gradients transformed with the deformation.
     Transformed,
-    /// Transformed gradients, blended into the cut's own normal beside cuts.
+    /// Transformed gradients, blended into the cut's own normal near cuts.
     #[default]
     Blended,
 }
@@ -365,19 +366,19 @@ impl Scene {
         scene
     }
 
-    /// The volume as the scene names it; empty if it has none.
+    /// The volume's name in the scene; empty without a volume.
     pub fn volume_name(&self) -> &str {
         self.volume.as_ref().map_or("", |v| &v.path)
     }
 
-    /// The name of the preset that a volume is shown by where the scene names none: the phantom's own, grey below control points of the scene's own,
-    /// else what suits the volume's values.
+    /// The name of the preset used if the scene names none: the phantom's own; grey if the scene
+    /// has its own control points; else the preset that suits the volume's values.
     pub fn default_preset(&self, volume: &Volume) -> &'static str {
         let suits = || if self.transfer.preset.is_none() && self.transfer.points.is_empty() { default_preset(volume) } else { "grey" };
         self.volume_name().strip_prefix("phantom:").and_then(phantom::preset).unwrap_or_else(suits)
     }
 
-    /// The volume's path as this process finds it, if there is a volume.
+    /// The volume's path resolved against the scene's folder, if there is a volume.
     pub fn volume_path(&self) -> Option<PathBuf> {
         let path = &self.volume.as_ref()?.path;
         Some(if path.starts_with("phantom:") { PathBuf::from(path) } else { self.folder.join(path_of(path)) })

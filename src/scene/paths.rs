@@ -1,4 +1,5 @@
-//! The files that a scene names: what to read, what must not be written, and how their paths change when a scene moves.
+//! The files that a scene names: which are read, which must not be overwritten, and how their paths
+//! change when a scene moves.
 
 use super::{Deformation, Scene};
 use crate::deform::Argument;
@@ -10,10 +11,11 @@ use std::path::{Component, Path, PathBuf};
 const FILE_SETTINGS: [&str; 10] = ["path", "moving", "reference", "labels", "mask", "pairs", "from", "to", "offsets", "points"];
 
 impl Scene {
-    /// The scene that an input names: a scene file, or all defaults about a volume, a mesh or a phantom.
+    /// The scene of an input: a scene file, or a scene with all defaults for a volume, a mesh or a
+    /// phantom.
     ///
     /// # Errors
-    /// A scene file that cannot be used.
+    /// A scene file that is invalid.
     pub fn of_input(input: &Path) -> Result<Self> {
         let text = text_of(input);
         match input.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
@@ -23,7 +25,8 @@ impl Scene {
         }
     }
 
-    /// Files that the scene reads: its volume, its labels, its meshes and what its deformations name.
+    /// Files that the scene reads: its volume, its labels, its meshes and the files of its
+    /// deformations.
     pub fn files(&self) -> Vec<PathBuf> {
         let named = self.deformation.iter().flat_map(|d| FILE_SETTINGS.iter().flat_map(|n| d.parameters.texts(n).ok().flatten().unwrap_or_default()));
         let holder = self.volume.iter().flat_map(|v| &v.inside).map(|i| &i.path);
@@ -33,10 +36,11 @@ impl Scene {
         self.volume_path().into_iter().chain(meshes).chain(named.map(|p| at(&p))).collect()
     }
 
-    /// The same scene as a file in `folder` states it: paths relative where they lie below it, else absolute.
+    /// The same scene as a file in `folder` would state it: paths relative where they lie below it,
+    /// else absolute.
     ///
     /// # Errors
-    /// A current folder that cannot be told.
+    /// The current folder cannot be determined.
     pub fn moved_to(&self, folder: &Path) -> Result<Self> {
         let mut scene = self.clone();
         let from = std::path::absolute(if self.folder.as_os_str().is_empty() { Path::new(".") } else { &self.folder })
@@ -47,7 +51,7 @@ impl Scene {
         let moved = |path: &mut String| {
             if !path.starts_with("phantom:") {
                 let absolute = plain(&from.join(path_of(path)));
-                // On every system's own way of writing it, for itself.
+                // In the path syntax of the current system.
                 *path = text_of(absolute.strip_prefix(&to).unwrap_or(&absolute));
             }
         };
@@ -59,7 +63,8 @@ impl Scene {
 }
 
 impl Scene {
-    /// Names another file where `missing` was named; other missing files of the same folder are looked for beside it.
+    /// Replaces `missing` by `found`; other missing files of the same folder are looked for next to
+    /// it.
     pub fn relocate(&mut self, missing: &Path, found: &Path) {
         let (old, new) = (missing.parent().map(Path::to_owned), found.parent().map(Path::to_owned));
         let folder = self.folder.clone();
@@ -79,7 +84,7 @@ impl Scene {
         self.each_path(&moved);
     }
 
-    /// Does something to every path that is named.
+    /// Applies a function to every path in the scene.
     fn each_path(&mut self, change: &impl Fn(&mut String)) {
         let from = self.folder.clone();
         if let Some(volume) = &mut self.volume {
@@ -96,7 +101,8 @@ impl Scene {
     }
 }
 
-/// Moves the texts of a deformation that are paths of files: some settings take either words or files.
+/// Moves those settings of a deformation that are file paths: some settings take either a keyword
+/// or a file.
 fn move_settings(deformation: &mut Deformation, from: &Path, moved: &impl Fn(&mut String)) {
     for name in FILE_SETTINGS {
         let is_file = |text: &str| name == "path" || text.starts_with("phantom:") || from.join(text).exists();
@@ -108,7 +114,7 @@ fn move_settings(deformation: &mut Deformation, from: &Path, moved: &impl Fn(&mu
     }
 }
 
-/// A path without `.` and, where nothing but plain names lie before it, without `..`.
+/// A path without `.` and, where only plain names precede it, without `..`.
 fn plain(path: &Path) -> PathBuf {
     let mut out = PathBuf::new();
     for part in path.components() {

@@ -1,4 +1,4 @@
-//! What the settings of a picture and its light may be.
+//! Checks of the render and light settings.
 
 use super::{Light, RenderSettings, Scene};
 use crate::files::memory;
@@ -7,17 +7,17 @@ use crate::{Error, Result};
 use glam::DVec3;
 
 impl Scene {
-    /// Checks every number of the scene for its size, and the settings of its picture for their meaning.
+    /// Checks every number of the scene against the limits, and the render settings for validity.
     ///
     /// # Errors
-    /// The first one that cannot be used, by name.
+    /// The first invalid setting, by name.
     pub fn check(&self) -> Result<()> {
         self.check_limits()?;
         check_settings(&self.render, &self.light)
     }
 }
 
-/// Checks the size of a picture, alone and with its antialiasing, and the memory that it takes.
+/// Checks the size of a picture, alone and with its antialiasing, and the memory that it needs.
 fn check_size(settings: &RenderSettings) -> Result<()> {
     let [width, height] = settings.size;
     if !settings.size.iter().all(|n| (1..=MAX_PICTURE_EDGE).contains(n)) {
@@ -37,7 +37,7 @@ fn check_size(settings: &RenderSettings) -> Result<()> {
         );
         return Err(Error::value("size", problem));
     }
-    // Pixels as they are computed, and as bytes before and after they are packed.
+    // Floating-point pixels, and bytes before and after encoding.
     let bytes = 16 * samples + 12 * u64::from(width) * u64::from(height);
     match memory::available_bytes() {
         Some(available) if bytes > available => {
@@ -55,7 +55,7 @@ fn check_size(settings: &RenderSettings) -> Result<()> {
     }
 }
 
-/// Bounds on the error of a map that stands for several, mm.
+/// Bounds on the error of a precomposed map, mm.
 const PRECOMPOSE_MM: std::ops::RangeInclusive<f32> = 0.001..=100.0;
 
 fn check_settings(settings: &RenderSettings, light: &Light) -> Result<()> {

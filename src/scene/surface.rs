@@ -1,4 +1,4 @@
-//! The `[[mesh]]` and `[surface]` sections: what is shown as a surface, and how.
+//! The `[[mesh]]` and `[surface]` sections: surfaces and their appearance.
 
 use super::Size;
 use crate::error::suggestion;
@@ -8,7 +8,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// What lies under a surface where it is cut (\[DS07\] section 5.1).
+/// Interior of a surface where it is cut (\[DS07\] section 5.1).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum CutModel {
@@ -65,7 +65,7 @@ pub struct Appearance {
     /// Colour of the faces of cuts.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cut_color: Option<[f32; 3]>,
-    /// What lies under it.
+    /// Interior where the surface is cut.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub model: Option<CutModel>,
     /// Thickness of a thick surface, mm; a fortieth of its size by default.
@@ -251,7 +251,7 @@ pub fn look_names() -> impl Iterator<Item = &'static str> {
     LOOKS.iter().map(|l| l.0)
 }
 
-/// A look with everything decided.
+/// A resolved appearance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Look {
     /// Colour of the outside.
@@ -260,15 +260,15 @@ pub struct Look {
     pub inside: [f32; 3],
     /// Colour of the faces of cuts.
     pub cut: [f32; 3],
-    /// Strength of the highlight and its exponent.
+    /// Strength and exponent of the specular highlight.
     pub highlight: [f32; 2],
-    /// What lies under it.
+    /// Interior where the surface is cut.
     pub model: CutModel,
     /// Thickness, mm, of a thick surface.
     pub thickness: Option<f32>,
 }
 
-/// The forward deformers: name, what it does, its numbers.
+/// The forward deformers: name, effect, parameters.
 pub const DEFORMERS: [(&str, &str, &str); 7] = [
     ("twist", "turns about z over the box's height", "angle (degrees)"),
     ("bend", "bends z towards x over the box's height", "angle (degrees)"),
@@ -279,7 +279,7 @@ pub const DEFORMERS: [(&str, &str, &str); 7] = [
     ("lattice", "free-form deformation by 4x4x4 control points", "points = [[i, j, k, x, y, z], ...] (mm)"),
 ];
 
-/// Name, what it is for, and the look.
+/// Name, description, and the look.
 type LookPreset = (&'static str, &'static str, Look);
 
 const fn look(color: [f32; 3], inside: [f32; 3], cut: [f32; 3], highlight: [f32; 2], model: CutModel) -> Look {
@@ -300,7 +300,8 @@ pub const LOOKS: [LookPreset; 9] = [
 ];
 
 impl Appearance {
-    /// The look: what is given here, else in `general`, else by the preset that either names.
+    /// The resolved look. A value comes from this appearance, else from `general`, else from the
+    /// preset that either names.
     ///
     /// # Errors
     /// A preset that does not exist, a colour outside 0..1, a thickness that is not positive.
@@ -312,7 +313,7 @@ impl Appearance {
                 Error::value(format!("look \"{name}\""), format!("there is no such look; {}", suggestion(name, LOOKS.iter().map(|l| l.0))))
             })?
             .2;
-        // A preset of its own comes before a colour that holds for all.
+        // A preset of this surface takes precedence over a general colour.
         let own = self.look.is_some();
         let pick = |mine: Option<[f32; 3]>, all: Option<[f32; 3]>| mine.or(if own { None } else { all });
         for (name, value, target) in [
@@ -351,7 +352,7 @@ impl MeshSource {
         self.representation.unwrap_or(if self.deformer.is_empty() { Representation::Field } else { Representation::Triangles })
     }
 
-    /// What decides the mesh after its deformers.
+    /// Key of everything that determines the mesh after its deformers.
     pub(crate) fn mesh_key(&self) -> String {
         format!("{:?} {:?} {:?} {:?}", self.path, self.place, self.deformer, self.tessellate)
     }
@@ -393,10 +394,10 @@ impl MeshSource {
 }
 
 impl SurfaceSettings {
-    /// Checks that the settings of all surfaces can be used.
+    /// Checks the settings of all surfaces.
     ///
     /// # Errors
-    /// The first one that cannot, by name.
+    /// The first invalid setting, by name.
     pub(crate) fn check(&self) -> Result<()> {
         self.appearance.resolve(&Appearance::default()).map_err(|e| e.within("surface"))?;
         if !(self.threshold.is_finite() && self.threshold >= 0.0) {

@@ -1,8 +1,10 @@
-//! Transfer functions: colour and opacity by value, optionally opacity by gradient magnitude, and how samples blend along a ray.
+//! Transfer functions: colour and opacity by value, optionally opacity by gradient magnitude, and
+//! the blend mode along a ray.
 //!
-//! Control points are in data units (Hounsfield units for CT). Opacity is that of one reference length, Δ₀ = the smallest voxel
-//! spacing; the table holds it as optical depth, τ = -log₂(1 - opacity), so that a sample that stands for a length ℓ has the
-//! opacity 1 - 2^(-τ ℓ/Δ₀): the opacity correction of [`crate::model`], "Opacity and compositing" with one exponential.
+//! Control points are in data units (Hounsfield units for CT). Opacity is stated for one reference
+//! length, Δ₀ = the smallest voxel spacing. The table holds it as optical depth, τ = -log₂(1 -
+//! opacity), so that a sample that represents a length ℓ has the opacity 1 - 2^(-τ ℓ/Δ₀): the
+//! opacity correction of [`crate::model`], "Opacity and compositing", with one exponential.
 
 mod preintegrated;
 mod presets;
@@ -87,19 +89,21 @@ pub struct TransferSettings {
 /// A resolved transfer function, in data units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TransferFunction {
-    /// Control points by rising value; at least one.
+    /// Control points by ascending value; at least one.
     pub points: Vec<ControlPoint>,
-    /// By rising magnitude; empty for none.
+    /// By ascending magnitude; empty if unused.
     pub gradient_opacity: Vec<GradientPoint>,
     /// How samples blend.
     pub blend: Blend,
 }
 
 impl TransferSettings {
-    /// Resolves preset, window and curve for a volume. `fallback` names the preset to take when none is given.
+    /// Resolves preset, window and curve for a volume. `fallback` is the preset used if none is
+    /// named.
     ///
     /// # Errors
-    /// An unknown preset; a window that is not positive; points that are not finite, not rising or out of 0..1.
+    /// An unknown preset; a window that is not positive; points that are not finite, not ascending
+    /// or outside 0..1.
     pub fn resolve(&self, volume: &Volume, fallback: &str) -> Result<TransferFunction> {
         let name = self.preset.as_deref().unwrap_or(fallback);
         let preset = preset(name)
@@ -166,14 +170,15 @@ impl TransferFunction {
         [first, last]
     }
 
-    /// The function of a label map shown by what is there (1) and what is not (0): the highest opacity of this one from halfway between on.
+    /// The transfer function for the presence (0 or 1) of labels in a label map: transparent below
+    /// one half, this function's highest opacity above.
     pub fn of_presence(&self) -> Self {
         let opacity = self.points.iter().map(|p| p.opacity).fold(0.0, f32::max);
         let point = |value, opacity| ControlPoint { value, color: [1.0; 3], opacity };
         Self { points: vec![point(PRESENCE[0], 0.0), point(PRESENCE[1], opacity)], gradient_opacity: Vec::new(), blend: self.blend }
     }
 
-    /// Moves the curve's domain onto `level ± window/2`; the one that is missing stays as it is.
+    /// Maps the curve's domain onto `level ± window/2`; a missing window or level keeps its value.
     fn set_window(&mut self, window: Option<f64>, level: Option<f64>) -> Result<()> {
         if window.is_none() && level.is_none() {
             return Ok(());
@@ -195,10 +200,11 @@ impl TransferFunction {
     }
 }
 
-/// Presence between which a label becomes visible: narrow around a half, so that surfaces lie between voxels.
+/// Range of presence over which a label becomes visible: narrow around one half, so that surfaces
+/// lie between voxels.
 const PRESENCE: [f64; 2] = [0.4, 0.6];
 
-/// The preset that suits a volume when none is asked for: Hounsfield units are recognised by their air.
+/// The preset that suits a volume if none is named: Hounsfield units are recognised by their air.
 pub fn default_preset(volume: &Volume) -> &'static str {
     if volume.colors.is_some() {
         OWN_COLORS

@@ -1,26 +1,31 @@
-//! Pre-integrated transfer functions (Engel, Kraus, Ertl 2001): colour and optical depth of a whole segment of a ray, by the values at its ends.
+//! Pre-integrated transfer functions (Engel, Kraus, Ertl 2001): colour and optical depth of a ray
+//! segment by the values at its ends.
 //!
-//! *Theory*: between two samples the value is taken to run evenly from the front one to the back one. The segment's optical depth is then
-//! the mean of τ between the two values, and its colour the mean of the curve's colours, each weighted by what it adds to the opacity and by
-//! how much of it passes through the part of the segment in front of it. A feature of the curve that lies between two samples is thus seen,
-//! where a table of single values steps over it.
+//! *Theory*: the value is assumed to vary linearly from the front sample to the back sample. The
+//! segment's optical depth is then the mean of τ between the two values, and its colour the mean of
+//! the curve's colours, each weighted by its contribution to the opacity and by the transmittance
+//! of the part of the segment in front of it. A feature of the curve that lies between two samples
+//! is thus captured, where a table of single values steps over it.
 //!
-//! *What is different*: the colour is kept without its opacity and the depth per reference length, as in [`TransferTable`], so that light, own colours and
-//! gradient opacity apply to a segment as they do to a sample. The weights inside a segment are those of the step that the table is made for;
-//! its opacity is right for any.
+//! *What is different*: the colour is stored without its opacity, and the depth per reference
+//! length, as in [`TransferTable`], so that light, own colours and gradient opacity apply to a
+//! segment as they do to a sample. The weights inside a segment are those of the step for which the
+//! table is built; the opacity is correct for any step.
 //!
-//! A segment's depth comes from the curve's integral at its ends, not from the table of segments, which is coarser than the curve: between the table's
-//! values it would show a little of what the curve shows beside a value, and air is often such a value.
+//! A segment's depth comes from the curve's integral at its ends, not from the table of segments,
+//! which is coarser than the curve: interpolated between table entries, a transparent value would
+//! take on opacity from its neighbours, and air is often such a value.
 //!
-//! *How to call it*: [`Preintegrated::new`] with the length of a step; anew when the curve or the step changes. Integrals over the curve's own
-//! entries make it exact for τ, and a segment's colour is the sum of at most [`PARTS`] parts.
+//! *How to call it*: [`Preintegrated::new`] with the length of a step; rebuild it when the curve or
+//! the step changes. Integrals over the curve's own entries make it exact for τ, and a segment's
+//! colour is the sum of at most [`PARTS`] parts.
 
 use super::{TABLE_ENTRIES, TransferTable};
 use rayon::prelude::*;
 
 /// Values along each side of the table: 1 MiB in single precision.
 pub const PREINTEGRATED_SIZE: usize = 256;
-/// Parts of a segment within which colour and depth are taken to be mixed evenly.
+/// Parts of a segment within which colour and depth are assumed to be uniformly mixed.
 const PARTS: usize = 16;
 
 /// Colour (not premultiplied) and optical depth per reference length, by the table coordinates of a segment's front and back.
@@ -44,7 +49,8 @@ impl Integrals {
         let mut last = [0.0; 7];
         for pair in table.entries.windows(2) {
             let (a, b) = (at(&pair[0]), at(&pair[1]));
-            // Entries are joined by straight lines; a product of two is a parabola, which Simpson's rule integrates exactly.
+            // The curve is linear between entries; a product of two linear functions is a parabola,
+            // which Simpson's rule integrates exactly.
             let middle = at(&std::array::from_fn(|c| (pair[0][c] + pair[1][c]) / 2.0));
             last = std::array::from_fn(|c| last[c] + (a[c] + 4.0 * middle[c] + b[c]) / 6.0);
             sums.push(last);
@@ -63,7 +69,7 @@ impl Integrals {
     fn mean(&self, a: f64, b: f64) -> [f64; 7] {
         let (low, high) = (a.min(b), a.max(b));
         let width = (high - low).max(1e-3);
-        // About a single position, the stretch around it.
+        // For a single position, a short interval around it.
         let low = if high - low < 1e-3 { (low - width / 2.0).clamp(0.0, (TABLE_ENTRIES - 1) as f64 - width) } else { low };
         let (from, to) = (self.up_to(low), self.up_to(low + width));
         std::array::from_fn(|c| (to[c] - from[c]) / width)
@@ -96,7 +102,7 @@ impl Preintegrated {
             (here, sum, 0.5 * (tau + here) * t)
         };
         if b - a < 1.0 {
-            // Differences of integrals would be of their last digits.
+            // The difference of the integrals would lose all precision.
             return at(0.5 * (a + b)).0;
         }
         let ((_, low, beyond_low), (_, high, beyond_high)) = (at(a), at(b));
@@ -161,7 +167,7 @@ mod tests {
         }
     }
 
-    /// The optical depth of a linear opacity, and the colour of a linear colour in an even fog, in closed form.
+    /// Linear opacity and linear colour at uniform opacity match their closed forms.
     #[test]
     fn linear_curves_are_their_closed_forms() {
         let t = Preintegrated::new(&table(&[(0.0, [0.5; 3], 0.0), (1.0, [0.5; 3], 0.8)]), 1.0);
@@ -184,7 +190,8 @@ mod tests {
         }
     }
 
-    /// What the curve does not show is not shown, however near to it the curve begins; and the depth is the curve's mean.
+    /// Values where the curve is transparent stay transparent, however close the curve rises; and
+    /// the depth is the curve's mean.
     #[test]
     fn nothing_is_shown_beside_what_the_curve_shows() {
         let curve = table(&[(0.0, [1.0; 3], 0.0), (0.041, [1.0; 3], 0.0), (0.042, [1.0; 3], 0.9), (1.0, [1.0; 3], 0.3)]);
@@ -200,7 +207,7 @@ mod tests {
         }
     }
 
-    /// A peak between two samples that each show nothing is seen.
+    /// A peak between two samples that are both transparent is visible.
     #[test]
     fn a_peak_between_samples_is_seen() {
         let curve = table(&[(0.0, [1.0; 3], 0.0), (0.45, [1.0; 3], 0.0), (0.5, [1.0; 3], 0.9), (0.55, [1.0; 3], 0.0), (1.0, [1.0; 3], 0.0)]);

@@ -1,13 +1,14 @@
-//! Presets under the names people know. The tables are our own.
+//! Presets under commonly used names. The tables are our own.
 //!
-//! CT presets are in Hounsfield units. MR and other modalities have no absolute scale: their presets are in shares of the volume's
-//! range, from its lowest value (0) to the 99.8th percentile of what is not background (1), so that a few bright voxels (a vessel,
-//! an artefact) do not darken everything else.
+//! CT presets are in Hounsfield units. MR and other modalities have no absolute scale: their
+//! presets are fractions of the volume's range, from its lowest value (0) to the 99.8th percentile
+//! of the foreground (1), so that a few bright voxels (a vessel, an artefact) do not darken
+//! everything else.
 
 use super::{Blend, ControlPoint, GradientPoint, TransferFunction};
 use crate::volume::Volume;
 
-/// What a preset's values mean.
+/// The scale of a preset's values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scale {
     /// Data units as they are.
@@ -18,11 +19,11 @@ pub enum Scale {
 
 /// A named transfer function.
 pub struct Preset {
-    /// What people type.
+    /// The name that users type.
     pub name: &'static str,
     /// One line for lists.
     pub about: &'static str,
-    /// What the values mean.
+    /// The scale of the values.
     pub scale: Scale,
     /// How samples blend.
     pub blend: Blend,
@@ -361,7 +362,7 @@ pub fn list() -> impl Iterator<Item = &'static Preset> {
     PRESETS.iter()
 }
 
-/// The preset of a name.
+/// The preset with a name.
 pub fn preset(name: &str) -> Option<&'static Preset> {
     PRESETS.iter().find(|p| p.name == name)
 }
@@ -370,9 +371,10 @@ impl Preset {
     /// The curve in a volume's data units.
     pub fn adapted_to(&self, volume: &Volume) -> TransferFunction {
         let [low, span] = match self.scale {
-            // Luminance or opacity over the whole range of its type, however much of it is used.
+            // Luminance or opacity over the whole range of its type, even if only part of it is
+            // used.
             _ if self.name == OWN_COLORS && volume.colors.is_some() && volume.range[1] > 1.5 => [0.0, 255.0],
-            // DICOM's inverted pictures are bright where values are low.
+            // Inverted DICOM images (MONOCHROME1) are bright where values are low.
             Scale::Relative if volume.inverted => {
                 let histogram = volume.histogram(1024);
                 [volume.range[1], histogram.percentile(0.002, true) - volume.range[1]]

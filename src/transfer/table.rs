@@ -1,9 +1,10 @@
-//! A transfer function baked for sampling.
+//! A transfer function tabulated for sampling.
 //!
-//! The entries span the curve's own domain, not the data's: between two control points a linear curve is met exactly, and only the
-//! entry around a kink deviates, by at most 1/4096 of the domain. A curve over a 16-bit range thus has one entry per 16 values, and
-//! one over a 400 HU window ten entries per Hounsfield unit. A range-maximum table over the optical depth answers what the highest
-//! opacity within a range of values is, which is what empty-space skipping asks.
+//! The entries span the curve's own domain, not the data's: between two control points a linear
+//! curve is exact, and only the entry around a kink deviates, by at most 1/4096 of the domain. A
+//! curve over a 16-bit range thus has one entry per 16 values, and one over a 400 HU window ten
+//! entries per Hounsfield unit. A range-maximum table over the optical depth gives the highest
+//! opacity within a range of values, for empty-space skipping.
 
 use super::TransferFunction;
 use crate::math::cells::columns;
@@ -13,11 +14,11 @@ use crate::math::lanes::*;
 pub const TABLE_ENTRIES: usize = 4096;
 /// Entries over the gradient magnitudes.
 pub const GRADIENT_ENTRIES: usize = 256;
-/// Half the stretch of the table over which opacity is asked whether it rises or falls, table coordinates.
+/// Half the interval over which the sign of the opacity's slope is taken, table coordinates.
 const SLOPE_STEP: f32 = 0.02;
-/// An opacity that falls by less than this is level: what differs by rounding is.
+/// A relative decrease of opacity smaller than this counts as level, since rounding can cause it.
 const LEVEL: f32 = 1.0 - 1e-5;
-/// Opacity 1 would be an infinite optical depth; 2^-16 of the light passes instead.
+/// Opacity 1 would be an infinite optical depth; instead, 2^-16 of the light passes.
 const MAX_DEPTH: f32 = 16.0;
 
 /// Colour (not premultiplied) and optical depth by table coordinate, which runs from 0 to 1 over the curve's domain.
@@ -32,11 +33,11 @@ pub struct TransferTable {
     pub scale: f32,
     /// See `scale`.
     pub offset: f32,
-    /// τ of each entry and, of a length that is known when this is compiled, once more of the last.
+    /// τ of each entry, with the last one repeated. The length is a compile-time constant.
     depths: Box<[f32; TABLE_ENTRIES + 1]>,
     /// `maxima[l][i]` = highest τ in entries `i .. i + 2^l`.
     maxima: Vec<Vec<f32>>,
-    /// How many of the entries before the i-th are transparent.
+    /// Number of transparent entries before the i-th.
     transparent: Vec<u32>,
 }
 
@@ -46,7 +47,7 @@ impl TransferTable {
         let [mut low, mut high] = function.domain();
         let span = if range[1] > range[0] { range[1] - range[0] } else { 1.0 };
         if high - low < 1e-6 * span {
-            // A step: one entry's width around it.
+            // A step function: the domain becomes one entry wide around it.
             let middle = (low + high) / 2.0;
             (low, high) = (middle - 5e-7 * span, middle + 5e-7 * span);
         }
@@ -113,18 +114,19 @@ impl TransferTable {
         let i = (x as usize).min(TABLE_ENTRIES - 2);
         let t = x - i as f32;
         let (a, b) = (&self.entries[i], &self.entries[i + 1]);
-        // Not by a function of an array: those are called where much is inlined.
+        // Written out rather than with `array::from_fn`, which may not be inlined here.
         [a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t, a[2] + (b[2] - a[2]) * t, a[3] + (b[3] - a[3]) * t]
     }
 
-    /// Entries below eight values, and where between those and the next ones they lie.
+    /// Index of the table entry below each of eight values, and the interpolation weight towards
+    /// the next one.
     #[inline(always)]
     fn places<S: Simd>(&self, value: f32x8<S>) -> ([usize; LANES], f32x8<S>) {
         let x = value.mul_add(self.scale, self.offset).max(0.0).min(1.0) * (TABLE_ENTRIES - 1) as f32;
         let entry = x.to_int::<i32x8<S>>().max(0).min(TABLE_ENTRIES as i32 - 2);
         let mut places = [0; LANES];
         for n in 0..LANES {
-            // Masked, which changes nothing, so that no index needs a check.
+            // The mask changes no index; it removes the bounds checks.
             places[n] = entry[n] as usize & (TABLE_ENTRIES - 1);
         }
         (places, x - entry.to_float::<f32x8<S>>())
@@ -168,7 +170,8 @@ impl TransferTable {
         (Vec3x8 { x, y, z }, depth)
     }
 
-    /// 1 where opacity rises with the value, -1 where it falls: the side of a surface on which its matter lies.
+    /// 1 where opacity rises with the value, -1 where it falls: the side of a surface on which the
+    /// material lies.
     pub fn opacity_slope_sign(&self, value: f32) -> f32 {
         let step = SLOPE_STEP / self.scale;
         if self.lookup(value + step)[3] < LEVEL * self.lookup(value - step)[3] { -1.0 } else { 1.0 }
@@ -186,14 +189,14 @@ impl TransferTable {
         a + (b - a) * (x - i as f32)
     }
 
-    /// The first and last entry that normalised values in `[low, high]` mix.
+    /// The first and last entry that normalised values in `[low, high]` interpolate.
     fn entries_over(&self, low: f32, high: f32) -> (usize, usize) {
         let entry = |v: f32| (v * self.scale + self.offset).clamp(0.0, 1.0) * (TABLE_ENTRIES - 1) as f32;
         let (a, b) = (entry(low.min(high)).floor() as usize, entry(high.max(low)).ceil() as usize);
         (a.min(b), b.min(TABLE_ENTRIES - 1))
     }
 
-    /// Whether every normalised value in `[low, high]` shows something.
+    /// Whether every normalised value in `[low, high]` is visible.
     pub fn is_visible_throughout(&self, low: f32, high: f32) -> bool {
         let (a, b) = self.entries_over(low, high);
         self.transparent[b + 1] == self.transparent[a]

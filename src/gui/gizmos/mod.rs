@@ -1,7 +1,9 @@
-//! Handles on a deformation in the 3D view: its box to move, turn and size, and one handle for every number it has.
+//! Handles on a deformation in the 3D view: to move, rotate and scale its box, and one handle per
+//! parameter.
 //!
-//! A handle is a point on a path in the box's own millimetres; dragging it finds the point of the path nearest to the ray through the pointer, and
-//! that point's value. So what is grabbed stays under the pointer, whatever the view.
+//! A handle is a point on a path in the box's local millimetres; dragging it finds the point of the
+//! path nearest to the ray through the pointer, and that point's value. A grabbed handle thus stays
+//! under the pointer in any view.
 
 mod paths;
 
@@ -18,20 +20,20 @@ use crate::scene::{Deformation, Size};
 use eframe::egui::{Align2, Color32, Painter, Pos2, Shape, Stroke, pos2, vec2};
 use glam::{Mat3, Vec3};
 
-/// Points of a ring on the screen.
+/// Segments of a ring.
 const RING: usize = 48;
-/// A handle is grabbed within this distance, points.
+/// A handle can be grabbed within this distance, points.
 const REACH: f32 = 11.0;
-/// Control points of a lattice that are shown at most.
+/// Most control points of a lattice that are shown.
 const MAX_POINTS: usize = 216;
 
-/// Which handles are shown.
+/// The set of handles shown.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Mode {
-    /// One for every number, and the middle.
+    /// One per parameter, and the centre.
     #[default]
     Shape,
-    /// The middle and three arrows.
+    /// The centre and three arrows.
     Move,
     /// Three rings.
     Rotate,
@@ -42,26 +44,26 @@ pub enum Mode {
 /// A handle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Handle {
-    /// The middle, across the view.
+    /// The centre, moved in the view plane.
     Center,
-    /// The middle, along an axis of the box.
+    /// The centre, moved along an axis of the box.
     Axis(usize),
-    /// Turns about an axis of the box.
+    /// Rotation about an axis of the box.
     Ring(usize),
-    /// A face: axis, and which end.
+    /// A face: axis, and end.
     Face(usize, bool),
     /// Progress.
     Progress,
-    /// A number of the kind.
+    /// A parameter of the kind.
     Parameter(usize),
     /// A control point.
     Point(usize),
 }
 
-/// Where a deformation's box lies.
+/// The placement of a deformation's box.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BoxPlacement {
-    /// Its middle, mm.
+    /// Its centre, mm.
     pub center: Vec3,
     /// Its extents, mm.
     pub size: Vec3,
@@ -70,40 +72,40 @@ pub struct BoxPlacement {
 }
 
 impl BoxPlacement {
-    /// Of a deformation, in a scene of the given box.
+    /// The placement of a deformation, in a scene with the given box.
     pub fn of(d: &Deformation, kind: &Kind, scene_box: &Bounds) -> Self {
-        // What is written in a file may be no size at all; its own message tells.
+        // A size from a file may be invalid; the error is reported elsewhere.
         let size = d.size.map_or_else(|| kind.default_size(scene_box), Size::xyz);
         let size = if size.is_finite() { size.abs().max(Vec3::splat(1e-3)) } else { Vec3::ONE };
         Self { center: d.center.map_or_else(|| scene_box.center(), Vec3::from), size, turn: d.rotate.map_or(Mat3::IDENTITY, |r| matrix_of(r.into())) }
     }
 
-    /// The world point of one in the box's own millimetres.
+    /// World point of a point in the box's local millimetres.
     pub fn world(&self, local: Vec3) -> Vec3 {
         self.center + self.turn * local
     }
 
-    /// The other way.
+    /// The inverse of [`Self::world`].
     pub fn local(&self, world: Vec3) -> Vec3 {
         self.turn.transpose() * (world - self.center)
     }
 
-    /// The box in the world.
+    /// The bounds of the box in the world.
     pub fn bounds(&self) -> Bounds {
         let half = (self.turn.x_axis.abs() * self.size.x + self.turn.y_axis.abs() * self.size.y + self.turn.z_axis.abs() * self.size.z) / 2.0;
         Bounds::new(self.center - half, self.center + half)
     }
 }
 
-/// A drag that has begun.
+/// A drag in progress.
 #[derive(Clone, Debug)]
 pub struct Drag {
-    /// What is dragged.
+    /// The dragged handle.
     pub handle: Handle,
-    /// The deformation as it was.
+    /// The deformation at the start.
     start: Deformation,
     place: BoxPlacement,
-    /// From the handle's point to where it was grabbed, on the screen.
+    /// Screen offset from the handle's point to where it was grabbed.
     offset: eframe::egui::Vec2,
     /// Angle at which a ring was grabbed, radians.
     angle: f32,
@@ -119,11 +121,11 @@ pub struct Gizmo<'a> {
     pub deformation: &'a Deformation,
     /// The scene's box.
     pub scene_box: Bounds,
-    /// Which handles.
+    /// The set of handles.
     pub mode: Mode,
 }
 
-/// A kind's number as it stands in a deformation, and its range.
+/// A kind's parameter: its value in a deformation, its range, and its default.
 pub fn parameter(d: &Deformation, kind: &Kind, n: usize, size: Vec3) -> (f32, [f32; 2], f32) {
     let p = &kind.parameters[n];
     let [default, min, max] = [p.default, p.min, p.max].map(|a| a.resolve(size));
@@ -131,7 +133,7 @@ pub fn parameter(d: &Deformation, kind: &Kind, n: usize, size: Vec3) -> (f32, [f
     (value, [min, max], default)
 }
 
-/// Control points that can be dragged: where they are, mm.
+/// Positions of the draggable control points, mm.
 pub fn control_points(d: &Deformation, place: &BoxPlacement) -> Vec<Vec3> {
     let numbers = |name: &str| d.parameters.numbers(name).ok().flatten().unwrap_or_default();
     match d.kind.as_str() {
@@ -167,7 +169,7 @@ fn lattice_index(counts: [usize; 3], n: usize) -> [usize; 3] {
     [n % counts[0], n / counts[0] % counts[1], n / counts[0] / counts[1]]
 }
 
-/// Where a control point was before it was dragged, mm.
+/// Position of a control point before any drag, mm.
 fn origin_of(d: &Deformation, n: usize) -> Option<Vec3> {
     let numbers = |name: &str| d.parameters.numbers(name).ok().flatten().unwrap_or_default();
     match d.kind.as_str() {
@@ -177,7 +179,7 @@ fn origin_of(d: &Deformation, n: usize) -> Option<Vec3> {
     }
 }
 
-/// Puts a control point somewhere.
+/// Moves a control point.
 pub fn set_point(d: &mut Deformation, place: &BoxPlacement, n: usize, to: Vec3) {
     let numbers = |d: &Deformation, name: &str| d.parameters.numbers(name).ok().flatten().unwrap_or_default();
     match d.kind.as_str() {
@@ -220,18 +222,18 @@ impl Gizmo<'_> {
         BoxPlacement::of(self.deformation, self.kind, &self.scene_box)
     }
 
-    /// Whether the box can be sized.
+    /// Whether the box has a size of its own.
     fn has_size(&self) -> bool {
         !matches!(self.kind.size, DefaultSize::Across(_))
     }
 
-    /// Length of the arrows, mm: as long on the screen at any zoom.
+    /// Length of the arrows, mm: constant on the screen at any zoom.
     fn arm(&self) -> f32 {
         let place = self.place();
         70.0 * self.projector.mm_per_point(place.center)
     }
 
-    /// All handles of the mode and where they are, mm.
+    /// All handles of the mode with their positions, mm.
     pub fn handles(&self) -> Vec<(Handle, Vec3)> {
         let place = self.place();
         if self.deformation.matrix.is_some() {
@@ -284,7 +286,7 @@ impl Gizmo<'_> {
         for (handle, at) in self.handles() {
             let distance = match handle {
                 Handle::Ring(axis) => self.ring(axis).iter().map(|p| p.distance(pointer)).fold(f32::INFINITY, f32::min) + 2.0,
-                // The middle gives way to what lies on it.
+                // The centre gives way to handles on top of it.
                 Handle::Center => self.projector.screen(at).map_or(f32::INFINITY, |p| p.distance(pointer)) + 2.0,
                 _ => self.projector.screen(at).map_or(f32::INFINITY, |p| p.distance(pointer)),
             };
@@ -340,7 +342,7 @@ impl Gizmo<'_> {
                 let mut size = place.size;
                 size[axis] = length;
                 d.size = Some(Size::Box(tidy(size)));
-                // The opposite face stays where it is.
+                // The opposite face stays in place.
                 d.center = Some(tidy(far + outward * (length / 2.0)));
             }
             Handle::Progress => {
@@ -363,13 +365,14 @@ impl Gizmo<'_> {
         Some(d)
     }
 
-    /// The value of the path's point nearest to the pointer on the screen.
+    /// The value at the path's point nearest to the pointer on the screen.
     fn on_path(&self, path: &HandlePath, [min, max]: [f32; 2], pos: Pos2, place: &BoxPlacement) -> Option<f32> {
         let distance = |value: f32| {
             let at = place.world(path.at(value, [min, max], place.size));
             self.projector.screen(at).map_or(f32::INFINITY, |p| p.distance_sq(pos))
         };
-        // Coarse, then around the best: a path may curve back on itself on the screen.
+        // A coarse search, then refinement around the best: a path may curve back on itself on the
+        // screen.
         const STEPS: i32 = 64;
         let (mut low, mut high) = (min, max);
         let mut best = f32::NAN;
@@ -382,7 +385,7 @@ impl Gizmo<'_> {
         best.is_finite().then_some(best.max(min).min(max))
     }
 
-    /// What a handle says while it is hovered or dragged.
+    /// The text shown while a handle is hovered or dragged.
     pub fn words(&self, handle: Handle) -> String {
         let place = self.place();
         let three = |v: Vec3, unit: &str| format!("{:.1}, {:.1}, {:.1} {unit}", v.x, v.y, v.z);
@@ -404,7 +407,7 @@ impl Gizmo<'_> {
         }
     }
 
-    /// Draws box and handles; `hot` is hovered or dragged.
+    /// Draws the box and handles; `hot` is hovered or dragged.
     pub fn draw(&self, painter: &Painter, hot: Option<Handle>) {
         let place = self.place();
         let p = &self.projector;
@@ -518,7 +521,8 @@ mod tests {
         Projector { frame: camera.frame(scene_box, [600, 500]).unwrap(), rect: Rect::from_min_size(pos2(0.0, 0.0), vec2(600.0, 500.0)) }
     }
 
-    /// Whatever handle of whatever kind is grabbed and not moved, nothing changes by more than rounding; moved, the handle lies under the pointer.
+    /// Grabbing any handle of any kind without moving it changes nothing beyond rounding; after a
+    /// move, the handle lies under the pointer.
     #[test]
     fn every_handle_follows_the_pointer() {
         let scene_box = Bounds::new(Vec3::splat(-80.0), Vec3::splat(80.0));
@@ -559,7 +563,7 @@ mod tests {
         assert!(tried > 300, "{tried}");
     }
 
-    /// Half a turn of a ring turns the box by half a turn about that axis.
+    /// Dragging a ring by half a turn rotates the box by half a turn about that axis.
     #[test]
     fn rings_turn_about_their_axis() {
         let scene_box = Bounds::new(Vec3::splat(-80.0), Vec3::splat(80.0));
@@ -569,7 +573,8 @@ mod tests {
         let center = gizmo.projector.screen(Vec3::ZERO).unwrap();
         let drag = gizmo.grab(Handle::Ring(2), center + vec2(70.0, 0.0));
         let moved = gizmo.dragged(&drag, center + vec2(0.0, -70.0)).unwrap();
-        // From above, with the front of the patient on top: right on the screen is -x, up is -y. Counter-clockwise there is from -x to -y: +90 about z.
+        // Superior view, with the front of the patient at the top: right on the screen is -x, up is
+        // -y. Counter-clockwise on the screen is from -x to -y: +90 about z.
         let z = moved.rotate.unwrap()[2];
         assert!((z - 90.0).abs() < 1.0, "{:?}", moved.rotate);
     }

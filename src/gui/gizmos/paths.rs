@@ -1,42 +1,44 @@
-//! Along which path each number of a kind is dragged, in the box's own space.
+//! Handle paths of the parameters of each kind, in the box's own space.
 
 use crate::deform::kinds::{Kind, Unit};
 use glam::{Quat, Vec3};
 
-/// The path of a number.
+/// The path of a parameter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum HandlePath {
-    /// A length: from a point (shares of the box's extents from its middle) so many mm along a direction, times `gain`.
+    /// A length: from a point (offset from the centre as fractions of the box's extents) along a
+    /// direction, in mm, times `gain`.
     Line {
-        /// Where 0 is.
+        /// The point of value 0.
         from: [f32; 3],
         /// Unit direction.
         direction: [f32; 3],
-        /// mm of the path per mm of the number.
+        /// mm along the path per mm of the parameter.
         gain: f32,
     },
     /// An angle: about an axis through a point, from a direction, times `gain`.
     Arc {
-        /// Centre, shares of the extents.
+        /// Centre, as fractions of the extents.
         center: [f32; 3],
         /// Axis.
         axis: [f32; 3],
         /// Direction of 0.
         from: [f32; 3],
-        /// Degrees of the path per degree of the number.
+        /// Degrees along the path per degree of the parameter.
         gain: f32,
     },
-    /// A pure number: from its least value at one point to its highest at another, shares of the extents.
+    /// A dimensionless parameter: from its minimum at one point to its maximum at another, as
+    /// fractions of the extents.
     Span {
-        /// Where the least is.
+        /// The point of the minimum.
         low: [f32; 3],
-        /// Where the highest is.
+        /// The point of the maximum.
         high: [f32; 3],
     },
 }
 
 impl HandlePath {
-    /// The point of a value in the box's own millimetres.
+    /// The point of a value in the box's local millimetres.
     pub fn at(&self, value: f32, [min, max]: [f32; 2], size: Vec3) -> Vec3 {
         match *self {
             Self::Line { from, direction, gain } => Vec3::from(from) * size + Vec3::from(direction) * (value * gain),
@@ -59,14 +61,14 @@ const DOWN: [f32; 3] = [0.0, 0.0, -1.0];
 const TOP: [f32; 3] = [0.0, 0.0, 0.5];
 const MIDDLE: [f32; 3] = [0.0; 3];
 
-/// Where a kind's progress is dragged from nothing to full.
+/// The path of a kind's progress from none to full.
 pub fn progress_path(kind: &str) -> HandlePath {
     let (low, high) = match kind {
-        // The flap's free end, from where it lies towards the hinge.
+        // The flap's free end, from its initial position towards the hinge.
         "peel" | "surface-peel" | "strip" => ([0.44, 0.0, -0.12], [-0.36, 0.0, 0.42]),
         // Away from the surface.
         "pull" | "spline-pull" | "lift" => ([0.0, 0.25, 0.5], [0.0, 0.25, 1.0]),
-        // The lips apart.
+        // The lips move apart.
         "knife" | "seam" | "book" => ([0.02, -0.45, 0.5], [0.5, -0.45, 0.5]),
         "retractor" => ([-0.45, 0.02, 0.5], [-0.45, 0.5, 0.5]),
         "slab" | "explode" => ([-0.5, -0.5, 0.0], [-0.5, -0.5, 0.6]),
@@ -75,7 +77,7 @@ pub fn progress_path(kind: &str) -> HandlePath {
     HandlePath::Span { low, high }
 }
 
-/// Where a kind's number is dragged.
+/// The path of a kind's parameter.
 pub fn path_of(kind: &Kind, n: usize) -> HandlePath {
     let p = &kind.parameters[n];
     let line = |from, direction, gain| HandlePath::Line { from, direction, gain };
@@ -116,7 +118,7 @@ mod tests {
     use super::*;
     use crate::deform::kinds;
 
-    /// A handle says what its number is only if different numbers are at different places.
+    /// A handle identifies a value only if different values lie at different points.
     #[test]
     fn paths_tell_values_apart() {
         let size = Vec3::new(60.0, 80.0, 50.0);
@@ -125,7 +127,7 @@ mod tests {
                 let [min, max] = [p.min, p.max].map(|a| a.resolve(size));
                 let path = path_of(kind, n);
                 let points: Vec<Vec3> = (0..=8).map(|i| path.at(min + (max - min) * i as f32 / 8.0, [min, max], size)).collect();
-                // An arc of a whole turn may meet itself at its ends.
+                // A full circle may meet itself at its ends.
                 for w in points.windows(2) {
                     assert!(w[0].distance(w[1]) > 1e-3, "{} {}", kind.name, p.name);
                 }

@@ -1,4 +1,4 @@
-//! The orientation cube: how the patient lies in the view, and a click on a face looks at it.
+//! The orientation cube: shows the orientation of the patient; a click on a face selects that view.
 
 use super::text;
 use crate::gui::projector::Projector;
@@ -7,7 +7,7 @@ use eframe::egui::{Align2, Color32, Painter, Pos2, Rect, Shape, Stroke, Vec2, po
 use glam::Vec3;
 
 const EDGE: f32 = 21.0;
-/// Face: outward normal in the patient, the letter, the named view.
+/// Face: outward normal in patient space, letter, named view.
 const FACES: [(Vec3, &str, &str); 6] = [
     (Vec3::X, "L", "left"),
     (Vec3::NEG_X, "R", "right"),
@@ -17,7 +17,8 @@ const FACES: [(Vec3, &str, &str); 6] = [
     (Vec3::NEG_Z, "I", "inferior"),
 ];
 
-/// Draws the cube into the upper right corner; the named view whose face lies under the pointer.
+/// Draws the cube into the upper right corner; returns the named view whose face is under the
+/// pointer.
 pub fn draw(painter: &Painter, rect: Rect, projector: &Projector, pointer: Option<Pos2>) -> Option<&'static str> {
     let middle = pos2(rect.right() - 46.0, rect.top() + 46.0);
     let frame = &projector.frame;
@@ -30,7 +31,7 @@ pub fn draw(painter: &Painter, rect: Rect, projector: &Projector, pointer: Optio
             continue;
         }
         let (a, b) = normal.any_orthonormal_pair();
-        // Axis-aligned corners: the pair of a unit axis is a pair of unit axes.
+        // Axis-aligned corners: cyclic pairs of unit axes.
         let corners: Vec<Pos2> = [a + b, b - a, -a - b, a - b].iter().map(|c| middle + flat(normal + *c)).collect();
         let over = pointer.is_some_and(|p| inside(&corners, p));
         if over {
@@ -46,7 +47,7 @@ pub fn draw(painter: &Painter, rect: Rect, projector: &Projector, pointer: Optio
     hit
 }
 
-/// Whether a point lies in a convex polygon.
+/// Whether a point lies inside a convex polygon.
 fn inside(corners: &[Pos2], p: Pos2) -> bool {
     let side = |n: usize| {
         let (a, b) = (corners[n], corners[(n + 1) % corners.len()]);

@@ -1,4 +1,4 @@
-//! The pictures: the 3D view and the slices, with what is drawn and grabbed on them.
+//! The pictures: the 3D view and the slices, with their overlays and pointer interaction.
 
 pub mod cube;
 pub mod shown;
@@ -11,7 +11,7 @@ use super::theme::ON_CANVAS;
 use eframe::egui::{Align2, Color32, FontId, Painter, Pos2, Rect, Stroke, pos2, vec2};
 use glam::Vec3;
 
-/// The letters of the directions of a unit vector in the patient, the strongest first: `L`, `LA`.
+/// The letters of a unit direction in patient space, the dominant one first: `L`, `LA`.
 pub fn letters(direction: Vec3) -> String {
     let names = [('L', 'R'), ('P', 'A'), ('S', 'I')];
     let mut axes: Vec<usize> = (0..3).filter(|&a| direction[a].abs() > 0.35).collect();
@@ -19,7 +19,7 @@ pub fn letters(direction: Vec3) -> String {
     axes.iter().take(2).map(|&a| if direction[a] > 0.0 { names[a].0 } else { names[a].1 }).collect()
 }
 
-/// Text on a picture, with a dark rim so that it can be read on anything.
+/// Text on a picture, with a dark outline that keeps it readable on any background.
 pub fn text(painter: &Painter, at: Pos2, align: Align2, text: impl ToString, size: f32, color: Color32) -> Rect {
     let font = FontId::proportional(size);
     let text = text.to_string();
@@ -30,7 +30,7 @@ pub fn text(painter: &Painter, at: Pos2, align: Align2, text: impl ToString, siz
     painter.text(at, align, &text, font, color)
 }
 
-/// The letters at the four edges of a picture whose right and upward directions are given.
+/// The orientation letters at the four edges of a picture, given its right and upward directions.
 pub fn edge_letters(painter: &Painter, rect: Rect, right: Vec3, up: Vec3) {
     let inset = 8.0;
     for (at, align, direction) in [
@@ -43,7 +43,7 @@ pub fn edge_letters(painter: &Painter, rect: Rect, right: Vec3, up: Vec3) {
     }
 }
 
-/// A bar of a round length in the lower right corner.
+/// A scale bar of a round length in the lower right corner.
 pub fn scale_bar(painter: &Painter, rect: Rect, mm_per_point: f32) {
     let longest = mm_per_point * rect.width() * 0.28;
     if !(longest.is_finite() && longest > 1e-3) {

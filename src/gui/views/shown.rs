@@ -1,17 +1,19 @@
-//! Drawing a picture that the scene may have left behind ([`crate::gui::state::shown`] knows whether it has).
+//! Drawing a picture that may be out of date with the scene ([`crate::gui::state::shown`] tracks
+//! this).
 //!
-//! Pictures arrive late, and some never do. Letters, cube, scale bar, handles and measurements that are drawn over a picture, and every
-//! question about a place in it, go by what that picture was rendered from. A picture that the scene has left behind is veiled, with the reason.
+//! Pictures arrive late, and some never arrive. Letters, cube, scale bar, handles and measurements
+//! that are drawn over a picture, and every query about a position in it, use the scene from which
+//! that picture was rendered. A picture that is out of date is dimmed, with the reason.
 
 use crate::gui::state::shown::OutdatedNotice;
 use crate::gui::theme::{CANVAS, ON_CANVAS};
 use eframe::egui::{Align, Color32, FontId, Painter, Pos2, Rect, TextureHandle, pos2, vec2};
 
-/// Below this width a view says no more than that it is out of date, points.
+/// Below this width a view shows only that it is out of date, points.
 const SMALL: f32 = 380.0;
 
 impl OutdatedNotice {
-    /// Veils a picture that is behind.
+    /// Dims a picture that is out of date.
     pub fn draw(&self, painter: &Painter, rect: Rect, there: bool) {
         let thickness = self.thickness();
         if there && thickness > 0.0 {
@@ -31,12 +33,12 @@ impl OutdatedNotice {
     }
 }
 
-/// Says something in the middle of a view.
+/// Draws a message in the centre of a view.
 pub fn draw_message(painter: &Painter, rect: Rect, sentence: &str) {
     boxed(painter, rect, &crate::gui::text::capital(sentence), ON_CANVAS);
 }
 
-/// Lines of text on a dark box in the middle of a view.
+/// Lines of text on a dark box in the centre of a view.
 fn boxed(painter: &Painter, rect: Rect, words: &str, color: Color32) {
     let width = (rect.width() - 60.0).clamp(60.0, 460.0);
     let mut job = eframe::egui::text::LayoutJob::simple(words.to_owned(), FontId::proportional(14.0), color, width);
@@ -49,7 +51,7 @@ fn boxed(painter: &Painter, rect: Rect, words: &str, color: Color32) {
     painter.galley(pos2(middle.x, middle.y - size.y / 2.0), galley, color);
 }
 
-/// Draws a texture into a place.
+/// Draws a texture into a rectangle.
 pub fn image(painter: &Painter, texture: &TextureHandle, place: Rect) {
     painter.image(texture.id(), place, Rect::from_min_max(Pos2::ZERO, pos2(1.0, 1.0)), Color32::WHITE);
 }

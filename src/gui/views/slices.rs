@@ -1,4 +1,5 @@
-//! Axial, coronal and sagittal slices through one crosshair, of the deformed scene, the source, or both side by side.
+//! Axial, coronal and sagittal slices through one crosshair, of the deformed scene, the source, or
+//! both side by side.
 
 use super::shown;
 use super::{draw_points_of, edge_letters, scale_bar, text};
@@ -14,17 +15,17 @@ use eframe::egui::{self, Align2, Color32, CursorIcon, Painter, PointerButton, Po
 use glam::Vec3;
 use std::sync::Arc;
 
-/// Names, rightward and downward directions: patient left on the right, as radiologists see them.
+/// Names, rightward and downward directions: patient left on the right, by radiological convention.
 const ORIENTATIONS: [(&str, Vec3, Vec3); 3] = [("Axial", Vec3::X, Vec3::Y), ("Coronal", Vec3::X, Vec3::NEG_Z), ("Sagittal", Vec3::Y, Vec3::NEG_Z)];
-/// Turn of the wheel for one slice, points.
+/// Wheel movement for one slice, points.
 const NOTCH: f32 = 40.0;
-/// Distance of arrows, points.
+/// Spacing of arrows, points.
 const ARROWS: f32 = 24.0;
 
-/// The scene as far as slices depend on it: they do not turn with the camera.
+/// The scene reduced to what slices depend on; in particular without the camera.
 fn sliced(scene: &Scene) -> Scene {
     let mut plain = super::super::state::history::without_camera(scene);
-    // What is locked to the view still needs it.
+    // Deformations locked to the view depend on the camera.
     if scene.deformation.iter().any(|d| crate::deform::kinds::kind(&d.kind).is_ok_and(|k| k.locked_to_view)) {
         plain.camera = scene.camera.clone();
     }
@@ -37,7 +38,7 @@ fn sliced(scene: &Scene) -> Scene {
 }
 
 impl Workstation {
-    /// Shows one of the three.
+    /// Shows one of the three views.
     pub fn show_slice(&mut self, ui: &mut Ui, n: usize) {
         let size = ui.available_size().max(vec2(16.0, 16.0));
         let (rect, _) = ui.allocate_exact_size(size, Sense::hover());
@@ -71,7 +72,8 @@ impl Workstation {
         let bounds = doc.bounds();
         let assets = doc.assets.clone();
         let cursor = *self.slices.cursor.get_or_insert(bounds.center());
-        // Through the matter under the crosshair, not through the place where it lies now.
+        // In linked mode, through the source point of the crosshair rather than through its current
+        // position.
         let through = if source && self.slices.space == Space::Linked { self.slices.source_cursor().unwrap_or(cursor) } else { cursor };
         let ppp = ui.ctx().pixels_per_point();
         let size = [(rect.width() * ppp) as u32, (rect.height() * ppp) as u32].map(|s| s.clamp(8, 4096));
@@ -94,7 +96,7 @@ impl Workstation {
             state.delay.draw(&painter, rect, false);
             return;
         };
-        // The picture stays where its plane is until the next one arrives.
+        // The picture stays in its own plane until the next one arrives.
         let shown = picture.plane;
         let at = |x: f32, y: f32| {
             let (px, py, _) = plane.pixel(shown.point(x, y));
@@ -123,7 +125,7 @@ impl Workstation {
         if let (Some(radius), Some(pos)) = (self.tool.brush().map(|_| self.editor.radius), response.hover_pos().filter(|_| !source)) {
             painter.circle_stroke(pos, radius / (mm_per_pixel * ppp), Stroke::new(1.5, SELECTED));
         }
-        // A place is one of the slice that is shown.
+        // Positions refer to the plane of the displayed slice.
         let plane = SectionPlane { center: plane.center + normal * (shown.center - plane.center).dot(normal), ..plane };
         self.handle_slice_input(ui, &response, &plane, n, rect, ppp, source);
     }
@@ -225,17 +227,17 @@ impl Workstation {
         self.doc.as_ref().map_or(p, |d| p.clamp(d.bounds().min, d.bounds().max))
     }
 
-    /// Moves through the slices of a view.
+    /// Scrolls through the slices of a view.
     pub fn scroll_slice(&mut self, n: usize, scroll: f32) {
         let Some(doc) = &self.doc else { return };
         let (_, right, down) = ORIENTATIONS[n];
         let normal = right.cross(down).abs();
-        // The distance of slices that the volume has nearest to this direction.
+        // The slice spacing along the volume axis closest to this direction.
         let (directions, spacing) = (doc.assets.volume.direction(), doc.assets.volume.spacing_mm());
         let along = |a: usize| directions.col(a).as_vec3().dot(normal).abs();
         let axis = (0..3).max_by(|a, b| along(*a).total_cmp(&along(*b))).unwrap_or(2);
         let step = spacing[axis] as f32;
-        // A notch of the wheel comes in many small parts.
+        // One notch of the wheel arrives as many small events.
         self.slices.wheel += scroll;
         let steps = (self.slices.wheel / NOTCH).trunc();
         self.slices.wheel -= steps * NOTCH;
@@ -271,7 +273,7 @@ impl Workstation {
     }
 }
 
-/// Arrows from where matter was to where it is.
+/// Arrows from the source points to the deformed ones.
 fn draw_glyphs(painter: &Painter, rect: Rect, plane: &SectionPlane, picture: &SlicePicture, ppp: f32) {
     let [width, height] = picture.plane.size.map(|n| n as usize);
     let step = (ARROWS * ppp) as usize;
@@ -298,7 +300,8 @@ fn draw_glyphs(painter: &Painter, rect: Rect, plane: &SectionPlane, picture: &Sl
 }
 
 fn draw_crosshair(painter: &Painter, rect: Rect, at: Pos2, n: usize) {
-    // The colour of a line is that of the axis it stands across: each view shows the other two planes.
+    // A line has the colour of the axis perpendicular to its plane: each view shows the other two
+    // planes.
     let (vertical, horizontal) = [(0, 1), (0, 2), (1, 2)][n];
     let gap = 7.0;
     let line = |a: Pos2, b: Pos2, axis: usize| {

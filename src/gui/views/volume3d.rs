@@ -1,7 +1,8 @@
 //! The 3D view: picture, camera, handles, tools.
 //!
-//! What is shown is always the newest picture there is: a coarse one while something moves, a fine one when it rests. How coarse is decided by how
-//! long the last coarse pictures took. Everything drawn over it, and every place that is clicked, goes by that picture ([`super::shown`]).
+//! The view always shows the newest picture available: a coarse one during interaction, a fine one
+//! at rest. The resolution of coarse pictures follows the time of the previous ones. Overlays and
+//! clicks refer to the displayed picture ([`super::shown`]).
 
 use super::shown;
 use super::{cube, edge_letters, scale_bar, text};
@@ -22,9 +23,9 @@ use glam::{Vec2, Vec3};
 use std::sync::Arc;
 use std::time::Instant;
 
-/// A fine picture is asked for when nothing has changed for this long, seconds.
+/// A fine picture is requested after this time without a change, seconds.
 const REST: f64 = 0.12;
-/// Degrees of the camera per point of a drag.
+/// Rotation of the camera per point of a drag, degrees.
 const ORBIT: f32 = 0.4;
 
 impl Workstation {
@@ -36,12 +37,12 @@ impl Workstation {
         Some(scene)
     }
 
-    /// The shown picture's camera on the screen.
+    /// The projector for the displayed picture's camera.
     pub fn projector(&self) -> Option<Projector> {
         Some(self.view.picture()?.projector(self.view.rect, self.view.size()))
     }
 
-    /// Asks for pictures of what has changed.
+    /// Requests new pictures after a change.
     pub fn refresh_view(&mut self, ctx: &egui::Context) {
         let Some(doc) = &self.doc else { return };
         if self.view.rect.width() < 8.0 || self.view.rect.height() < 8.0 {
@@ -77,7 +78,7 @@ impl Workstation {
         }
     }
 
-    /// The view is to show something else than before.
+    /// Handles a change of the picture to show.
     fn changed(&mut self, wanted: &PictureRequest) {
         self.view.requested = Some(wanted.clone());
         self.view.delay.failure = None;
@@ -85,7 +86,7 @@ impl Workstation {
         self.view.is_fine = false;
         self.view.fine_serial = None;
         self.worker.drop_jobs(|t| t == JobTarget::Fine);
-        // Fine pictures that come at once need no coarse ones before them.
+        // If fine pictures are fast enough, coarse ones are not needed.
         if self.view.fine_ms > COARSE_MS {
             let quality = Quality::Draft { scale: self.view.scale };
             self.view.coarse_open = true;
@@ -99,18 +100,18 @@ impl Workstation {
         }
     }
 
-    /// Hands a job to the worker; its number.
+    /// Submits a job to the worker; returns its number.
     pub fn submit(&mut self, target: JobTarget, scene: Arc<Scene>, assets: Arc<crate::prepare::Assets>, what: JobKind) -> u64 {
         self.serial += 1;
         self.worker.submit(Job { target, serial: self.serial, scene, assets, what });
         self.serial
     }
 
-    /// Asks what lies at a place of the view.
+    /// Requests the point under a position of the view.
     pub fn ask(&mut self, at: [f32; 2], purpose: ProbePurpose) {
         let Some(picture) = &self.view.picture else { return };
         let PictureRequest { scene, assets, .. } = picture.of.clone();
-        // A stroke is drawn on what was there when it began.
+        // A stroke is drawn on the scene as it was when the stroke began.
         let scene = match (&purpose, &self.stroke_scene) {
             (ProbePurpose::Brush { .. }, Some(frozen)) if frozen.camera == scene.camera => frozen.clone(),
             (ProbePurpose::Brush { .. }, Some(frozen)) => Arc::new(Scene { camera: scene.camera.clone(), ..(**frozen).clone() }),
@@ -170,7 +171,7 @@ impl Workstation {
         self.handle_view_input(ui, &response, &projector, hot);
     }
 
-    /// A kind that was dragged out of the palette and let go over the view.
+    /// Handles a kind that was dragged from the palette and dropped on the view.
     fn drop_on_view(&mut self, response: &Response, projector: &Projector) {
         if let Some(kind) = response.dnd_release_payload::<Placed>()
             && let Some(pos) = response.ctx.pointer_latest_pos()
@@ -213,7 +214,7 @@ impl Workstation {
             {
                 let windowing = ui.input(|i| i.key_down(egui::Key::W)) && button == PointerButton::Primary;
                 if windowing {
-                    // The key that armed the wedge turned out to be held.
+                    // The key that armed the wedge tool is being held for windowing.
                     self.tool = Tool::Navigate;
                     self.gesture = Some(Gesture::Window3d);
                 } else {
@@ -267,10 +268,12 @@ impl Workstation {
         let left = button == PointerButton::Primary;
         let plain = !modifiers.any();
         if left && plain {
-            // What was under the pointer when it was pressed: a fast drag is elsewhere by the time it is one.
+            // The handle at the position of the press: a fast drag has moved on by the time it is
+            // recognised.
             let grabbed = self.tool == Tool::Navigate && !self.shows_undeformed();
             if let Some((gizmo, handle)) = self.gizmo(projector).filter(|_| grabbed).and_then(|g| g.under(origin).map(|h| (g, h))) {
-                // One that has changed since the picture was made is not where its handles are.
+                // If the deformation has changed since the picture was rendered, the handle is not
+                // where it is drawn.
                 if self.is_as_shown(gizmo.deformation) {
                     self.gesture = Some(Gesture::Gizmo(Box::new(gizmo.grab(handle, origin))));
                 }
@@ -304,7 +307,7 @@ impl Workstation {
     fn click(&mut self, pos: Pos2, modifiers: egui::Modifiers, projector: &Projector) {
         match self.tool {
             Tool::Navigate => {
-                // With control points selected, Ctrl+click adds one where the surface is.
+                // With control points selected, Ctrl+click adds one on the surface.
                 let points = self.doc.as_mut().and_then(|d| d.deformation().map(|x| x.kind == "points")).unwrap_or(false);
                 if modifiers.command && points {
                     self.ask(projector.at(pos), ProbePurpose::Tool);
@@ -321,7 +324,7 @@ impl Workstation {
 
     fn request_hover(&mut self, projector: &Projector, pos: Option<Pos2>) {
         let Some(pos) = pos else { return };
-        // One question at a time, and none while something is dragged.
+        // At most one request at a time, and none during a drag.
         if self.gesture.is_some() || self.prober.open > 0 {
             return;
         }
@@ -333,7 +336,7 @@ impl Workstation {
         }
     }
 
-    /// Turns the camera by a drag.
+    /// Rotates the camera by a drag.
     pub fn orbit(&mut self, dx: f32, dy: f32) {
         let Some(doc) = &mut self.doc else { return };
         let camera = &mut doc.scene.camera;
@@ -343,7 +346,8 @@ impl Workstation {
         camera.view.elevation_deg = (camera.view.elevation_deg + dy * ORBIT).clamp(-90.0, 90.0);
     }
 
-    /// Shifts the camera by a drag in a view: the scene's camera, which the picture may not have followed yet.
+    /// Pans the camera by a drag in a view: the scene's camera, which the displayed picture may not
+    /// match yet.
     pub fn pan(&mut self, dx: f32, dy: f32, rect: Rect) {
         let size = self.view.size();
         let Some(doc) = &mut self.doc else { return };
@@ -360,14 +364,14 @@ impl Workstation {
         }
     }
 
-    /// Enlarges the picture.
+    /// Zooms the camera.
     pub fn zoom(&mut self, factor: f32) {
         if let Some(doc) = &mut self.doc {
             doc.scene.camera.zoom = (doc.scene.camera.zoom * factor).clamp(0.05, 100.0);
         }
     }
 
-    /// Looks from a named side.
+    /// Sets a named view direction.
     pub fn look_from(&mut self, view: &str) {
         if let (Some(doc), Ok(view)) = (&mut self.doc, view.parse()) {
             doc.scene.camera.view = view;
@@ -375,7 +379,7 @@ impl Workstation {
         }
     }
 
-    /// Shows all of a box.
+    /// Fits a box into the view.
     pub fn frame_box(&mut self, bounds: &Bounds) {
         let Some(doc) = &mut self.doc else { return };
         let all = doc.bounds().size().length().max(1e-3);
@@ -384,7 +388,7 @@ impl Workstation {
         camera.zoom = (all / bounds.size().length().max(1e-3)).clamp(0.05, 20.0);
     }
 
-    /// The camera as it is by default, of the same kind.
+    /// Resets the camera, keeping its projection.
     pub fn reset_camera(&mut self) {
         if let Some(doc) = &mut self.doc {
             let camera = &doc.scene.camera;
@@ -392,8 +396,8 @@ impl Workstation {
         }
     }
 
-    /// The handles of the selected deformation as the picture shows it. Those that are dragged lie under the pointer, and stay where they were
-    /// let go until the picture has followed.
+    /// The handles of the selected deformation as displayed. While dragged they follow the pointer,
+    /// and after release they stay in place until the picture is up to date.
     fn gizmo(&self, projector: &Projector) -> Option<Gizmo<'_>> {
         let doc = self.doc.as_ref()?;
         let picture = self.view.picture.as_ref()?;
@@ -403,7 +407,7 @@ impl Workstation {
         let deformation = match &self.gesture {
             Some(Gesture::Gizmo(_)) => own.get(n)?,
             _ if let_go => own.get(n)?,
-            // Deformations that were added, taken away or moved since have other places in the list.
+            // Deformations added, removed or moved since then have other indices in the list.
             _ if own.len() == seen.len() && own.iter().zip(seen).all(|(a, b)| a.kind == b.kind) => seen.get(n)?,
             _ => return None,
         };
@@ -411,13 +415,13 @@ impl Workstation {
         Some(Gizmo { projector: *projector, kind, deformation, scene_box: picture.of.assets.scene_box(), mode: self.view.gizmo })
     }
 
-    /// Whether the selected deformation is still the one that the picture shows.
+    /// Whether the selected deformation is unchanged since the displayed picture.
     fn is_as_shown(&self, seen: &Deformation) -> bool {
         let own = self.doc.as_ref().and_then(|d| d.scene.deformation.get(d.deformation_index()?));
         own.is_some_and(|own| *own == Deformation { enabled: own.enabled, ..seen.clone() })
     }
 
-    /// Draws the selected deformation's handles; the one under the pointer.
+    /// Draws the selected deformation's handles; returns the one under the pointer.
     fn draw_gizmo(&self, painter: &Painter, projector: &Projector, pointer: Option<Pos2>) -> Option<Handle> {
         if self.shows_undeformed() || !matches!(self.tool, Tool::Navigate) {
             return None;
@@ -432,7 +436,7 @@ impl Workstation {
         hot
     }
 
-    /// The choice of handles, in the lower left corner.
+    /// The selector for the kind of handles, in the lower left corner.
     fn gizmo_bar(&mut self, ui: &mut Ui, rect: Rect) {
         let shown = self.doc.as_ref().is_some_and(|d| d.deformation_index().is_some()) && self.tool == Tool::Navigate;
         if !shown {
@@ -483,7 +487,7 @@ impl Workstation {
                 text(painter, *last + vec2(8.0, -8.0), Align2::LEFT_BOTTOM, words, 13.5, color);
             }
         }
-        // Points of a measurement that is not complete.
+        // Points of an incomplete measurement.
         let points: Vec<Pos2> = self.pending_points.iter().filter_map(|p| projector.screen(p.deformed)).collect();
         draw_points(painter, &points, SELECTED);
         let stroke: Vec<Pos2> = self.stroke_points.iter().filter_map(|p| projector.screen(*p)).collect();
@@ -492,7 +496,7 @@ impl Workstation {
         }
     }
 
-    /// The drawn outline becomes a cut, or puts matter back.
+    /// Turns the drawn outline into a cut, or restores the region inside it.
     fn finish_lasso(&mut self) {
         let outline = std::mem::take(&mut self.view.lasso);
         let (Some(doc), Some(projector)) = (&self.doc, self.view.lasso_on.take()) else { return };
@@ -508,7 +512,8 @@ impl Workstation {
             .map(|p| Vec2::new((p - middle).dot(right), (p - middle).dot(up)))
             .collect();
         let apex = match frame.projection {
-            // The apex lies on the line through `middle` along the view only if the plane's origin does: it is moved below the eye.
+            // The apex lies on the view line through the plane's origin, so the origin is moved
+            // onto the eye's axis.
             Projection::Perspective => Some((middle - frame.eye).dot(frame.forward)),
             Projection::Orthographic => None,
         };
@@ -540,7 +545,7 @@ fn area(outline: &[Pos2]) -> f32 {
     (0..n).map(|i| (outline[i].x * outline[(i + 1) % n].y) - (outline[(i + 1) % n].x * outline[i].y)).sum::<f32>().abs() / 2.0
 }
 
-/// Points joined by lines.
+/// Points connected by lines.
 pub fn draw_points(painter: &Painter, points: &[Pos2], color: Color32) {
     for pair in points.windows(2) {
         painter.line_segment([pair[0], pair[1]], Stroke::new(3.5, Color32::from_black_alpha(170)));
@@ -551,7 +556,7 @@ pub fn draw_points(painter: &Painter, points: &[Pos2], color: Color32) {
     }
 }
 
-/// What says that there is nothing behind a picture.
+/// A checkerboard that indicates a transparent background.
 fn checkerboard(painter: &Painter, rect: Rect) {
     const EDGE: f32 = 14.0;
     let (nx, ny) = ((rect.width() / EDGE).ceil() as i32, (rect.height() / EDGE).ceil() as i32);

@@ -1,0 +1,152 @@
+//! Pipelines of a picture, compiled once for each variant.
+
+use super::constants::wgsl_constants;
+use super::context::{Context, lock};
+use super::counter::Counter;
+use super::slices;
+use super::target::{MASK, PROJECTION_FORMAT};
+use super::variant::{Variant, overrides};
+use super::work::ResourceKind;
+use crate::gpu::shaders::Program;
+use crate::prepare::Prepared;
+use crate::scene::{Mode, Normals};
+use crate::transfer::Blend;
+use wgpu::TextureFormat;
+
+impl Context {
+    pub(super) fn variant(&self, scene: &Prepared, program: Program, counting: bool) -> Variant {
+        let march = matches!(program, Program::Raycast | Program::RaycastCompute | Program::Slice);
+        Variant {
+            program,
+            exact: self.strategy.exact_filter,
+            counting: counting && (march || program == Program::Surface),
+            maps: scene.stack.maps().len(),
+            precomposed: scene.stack.precomposed().is_some(),
+            normals: if scene.is_lit() { scene.settings.normals } else { Normals::None },
+            blend: scene.volume().blend,
+            gradient: scene.gradient_filter(),
+            slab: if program != Program::Slice || scene.proxy_mesh.is_some() { 1 } else { slices::SLICES_PER_SLAB as u32 },
+            cuts: scene.cuts.primitives().len(),
+            grey_faces: scene.grey_faces(),
+            iso: scene.volume().iso.filter(|_| scene.volume().blend == Blend::Composite).map(|_| scene.settings.iso_light),
+            colors: scene.volume().colors.is_some(),
+            preintegrated: scene.preintegrated() && march,
+            behind: (march || matches!(program, Program::Resolve | Program::SurfacesBehind)) && !scene.surfaces.objects.is_empty(),
+        }
+    }
+
+    pub(super) fn compile(&self, scene: &Prepared, counting: bool) {
+        let mut programs = match (scene.settings.mode, scene.volume().blend) {
+            (Mode::Surface, _) => vec![],
+            (Mode::Raycast, _) => vec![self.strategy.rays()],
+            (Mode::Slice, Blend::Composite) => vec![Program::Slice, Program::Opaque],
+            (Mode::Slice, _) => vec![Program::Slice, Program::Resolve],
+        };
+        if scene.settings.mode == Mode::Slice && scene.volume().blend == Blend::Composite && !scene.surfaces.objects.is_empty() {
+            programs.push(Program::SurfacesBehind);
+        }
+        for program in programs {
+            let variant = self.variant(scene, program, counting);
+            if program == Program::RaycastCompute {
+                self.ray_pipeline(variant);
+            } else {
+                self.pipeline(variant);
+            }
+        }
+    }
+
+    /// The pipeline of a variant, compiled if it is not there.
+    pub(super) fn pipeline(&self, variant: Variant) -> wgpu::RenderPipeline {
+        lock(&self.pipelines).entry(variant).or_insert_with(|| self.compiled(variant)).clone()
+    }
+
+    fn compiled(&self, variant: Variant) -> wgpu::RenderPipeline {
+        self.tally.count(ResourceKind::Pipeline);
+        let device = &self.device.device;
+        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: Some(&format!("{:?}", variant.program)),
+            source: wgpu::ShaderSource::Wgsl(variant.program.source(wgsl_constants(), variant.counting).into()),
+        });
+        let constants = overrides(&variant);
+        let options = wgpu::PipelineCompilationOptions { constants: &constants, ..Default::default() };
+        // Front to back: what comes is seen through what is there.
+        let through = wgpu::BlendComponent {
+            src_factor: wgpu::BlendFactor::OneMinusDstAlpha,
+            dst_factor: wgpu::BlendFactor::One,
+            operation: wgpu::BlendOperation::Add,
+        };
+        let under = wgpu::BlendState { color: through, alpha: through };
+        let gather = |operation| {
+            let component = wgpu::BlendComponent { src_factor: wgpu::BlendFactor::One, dst_factor: wgpu::BlendFactor::One, operation };
+            wgpu::BlendState { color: component, alpha: component }
+        };
+        let (format, blend) = match (variant.program, variant.blend) {
+            (Program::Slice | Program::SurfacesBehind, Blend::Composite) => (TextureFormat::Rgba16Float, Some(under)),
+            (Program::Slice, Blend::Average) => (PROJECTION_FORMAT, Some(gather(wgpu::BlendOperation::Add))),
+            (Program::Slice, _) => (PROJECTION_FORMAT, Some(gather(wgpu::BlendOperation::Max))),
+            _ => (TextureFormat::Rgba16Float, None),
+        };
+        let masked = matches!((variant.program, variant.blend), (Program::Slice, Blend::Composite) | (Program::Opaque, _));
+        let has_corners = matches!(variant.program, Program::Slice | Program::Opaque);
+        let color = [Some(wgpu::ColorTargetState { format, blend, write_mask: wgpu::ColorWrites::ALL })];
+        let own_layout = match variant.program {
+            Program::Resolve | Program::Opaque => Some(gathered_layout(device)),
+            _ if variant.counting => Some(Counter::layout(device)),
+            _ => None,
+        };
+        let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: None,
+            bind_group_layouts: &[Some(&self.shared_layout), own_layout.as_ref()],
+            immediate_size: 0,
+        });
+        let corner = wgpu::VertexBufferLayout {
+            array_stride: size_of::<slices::Corner>() as u64,
+            step_mode: wgpu::VertexStepMode::Vertex,
+            attributes: &wgpu::vertex_attr_array![0 => Float32x4],
+        };
+        let buffers = [Some(corner)];
+        device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+            label: Some(&format!("{:?}", variant.program)),
+            layout: Some(&layout),
+            vertex: wgpu::VertexState {
+                module: &module,
+                entry_point: Some("vertex"),
+                compilation_options: options.clone(),
+                buffers: if has_corners { &buffers } else { &[] },
+            },
+            primitive: wgpu::PrimitiveState::default(),
+            depth_stencil: masked.then(|| wgpu::DepthStencilState {
+                format: MASK,
+                depth_write_enabled: Some(variant.program == Program::Opaque),
+                depth_compare: Some(wgpu::CompareFunction::Less),
+                stencil: wgpu::StencilState::default(),
+                bias: wgpu::DepthBiasState::default(),
+            }),
+            multisample: wgpu::MultisampleState::default(),
+            fragment: Some(wgpu::FragmentState {
+                module: &module,
+                entry_point: Some("fragment"),
+                compilation_options: options,
+                targets: if variant.program == Program::Opaque { &[] } else { &color },
+            }),
+            multiview_mask: None,
+            cache: None,
+        })
+    }
+}
+
+pub(super) fn gathered_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("gathered"),
+        entries: &[wgpu::BindGroupLayoutEntry {
+            binding: 1,
+            visibility: wgpu::ShaderStages::FRAGMENT,
+            ty: wgpu::BindingType::Texture {
+                sample_type: wgpu::TextureSampleType::Float { filterable: false },
+                view_dimension: wgpu::TextureViewDimension::D2,
+                multisampled: false,
+            },
+            count: None,
+        }],
+    })
+}

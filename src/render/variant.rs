@@ -1,0 +1,46 @@
+//! What makes a different pipeline.
+
+use super::constants;
+use crate::gpu::shaders::Program;
+use crate::scene::{IsoLight, Normals};
+use crate::transfer::Blend;
+use crate::volume::GradientFilter;
+
+/// What makes a different pipeline.
+#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+pub(super) struct Variant {
+    pub(super) program: Program,
+    pub(super) counting: bool,
+    pub(super) maps: usize,
+    pub(super) precomposed: bool,
+    pub(super) normals: Normals,
+    pub(super) blend: Blend,
+    pub(super) gradient: GradientFilter,
+    pub(super) slab: u32,
+    pub(super) preintegrated: bool,
+    pub(super) cuts: usize,
+    pub(super) grey_faces: bool,
+    pub(super) iso: Option<IsoLight>,
+    pub(super) behind: bool,
+    pub(super) colors: bool,
+    pub(super) exact: bool,
+}
+
+/// Values of the shaders' `override` constants.
+pub(super) fn overrides(variant: &Variant) -> [(&'static str, f64); 13] {
+    [
+        ("MAPS", variant.maps as f64),
+        ("PRECOMPOSED", f64::from(u8::from(variant.precomposed))),
+        ("NORMALS", f64::from(variant.normals as u32)),
+        ("BLEND", f64::from(variant.blend as u32)),
+        ("GRADIENT", f64::from(variant.gradient as u32)),
+        ("SLAB", f64::from(variant.slab)),
+        ("PREINTEGRATED", f64::from(u8::from(variant.preintegrated))),
+        ("CUTS", variant.cuts as f64),
+        ("GREY_FACES", f64::from(u8::from(variant.grey_faces))),
+        ("ISO", f64::from(constants::iso(variant.iso))),
+        ("COLORS", f64::from(u8::from(variant.colors))),
+        ("BEHIND", f64::from(u8::from(variant.behind))),
+        ("EXACT", f64::from(u8::from(variant.exact))),
+    ]
+}
