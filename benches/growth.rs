@@ -1,7 +1,10 @@
-//! How the time of a picture grows with the volume and with the picture, and the ceiling: how many trilinear samples this machine can fetch.
+//! The time of a picture against the size of the volume and of the picture, and the upper limit:
+//! the number of trilinear samples that this machine can fetch.
 //!
-//! `cargo bench --bench growth [-- FOLDER]` prints a table and writes `growth.html` (plots) and `growth.csv` (to `target/growth` without a folder). Sizes of
-//! volumes 64^3 to 512^3 at 512 x 512 pixels, pictures 256^2 to 2048^2 of a volume of 256^3; medians of five with the least and the greatest.
+//! `cargo bench --bench growth [-- FOLDER]` prints a table and writes `growth.html` (plots) and
+//! `growth.csv` (to `target/growth` without a folder). Volumes of 64^3 to 512^3 at 512 x 512
+//! pixels, pictures of 256^2 to 2048^2 of a volume of 256^3; medians of five with the least and the
+//! greatest.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a benchmark that cannot set up should stop")]
 
 use glam::Vec3;
@@ -15,7 +18,7 @@ use rayon::prelude::*;
 use std::fmt::Write as _;
 use std::time::Instant;
 
-/// Samples of one task of the ceiling.
+/// Samples per task of the fetch limit.
 const SAMPLES: usize = 1 << 20;
 
 fn milliseconds(mut work: impl FnMut()) -> [f64; 3] {
@@ -31,7 +34,7 @@ fn milliseconds(mut work: impl FnMut()) -> [f64; 3] {
     [times[0], times[2], times[4]]
 }
 
-/// Samples along lines through the volume, one voxel apart, as rays take them, and nothing else.
+/// Fetches samples along lines through the volume, one voxel apart, as rays do, and nothing else.
 struct Fetch<'a>(&'a VolumeSampler<'a, i16>, usize);
 
 impl SimdKernel for Fetch<'_> {

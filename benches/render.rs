@@ -1,4 +1,5 @@
-//! The stages of a picture on the CPU: making a map, classifying empty space, rendering undeformed and deformed.
+//! Benchmarks of the stages of a picture on the CPU: building a map, classifying empty space,
+//! rendering undeformed and deformed.
 #![allow(missing_docs, reason = "criterion's macros")]
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a benchmark that cannot set up should stop")]
 

@@ -1,5 +1,6 @@
-//! [DS07] table 1 and figure 7 again: the time of a deformed surface against the share of the screen that its box covers, for a continuous
-//! deformation, for the same with its cuts, and for those with the cuts' empty space skipped. Ratios within one run; rounds are interleaved.
+//! Reproduces [DS07] table 1 and figure 7: the time of a deformed surface against the fraction of
+//! the screen that its box covers, for a continuous deformation, for the same with its cuts, and
+//! with the cuts' empty space skipped. Ratios within one run; rounds are interleaved.
 //!
 //!     cargo bench --bench surfaces                                  # the bunny of volumes/
 //!     cargo bench --bench surfaces -- hand.off armadillo.off dragon_vrip.ply.gz
@@ -18,7 +19,7 @@ use incise::scene::{Deformation, Mode, Scene, Size};
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Zooms at which the box covers about these shares of a 512 x 512 picture.
+/// Zooms at which the box covers about these fractions of a 512 x 512 picture.
 const ZOOMS: [f32; 5] = [0.3, 0.5, 0.75, 1.0, 1.4];
 const ROUNDS: usize = 7;
 
@@ -37,7 +38,7 @@ fn scene(mesh: &str, zoom: f32) -> Scene {
     scene
 }
 
-/// A peel over the whole box, whose cuts reach far into the object.
+/// A peel over the whole box, with cuts deep inside the object.
 fn peel() -> Deformation {
     let mut d = Deformation::new("peel");
     d.size = Some(Size::Box([140.0, 120.0, 110.0]));
@@ -98,7 +99,7 @@ fn main() {
                 for (way, times) in ways.iter().zip(&mut times) {
                     let start = Instant::now();
                     let _picture = draw(way);
-                    // The first round warms up.
+                    // The first round is a warm-up.
                     if round > 0 {
                         times.push(start.elapsed().as_secs_f64() * 1e3);
                     }
@@ -123,7 +124,7 @@ fn main() {
     }
 }
 
-/// Share of the picture's rays that meet the object's box.
+/// Fraction of the picture's rays that meet the object's box.
 fn covered(scene: &Prepared) -> f64 {
     let bounds = scene.surfaces.objects[0].cells.grid.occupied;
     let n = 64;

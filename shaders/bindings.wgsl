@@ -1,4 +1,5 @@
-// What every entry point binds, and the functions that read it. lib/ calls these; of lib/ only implicit.wgsl and count.wgsl bind.
+// The bindings shared by all entry points, and the functions that read them. The files in lib/ call
+// these functions; in lib/, only implicit.wgsl and count.wgsl declare bindings of their own.
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<uniform> maps: array<PlacedMap, 65>;
@@ -6,59 +7,63 @@
 @group(0) @binding(3) var linear_clamp: sampler;
 @group(0) @binding(4) var table: texture_2d<f32>;
 @group(0) @binding(5) var cells: texture_3d<u32>;
-// The maps' texels, of half and of single precision; see src/render/atlas.rs.
+// The maps' texels in half and in single precision; see src/render/atlas.rs.
 @group(0) @binding(6) var maps_half: texture_3d<f32>;
 @group(0) @binding(7) var maps_single: texture_3d<f32>;
 
 @group(0) @binding(14) var<uniform> cuts: array<CutShape, 8>;
 
-// Surfaces that were drawn before: their colour, and how far along each pixel's ray they lie, mm.
+// Surfaces drawn earlier: their colour, and their distance along each pixel's ray, mm.
 @group(0) @binding(15) var behind: texture_2d<f32>;
 @group(0) @binding(16) var behind_t: texture_2d<f32>;
 
-// Own colours of the voxels, multiplied by their weights.
+// The voxels' own colours, multiplied by their weights.
 @group(0) @binding(17) var colors: texture_3d<f32>;
 
-// Colour and optical depth of segments: front values down, back values across.
+// Colour and optical depth of segments: front values along y, back values along x.
 @group(0) @binding(18) var preintegrated: texture_2d<f32>;
 
 // The volume's central differences; see src/volume/gradient.rs.
 @group(0) @binding(19) var gradients: texture_3d<f32>;
 
-// No surface.
+// Distance of a pixel without a surface.
 const FAR_AWAY: f32 = 1e30;
 
-// 1: voxels have colours of their own.
+// 1: the voxels have colours of their own.
 override COLORS: u32 = 0u;
 // 1: there are surfaces behind the volume.
 override BEHIND: u32 = 0u;
-// Number of cuts that are shapes.
+// Number of analytic cut shapes.
 override CUTS: u32 = 8u;
-// 1: the faces of cuts are painted grey.
+// 1: cut faces are painted grey.
 override GREY_FACES: u32 = 0u;
-// ISO_NONE shows the volume; else its surface at frame.iso, and how that is lit.
+// ISO_NONE shows the volume; any other value shows its surface at frame.iso and selects how that is
+// lit.
 override ISO: u32 = ISO_NONE;
 // Number of maps in the stack.
 override MAPS: u32 = 64u;
-// 1: the map behind the last one stands for all of them wherever its texels are not marked.
+// 1: the map after the last one is the precomposed map; it replaces the stack wherever its texels
+// are not marked.
 override PRECOMPOSED: u32 = 0u;
 override NORMALS: u32 = NORMALS_BLENDED;
 override BLEND: u32 = BLEND_COMPOSITE;
 override GRADIENT: u32 = GRADIENT_CENTRAL;
-// 1: colour and opacity are those of segments between samples.
+// 1: colour and opacity are those of the segments between samples.
 override PREINTEGRATED: u32 = 0u;
-// Slices of one slab; 1 for slices of a mesh.
+// Slices in a slab; 1 for slices of a mesh.
 override SLAB: u32 = 1u;
-// 1: texels are mixed here, with weights of 24 bits: hardware filters round theirs to 8, which moves what lies in a coarse map by tenths of a
-// millimetre and gives labels and holes a value of their neighbours'.
+// 1: texels are interpolated in the shader, with 24-bit weights. Hardware filters round their
+// weights to 8 bits. In a coarse map this shifts points by tenths of a millimetre, and labels and
+// holes bleed into their neighbours.
 override EXACT: u32 = 0u;
 
-// The mix of the eight texels around a position in texels, the outermost ones going on.
+// Trilinear interpolation of the eight texels around a position in texels; clamped to the outermost
+// texels.
 fn mixed(t: texture_3d<f32>, p: vec3<f32>) -> vec4<f32> {
     return mixed_within(t, p, vec3<i32>(0), vec3<i32>(textureDimensions(t)) - 1);
 }
 
-// The same of the texels from `first` to `last`.
+// As above, clamped to the texels from `first` to `last`.
 fn mixed_within(t: texture_3d<f32>, p: vec3<f32>, first: vec3<i32>, last: vec3<i32>) -> vec4<f32> {
     let cell = floor(p);
     let f = p - cell;
@@ -77,7 +82,8 @@ fn mixed_within(t: texture_3d<f32>, p: vec3<f32>, first: vec3<i32>, last: vec3<i
     return mix(near, far, f.z);
 }
 
-// A texture that spans `size` voxels at a position in voxels. Divisions by its size, in every sample, are worth their own uniform.
+// Samples a texture that spans `size` voxels at a position in voxels. A separate uniform for 1 /
+// size avoids a division per sample.
 fn sample_texture(t: texture_3d<f32>, p: vec3<f32>, size: vec3<f32>, per_size: vec3<f32>) -> vec4<f32> {
     if EXACT == 0u {
         return textureSampleLevel(t, linear_clamp, (p + 0.5) * per_size, 0.0);
@@ -86,12 +92,13 @@ fn sample_texture(t: texture_3d<f32>, p: vec3<f32>, size: vec3<f32>, per_size: v
     return mixed(t, select((p + 0.5) * texels / size - 0.5, p, texels == size));
 }
 
-// Normalised value at a position in voxels.
+// The normalised value at a position in voxels.
 fn sample_volume(p: vec3<f32>) -> f32 {
     return sample_texture(volume, p, frame.texture_size, frame.per_texture_size).r * frame.value_scale + frame.value_offset;
 }
 
-// f(+1) - f(-1) along i, j, k of stored values, as shares of 32767, and the normalised value.
+// f(+1) - f(-1) along i, j, k of the stored values, as fractions of 32767, and the normalised
+// value.
 fn sample_gradients(p: vec3<f32>) -> vec4<f32> {
     let t = sample_texture(gradients, p, frame.texture_size, frame.per_texture_size);
     return vec4<f32>(t.gba, t.r * (2.0 * frame.gradient_scale) + frame.stored_offset);
@@ -101,7 +108,7 @@ fn sample_colors(p: vec3<f32>) -> vec4<f32> {
     return sample_texture(colors, p, frame.texture_size, frame.per_texture_size);
 }
 
-// Texels of an atlas that belong to map k, at a position within them.
+// Samples map k in an atlas at a position in the map's texels.
 fn sample_atlas(atlas: texture_3d<f32>, k: u32, p: vec3<f32>) -> vec4<f32> {
     let q = p + maps[k].origin;
     if EXACT != 0u {
@@ -111,7 +118,8 @@ fn sample_atlas(atlas: texture_3d<f32>, k: u32, p: vec3<f32>) -> vec4<f32> {
     return textureSampleLevel(atlas, linear_clamp, (q + 0.5) * maps[k].per_atlas, 0.0);
 }
 
-// Stored (D / scale, alpha) of map k; x in the unit cube, whose faces hold the outermost grid points, or within its reach.
+// The stored (D / scale, alpha) of map k; x lies in the unit cube, whose faces hold the outermost
+// grid points, or within its reach.
 fn fetch(k: u32, x: vec3<f32>) -> vec4<f32> {
     let p = clamp(x, vec3<f32>(0.0), vec3<f32>(1.0)) * (maps[k].size - 1.0);
     if maps[k].single != 0.0 {
@@ -124,7 +132,7 @@ fn table_entry(i: i32, row: i32) -> vec4<f32> {
     return textureLoad(table, vec2<i32>(i, row), 0);
 }
 
-// By table coordinates of a segment's ends.
+// Indexed by the table coordinates of the segment's two ends.
 fn preintegrated_entry(front: f32, back: f32) -> vec4<f32> {
     let size = vec2<f32>(textureDimensions(preintegrated));
     return textureSampleLevel(preintegrated, linear_clamp, (clamp(vec2<f32>(back, front), vec2<f32>(0.0), vec2<f32>(1.0)) * (size - 1.0) + 0.5) / size, 0.0);

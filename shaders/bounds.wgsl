@@ -1,10 +1,11 @@
-// Bounds on boxes of a map's texels: of 4 x 4 x 4 cells from the texels, then of 2 x 2 x 2 boxes from those. Counterpart of
-// src/math/pyramid.rs and of slopes_of in src/deform/map.rs.
+// Bounds on boxes of a map's texels: first of 4 x 4 x 4 cells from the texels, then of 2 x 2 x 2
+// boxes from those. Counterpart of src/math/pyramid.rs and of slopes_of in src/deform/map.rs.
 
 const CELLS: u32 = 4u;
 
 struct Level {
-    // Nodes along each axis, and the place of the first, of the level that is made and of the one it is made from.
+    // Nodes along each axis, and the index of the first node, for the level being built and for the
+    // level it is built from.
     size: vec3<u32>,
     first: u32,
     below_size: vec3<u32>,
@@ -39,7 +40,7 @@ fn leaves(@builtin(global_invocation_id) id: vec3<u32>) {
                 for (var axis = 0u; axis < 3u; axis += 1u) {
                     var change = vec4<f32>(0.0);
                     if points[axis] > 1u {
-                        // From the last point of an axis, what it changed by before.
+                        // The last point on an axis uses the difference to the point before it.
                         var low = at;
                         low[axis] = min(at[axis], points[axis] - 2u);
                         var high = low;

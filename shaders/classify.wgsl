@@ -1,12 +1,15 @@
-// Which cells of a grid over the deformed scene show anything, and for which of those cuts do not matter. Counterpart of
-// VisibilityCriteria in src/prepare/macrocells.rs and of src/deform/bounds.rs, with one difference: a box that a map's cube holds a part of is carried back as one box, not as the
-// part inside and the part outside. Every bound holds; what it says to be occupied may show nothing.
+// Classifies the cells of a grid over the deformed scene: which show anything, and in which of
+// those cuts can be ignored. Counterpart of VisibilityCriteria in src/prepare/macrocells.rs and of
+// src/deform/bounds.rs. One difference: a box that lies partly in a map's cube is carried back as
+// one box, not split into the parts inside and outside. Every bound holds; a cell classified as
+// occupied may still show nothing.
 
 struct Classification {
     // Affine; the last row is unused.
     voxel_from_world: mat4x4<f32>,
     origin: vec3<f32>,
-    // How far every sample looks back, and a sample beside a cut does; how near a shape matters to a sample.
+    // How far back along the ray a sample reads, how far a sample near a cut does, and the distance
+    // within which a shape affects a sample.
     lookback_mm: f32,
     cell_mm: vec3<f32>,
     cut_lookback_mm: f32,
@@ -14,43 +17,44 @@ struct Classification {
     cut_margin_mm: f32,
     // The volume's box in voxels.
     voxel_low: vec3<f32>,
-    // A sample that lies on a cell's face may be counted to either side.
+    // A sample on a cell's face may be assigned to either cell.
     margin_mm: f32,
     voxel_high: vec3<f32>,
     iso: f32,
     table_scale: f32,
     table_offset: f32,
-    // 1: only the surface at iso is shown.
+    // 1: only the surface at iso is visible.
     has_iso: u32,
     grey_faces: u32,
-    // 1: only what has opacity shows.
+    // 1: only what has opacity is visible.
     composite: u32,
-    // 1: some mask takes something away.
+    // 1: at least one mask removes something.
     stack_has_cuts: u32,
-    // log2 of the voxels of a node along each axis, and how many levels there are.
+    // log2 of a node's voxels along each axis, and the number of levels.
     value_shift: u32,
     value_levels: u32,
     value_size: vec3<u32>,
-    // What the map that stands for all of them may be off by; 0 without one.
+    // Error bound of the precomposed map; 0 without one.
     precompose_error_mm: f32,
-    // Nodes along each axis, and the place of the first.
+    // Nodes along each axis, and the index of the first.
     values: array<vec4<u32>, 12>,
-    // Of each map: how many levels there are, and whether its mask takes anything away.
+    // For each map: the number of levels, and whether its mask removes anything.
     maps: array<vec4<u32>, 64>,
-    // Of each map, eight levels: nodes along each axis, and the place of the first.
+    // For each map, eight levels: nodes along each axis, and the index of the first.
     levels: array<vec4<u32>, 512>,
 }
 
 @group(1) @binding(0) var<uniform> grid: Classification;
-// Lowest and highest normalised value.
+// Smallest and largest normalised value.
 @group(1) @binding(1) var<storage, read> value_nodes: array<vec2<f32>>;
 @group(1) @binding(2) var<storage, read> map_nodes: array<NodeBounds>;
-// How many of a table's first entries show something.
+// Prefix counts of the visible entries of the table.
 @group(1) @binding(3) var<storage, read> visible_entries: array<u32>;
-// 0 empty, 1 occupied, 2 occupied and no cut matters.
+// 0 empty, 1 occupied, 2 occupied and unaffected by any cut.
 @group(1) @binding(4) var<storage, read_write> flags: array<u32>;
 
-// As FLAT_DISPLACEMENT of src/deform/bounds.rs: where displacements differ by less than this share of a box, a bound by slopes is no better.
+// As FLAT_DISPLACEMENT in src/deform/bounds.rs: where displacements differ by less than this
+// fraction of a box, a bound by slopes is no tighter.
 const FLAT_DISPLACEMENT: f32 = 0.25;
 const LAST_ENTRY: f32 = 4095.0;
 
@@ -59,7 +63,8 @@ struct Box {
     high: vec3<f32>,
 }
 
-// What a map, or several added to each other, does to the points of a box; as AffineEnclosure of src/deform/bounds.rs.
+// The effect of a map, or of several maps added to each other, on the points of a box; as
+// AffineEnclosure in src/deform/bounds.rs.
 struct AffineEnclosure {
     all: Box,
     mask: vec2<f32>,
@@ -109,7 +114,7 @@ fn reach_of(k: u32) -> Box {
     return Box(-maps[k].reach, 1.0 + maps[k].reach);
 }
 
-// Bounds on a map's texels that samples in a box, in map coordinates, can mix.
+// Bounds on the texels of a map that samples in a box, in map coordinates, can interpolate.
 fn texels_within(k: u32, b: Box) -> NodeBounds {
     let last_cell = max(maps[k].size - 2.0, vec3<f32>(0.0));
     let low = vec3<u32>(clamp(floor(b.low * (maps[k].size - 1.0)), vec3<f32>(0.0), last_cell)) / 4u;
@@ -140,7 +145,7 @@ fn texels_within(k: u32, b: Box) -> NodeBounds {
 }
 
 fn affine_enclosure(k: u32, b: Box) -> AffineEnclosure {
-    // A hundredth of a texel for rounding.
+    // A hundredth of a texel as a margin for rounding.
     let texel = 0.01 / max(maps[k].size, vec3<f32>(2.0));
     let in_map = grown(transformed(maps[k].map_from_world, b), texel);
     let inside = overlap(in_map, reach_of(k));
@@ -155,7 +160,7 @@ fn affine_enclosure(k: u32, b: Box) -> AffineEnclosure {
     var all = Box(middle - half, middle + half);
     var mask = vec2<f32>(texels.low.w, texels.high.w);
     if outside {
-        // What lies beside the cube stays where it is.
+        // Points outside the cube are not displaced.
         all = Box(min(all.low, vec3<f32>(0.0)), max(all.high, vec3<f32>(0.0)));
         mask.y = 1.0;
     }
@@ -169,7 +174,7 @@ fn affine_enclosure(k: u32, b: Box) -> AffineEnclosure {
     }
     var slopes = mat3x3<f32>(vec3<f32>(0.0), vec3<f32>(0.0), vec3<f32>(0.0));
     var spreads = slopes;
-    // Beyond the cube its outermost texels go on.
+    // Beyond the cube the outermost texels are clamped.
     let flat_too = any(in_map.low < vec3<f32>(0.0)) || any(in_map.high > vec3<f32>(1.0));
     for (var axis = 0u; axis < 3u; axis += 1u) {
         var low = texels.slope_low[axis].xyz;
@@ -200,7 +205,7 @@ fn sum(a: AffineEnclosure, b: AffineEnclosure) -> AffineEnclosure {
     );
 }
 
-// Where the points of a box came from: what both bounds allow.
+// The source box of a box of points: the intersection of both bounds.
 fn source_of(m: AffineEnclosure, b: Box) -> Box {
     let one = mat3x3<f32>(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0);
     let center = (b.low + b.high) * 0.5 + m.at_center;
@@ -232,7 +237,8 @@ fn values_within(low: vec3<f32>, high: vec3<f32>) -> vec2<f32> {
     return range;
 }
 
-// Whether an entry of the table that values in a range mix shows something. Without a margin: the background's value often is the last that shows nothing.
+// Whether any table entry that values in this range can reach is visible. No margin is added: the
+// background's value often is the last invisible entry.
 fn any_visible(range: vec2<f32>) -> bool {
     let at = clamp(range * grid.table_scale + grid.table_offset, vec2<f32>(0.0), vec2<f32>(1.0)) * LAST_ENTRY;
     let first = u32(floor(min(at.x, at.y)));
@@ -240,7 +246,7 @@ fn any_visible(range: vec2<f32>) -> bool {
     return visible_entries[last + 1u] > visible_entries[first];
 }
 
-// Whether anything of a box of the source can be seen; `whole` if nothing of it is cut away.
+// Whether anything in a source box is visible; `whole` if nothing of it is cut away.
 fn source_is_visible(source: Box, whole: bool, max_alpha: f32) -> bool {
     if max_alpha < 0.5 {
         return false;
@@ -259,7 +265,7 @@ fn source_is_visible(source: Box, whole: bool, max_alpha: f32) -> bool {
     return any_visible(range);
 }
 
-// Lowest and highest distance from what shapes remove.
+// Smallest and largest signed distance to what the shapes remove.
 fn signed_distance_range(b: Box) -> vec2<f32> {
     if CUTS == 0u {
         return vec2<f32>(1e30);
@@ -302,7 +308,7 @@ fn cell_is_visible(cell: Box) -> bool {
     return false;
 }
 
-// Whether a texel within one of a box's, in world coordinates, is not that of matter.
+// Whether some texel within one texel of a box, in world coordinates, has a mask below 1.
 fn mask_of_map_varies(k: u32, b: Box) -> bool {
     if grid.maps[k].y == 0u {
         return false;

@@ -1,5 +1,5 @@
-// Source and smallest mask of given points under the stack, through every map whatever the masks say. Counterpart of source_and_alpha_unclipped in
-// src/deform/stack.rs.
+// Source and smallest mask of given points under the stack, evaluated through every map whatever
+// the masks are. Counterpart of source_and_alpha_unclipped in src/deform/stack.rs.
 
 @group(1) @binding(0) var<storage, read> points: array<vec4<f32>>;
 @group(1) @binding(1) var<storage, read_write> composed: array<vec4<f32>>;

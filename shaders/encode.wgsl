@@ -1,4 +1,4 @@
-// Samples as texels: D / scale and alpha in half precision.
+// Encodes samples as texels: D / scale and alpha in half precision.
 
 @group(0) @binding(0) var<uniform> size: vec3<u32>;
 @group(0) @binding(1) var<storage, read> samples: array<vec4<f32>>;
@@ -6,8 +6,8 @@
 @group(0) @binding(2) var<storage, read> largest: u32;
 @group(0) @binding(3) var texels: texture_storage_3d<rgba16float, write>;
 
-// Of numbers up to 1, rounded here since a store may round as it likes: to ten bits behind the leading one, ties to even, and below 2^-14 to
-// multiples of 2^-24.
+// Rounds numbers up to 1 to half precision, because the rounding of a store is not specified: ten
+// bits after the leading one, ties to even, and below 2^-14 multiples of 2^-24.
 fn nearest_half(v: vec4<f32>) -> vec4<f32> {
     let bits = bitcast<vec4<u32>>(v);
     let rounded = bitcast<vec4<f32>>((bits + vec4<u32>(0xFFFu) + ((bits >> vec4<u32>(13u)) & vec4<u32>(1u))) & vec4<u32>(0xFFFFE000u));

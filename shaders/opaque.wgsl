@@ -1,5 +1,5 @@
-// Marks the pixels behind whose slices nothing can be seen: depth 0, which the test before shading finds nearer than any slab
-// (Krueger and Westermann 2003, early ray termination by the depth test).
+// Marks opaque pixels with depth 0, which the early depth test finds nearer than any slab (Krueger
+// and Westermann 2003, early ray termination by the depth test).
 
 @group(1) @binding(1) var projection_values: texture_2d<f32>;
 

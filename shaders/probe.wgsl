@@ -1,4 +1,4 @@
-// The shared functions at given points, for tests: numbers first, pictures second.
+// Evaluates the shared functions at given points, for tests that compare numbers before pictures.
 
 struct Probe {
     source: vec3<f32>,

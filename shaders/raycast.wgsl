@@ -1,8 +1,8 @@
-// One fragment, one ray.
+// Ray casting: one ray per fragment.
 
 @vertex
 fn vertex(@builtin(vertex_index) index: u32) -> @builtin(position) vec4<f32> {
-    // One triangle over the whole picture.
+    // One triangle covers the whole picture.
     return vec4<f32>(f32(index & 1u) * 4.0 - 1.0, f32(index >> 1u) * 4.0 - 1.0, 0.5, 1.0);
 }
 

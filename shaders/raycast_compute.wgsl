@@ -1,7 +1,8 @@
-// One invocation, one ray: as raycast.wgsl without the rasteriser. Servers' GPUs draw fragments on a small part of their processors.
+// One ray per invocation: raycast.wgsl without the rasteriser. Server GPUs draw fragments on only a
+// small part of their processors.
 
 @group(1) @binding(1) var picture: texture_storage_2d<rgba16float, write>;
-// The first row of this dispatch; the others are unused.
+// The first row of this dispatch; the other components are unused.
 @group(1) @binding(2) var<uniform> band: vec4<u32>;
 
 @compute @workgroup_size(8, 8)

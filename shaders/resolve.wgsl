@@ -1,4 +1,4 @@
-// What the blend unit has gathered for a projection by slices, through the transfer function.
+// Applies the transfer function to a projection accumulated by the blend unit from slices.
 
 @group(1) @binding(1) var projection_values: texture_2d<f32>;
 

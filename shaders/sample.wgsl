@@ -1,5 +1,6 @@
-// D and alpha at the grid points of a map, from its formula, and the largest component of D; encode.wgsl makes texels of them, bounds.wgsl
-// bounds. Counterpart of MapDefinition::sample in src/deform/field.rs.
+// Evaluates a map's formula at its grid points: D, alpha, and the largest component of D.
+// encode.wgsl turns these into texels and bounds.wgsl into bounds. Counterpart of
+// MapDefinition::sample in src/deform/field.rs.
 
 struct Recipe {
     cube_mm: vec3<f32>,
@@ -13,7 +14,7 @@ struct Recipe {
 @group(0) @binding(0) var<uniform> recipe: Recipe;
 // D and alpha.
 @group(0) @binding(1) var<storage, read_write> samples: array<vec4<f32>>;
-// Bits of the largest component of D: of numbers that are not negative these sort as the numbers do.
+// Bits of the largest component of D: the bits of non-negative floats sort as the floats do.
 @group(0) @binding(2) var<storage, read_write> largest: atomic<u32>;
 
 var<workgroup> largest_of_group: atomic<u32>;
@@ -30,7 +31,8 @@ fn sample(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocatio
         let local = (x - 0.5) * recipe.cube_mm;
         let b = backward_of(local);
         var t = vec4<f32>((b.xyz - local) / recipe.cube_mm, clamp(0.5 + 0.5 * b.w / recipe.ramp_mm, 0.0, 1.0));
-        // What is not finite is no displacement and no matter; compared by bits, since a shader need not know infinities.
+        // A value that is not finite becomes no displacement and mask 0. Compared by bits, because
+        // a shader need not support infinities.
         if any((bitcast<vec4<u32>>(t) & vec4<u32>(0x7F800000u)) == vec4<u32>(0x7F800000u)) {
             t = vec4<f32>(0.0);
         }

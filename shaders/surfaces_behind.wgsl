@@ -1,4 +1,4 @@
-// Surfaces under the slices that were drawn in front of them.
+// Composites the surfaces behind the slices already drawn.
 
 @vertex
 fn vertex(@builtin(vertex_index) index: u32) -> @builtin(position) vec4<f32> {

@@ -18,7 +18,7 @@
 //! | world | millimetres, patient LPS | whatever the file uses; NIfTI's RAS is flipped in x and y on reading and writing |
 //! | texture | the unit cube over a volume's grid, texel centres at (i + 1/2)/n | within the renderers only |
 //! | map | the unit cube of one displacement map, grid points at i/(n-1), so on its faces | where D and alpha are defined |
-//! | local | millimetres from the centre of a deformation's box, along its axes | where kinds are stated |
+//! | local | millimetres from the centre of a deformation's box, along its axes | where kinds are defined |
 //! | view, clip | wgpu's conventions | camera |
 //!
 //! A volume carries an affine `world_from_voxel`: spacing, direction and origin. Anisotropic and
@@ -70,7 +70,8 @@
 //! # Composition
 //!
 //! Maps form an ordered stack. A sample walks from the last applied to the first
-//! ([`Stack::source_and_alpha`](crate::deform::Stack::source_and_alpha)). With G_k(p) = p + A_k D_k(M_k⁻¹ p):
+//! ([`Stack::source_and_alpha`](crate::deform::Stack::source_and_alpha)). With G_k(p) = p + A_k
+//! D_k(M_k⁻¹ p):
 //!
 //! ```text
 //! p = G_1(G_2(... G_n(p')))        alpha = min over k of alpha_k, each at the point where map k is evaluated
@@ -81,8 +82,8 @@
 //! where smoothed masks overlap, a product moves the contour (0.6 · 0.6 < 0.5). The order of the
 //! maps matters.
 //!
-//! A map may be *added* to the one before it (\[DS07\] section 4). Both are evaluated at the same point
-//! and their displacements add.
+//! A map may be *added* to the one before it (\[DS07\] section 4). Both are evaluated at the same
+//! point and their displacements add.
 //!
 //! On the fly, every sample walks all maps. With an error bound, a single composite map replaces
 //! the stack wherever its error is within the bound; cells where it is not are marked, and there
@@ -98,7 +99,7 @@
 //! J_G   = I + A J_D A⁻¹ = A (I + J_D) A⁻¹                      one map          d_source_d_deformed
 //! J     = J_1(p_1) J_2(p_2) ··· J_n(p_n)                       the stack, p_k where map k is evaluated
 //! g'    = Jᵀ g                                                 gradient         [DDM06 eq 6, 10], [DS07 eq 5]
-//! n'    = normalise(ω c n + (1 - ω) n_cut)                     beside a cut     [DDM06 eq 7]
+//! n'    = normalise(ω c n + (1 - ω) n_cut)                     near a cut       [DDM06 eq 7]
 //! ```
 //!
 //! J_D is taken by central differences over one texel to each side, shortened at the cube's faces.
@@ -106,9 +107,9 @@
 //! inverse of the voxel axes. n is Jᵀ g normalised, pointing out of the visible material. n_cut is
 //! the outward unit normal of the nearest cut.
 //!
-//! - ω rises from 0 to 1 (smoothstep) with the distance from the cut, between s and 2.5 s, where s is
-//!   the step or the reference length, whichever is longer. The paper blends over the mask's value,
-//!   which depends on a map's resolution.
+//! - ω rises from 0 to 1 (smoothstep) with the distance from the cut, between s and 2.5 s, where s
+//!   is the step or the reference length, whichever is longer. The paper blends over the mask's
+//!   value, which depends on a map's resolution.
 //! - c is the surface confidence: 0 where the change of the transfer function's coordinate over one
 //!   reference length is below 0.004, 1 above 0.04. A uniform region has no surface.
 //! - The cut's normal is blended in only where the ray comes out of the cut, and where the material
@@ -128,8 +129,8 @@
 //!
 //! # Light
 //!
-//! One directional light, Blinn-Phong, in deformed space. With base colour C, half vector h between the
-//! light and the eye, and the weights of the scene's `[light]`:
+//! One directional light, Blinn-Phong, in deformed space. With base colour C, half vector h between
+//! the light and the eye, and the weights of the scene's `[light]`:
 //!
 //! ```text
 //! even = C (ambient + 0.6 diffuse)
@@ -166,23 +167,23 @@
 //!
 //! - Where a ray enters a surface, the point is found by bisection between two samples, and colour
 //!   and shading are evaluated there.
-//! - An iso-surface (`render.iso`) is the first sample at or above the value, refined by bisection. It
-//!   is lit by the transformed gradient, or by the difference of the deformed volume towards the light
-//!   (\[RVD01\] 3.3).
+//! - An iso-surface (`render.iso`) is the first sample at or above the value, refined by bisection.
+//!   It is lit by the transformed gradient, or by the difference of the deformed volume towards the
+//!   light (\[RVD01\] 3.3).
 //! - Next to a cut, a sample represents only the part of its length on its own side, so that a
 //!   planar cut is exact wherever the samples fall.
 //!
 //! # Surfaces
 //!
-//! f is a signed distance in millimetres, **positive inside** (\[DS07\] section 3). It comes from a mesh
-//! or from labels (a grid), from a value of a volume, from formulas, or from depth maps. A ray through
-//! deformed space carries every sample back through the stack; the first change of sign is a hit,
-//! refined by bisection. The cut function is A = 1/2 - alpha, positive in a cut.
+//! f is a signed distance in millimetres, **positive inside** (\[DS07\] section 3). It comes from a
+//! mesh or from labels (a grid), from a value of a volume, from formulas, or from depth maps. A ray
+//! through deformed space carries every sample back through the stack; the first change of sign is
+//! a hit, refined by bisection. The cut function is A = 1/2 - alpha, positive in a cut.
 //!
 //! | cut model | |
 //! |---|---|
-//! | hollow | a hit in a cut is passed by; both sides of the shell show |
-//! | solid | a hit in a cut is passed by; the face of the cut (A = 0) is a hit where f > 0 |
+//! | hollow | a hit in a cut is skipped; both sides of the shell show |
+//! | solid | a hit in a cut is skipped; the face of the cut (A = 0) is a hit where f > 0 |
 //! | thick | solid, of f̂ = τ - f where f > τ/2, else f, τ being the thickness (\[DS07\] eq 7) |
 //!
 //! Both changes of sign within a step are handled in their order along the ray. On a face the
@@ -194,7 +195,7 @@
 //! | uniform | δs |
 //! | threshold | δs/4 near the surface, else δs |
 //! | jacobian | δs / b (\[DS07\] eq 4), b a bound on \|J v\| over the cell |
-//! | sphere | 0.9 \|f\| / b, at least δs / (4 max(1, b)); even steps through depth maps and within cuts |
+//! | sphere | 0.9 \|f\| / b, at least δs / (4 max(1, b)); uniform steps through depth maps and within cuts |
 //!
 //! A depth map's f is the depth below a face minus the map's; a cube of six maps is ρ min \|f_i\|,
 //! ρ = 1 where all are positive, else -1 (\[DS07\] 6.1). It is not a distance, so rays take uniform
@@ -213,9 +214,9 @@
 //! | `twist`, `bend`, `taper`, `shear` | exact; a twist's inverse is the twist by the opposite angle |
 //! | `peel`, `slab`, `explode`, `seam`, `book`, `knife`, `retractor` | exact, with a mask where they cut |
 //! | `box`, `sphere`, `cylinder`, `wedge`, `half-space`, `view-sphere`, `view-cone`, `lasso` | no displacement, mask alone |
-//! | `lattice`, `elastic`, `points`, `brush` | numeric, or an interpolation of what is given |
+//! | `lattice`, `elastic`, `points`, `brush` | numeric, or an interpolation of given values |
 //! | `strip`, `lift`, `offset`, `surface-peel`, `explode-labels` | along a distance field |
-//! | `field`, `map` | as the file has it |
+//! | `field`, `map` | as stored in the file |
 //!
 //! Pull, with z measured from the box's lower face, H its height, `amount` and σ lengths:
 //!

@@ -1,10 +1,11 @@
-//! The house, held: who may name whom, no circles between files, files and functions of readable size, files opened in one place.
+//! Architecture rules: the allowed dependencies between modules, no cycles between files, files and
+//! functions of limited size, files opened in one place.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// The modules of the crate, each with those before it that it may name, in the order of `src/lib.rs`. `error`, `watch` and `panic_guard` may be named by
-/// all.
+/// The modules of the crate, each with the earlier modules it may depend on, in the order of
+/// `src/lib.rs`. `error`, `watch` and `panic_guard` may be used by all.
 const ORDER: [(&str, &[&str]); 18] = [
     ("files", &[]),
     ("math", &["files"]),
@@ -26,7 +27,7 @@ const ORDER: [(&str, &[&str]); 18] = [
     ("model", &[]),
 ];
 
-/// Longest file, and longest function, in lines.
+/// Maximum length of a file, and of a function, in lines.
 const MAX_FILE_LINES: usize = 700;
 const MAX_FUNCTION_LINES: usize = 100;
 
@@ -48,7 +49,7 @@ fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// The code of a file before its tests, without comments and with empty strings.
+/// The code of a file before its tests, with comments removed and strings emptied.
 fn code(path: &Path) -> String {
     let text = std::fs::read_to_string(path).unwrap();
     let text = text.split("#[cfg(test)]\nmod tests").next().unwrap().split("#[cfg(test)]\npub(super) mod tests").next().unwrap();
@@ -72,7 +73,7 @@ fn code(path: &Path) -> String {
                 }
                 out.push('"');
             }
-            // A character, not a lifetime: 'x' or '\x'.
+            // A character literal, not a lifetime: 'x' or '\x'.
             '\'' => {
                 let rest: Vec<char> = chars.clone().take(3).collect();
                 let skip = match rest[..] {
@@ -91,7 +92,7 @@ fn code(path: &Path) -> String {
     out
 }
 
-/// All paths that a `use` tree names.
+/// All paths in a `use` tree.
 fn expanded(tree: &str) -> Vec<String> {
     let tree = tree.trim();
     let Some(open) = tree.find('{') else {
@@ -116,11 +117,12 @@ fn expanded(tree: &str) -> Vec<String> {
     named.flat_map(|p| expanded(p)).map(|p| format!("{prefix}{p}")).collect()
 }
 
-/// The source as a graph: files by module, what each re-exports, and what each names.
+/// The source as a graph: files by module, with the paths that each re-exports and uses.
 struct House {
     /// Module path, `a::b`, to file.
     files: BTreeMap<String, PathBuf>,
-    /// Paths that a module's `use` statements name, with whether they are re-exports, and those in its code.
+    /// Paths in a module's `use` statements, with whether they are re-exports, and paths in its
+    /// code.
     named: BTreeMap<String, Vec<(String, bool)>>,
 }
 
@@ -168,7 +170,7 @@ impl House {
         Self { files: all, named }
     }
 
-    /// The file that defines what a path names, seen from a module.
+    /// The file that defines the item at a path, as seen from a module.
     fn defining(&self, from: &str, path: &str, depth: usize) -> Option<String> {
         let mut at: Vec<&str> = from.split("::").collect();
         let mut parts = path.split("::").map(str::trim).peekable();
@@ -194,7 +196,7 @@ impl House {
                 module = deeper;
                 continue;
             }
-            // What a folder's module re-exports is defined below it.
+            // An item that a folder's module re-exports is defined in a file below it.
             let exported = self.named.get(&module).into_iter().flatten().filter(|(_, public)| *public);
             let found = exported
                 .clone()
@@ -205,7 +207,8 @@ impl House {
         Some(module).filter(|m| !m.is_empty())
     }
 
-    /// What each file names of others. A folder's own module and the files below it are one room: its `mod.rs` declares them and they extend it.
+    /// The dependencies of each file. A folder's own module and the files below it count as one
+    /// unit: its `mod.rs` declares them and they extend it.
     fn arrows(&self) -> BTreeMap<&str, BTreeSet<String>> {
         let of = |(module, paths): (&'_ String, &Vec<(String, bool)>)| -> BTreeSet<String> {
             let targets = paths.iter().filter_map(|(p, _)| self.defining(module, p, 0));
@@ -243,7 +246,7 @@ pub fn modules_name_only_those_before_them() {
     }
 }
 
-/// Files that name each other, directly or in a loop.
+/// Files that depend on each other, directly or through a cycle.
 fn circles(arrows: &BTreeMap<&str, BTreeSet<String>>) -> Vec<BTreeSet<String>> {
     let reachable = |from: &str| -> BTreeSet<String> {
         let (mut found, mut open) = (BTreeSet::new(), vec![from.to_owned()]);
@@ -271,18 +274,18 @@ pub fn no_circles_between_files() {
     let arrows = house.arrows();
     let found = circles(&arrows);
     assert!(found.is_empty(), "files name each other: {found:#?}");
-    // The window's state is read by panels and views, and knows of none.
+    // Panels and views depend on the window's state, never the reverse.
     const SHOWN: [&str; 5] = ["gui::panels", "gui::views", "gui::app", "gui::edit", "gui::files"];
     for (module, targets) in arrows.iter().filter(|(m, _)| m.starts_with("gui::state")) {
         let shown = targets.iter().find(|t| SHOWN.iter().any(|s| t.starts_with(s)));
         assert!(shown.is_none(), "{module} names {shown:?}");
     }
-    // The test sees a circle where there is one.
+    // The check detects a cycle.
     let arrow = |to: &str| BTreeSet::from([to.to_owned()]);
     assert_eq!(circles(&BTreeMap::from([("a", arrow("b")), ("b", arrow("c")), ("c", arrow("a")), ("d", arrow("a"))])).len(), 1);
 }
 
-/// Readers open their files, and writers make theirs, in one place: what is promised there holds for all.
+/// Readers open files, and writers create them, in one place, so that its guarantees hold for all.
 pub fn only_one_module_opens_files() {
     const WORDS: [&str; 10] = [
         "File::open",
@@ -296,7 +299,7 @@ pub fn only_one_module_opens_files() {
         "NamedTempFile",
         "load_gltf",
     ];
-    // What is no user's file, and what has its reason beside it.
+    // Files that are not user files, and exceptions explained at the call.
     const EXCEPTIONS: [(&str, &str); 5] = [
         ("gui/state/session.rs", "lock"),
         ("gui/state/session.rs", "File::open(path)"),
@@ -321,7 +324,7 @@ pub fn only_one_module_opens_files() {
     assert!(exceptions >= 5, "{exceptions}");
 }
 
-/// Functions of a file that are longer than most: name and lines.
+/// Functions of a file that exceed the limit: name and lines.
 fn long_functions(path: &Path) -> Vec<(String, usize)> {
     let code = code(path);
     let lines: Vec<&str> = code.lines().collect();

@@ -48,7 +48,7 @@ fn angle_deg(a: Vec3, b: Vec3) -> f32 {
     a.normalize().dot(b.normalize()).clamp(-1.0, 1.0).acos().to_degrees()
 }
 
-/// Opacity a per voxel over a chord of length c voxels lets (1 - a)^c through.
+/// With opacity a per voxel, a chord of length c voxels has the transmittance (1 - a)^c.
 pub fn transmittance_of_a_uniform_ball() {
     let assets = ball(160);
     let opacity = 0.02f64;
@@ -119,7 +119,7 @@ pub fn translation_as_a_map_is_a_translation() {
     assert!(difference(&by_map, &unmoved).unwrap().psnr < 30.0, "the map moved nothing");
 }
 
-/// Normal by the renderer at a point of the deformed scene, or none where nothing is.
+/// The renderer's normal at a point of the deformed scene; none where the point is cut away.
 fn normal_at(prepared: &Prepared, grid: &VoxelGrid, deformed: Vec3, with_cut: bool) -> Option<Vec3> {
     let jet = prepared.stack.jet(deformed);
     if jet.alpha < 0.5 {
@@ -140,8 +140,9 @@ fn normal_at(prepared: &Prepared, grid: &VoxelGrid, deformed: Vec3, with_cut: bo
     Some(shading::normal(prepared, &jet.d_source_d_deformed, gradient, &cut, Vec3::ZERO).normal)
 }
 
-/// A volume of a closed-form field, sampled at 128³ points 1.25 mm apart around the origin. Smooth fields, so that what is tested is the
-/// deformation of normals and not the stencil that finds them.
+/// A volume of a closed-form field, sampled at 128³ points 1.25 mm apart around the origin. The
+/// fields are smooth, so that the test covers the transformation of normals and not the gradient
+/// stencil.
 fn field_volume(f: impl Fn(Vec3) -> f32) -> Assets {
     let n = 128;
     let at = |i: usize| (i as f32 - 63.5) * 1.25;
@@ -151,7 +152,8 @@ fn field_volume(f: impl Fn(Vec3) -> f32) -> Assets {
     assets(Volume::new(Voxels::new([n; 3], voxels), Rescale::NONE, world_from_voxel))
 }
 
-/// p = p' + A (S - I) A⁻¹ (p' - c): the ball becomes an ellipsoid whose normal is SᵀS-transformed in closed form.
+/// p = p' + A (S - I) A⁻¹ (p' - c): the ball becomes an ellipsoid whose normal, transformed by SᵀS,
+/// has a closed form.
 pub fn normals_under_linear_maps() {
     // A ball whose edge is six voxels wide.
     let assets = field_volume(|p| (0.5 + (BALL_RADIUS_MM - p.length()) / 7.5).clamp(0.0, 1.0));
@@ -192,7 +194,7 @@ pub fn normals_under_linear_maps() {
 }
 
 pub fn normals_under_a_twist() {
-    // Blobs some 30 mm across.
+    // Structures about 30 mm across.
     let assets = field_volume(|p| 0.5 + (p.x * 0.11).sin() * (p.y * 0.09 + 0.4).sin() * (p.z * 0.1 + 0.9).cos() * 0.5);
     let mut s = scene(&[(0.0, 0.0), (1.0, 0.9)]);
     s.light.two_sided = false;
@@ -214,7 +216,7 @@ pub fn normals_under_a_twist() {
             field(p + Vec3::Y * h) - field(p - Vec3::Y * h),
             field(p + Vec3::Z * h) - field(p - Vec3::Z * h),
         );
-        // Where there is a normal to speak of; the steepest slopes are 0.13 over these distances.
+        // Only where the normal is well defined; the steepest slopes are 0.13 over these distances.
         if central.length() < 0.02 || prepared.stack.jet(p).source.abs().max_element() > 76.0 {
             continue;
         }
@@ -225,7 +227,7 @@ pub fn normals_under_a_twist() {
     assert!(seen > 5000 && close as f64 >= 0.95 * seen as f64, "{close} of {seen}");
 }
 
-/// In a uniform solid the only normal is the cut's.
+/// In a uniform solid, only the cut has a normal.
 pub fn normals_on_cut_faces() {
     let uniform =
         Volume::new(Voxels::new([64; 3], vec![1.0f32; 64 * 64 * 64]), Rescale::NONE, glam::DAffine3::from_translation(glam::DVec3::splat(-31.5)));
@@ -235,7 +237,7 @@ pub fn normals_on_cut_faces() {
     }
 }
 
-/// By masks or by shapes.
+/// With cuts as masks or as exact shapes.
 fn faces(assets: &Assets, exact: bool) {
     let rotate = [25.0, -40.0, 15.0];
     let turned = Mat3::from_quat(Quat::from_euler(EulerRot::ZYX, 15f32.to_radians(), (-40f32).to_radians(), 25f32.to_radians()));
@@ -248,7 +250,8 @@ fn faces(assets: &Assets, exact: bool) {
         assert_eq!(prepared.cuts.is_empty(), !exact || kind == "slab");
         let (mut seen, mut worst) = (0, 0.0f32);
         for x in points(3000) {
-            // A point of the cut and its normal out of what stays, local to the box; half a voxel deep.
+            // A point half a voxel behind the cut's face, and the normal out of the retained part,
+            // in the box's local coordinates.
             let Some((on, out)) = surface(x - 0.5) else { continue };
             let deformed = turned * (on - out * 0.5) + Vec3::new(3.0, -2.0, 1.0);
             if deformed.abs().max_element() > 27.0 {
@@ -276,7 +279,7 @@ fn faces(assets: &Assets, exact: bool) {
     face("slab", 120.0, &|x| Some((Vec3::new(50.0 * x.x, 50.0 * x.y, 7.2), Vec3::Z)));
 }
 
-/// Half the width and height of what is more opaque than 1/2, mm, and the pixel's size.
+/// Half the width and height of the region with opacity above 1/2, mm, and the pixel's size.
 fn silhouette(prepared: &Prepared) -> (f32, f32, f32) {
     let p = picture(prepared);
     let inside = |x: u32, y: u32| p.pixels[(y * p.width + x) as usize][3] > 0.5;
@@ -306,7 +309,7 @@ pub fn anisotropic_ball_is_round() {
     }
 }
 
-/// Turning the grid under the ball changes neither its outline nor its light.
+/// Rotating the grid under the ball changes neither its outline nor its shading.
 pub fn oblique_ball_is_round_and_lit_alike() {
     let straight = phantom::generate("ball", [96, 96, 48], Vec3::new(1.6, 1.6, 3.2)).unwrap();
     let mut turned = straight.clone();
@@ -327,7 +330,7 @@ pub fn oblique_ball_is_round_and_lit_alike() {
     assert!(d.psnr > 28.0 && d.mean < 3.0 * STEP, "{d:?}");
 }
 
-/// Between two cuts the path is exact wherever the samples fall: no rings on cut faces.
+/// Between two cuts the path length is exact wherever the samples fall: no rings on cut faces.
 pub fn path_through_a_cut_slab_is_exact() {
     let n = 48;
     let uniform =
@@ -339,7 +342,7 @@ pub fn path_through_a_cut_slab_is_exact() {
         s.render.size = [96, 96];
         s.camera.projection = Projection::Orthographic;
         s.camera.view = "superior".parse().unwrap();
-        // What lies above the plane through (0, 0, 3.3), tilted by 20 degrees, is gone.
+        // Everything above the plane through (0, 0, 3.3), tilted by 20 degrees, is removed.
         s.deformation.push(Deformation { size: None, ..deformation("half-space", [0.0, 0.0, 3.3], [1.0; 3], [20.0, 0.0, 0.0]) });
         let prepared = Prepared::new(&s, &assets).unwrap();
         let p = picture(&prepared);
@@ -361,7 +364,8 @@ pub fn path_through_a_cut_slab_is_exact() {
     }
 }
 
-/// The walk through a stack is [DDM06] eq 9, written out, at 10,000 points; in the other order it is another map.
+/// The walk through a stack equals [DDM06] eq 9, written out, at 10,000 points; the reverse order
+/// gives a different map.
 pub fn composition_is_the_formula() {
     let assets = ball(32);
     let mut s = scene(&[(0.0, 0.0), (1.0, 0.9)]);
@@ -392,7 +396,7 @@ pub fn composition_is_the_formula() {
     assert!(differ > 300, "{differ}");
 }
 
-/// MIP, MinIP and average of a volume that rises along the ray.
+/// MIP, MinIP and average of a volume whose value rises along the ray.
 pub fn depth_of_projections() {
     let n = 32;
     let voxels: Vec<f32> = (0..n * n * n).map(|i| (i / n % n) as f32).collect();

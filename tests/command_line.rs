@@ -1,4 +1,4 @@
-//! The program from outside: exit codes, messages, files.
+//! End-to-end tests of the program: exit codes, messages, files.
 
 use crate::nifti::{File, small};
 use std::path::Path;
@@ -18,7 +18,8 @@ fn render(folder: &Path, arguments: &[&str]) -> Output {
     incise(folder, &[&["render"], arguments, &["-o", "out.png"], &CPU[..2]].concat())
 }
 
-/// Each of these fails with code 1 or 2, one line that names the culprit, no picture, no panic.
+/// Each of these fails with code 1 or 2 and one line that names the cause, without a picture or a
+/// panic.
 pub fn bad_input_is_named_and_leaves_no_file() {
     let folder = tempfile::tempdir().unwrap();
     let f = folder.path();
@@ -98,7 +99,7 @@ pub fn bad_input_is_named_and_leaves_no_file() {
         assert_eq!(output.status.code(), Some(1), "{place}");
         assert!(stderr(&output).contains(culprit) && stderr(&output).trim().lines().count() == 1, "{place}: {}", stderr(&output));
     }
-    // NaN and infinite voxels render, and are counted.
+    // NaN and infinite voxels are rendered as holes, and their number is reported.
     let mut file = File::new([6, 6, 6], 16, 32, false);
     file.voxels(
         (0..216)
@@ -123,7 +124,8 @@ pub fn bad_input_is_named_and_leaves_no_file() {
     assert!(String::from_utf8_lossy(&info.stdout).contains("\"non_finite\": 64"));
 }
 
-/// Deformations that cannot be: named, never a panic, no file. And those that can be although they are odd: done, and said.
+/// Invalid deformations are reported by name, without a panic or a file. Valid but unusual ones are
+/// rendered with a notice.
 pub fn bad_deformations_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let f = folder.path();
@@ -131,7 +133,7 @@ pub fn bad_deformations_are_named() {
     for name in ["volume.nii.gz", "field.nrrd", "affine.tfm", "composite.tfm"] {
         std::fs::copy(fixtures.join(name), f.join(name)).unwrap();
     }
-    // A field of NaN, of infinite vectors, and a folded one: x turned over everywhere.
+    // A field of NaN, one of infinite vectors, and a folded one: x mirrored everywhere.
     let field = |name: &str, vector: &dyn Fn(usize) -> [f32; 3]| {
         let mut text = String::from(
             "NRRD0004\ntype: float\ndimension: 4\nspace: left-posterior-superior\nsizes: 3 9 9 9\nspace directions: none (10,0,0) (0,10,0) (0,0,10)\nkinds: vector domain domain domain\nendian: little\nencoding: ascii\nspace origin: (-40,-40,-40)\n\n",
@@ -224,10 +226,10 @@ pub fn bad_deformations_are_named() {
         assert!(message.contains(culprit) && !message.contains("panicked"), "{deformation}: {message}");
         assert_eq!(std::fs::read_dir(f).unwrap().count(), before, "{deformation} left a file");
     }
-    // Cuts in groups have to come last.
+    // Cuts in groups must come last.
     let output = render(f, &["volume.nii.gz", "--deform", "sphere:group=a", "--deform", "twist"]);
     assert!(stderr(&output).contains("to the end") && output.status.code() == Some(1));
-    // Too few points, and a field that folds everywhere: done, and said.
+    // Too few points, and a field that folds everywhere: rendered, with a notice.
     let odd: &[(&str, &str)] =
         &[("points:pairs=0,0,20,5,5,25,-10,0,0,-10,2,0", "2 points are too few"), ("field:path=folded.nrrd,invert=true", "have no source")];
     for (deformation, expected) in odd {
@@ -258,7 +260,8 @@ pub fn bad_deformations_are_named() {
     }
 }
 
-/// A map made, used, converted, inverted and checked by the command line; a bake that keeps type and geometry.
+/// A map is made, used, converted, inverted and checked on the command line; a bake preserves type
+/// and geometry.
 pub fn maps_and_bakes_by_the_command_line() {
     let folder = tempfile::tempdir().unwrap();
     let f = folder.path();
@@ -277,15 +280,16 @@ pub fn maps_and_bakes_by_the_command_line() {
     let kind = picture(&["--deform", "twist:angle=50,resolution=24"], "kind.png");
     let map = picture(&["--deform", "map:path=twist.nrrd"], "map.png");
     assert!(plain != kind);
-    // The file holds the displacement in mm, rounded to the format's f16 again on loading: at most a step in a few pixels.
+    // The file holds the displacement in mm, which is rounded to f16 on loading: a few pixels
+    // differ by a small step.
     let decoded = |bytes: &[u8]| image::load_from_memory(bytes).unwrap().to_rgb8().into_raw();
     let far = decoded(&kind).iter().zip(decoded(&map)).filter(|(a, b)| a.abs_diff(*b) > 2).count();
     assert!(far < 20, "{far}");
-    // Vanishing on every face, so that nothing tears there.
+    // A field that vanishes on every face, so that nothing tears there.
     run(&["map", "bulge:resolution=32", "--volume", volume, "-o", "bulge.nrrd"]);
     run(&["map", "bulge.nrrd", "-o", "field.nii.gz"]);
     run(&["map", "field.nii.gz", "--invert", "-o", "back.mha"]);
-    // There and back again is nothing.
+    // A field followed by its inverse is close to zero displacement.
     run(&["bake", volume, "--field", "-o", "none.mha", "--deform", "field:path=field.nii.gz", "--deform", "field:path=back.mha"]);
     let health = |file: &str| -> serde_json::Value {
         serde_json::from_slice::<serde_json::Value>(&run(&["map", "check", file, "--json", "--no-inverse"]).stdout).unwrap()["health"].clone()
@@ -343,7 +347,7 @@ pub fn same_bytes_for_any_number_of_threads() {
     }
 }
 
-/// No driver, no display, a home that cannot be written: a picture and one line.
+/// Without a driver, a display, or a writable home folder: a picture and one line.
 pub fn cpu_is_used_without_a_driver() {
     let folder = tempfile::tempdir().unwrap();
     let output = Command::new(env!("CARGO_BIN_EXE_incise"))
@@ -433,7 +437,7 @@ pub fn usage_errors_exit_with_2() {
     assert!(incise(folder.path(), &["--help"]).status.success());
 }
 
-/// Without a display there is no window, and one message says so.
+/// Without a display no window opens, and one message reports it.
 #[cfg(all(feature = "gui", target_os = "linux"))]
 pub fn no_display_is_told() {
     let folder = tempfile::tempdir().unwrap();
@@ -447,12 +451,13 @@ pub fn no_display_is_told() {
     assert!(stderr_text.lines().count() == 1 && stderr_text.contains("no window") && stderr_text.contains("incise render"), "{stderr_text}");
 }
 
-/// Meshes, their fields and surfaces from outside: what is written reads back, what is wrong is named.
+/// Meshes, their distance fields and surfaces on the command line: written files can be read back,
+/// errors name the cause.
 pub fn meshes_and_fields_by_the_command_line() {
     let folder = tempfile::tempdir().unwrap();
     let f = folder.path();
     let write = |name: &str, text: &str| std::fs::write(f.join(name), text).unwrap();
-    // A tetrahedron of 60 mm legs, and the same without a face.
+    // A tetrahedron with legs of 60 mm, and the same with a missing face.
     let points = "v 0 0 0\nv 60 0 0\nv 0 60 0\nv 0 0 60\n";
     write("tet.obj", &format!("{points}f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"));
     write("open.obj", &format!("{points}f 1 3 2\nf 1 2 4\nf 1 4 3\n"));
@@ -469,7 +474,8 @@ pub fn meshes_and_fields_by_the_command_line() {
         assert!(output.status.success(), "{}", stderr(&output));
         let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
         assert_eq!((&report["open_edges"], &report["turned_triangles"]), (&0.into(), &0.into()));
-        // The middle of the inscribed ball lies r inside, r = 60 / (3 + √3); the field is positive there and nowhere deeper.
+        // The centre of the inscribed ball lies at depth r = 60 / (3 + √3); the field is positive
+        // there and greatest.
         let volume = incise::volume::load::volume(&f.join(name), &incise::volume::load::ReadOptions::default(), &incise::Watch::NONE).unwrap();
         let r = 60.0 / (3.0 + 3.0f64.sqrt());
         assert!(volume.range[1] <= r + 0.01 && volume.range[1] > r - 1.5, "{name}: {:?} for {r}", volume.range);

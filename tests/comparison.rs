@@ -1,4 +1,5 @@
-//! `incise compare` from outside: every file, errors that fall with the step, one message for what cannot be.
+//! End-to-end tests of `incise compare`: all files are written, errors decrease with the step, and
+//! invalid input gives one message.
 
 use serde_json::Value;
 use std::path::Path;
@@ -20,7 +21,7 @@ fn report(folder: &Path) -> Value {
     serde_json::from_str(&read(folder, "report.json")).unwrap()
 }
 
-/// A report whose pictures, tables and page agree; gives it back.
+/// Checks that a report's pictures, tables and page agree; returns the report.
 fn whole(folder: &Path) -> Value {
     let report = report(folder);
     let rows = |key: &str| report[key].as_array().unwrap().clone();
@@ -41,7 +42,7 @@ fn whole(folder: &Path) -> Value {
         assert!(number("milliseconds") <= number("milliseconds_max") && number("rendering_milliseconds") <= number("milliseconds_max"));
         let stages: f64 = run["stages"].as_array().unwrap().iter().map(|s| s["milliseconds"].as_f64().unwrap()).sum();
         assert!(stages > 0.0 && stages <= number("milliseconds") * 1.01, "stages of {run:#}");
-        // What was typed, in both.
+        // The arguments appear in both.
         let step = run["step_voxels"].to_string();
         assert!(
             step.len() < 7 && read(folder, "runs.csv").contains(&format!(",{},{},", run["backend"].as_str().unwrap(), step.trim_end_matches(".0")))
@@ -54,7 +55,7 @@ fn whole(folder: &Path) -> Value {
     let page = read(folder, "index.html");
     assert!(page.ends_with("</html>\n") && page.matches("data:image/png;base64,").count() == pictures.len());
     assert_eq!(page.matches("<svg").count(), page.matches("</svg>").count());
-    // Pictures are noise to what follows.
+    // Embedded pictures are removed before the checks below.
     let words: String =
         page.split("data:image/png;base64,").enumerate().map(|(n, p)| if n == 0 { p } else { p.split_once('"').unwrap().1 }).collect();
     for beyond in ["http:", "https:", "//www", "src=\"/", "url(", "@import", "<link", "<iframe", "NaN"] {
@@ -63,7 +64,8 @@ fn whole(folder: &Path) -> Value {
     report
 }
 
-/// A sweep: every file is there, every run has its error and time, and a finer step errs less.
+/// A sweep: every file exists, every run has its error and time, and a finer step has a smaller
+/// error.
 pub fn a_sweep_is_whole_and_converges() {
     let folder = tempfile::tempdir().unwrap();
     let f = folder.path();
@@ -94,7 +96,7 @@ pub fn a_sweep_is_whole_and_converges() {
         let step = renderer["step_voxels"].as_f64().unwrap();
         assert!((0.5 - 1e-9..=2.0).contains(&step) && renderer["rendering_milliseconds"].as_f64().unwrap() > 0.0, "{renderer:#}");
     }
-    // Gradients of 40^3 voxels, kept for all; the first preparation is told apart from what runs find kept.
+    // Gradients of 40^3 voxels, cached for all runs; the first preparation is reported separately.
     assert!(runs.iter().all(|r| r["memory"]["gradient_bytes"].as_u64() == Some(40 * 40 * 40 * 8)));
     let first = report["protocol"]["first_preparation"].as_array().unwrap();
     assert!(first.iter().any(|s| s["name"] == "maps" && s["milliseconds"].as_f64().unwrap() > 0.0), "{first:?}");
@@ -106,7 +108,8 @@ pub fn a_sweep_is_whole_and_converges() {
     assert!(page.matches("<svg").count() == 4 && page.contains("Speed at equal error") && page.contains("median of 2"));
 }
 
-/// Several sizes and cameras, surfaces beside volumes: what shows something else is not compared.
+/// Several sizes and cameras, and surfaces in addition to volumes: only runs of the same content
+/// are compared.
 pub fn only_like_is_compared_with_like() {
     let folder = tempfile::tempdir().unwrap();
     let f = folder.path();
@@ -124,7 +127,7 @@ pub fn only_like_is_compared_with_like() {
     let name = "surface cpu 24x20 -40,20";
     let surface = runs.iter().find(|r| r["name"] == name).unwrap_or_else(|| panic!("no {name} in {runs:#?}"));
     assert_eq!((&surface["camera"], &surface["reference"]), (&"-40,20".into(), &"surface reference 24x20 -40,20".into()));
-    // In each of four frames: slice with rays, and three runs with their references.
+    // In each of four views: slice with raycast, and three runs with their references.
     let pairs = report["pairs"].as_array().unwrap();
     assert_eq!(pairs.len(), 4 * 4);
     let tail = |name: &Value| name.as_str().unwrap().split_once(' ').unwrap().1.replace("reference ", "").replace("cpu ", "");
@@ -132,7 +135,7 @@ pub fn only_like_is_compared_with_like() {
     assert!(report["equal_error"].as_array().unwrap().is_empty() && report["size"].is_null());
     let page = read(&f, "index.html");
     assert!(page.contains("It takes the error at two steps or more".to_lowercase().trim_start_matches("it ")) && page.contains("--steps 0.5,1,2"));
-    // Once more without references, and a mode by its own option.
+    // Again without references, with the mode set by its own option.
     let output = compare(folder.path(), &["scene.toml", "-o", "lab", "--backend", "cpu", "--mode", "surface", "--size", "16x16", "--no-reference"]);
     assert!(output.status.success(), "{}", stderr(&output));
     let report = whole(&f);
@@ -141,7 +144,7 @@ pub fn only_like_is_compared_with_like() {
     );
 }
 
-/// Each of these fails with one message that names the culprit, and leaves nothing.
+/// Each of these fails with one message that names the cause, and leaves no files.
 pub fn what_cannot_be_compared_is_told() {
     let folder = tempfile::tempdir().unwrap();
     let f = folder.path();
@@ -208,13 +211,13 @@ pub fn what_cannot_be_compared_is_told() {
         assert!(stderr(&output).contains(culprit) && stderr(&output).trim().lines().count() == 1, "{arguments:?}: {}", stderr(&output));
         assert_eq!(before(), files, "{arguments:?} left something");
     }
-    // Nor does a gallery come to lie among the slices that it shows.
+    // A gallery is not written into the folder of slices that it shows.
     let gallery = ["gallery", "--volume", "slices", "-o", "slices", "--kind", "half-space", "--edge", "16", "-q"];
     let output = Command::new(env!("CARGO_BIN_EXE_incise")).current_dir(f).args(gallery).output().unwrap();
     assert!(output.status.code() == Some(1) && stderr(&output).contains("input folder"), "{}", stderr(&output));
     assert_eq!(before(), files);
     assert_eq!(std::fs::read(f.join("file")).unwrap(), b"precious");
-    // What is empty says why here as well.
+    // An empty picture is explained here as well.
     let output =
         compare(f, &[&["phantom:ball:size=12", "-o", "lab", "--no-reference", "--deform", "box:center=0,0,0,size=900"][..], &common].concat());
     assert!(output.status.success() && stderr(&output).contains("everything is cut away"), "{}", stderr(&output));
@@ -224,12 +227,13 @@ pub fn what_cannot_be_compared_is_told() {
     assert!(help.status.success() && ["--steps", "--sizes", "--cameras", "--reference", "--repeat", "1/16"].iter().all(|w| text.contains(w)));
 }
 
-/// How many files and folders there are below one.
+/// Number of files and folders below a folder.
 fn walkdir(folder: &Path) -> usize {
     std::fs::read_dir(folder).unwrap().flatten().map(|e| 1 + if e.path().is_dir() { walkdir(&e.path()) } else { 0 }).sum()
 }
 
-/// Without a driver the CPU is compared alone, and that is said; where the GPU is asked for, it is an error.
+/// Without a driver only the CPU is compared, with a notice; if the GPU is required, it is an
+/// error.
 pub fn a_missing_gpu_is_told() {
     let folder = tempfile::tempdir().unwrap();
     let run = |backend: &str| {
@@ -255,7 +259,7 @@ pub fn a_missing_gpu_is_told() {
     assert!(report["protocol"]["gpu"].is_null() && report["runs"].as_array().unwrap().iter().all(|r| r["backend"] == "cpu"));
 }
 
-/// What needs an adapter: reported as ignored where there is none.
+/// Tests that need an adapter: reported as ignored if there is none.
 #[cfg(feature = "gpu")]
 pub fn on_a_gpu() -> Vec<libtest_mimic::Trial> {
     let missing = incise::gpu::Device::open(incise::gpu::AdapterPreference::Any).is_err();
@@ -266,7 +270,8 @@ pub fn on_a_gpu() -> Vec<libtest_mimic::Trial> {
     vec![test.with_ignored_flag(missing)]
 }
 
-/// With an adapter both backends are compared: the same pictures within a few levels, samples counted, its name told.
+/// With an adapter both backends are compared: pictures equal within a few levels, samples counted,
+/// the device named.
 #[cfg(feature = "gpu")]
 fn a_gpu_is_compared_with_the_cpu() {
     let folder = tempfile::tempdir().unwrap();
@@ -279,10 +284,10 @@ fn a_gpu_is_compared_with_the_cpu() {
     assert_eq!(names, ["slice cpu", "slice gpu", "raycast cpu", "raycast gpu"]);
     assert!(report["protocol"]["gpu"].as_str().is_some_and(|n| !n.is_empty()));
     assert!(runs.iter().all(|r| (r["backend"] == "gpu") == r["warm_up_milliseconds"].is_f64()), "{runs:#?}");
-    // What a device holds is its own: software ones take 8 bits as 16.
+    // Storage differs by device: software adapters store 8-bit voxels as 16 bits.
     let bytes = |n: usize| runs[n]["memory"]["volume_bytes"].as_u64().unwrap();
     assert!(bytes(1) >= bytes(0) && bytes(1) <= 2 * bytes(0), "{} {}", bytes(0), bytes(1));
-    // Where the device has a clock, most of a GPU's time passes on it.
+    // If the device has timestamps, most of the drawing time falls between them.
     let device = incise::gpu::Device::open(incise::gpu::AdapterPreference::Any).unwrap();
     let has_clock = device.device.features().contains(wgpu::Features::TIMESTAMP_QUERY);
     for run in runs.iter().filter(|r| r["backend"] == "gpu") {

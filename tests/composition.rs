@@ -1,6 +1,8 @@
-//! Stacks of many maps: composed within the bound that was asked for, or walked as they are with a word about it; and shown alike.
+//! Stacks of many maps are composed within the requested bound, or else walked unchanged with a
+//! notice; the picture is the same.
 //!
-//! `INCISE_STACKS` says how many random stacks are tried (12 by default), `INCISE_STACKS_KEEP` in which folder those that fail are kept.
+//! `INCISE_STACKS` sets the number of random stacks (12 by default), `INCISE_STACKS_KEEP` a folder
+//! in which failing ones are saved.
 
 use crate::contract::points;
 use crate::metrics::{STEP, difference};
@@ -13,7 +15,7 @@ use incise::picture::Picture;
 use incise::prepare::{Assets, Prepared};
 use incise::scene::{Deformation, Scene, Size};
 
-/// Numbers that look random.
+/// A pseudo-random number generator.
 struct Random(u64);
 
 impl Random {
@@ -26,7 +28,7 @@ impl Random {
     }
 }
 
-/// A scene of 2 to 20 deformations of all kinds, placed anyhow.
+/// A scene of 2 to 20 deformations of random kinds and placements.
 fn scene(n: u64) -> Scene {
     let mut r = Random(n.wrapping_mul(0x9e37_79b9_7f4a_7c15) + 7);
     for _ in 0..4 {
@@ -37,7 +39,7 @@ fn scene(n: u64) -> Scene {
     let mut scene = Scene::of_volume("phantom:tomato:size=48");
     scene.render.size = [64, 64];
     scene.camera.view = "40,25".parse().unwrap();
-    // Of some only what is smooth, so that something can be composed.
+    // Some stacks contain only smooth kinds, so that they can be composed.
     let only_smooth = n.is_multiple_of(2);
     let count = 2 + r.below(if n.is_multiple_of(3) { 19 } else { 4 });
     while scene.deformation.len() < count {
@@ -45,7 +47,7 @@ fn scene(n: u64) -> Scene {
         let bounds = Bounds::new(Vec3::splat(-50.0), Vec3::splat(50.0));
         let mut d = Deformation::new(kind.name);
         d.parameters = kind.example(&bounds);
-        // What follows a surface or labels of its own needs what this volume does not have.
+        // Kinds that need a surface or labels do not apply to this volume.
         if matches!(kind.name, "strip" | "lift" | "offset" | "surface-peel" | "explode-labels" | "elastic" | "brush") && r.share() < 0.7 {
             continue;
         }
@@ -67,7 +69,7 @@ fn picture(prepared: &Prepared) -> Picture {
     cpu::render(prepared).picture
 }
 
-/// The share of pixels of which no channel differs by more than 8/255.
+/// Fraction of pixels in which every channel differs by at most 8/255.
 fn within_8(a: &Picture, b: &Picture) -> f64 {
     let alike = |(a, b): (&[f32; 4], &[f32; 4])| a.iter().zip(b).all(|(x, y)| f64::from((x - y).abs()) <= 8.0 * STEP);
     a.pixels.iter().zip(&b.pixels).filter(|p| alike(*p)).count() as f64 / a.pixels.len() as f64
@@ -80,7 +82,7 @@ pub fn random_stacks_keep_their_bound() {
     for n in 0..count {
         let mut scene = scene(n);
         let assets = Assets::load(&scene).unwrap();
-        // Some kinds do not go with others, or with this volume: those are told elsewhere.
+        // Kinds that conflict, or do not apply to this volume, are tested elsewhere.
         scene.render.exact_cuts = false;
         let Ok(exact) = Prepared::new(&scene, &assets) else { continue };
         let bound = [0.25, 1.0][n as usize % 2];
@@ -102,7 +104,7 @@ pub fn random_stacks_keep_their_bound() {
         let seen = |source: Vec3| scene_box.contains(&Bounds::new(source, source));
         let worst = points(100_000)
             .filter_map(|x| {
-                // Other points than those that the program looks at.
+                // Points other than those that the program checks itself.
                 let p = scene_box.center() + (Vec3::new(x.y, x.z, x.x) - 0.5) * scene_box.size() * 1.6;
                 let ((a, alpha), (b, beta)) = (exact.stack.source_and_alpha(p), composed.stack.source_and_alpha(p));
                 (alpha >= 0.5 && beta >= 0.5 && (seen(a) || seen(b))).then(|| a.distance(b))
@@ -114,7 +116,7 @@ pub fn random_stacks_keep_their_bound() {
         let (a, b) = (picture(&exact), picture(&composed));
         if let Ok(d) = difference(&a, &b) {
             let within = within_8(&a, &b);
-            // An edge that moves by a bound that is half a voxel changes the pixels along it.
+            // Shifting an edge by a bound of half a voxel changes the pixels along it.
             if d.mean > STEP || within < if bound < 0.5 { 0.999 } else { 0.97 } {
                 if let Some(folder) = std::env::var_os("INCISE_STACKS_KEEP") {
                     std::fs::write(std::path::Path::new(&folder).join(format!("{n}.toml")), scene.to_toml().unwrap()).unwrap();
@@ -129,7 +131,8 @@ pub fn random_stacks_keep_their_bound() {
     assert!(made * 2 >= count && whole > made / 3, "{made} {whole} {as_they_are}");
 }
 
-/// What was reported: three turned explosions, composed to a quarter of a millimetre, were 11 mm off and nothing was said.
+/// Three rotated explosions must not be composed across their tears: that would exceed the bound of
+/// a quarter of a millimetre without a notice.
 pub fn tears_are_walked() {
     let mut scene = Scene::of_volume("phantom:tomato:size=64");
     for rotate in [[0.0, 0.0, 0.0], [20.0, 30.0, 0.0], [0.0, 40.0, 25.0]] {
@@ -149,7 +152,7 @@ pub fn tears_are_walked() {
     assert!(d.mean <= STEP && within_8(&picture(&composed), &picture(&exact)) >= 0.999, "{d:?}");
 }
 
-/// Many maps, on the fly: a GPU shows them as the CPU does, by slices and rays.
+/// Many maps, evaluated on the fly: the GPU's picture equals the CPU's, by slices and rays.
 #[cfg(feature = "gpu")]
 pub fn many_maps_agree() {
     use incise::scene::Mode;
@@ -165,7 +168,7 @@ pub fn many_maps_agree() {
     }
     let assets = Assets::load(&scene).unwrap();
     let little = Deformation { resolution: Some(8), progress: Some(0.02), ..Deformation::new("wave") };
-    // Also as many as a pass holds.
+    // Including the most that one pass supports.
     for (mode, count) in [(Mode::Raycast, 25), (Mode::Slice, 25), (Mode::Raycast, 64)] {
         scene.render.mode = mode;
         scene.deformation.resize(count, little.clone());
@@ -176,7 +179,7 @@ pub fn many_maps_agree() {
         println!("{count} maps, {mode:?}: mean {:.4}/255, within 4/255: {:.3} %", d.mean / STEP, 100.0 * d.within_4);
         assert!(d.mean <= 0.5 * STEP && d.within_4 >= 0.995, "{mode:?}: {d:?}");
     }
-    // More than a pass holds is refused in a line, and the CPU takes it.
+    // More than one pass supports is refused with one line, and the CPU renders it.
     scene.deformation.resize(70, little);
     let prepared = Prepared::new(&scene, &assets).unwrap();
     let refusal = crate::parity::with_renderer(|r| r.render(&prepared, false, &Watch::NONE).err()).map(|e| e.to_string()).unwrap_or_default();

@@ -1,4 +1,5 @@
-//! The contract of every kind of deformation (see src/deform/kinds/mod.rs), on the CPU; tests/parity.rs has the shaders' side.
+//! The contract of every kind of deformation (see src/deform/kinds/mod.rs), on the CPU;
+//! tests/parity.rs covers the shaders.
 
 use glam::{Affine3A, Mat3, Quat, Vec3};
 use incise::deform::kinds::{self, Field, FieldInputs, Kind, Sampling};
@@ -35,10 +36,10 @@ pub fn trials() -> Vec<Trial> {
         .collect()
 }
 
-/// The volume that sourced kinds follow: a head, centred on the box.
+/// The volume for kinds that follow a surface or labels: a head, centred on the box.
 static LIBRARY: LazyLock<Library> = LazyLock::new(|| Library::new(Arc::new(phantom::from_spec("head-ct:size=48").unwrap()), PathBuf::new()));
 
-/// What a kind is given in a box of this size around the origin.
+/// The settings of a kind for a box of this size around the origin.
 fn settings(kind: &Kind, size: Vec3) -> Arguments {
     kind.example(&Bounds::new(-size / 2.0, size / 2.0))
 }
@@ -105,7 +106,7 @@ fn jacobian_is_the_derivative(kind: &'static Kind) {
     assert!(close as f32 >= 0.95 * compared as f32, "{}: {close} of {compared}", kind.name);
 }
 
-/// Where a source point goes, matter is, and it came from there.
+/// The backward map of a forward-mapped point is present there and returns the source point.
 fn backward_undoes_forward(kind: &'static Kind) {
     for progress in [0.35, 1.0] {
         let field = field(kind, &defaults(kind), progress);
@@ -116,7 +117,8 @@ fn backward_undoes_forward(kind: &'static Kind) {
             let inside = (deformed / (SIZE * kind.cube_scale)).abs().max_element() <= 0.5;
             let back = field.backward(deformed);
             if !inside || back.cut_distance_mm < 0.02 {
-                // On the very edge of a cut, or carried out of the box through a face that the kind names.
+                // On the very edge of a cut, or moved out of the box through a face that the kind
+                // lists.
                 continue;
             }
             seen += 1;
@@ -128,7 +130,7 @@ fn backward_undoes_forward(kind: &'static Kind) {
 }
 
 fn vanishes_on_the_faces_it_says(kind: &'static Kind) {
-    // A flat and a high box as well: some kinds' shapes follow the box's proportions.
+    // Also in a flat and a tall box: the shapes of some kinds follow the box's proportions.
     for size in [SIZE, Vec3::new(163.0, 152.0, 108.0), Vec3::new(60.0, 70.0, 140.0)] {
         vanishes_in_a_box(kind, size);
     }
@@ -143,11 +145,11 @@ fn vanishes_in_a_box(kind: &'static Kind, size: Vec3) {
             x[face / 2] = (face % 2) as f32;
             most = most.max(map.sample(x).displacement.abs().max_element());
         }
-        // The Gaussian pull is 0.2 % of its height at the sides.
+        // The Gaussian pull has 0.2 % of its height at the sides.
         assert!(nonzero_faces || most <= 2.5e-3, "{}: {most} of the box on face {face}", kind.name);
     }
     if kind.varies == [true; 3] && kind.nonzero_faces == [false; 6] {
-        // What does not leak must not cut the box's faces either.
+        // A kind that vanishes on all faces must not cut them either.
         for x in points(500) {
             for face in 0..6 {
                 let mut x = x;
@@ -166,7 +168,7 @@ fn odd_input_gives_finite_values(kind: &'static Kind) {
     });
     for (name, low, progress) in extremes {
         let value = {
-            // The range's own ends, found from the message that refuses what lies beyond them.
+            // The limits of the range, parsed from the error for a value beyond them.
             let beyond = if low { -1e9 } else { 1e9 };
             let message = kind.values([(name, beyond)], SIZE).unwrap_err().to_string();
             let range = message.split("outside ").nth(1).unwrap();
@@ -189,7 +191,8 @@ fn odd_input_gives_finite_values(kind: &'static Kind) {
     }
 }
 
-/// D must not jump where matter is or within a texel of it; the mask alone carries the discontinuity.
+/// D must be continuous wherever alpha is present and within a texel of it; only the mask is
+/// discontinuous.
 fn displacement_is_continuous(kind: &'static Kind) {
     let field = field(kind, &defaults(kind), 0.8);
     let h = 0.01;

@@ -1,4 +1,5 @@
-//! Readers against damage: files that are no images, cut off, changed, and made to ask for more than there is.
+//! Robustness of the readers: files that are not images, truncated or altered files, and files that
+//! request excessive memory.
 
 use crate::readers::{fixtures, read};
 use incise::volume::load::ReadOptions;
@@ -7,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-/// What no image is.
+/// Files that are not images.
 fn damaged(folder: &Path) -> Vec<(PathBuf, &'static str)> {
     let file = |name: &str, bytes: &[u8]| {
         let path = folder.join(name);
@@ -26,7 +27,7 @@ fn damaged(folder: &Path) -> Vec<(PathBuf, &'static str)> {
         all.push((file(&format!("empty.{ending}"), b""), "is empty"));
         all.push((file(&format!("text.{ending}"), b"This is a text and no scan at all.\n".repeat(40).as_slice()), ""));
     }
-    // Right content under wrong names.
+    // Valid content under wrong extensions.
     for (name, wrong) in [
         ("itk.nii", "a.nrrd"),
         ("itk.nrrd", "b.nii"),
@@ -41,7 +42,7 @@ fn damaged(folder: &Path) -> Vec<(PathBuf, &'static str)> {
     ] {
         all.push((file(wrong, &phantom(name)), "does not match its extension"));
     }
-    // Gzip that unpacks to far more than its header says, or says more than it can hold.
+    // Gzip that unpacks to far more than its header states, or states more than it can hold.
     let mut bomb = phantom("itk.nii");
     bomb.resize(200 << 20, 0);
     let packed = zip(&bomb, 9);
@@ -52,7 +53,7 @@ fn damaged(folder: &Path) -> Vec<(PathBuf, &'static str)> {
     }
     all.push((file("declares.nii.gz", &zip(&declares, 9)), "more than the file can hold"));
     all.push((file("declares.nii", &declares), "more than the file can hold"));
-    // Members of a zip that are no DICOM; folders of texts; links in a loop.
+    // Zip members that are not DICOM; folders of texts; links in a loop.
     file("texts/a.txt", b"text");
     file("texts/b/readme.md", b"# text");
     all.push((folder.join("texts"), "holds no image"));
@@ -74,10 +75,11 @@ fn damaged(folder: &Path) -> Vec<(PathBuf, &'static str)> {
     all
 }
 
-/// One run of `info` on a file: how it ended. It must end at once, with one line, and without much memory.
+/// One run of `info` on a file and its outcome. It must end quickly, with one line, and with little
+/// memory.
 fn tried(path: &Path, memory_kib: usize) -> Result<(), String> {
     let start = Instant::now();
-    // A limit on the address space holds memory below it whatever happens.
+    // A limit on the address space bounds memory in any case.
     let script = format!("ulimit -v {memory_kib}; exec \"$0\" info \"$1\"");
     let output = Command::new("sh").arg("-c").arg(script).arg(env!("CARGO_BIN_EXE_incise")).arg(path).env("RAYON_NUM_THREADS", "2").output().unwrap();
     let (took, text) = (start.elapsed(), String::from_utf8_lossy(&output.stderr).into_owned());
@@ -92,7 +94,8 @@ fn tried(path: &Path, memory_kib: usize) -> Result<(), String> {
     }
 }
 
-/// Damaged files: each is named in one line within two seconds and little memory, or still opens.
+/// Damaged files: each is reported in one line within two seconds and little memory, or still
+/// opens.
 pub fn damaged_files_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let memory = 600 << 10;
@@ -102,7 +105,7 @@ pub fn damaged_files_are_named() {
         assert!(error.contains(expected) && error.contains(path.file_stem().unwrap().to_str().unwrap()), "{}: {error}", path.display());
         (count, named) = (count + 1, named + 1);
     }
-    // Files that once crashed a reader.
+    // Regression files that crash a reader without the corresponding checks.
     for entry in std::fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/bad")).into_iter().flatten().flatten() {
         let error = tried(&entry.path(), memory).expect_err(&entry.path().to_string_lossy());
         println!("{}", error.trim());
@@ -129,7 +132,7 @@ pub fn damaged_files_are_named() {
     println!("{count} damaged files tried, {named} named, {} of those with one byte changed or cut behind their values still open", count - named);
 }
 
-/// A small generator, the same everywhere (xorshift64*).
+/// A small deterministic generator (xorshift64*).
 struct Random(u64);
 
 impl Random {
@@ -144,7 +147,7 @@ impl Random {
     }
 }
 
-/// Files in folders of OME-Zarr.
+/// Files inside OME-Zarr folders.
 const FOLDERS: [&str; 6] = [
     "blosc-04.zarr#.zattrs",
     "blosc-04.zarr#0/.zarray",
@@ -154,7 +157,7 @@ const FOLDERS: [&str; 6] = [
     "sharded-05.zarr#0/c/0/0/0/0/0",
 ];
 
-/// One file of each format and packing.
+/// One file of each format and compression.
 const SEEDS: [&str; 29] = [
     "itk.nii",
     "itk.nii.gz",
@@ -187,7 +190,8 @@ const SEEDS: [&str; 29] = [
     "../emri_small_RLE.dcm",
 ];
 
-/// Mutations that know what headers look like: bytes, numbers in text and in binary, pieces moved, doubled, taken out, cut off.
+/// Mutations aware of header structure: bytes, numbers in text and in binary; pieces moved,
+/// duplicated, removed, truncated.
 fn mutate(bytes: &mut Vec<u8>, header: usize, random: &mut Random) {
     const ODD: [&[u8]; 14] = [
         b"0",
@@ -209,20 +213,20 @@ fn mutate(bytes: &mut Vec<u8>, header: usize, random: &mut Random) {
         if bytes.is_empty() {
             return;
         }
-        // Headers matter most.
+        // Headers are mutated most often.
         let at = if random.below(4) == 0 { random.below(bytes.len()) } else { random.below(bytes.len().min(header)) };
         match random.below(9) {
             0 => bytes[at] = random.next() as u8,
             1 => bytes[at] ^= 1 << random.below(8),
             2 => bytes.truncate(at),
             3 | 4 => {
-                // A number in the text.
+                // A number in text form.
                 let start = (at..bytes.len()).find(|&n| bytes[n].is_ascii_digit() || bytes[n] == b'-').unwrap_or(at);
                 let end = (start..bytes.len()).find(|&n| !(bytes[n].is_ascii_digit() || b"-.e".contains(&bytes[n]))).unwrap_or(bytes.len());
                 bytes.splice(start..end, ODD[random.below(ODD.len())].iter().copied());
             }
             5 | 6 => {
-                // A number in binary.
+                // A number in binary form.
                 let value = [0, 1, u64::MAX, 1 << 31, 1 << 15, 0x7fff_ffff, 0xffff_ff00, 3, 1 << 40][random.below(9)];
                 let width = [1, 2, 4, 8][random.below(4)];
                 let raw = if random.below(2) == 0 { value.to_le_bytes() } else { value.to_be_bytes() };
@@ -265,8 +269,9 @@ fn resident() -> usize {
     text.lines().find_map(|l| l.strip_prefix("VmRSS:")?.trim().strip_suffix(" kB")?.trim().parse::<usize>().ok()).unwrap_or(0) << 10
 }
 
-/// Mutated files of every format: an image or one error, never a panic, a hang or much memory. INCISE_FUZZ_CASES (of each seed), INCISE_FUZZ_SEED
-/// and INCISE_FUZZ_ONLY (a part of a seed's name) make longer runs; what fails is kept in the folder that INCISE_FUZZ_KEEP names.
+/// Mutated files of every format give an image or one error, never a panic, a hang or excessive
+/// memory. INCISE_FUZZ_CASES (per seed), INCISE_FUZZ_SEED and INCISE_FUZZ_ONLY (a part of a seed's
+/// name) control longer runs; failing files are saved in the folder that INCISE_FUZZ_KEEP names.
 pub fn mutated_files_do_no_harm() {
     let variable = |name: &str| std::env::var(name).ok();
     let cases: usize = variable("INCISE_FUZZ_CASES").and_then(|v| v.parse().ok()).unwrap_or(1500);
@@ -277,7 +282,7 @@ pub fn mutated_files_do_no_harm() {
     let keep = variable("INCISE_FUZZ_KEEP").map(PathBuf::from);
     let (mut total, mut opened, mut bad) = (0usize, 0usize, Vec::new());
     for name in SEEDS.iter().chain(&FOLDERS).filter(|n| n.contains(&only)) {
-        // Of a folder, the file behind its `#` is changed.
+        // For a folder, the file after its `#` is mutated.
         let (image, part) = name.split_once('#').unwrap_or((name, ""));
         let file_name = Path::new(image).file_name().unwrap().to_string_lossy().into_owned();
         let opened_path = folder.path().join(&file_name);
@@ -290,7 +295,7 @@ pub fn mutated_files_do_no_harm() {
         let (mut worst, start) = (Duration::ZERO, Instant::now());
         for n in 0..cases {
             let mut bytes = whole.clone();
-            // A DICOM header is long, and what decoders trip over lies behind it.
+            // A DICOM header is long, and the data that affects decoders follows it.
             mutate(&mut bytes, if name.ends_with(".dcm") { 8192 } else { 1200 }, &mut random);
             std::fs::write(&target, &bytes).unwrap();
             let (before, from) = (resident(), Instant::now());

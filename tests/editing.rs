@@ -1,4 +1,5 @@
-//! What an edit of a scene costs the GPU renderer: pictures of a scene that has changed a little make and upload only what has changed.
+//! The cost of scene edits on the GPU renderer: after a small change, only what changed is rebuilt
+//! and uploaded.
 
 use crate::metrics::{STEP, difference};
 use crate::parity::with_renderer;
@@ -12,7 +13,7 @@ use incise::render::{Renderer, Strategy, Work};
 use incise::scene::surface::{MeshSource, Representation, ShapeSource};
 use incise::scene::{Deformation, Mode, Projection, Scene};
 
-/// Two moving maps over a small head.
+/// Two displacement maps over a small head.
 fn scene(mode: Mode) -> Scene {
     let mut scene = Scene::of_volume("phantom:head-ct:size=48");
     scene.render.size = [64, 64];
@@ -34,10 +35,10 @@ fn work_of(renderer: &mut Renderer, scene: &Scene, assets: &Assets) -> Work {
 
 type Edit = (&'static str, fn(&mut Scene), Work);
 
-/// By kind of edit: what the next picture may do. Textures and bind groups appear where a texture of another size takes
-/// the place of one.
+/// For each edit: the work allowed for the next picture. Textures and bind groups are created only
+/// where a texture changes size.
 pub fn edits_upload_what_changed() {
-    // Its own: other tests draw other scenes at the same time.
+    // A separate renderer: other tests render other scenes concurrently.
     let mut renderer = Renderer::new(Device::open(AdapterPreference::Any).unwrap());
     let nothing = Work::default();
     let edits: [Edit; 7] = [
@@ -53,33 +54,34 @@ pub fn edits_upload_what_changed() {
         let mut scene = scene(mode);
         let assets = scenes::assets(&scene);
         work_of(&mut renderer, &scene, &assets);
-        // The second picture of a volume brings its gradients, and with them the bind groups: of the scene, and of the slices' mask.
+        // The second picture of a volume uploads its gradients, which requires new bind groups: for
+        // the scene, and for the slices' mask.
         let work = work_of(&mut renderer, &scene, &assets);
         let bind_groups_created = if mode == Mode::Slice || renderer.strategy().compute_rays { 2 } else { 1 };
         assert_eq!(work, Work { volume_uploads: 1, textures_created: 1, bind_groups_created, ..nothing }, "{mode:?}");
         for (name, edit, allowed) in &edits {
             edit(&mut scene);
             let mut work = work_of(&mut renderer, &scene, &assets);
-            // The grid of macrocells follows the deformed box: another size is another texture.
+            // The macrocell grid follows the deformed box: a different size needs a new texture.
             let mut allowed = *allowed;
             if allowed.cell_uploads == 1 && work.textures_created == allowed.textures_created + 1 {
                 (work.textures_created, work.bind_groups_created) = (allowed.textures_created, work.bind_groups_created.min(1));
                 allowed.bind_groups_created = 1;
             }
-            // Another view may cut more corners than the buffer held.
+            // Another view may produce more polygon corners than the buffer holds.
             work.buffers_created = work.buffers_created.saturating_sub(u32::from(mode == Mode::Slice && *name == "the camera"));
             println!("{mode:?}, {name}: {work:?}");
             assert!(work.cell_uploads <= 1 && work.pipelines_compiled == 0, "{mode:?}, {name}: {work:?}");
             allowed.cell_uploads = work.cell_uploads.min(allowed.cell_uploads);
             assert_eq!(work, allowed, "{mode:?}, {name}");
         }
-        // Another volume of the same kind: its texture, and what depends on what it holds.
+        // Another volume of the same kind: its texture, and data that depends on its content.
         scene.volume = Scene::of_volume("phantom:head-ct:size=40").volume;
         let other = scenes::assets(&scene);
         let work = work_of(&mut renderer, &scene, &other);
         assert_eq!((work.volume_uploads, work.pipelines_compiled), (1, 0), "{mode:?}: {work:?}");
         assert!(work.buffers_created <= 1 && work.map_uploads <= 2, "{mode:?}: {work:?}");
-        // Back and forth between two sizes, as a live view goes, makes nothing after the first time.
+        // Alternating between two sizes, as in a live view, creates nothing after the first time.
         work_of(&mut renderer, &scene, &other);
         for n in 0..4 {
             scene.render.size = if n % 2 == 0 { [32, 32] } else { [64, 64] };
@@ -89,7 +91,8 @@ pub fn edits_upload_what_changed() {
     }
 }
 
-/// By kind of edit: what a device that prepares scenes does for the next picture. It asks for nothing that is there.
+/// For each edit: the work of a device that prepares scenes, for the next picture. It repeats
+/// nothing that is cached.
 pub fn edits_prepare_what_changed() {
     let mut renderer = Renderer::new(Device::open(AdapterPreference::Any).unwrap());
     renderer.set_strategy(Strategy { exact_filter: true, compute_rays: true, prepare: true });
@@ -116,25 +119,26 @@ pub fn edits_prepare_what_changed() {
         let done = work(&scene);
         println!("{name}: {done:?}");
         assert_eq!((done.map_uploads, done.pipelines_compiled, done.volume_uploads, done.table_uploads), (maps, 0, 0, 0), "{name}");
-        // The bounds of each map beside it; what is written anew for every edit is kept.
+        // One buffer per map for its bounds; buffers written for every edit are reused.
         assert!(done.buffers_created == maps && done.cell_uploads <= 1, "{name}: {done:?}");
         if matches!(name, "the camera" | "the light") {
             assert_eq!(done, Work::default(), "{name}");
         }
     }
-    // A hand that drags for long does not fill the device.
+    // A long drag does not fill the device's memory.
     for n in 0..40 {
         scene.deformation[0].progress = Some(0.2 + 0.01 * n as f32);
         let prepared = Prepared::with(&scene, &assets, &PrepareOptions::on(&renderer)).unwrap();
         renderer.render(&prepared, false, &Watch::NONE).unwrap();
     }
     assert!(renderer.cached_map_count() <= 32, "{} maps", renderer.cached_map_count());
-    // None of it was asked of the CPU.
+    // None of it was computed on the CPU.
     let prepared = Prepared::with(&scene, &assets, &PrepareOptions::on(&renderer)).unwrap();
     assert!(prepared.stack.maps().iter().all(|m| m.map.recipe().is_some()));
 }
 
-/// By kind of edit: what a picture of surfaces may do, a field, a formula and triangles. What it keeps shows the same as what is made anew.
+/// For each edit: the work allowed for a picture of surfaces, from a field, a formula and
+/// triangles. Cached data gives the same picture as rebuilt data.
 pub fn edits_of_surfaces_upload_what_changed() {
     let mut renderer = Renderer::new(Device::open(AdapterPreference::Any).unwrap());
     let mut scene = scene(Mode::Surface);
@@ -182,7 +186,8 @@ pub fn edits_of_surfaces_upload_what_changed() {
         edit(&mut scene);
         let mut work = work_of(&mut renderer, &scene, &assets);
         println!("{name}: {work:?}");
-        // Grids of cells follow the deformed boxes: another size is another texture, with its bind group.
+        // Cell grids follow the deformed boxes: a different size needs a new texture with its bind
+        // group.
         let grids = work.textures_created.saturating_sub(allowed.textures_created).min(work.cell_uploads);
         work.textures_created -= grids;
         work.bind_groups_created -= grids.min(work.bind_groups_created.saturating_sub(allowed.bind_groups_created));
@@ -199,8 +204,8 @@ pub fn edits_of_surfaces_upload_what_changed() {
     }
 }
 
-/// Segments and shifted samples: the same by rays and by slabs, which meet the same samples without perspective; and no more than a finer
-/// way to the same picture.
+/// Pre-integration and jitter: rays and slabs agree, as they use the same sample positions without
+/// perspective; and with a fine step both settings converge to the plain picture.
 pub fn segments_and_shifts_agree_between_modes() {
     let mut scene = Scene::of_volume("phantom:head-ct:size=64");
     scene.render.size = [96, 96];

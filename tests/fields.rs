@@ -1,5 +1,6 @@
-//! Fields and transforms from files, inversion, composition and baking: against SimpleITK (tests/fixtures/itk, with the script that made it), against closed
-//! forms, and against themselves in every orientation.
+//! Fields and transforms from files, inversion, composition and baking: compared with SimpleITK
+//! (tests/fixtures/itk, which includes the generating script), with closed forms, and between all
+//! axis orientations.
 
 use crate::closed_forms::picture;
 use crate::contract::points;
@@ -21,7 +22,7 @@ fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/itk").join(name)
 }
 
-/// Real data beside the repository, where it is.
+/// Real data outside the repository, if available.
 fn shared(name: &str) -> Option<PathBuf> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data").join(name);
     if path.exists() {
@@ -70,7 +71,8 @@ fn baked(scene: &Scene, fill: f64, interpolation: Interpolation) -> Volume {
     load::volume(&path, &load::ReadOptions::default(), &Watch::NONE).unwrap()
 }
 
-/// Baking under each of ITK's transforms gives what SimpleITK's Resample gives, within one grey level everywhere.
+/// Baking with each of ITK's transforms agrees with SimpleITK's Resample to within one grey level
+/// everywhere.
 pub fn baking_is_itk_resampling() {
     let cases = [
         ("field.nrrd", "resampled-field.nii.gz"),
@@ -94,7 +96,7 @@ pub fn baking_is_itk_resampling() {
         let moved = (0..got.voxels.len()).filter(|&n| got.voxels.get(n) != -1000.0).count();
         assert!(moved > 4000);
     }
-    // The same chain by two files: the affine takes the deformed point first.
+    // The same chain from two files: the affine is applied to the deformed point first.
     let paths = ["affine.tfm", "field.nrrd"].map(|n| fixture(n).to_str().unwrap().to_owned());
     let chain = Deformation { parameters: Arguments::from([("path", incise::deform::Argument::Texts(paths.to_vec()))]), ..Deformation::new("field") };
     scene.deformation = vec![chain];
@@ -105,7 +107,8 @@ pub fn baking_is_itk_resampling() {
     assert!((0..got.voxels.len()).all(|n| (got.voxels.get(n) - want.voxels.get(n)).abs() <= 1.0));
 }
 
-/// One affine as ITK, AFNI, FSL and FreeSurfer write it, in four orientations of its image, is one transform.
+/// One affine written by ITK, AFNI, FSL and FreeSurfer, for four orientations of its image, is one
+/// transform.
 pub fn affine_conventions_agree() {
     let Some(folder) = shared("transforms") else { return };
     let itk = Transform::load(&folder.join("affine-LPS.itk.tfm"), &TransformContext::default()).unwrap().as_affine().unwrap();
@@ -122,10 +125,10 @@ pub fn affine_conventions_agree() {
         };
         close(&load("itk.tfm", &TransformContext::default()), "itk", 1e-9);
         close(&load("afni", &TransformContext::default()), "afni", 2e-3);
-        // The fixture's matrix is stated from src to dst as FreeSurfer means it, and is the inverse of the others: its writer of that time left out
-        // the inversion that the format asks for.
+        // The fixture's matrix maps src to dst as FreeSurfer defines it, and is the inverse of the
+        // others: the program that wrote it omitted the inversion that the format requires.
         close(&load("fs.lta", &TransformContext::default()).inverse(), "lta", 2e-3);
-        // The grid that FSL's millimetres are counted on is described in the .lta file beside it.
+        // The grid to which FSL's millimetres refer is described in the .lta file next to it.
         let text = std::fs::read_to_string(folder.join(format!("affine-{orientation}.fs.lta"))).unwrap();
         let numbers = |name: &str| -> DVec3 {
             let line = text.lines().find(|l| l.trim_start().starts_with(name) && l.contains('=')).unwrap();
@@ -145,11 +148,11 @@ pub fn affine_conventions_agree() {
     close(&v2v.inverse(), "lta, voxel to voxel", 2e-3);
 }
 
-/// A vector field whose file states another frame is the same field in the world.
+/// A vector field stored in another frame is the same field in the world.
 pub fn vectors_turn_with_their_axes() {
     let image = load::image(&fixture("field.nrrd"), &load::ReadOptions::default(), &Watch::NONE).unwrap();
     let lps = VectorField::of_image(Path::new("x"), &image, &TransformContext::default()).unwrap();
-    // By hand: the same vectors as RAS numbers in a file that says RAS.
+    // Built by hand: the same vectors with RAS components in a file that declares RAS.
     let folder = tempfile::tempdir().unwrap();
     let write = |name: &str, intent: i16, flip: Vec3| {
         let values: Vec<f32> = lps.vectors.iter().flat_map(|v| (*v * flip).to_array()).collect();
@@ -161,7 +164,8 @@ pub fn vectors_turn_with_their_axes() {
     };
     let ras = write("ras.nii", 1006, Vec3::new(-1.0, -1.0, 1.0));
     let fsl_axes = {
-        // FSL's x runs against the first voxel axis of a right-handed grid; its vectors lie along the grid's axes.
+        // FSL's x runs against the first voxel axis of a right-handed grid; its vectors are along
+        // the grid's axes.
         let m = lps.grid.world_from_voxel.matrix3;
         let axes = DMat3::from_cols(-m.x_axis.normalize(), m.y_axis.normalize(), m.z_axis.normalize());
         assert!(m.determinant() > 0.0);
@@ -197,7 +201,8 @@ pub fn vectors_turn_with_their_axes() {
     assert!(message.contains("convention"), "{message}");
 }
 
-/// Volume and field turned into each of the 48 orders and directions of their axes: the same values in the world, the same picture.
+/// Volume and field stored in each of the 48 orders and directions of their axes: the same world
+/// values, the same picture.
 pub fn all_orientations_agree() {
     let base = load::volume(&fixture("volume.nii.gz"), &load::ReadOptions::default(), &Watch::NONE).unwrap();
     let warp = {
@@ -206,7 +211,7 @@ pub fn all_orientations_agree() {
     };
     let folder = tempfile::tempdir().unwrap();
     let orders = [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]];
-    // The turned grid, and for each of its voxels the one of the base.
+    // The permuted grid, and for each of its voxels the corresponding one of the base.
     let turned = |grid: &GridGeometry, order: [usize; 3], flips: usize| {
         let size = order.map(|a| grid.size[a]);
         let flipped = |a: usize| flips >> a & 1 == 1;
@@ -256,11 +261,12 @@ pub fn all_orientations_agree() {
         }
     }
     println!("48 orientations: baked values within {worst_value:.4} grey levels, pictures within a mean of {:.4}/255", worst_picture * 255.0);
-    // Points on the volume's very faces may round to either side of them; grey values go to 600.
+    // Points exactly on the volume's faces may round to either side; grey values reach 600.
     assert!(worst_value < 0.05 && worst_picture < 0.3 / 255.0);
 }
 
-/// What is baked looks as what is deformed live, but for the blur of resampling.
+/// The baked volume looks like the volume deformed at render time, except for the blur of
+/// resampling.
 pub fn live_is_the_baked_picture() {
     let head = Path::new(env!("CARGO_MANIFEST_DIR")).join("volumes/colin27-head-t1.nii.gz");
     let mut scene = Scene::of_volume(head.to_str().unwrap());
@@ -282,7 +288,7 @@ pub fn live_is_the_baked_picture() {
     }
 }
 
-/// With a bound, one map stands for eleven: the picture is that of all of them.
+/// With a bound, one map replaces eleven, and the picture is the same.
 pub fn long_stacks_are_composed() {
     let mut scene = Scene::of_volume("phantom:tomato:size=96");
     scene.render.size = [160, 160];
@@ -306,10 +312,10 @@ pub fn long_stacks_are_composed() {
     assert!(d.mean < 0.5 / 255.0, "{d:?}");
 }
 
-/// A composed stack is within the error that was asked for, and finer where less is asked for.
+/// A composed stack is within the requested error, with more texels for a smaller bound.
 pub fn composition_keeps_its_bound() {
     let mut scene = Scene::of_volume("phantom:ball:size=64");
-    // All of these vanish on the faces of their boxes: one map can stand for them everywhere.
+    // All of these vanish on the faces of their boxes: one map can replace them everywhere.
     scene.deformation = vec![Deformation::new("bulge"), Deformation { rotate: Some([20.0, 40.0, 0.0]), ..Deformation::new("spline-pull") }];
     let assets = assets(&scene);
     let (stack, _) = stack_of(&scene, &assets, None);
@@ -322,7 +328,7 @@ pub fn composition_keeps_its_bound() {
         assert!(composed.within && worst <= bound && texels >= last, "{worst} mm for {bound} with {texels} texels");
         println!("composed within {bound} mm: {:?} texels, worst {worst:.3} mm, 99 % {:.3} mm", composed.placed.map.size, composed.p99_mm);
         (last, first) = (texels, first.min(texels));
-        // The error at points of our own, away from where the stack cuts.
+        // The error at independent points, away from cuts.
         let errors = points(4000)
             .map(|x| (x - 0.5) * 150.0)
             .filter(|p| {
@@ -336,7 +342,8 @@ pub fn composition_keeps_its_bound() {
     assert!(last > first);
 }
 
-/// Inverting the FSL warp: residual below a fiftieth of a voxel wherever it is not nearly folded, measured at points between the grid's.
+/// Inverting the FSL warp: the residual is below a fiftieth of a voxel except near folds, measured
+/// between grid points.
 pub fn fsl_warp_is_inverted() {
     let Some(path) = shared("transforms/oasis_to_t1_fsl_warp_4mm_downsampled.nii.gz") else { return };
     let t = Transform::load(&path, &TransformContext::default()).unwrap();
@@ -365,13 +372,14 @@ pub fn radial_field_is_inverted() {
     assert!(inverse.report.p99_mm <= 0.02 * 2.0, "{:?}", inverse.report);
     for p in points(3000) {
         let x = (p.as_dvec3() - 0.5) * 70.0;
-        // Between the grid's points the inverse errs by interpolation: h²/8 times the second derivative, about 0.1 / mm, on each axis.
+        // Between grid points the inverse has an interpolation error: h²/8 times the second
+        // derivative, about 0.1 / mm, on each axis.
         let back = inverse.field.source_from_deformed(forward(x));
         assert!(back.distance(x) < 3f64.sqrt() * 4.0 / 8.0 * 0.1, "{x} came back as {back}");
     }
 }
 
-/// Maps, fields and volumes written in each format come back with their numbers and their geometry.
+/// Maps, fields and volumes written in each format are read back with the same values and geometry.
 pub fn written_files_come_back() {
     let folder = tempfile::tempdir().unwrap();
     let base = load::volume(&fixture("volume.nii.gz"), &load::ReadOptions::default(), &Watch::NONE).unwrap();
@@ -403,7 +411,8 @@ pub fn written_files_come_back() {
     }
 }
 
-/// The cost of a stack that was composed does not depend on its length: samples and maps per sample are those of one map.
+/// The cost of a composed stack does not depend on its length: samples, and maps per sample, are
+/// those of one map.
 pub fn composed_stacks_are_one_map() {
     let mut scene = Scene::of_volume("phantom:tomato:size=64");
     for kind in ["wave", "twist", "bulge", "spline-pull", "planar-wave", "taper", "shear", "lattice"] {
@@ -421,7 +430,7 @@ pub fn composed_stacks_are_one_map() {
     assert!(prepared.stack.precomposed().is_some() && c.maps == 8 && c.composed && c.worst_mm <= 0.5, "{c:?}");
 }
 
-/// An intersection with a cut that is not there yet removes nothing; a union with it removes the rest.
+/// An intersection with a cut of progress 0 removes nothing; a union with it removes the rest.
 pub fn groups_with_a_vanished_member() {
     let mut scene = Scene::of_volume("phantom:ball:size=32");
     let cut = |kind: &str, combine: &str, progress: f32| {
@@ -438,7 +447,7 @@ pub fn groups_with_a_vanished_member() {
     }
 }
 
-/// A voxel without a value does not spread it to its neighbours.
+/// A NaN voxel does not spread to its neighbours.
 pub fn baking_keeps_nan_in_its_place() {
     let folder = tempfile::tempdir().unwrap();
     let grid = GridGeometry { size: [5; 3], world_from_voxel: DAffine3::from_rotation_z(0.3) };

@@ -1,9 +1,11 @@
-//! Random scenes of every key, kind and extreme, made from the schema of the format, rendered in process at 64 x 64. Whatever a scene says, the answer
-//! is a picture or one line that names what is wrong: never a panic, never more than 20 seconds, never an empty picture without a word; and the
-//! picture of a GPU is the CPU's.
+//! Random scenes over all keys, kinds and extreme values, generated from the schema of the format
+//! and rendered in process at 64 x 64. The result must be a picture or one line that names the
+//! error: never a panic, never more than 20 seconds, never an empty picture without a notice; and
+//! the GPU's picture must match the CPU's.
 //!
-//! `INCISE_FUZZ_SCENES` says how many (300 by default), `INCISE_FUZZ_FIRST` which is the first: any scene can be made again by its number.
-//! `INCISE_FUZZ_KEEP` names a folder in which all of them are kept.
+//! `INCISE_FUZZ_SCENES` sets the number of scenes (300 by default), `INCISE_FUZZ_FIRST` the first:
+//! a scene is determined by its number. `INCISE_FUZZ_KEEP` names a folder in which all scenes are
+//! saved.
 
 #[cfg(feature = "gpu")]
 use crate::metrics::{STEP, difference};
@@ -22,14 +24,14 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 use toml::Value;
 
-/// No scene of this size may take longer.
+/// Time limit of a scene of this size.
 const MAX_SECONDS: f64 = 20.0;
-/// Longer than that by far: it will not end.
+/// A scene that takes this long is considered hung.
 const HANGS: Duration = Duration::from_secs(300);
-/// One scene of so many is rendered by a GPU as well.
+/// One in this many scenes is rendered on a GPU as well.
 const ON_GPU: u64 = 5;
 
-/// Random numbers by number of scene: splitmix64.
+/// Random numbers seeded by the scene's number: splitmix64.
 struct Random(u64);
 
 impl Random {
@@ -56,7 +58,7 @@ impl Random {
     }
 }
 
-/// What no one types on purpose.
+/// Values outside normal use.
 const EXTREMES: [f64; 18] = [
     0.0,
     -0.0,
@@ -89,7 +91,7 @@ const WORDS: [&str; 8] = [
     "a very long name indeed, longer than any that a person gives",
 ];
 
-/// Files of every kind that a scene can name.
+/// Files of every kind to which a scene can refer.
 struct Files {
     folder: tempfile::TempDir,
     volumes: Vec<String>,
@@ -200,12 +202,12 @@ impl Files {
     }
 }
 
-/// Makes scenes.
+/// Generates scenes.
 struct Maker<'a> {
     schema: &'a Schema,
     files: &'a Files,
     random: Random,
-    /// Share of keys that are stated, and of values that are extreme.
+    /// Probability that a key is stated, and that a value is extreme.
     stated: f64,
     extreme: f64,
 }
@@ -250,7 +252,7 @@ impl Maker<'_> {
                 ("", "mesh") => 0.25,
                 ("", "measure") => 0.05,
                 ("", _) => 0.5,
-                // What a volume's file does not have is an error, again and again.
+                // Reader options that a file lacks are errors, so they are rare.
                 ("volume", _) => 0.04,
                 ("mesh", _) => 0.15,
                 _ => self.stated,
@@ -275,7 +277,7 @@ impl Maker<'_> {
         table
     }
 
-    /// A mesh is of one thing.
+    /// A mesh has exactly one source.
     fn made_of_something(&mut self, mesh: &mut toml::Table) {
         for key in ["path", "iso", "label", "shape", "volume"] {
             mesh.remove(key);
@@ -301,7 +303,7 @@ impl Maker<'_> {
     /// A kind's own parameters and settings.
     fn parameters(&mut self, deformation: &mut toml::Table) {
         let name = deformation["kind"].as_str().unwrap_or_default().to_owned();
-        // Large maps take their time.
+        // Large maps are slow.
         if let Some(n) = deformation.get_mut("resolution") {
             *n = Value::Integer(8 + self.random.below(40) as i64);
         } else if name != "map" {
@@ -351,7 +353,7 @@ impl Maker<'_> {
                 deformation.insert(setting.name.into(), value);
             }
         }
-        // Spared labels are of a map.
+        // Spared labels need a label map.
         if deformation.contains_key("spare") && self.random.chance(0.9) {
             deformation.insert("labels".into(), Value::String(self.files.labels[0].clone()));
         }
@@ -422,7 +424,7 @@ impl Maker<'_> {
         }
         match key {
             "antialias" => [1, 1, 1, 2][self.random.below(4)],
-            // Fields of surfaces cost with the third power.
+            // The cost of distance fields grows with the third power.
             "resolution" if path.starts_with("mesh") || path.starts_with("surface") => 16 + self.random.below(32) as i64,
             "time" | "channel" => 1,
             _ => self.random.below(6) as i64,
@@ -496,7 +498,7 @@ impl Maker<'_> {
     }
 }
 
-/// What became of a scene.
+/// The outcome of a scene.
 enum Outcome {
     Picture { assets: Box<Assets>, scene: Box<Scene>, rendered: Rendered },
     Refused(String),
@@ -533,7 +535,7 @@ fn complaint(outcome: &Outcome) -> Option<String> {
     }
 }
 
-/// The GPU's picture against the CPU's; none if there is no GPU, or it says why it cannot.
+/// Compares the GPU's picture with the CPU's; none without a GPU.
 #[cfg(feature = "gpu")]
 fn on_a_gpu(scene: &Scene, assets: &Assets, picture: &Picture) -> Option<std::result::Result<(), String>> {
     if !crate::parity::has_renderer() {
@@ -577,7 +579,7 @@ pub fn random_scenes_do_no_harm() {
     let (mut pictures, mut blank, mut compared, mut slowest) = (0u64, 0u64, 0u64, (0.0f64, 0u64));
     let mut complaints: Vec<String> = Vec::new();
     let mut refusals = std::collections::BTreeMap::<String, u64>::new();
-    // A scene that never ends is named before the process is given up.
+    // A hung scene is reported before the process exits.
     static CURRENT: AtomicU64 = AtomicU64::new(u64::MAX);
     std::thread::spawn(|| {
         let (mut last, mut since) = (u64::MAX, Instant::now());
@@ -646,6 +648,6 @@ pub fn random_scenes_do_no_harm() {
     refusals.sort_by_key(|(_, n)| std::cmp::Reverse(*n));
     refusals.iter().take(15).for_each(|(message, n)| println!("{n:6} {message}"));
     assert!(complaints.is_empty(), "{} of {count}:\n{}", complaints.len(), complaints.join("\n"));
-    // Scenes that are all refused would find nothing.
+    // If nearly all scenes were rejected, the test would be meaningless.
     assert!(count < 100 || pictures * 3 >= count, "only {pictures} of {count} scenes became pictures");
 }

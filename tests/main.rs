@@ -1,6 +1,6 @@
-//! All tests that need more than one module. One binary; `libtest-mimic` instead of the built-in harness, because tests that need a
-//! graphics adapter must be reported as ignored, not as passed, where there is none. With INCISE_REQUIRE_ADAPTER set (CI) a missing
-//! adapter fails.
+//! All tests that span several modules, in one binary. `libtest-mimic` replaces the built-in
+//! harness, because tests that need a graphics adapter must be reported as ignored, not as passed,
+//! if there is none. With INCISE_REQUIRE_ADAPTER set (CI), a missing adapter is a failure.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on should panic")]
 #![allow(missing_docs, reason = "tests say what they hold in their names")]
 
@@ -31,15 +31,16 @@ mod workstation;
 
 use libtest_mimic::{Arguments, Trial};
 
-/// Tests that measure the time and the memory of their process have one of their own: beside others, work waits for threads that draw
-/// somebody else's pictures, and memory is anybody's. Each is the name of the trial that runs it.
+/// Tests that measure the time and memory of their process run in a process of their own: otherwise
+/// they wait for other tests' threads and count other tests' memory. Each is listed under the name
+/// of the trial that runs it.
 const ALONE: &[(&str, fn())] = &[
     ("damage::mutated_files_do_no_harm", damage::mutated_files_do_no_harm),
     #[cfg(feature = "gui")]
     ("workstation::a_monkey_does_no_harm", workstation::a_monkey_does_no_harm),
 ];
 
-/// The environment variable that names the one of `ALONE` which a child process runs.
+/// The environment variable with the name of the entry of `ALONE` that a child process runs.
 const ALONE_VARIABLE: &str = "INCISE_TEST_ALONE";
 
 fn alone() -> impl Iterator<Item = Trial> {

@@ -1,15 +1,16 @@
-//! Comparing pictures, and tests of the comparer: one that compares a picture with itself passes everything.
+//! Comparison of pictures, and tests of the comparison itself: a comparison of a picture with
+//! itself would always pass.
 
 use incise::picture::Picture;
 
-/// How two pictures differ, premultiplied RGBA, all four channels.
+/// The difference of two pictures, premultiplied RGBA, all four channels.
 #[derive(Debug)]
 pub struct Difference {
     /// Mean over all channels of all pixels.
     pub mean: f64,
     /// Largest of any channel.
     pub max: f64,
-    /// Share of pixels of which no channel differs by more than 4/255.
+    /// Fraction of pixels in which every channel differs by at most 4/255.
     pub within_4: f64,
     /// Peak signal-to-noise ratio, dB, peak 1.
     pub psnr: f64,
@@ -20,7 +21,8 @@ pub const STEP: f64 = 1.0 / 255.0;
 
 /// Compares two pictures of the same size.
 ///
-/// Errors: different sizes, no pixels, values that are not finite, both pictures without any content.
+/// Errors: different sizes, no pixels, values that are not finite, both pictures without any
+/// content.
 pub fn difference(a: &Picture, b: &Picture) -> Result<Difference, String> {
     if (a.width, a.height) != (b.width, b.height) || a.pixels.len() != b.pixels.len() {
         return Err("sizes differ".into());
@@ -64,7 +66,7 @@ pub fn equal_pictures_are_equal() {
     assert!(d.mean == 0.0 && d.max == 0.0 && d.within_4 == 1.0 && d.psnr > 200.0);
 }
 
-/// What the comparer must not let pass, under the parity bound.
+/// Differences that the comparison must reject, given the parity bound.
 pub fn the_comparer_rejects() {
     let a = gradient_picture();
     let accepts = |b: &Picture| difference(&a, b).is_ok_and(|d| d.mean <= 0.5 * STEP && d.within_4 >= 0.999);

@@ -1,11 +1,11 @@
-//! Reading NIfTI-1: files made here, byte by byte.
+//! Reading NIfTI-1 files built byte by byte.
 
 use glam::DVec3;
 use incise::volume::{Rescale, Volume, load};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// A header and voxels to be changed and written.
+/// A header and voxels that can be modified and written.
 pub struct File {
     pub bytes: Vec<u8>,
     big: bool,
@@ -40,7 +40,7 @@ impl File {
     pub fn f32(&mut self, at: usize, v: f32) {
         self.put(at, &v.to_be_bytes());
     }
-    /// Bytes in big-endian order, turned if the file is little-endian.
+    /// Writes bytes given in big-endian order, reversed if the file is little-endian.
     fn put(&mut self, at: usize, bytes: &[u8]) {
         let mut bytes = bytes.to_vec();
         if !self.big {
@@ -125,7 +125,7 @@ pub fn sform_qform_and_spacing() {
         let v = read(&f.write(folder.path(), "a.nii")).unwrap();
         (v.world_from_voxel.transform_point3(DVec3::new(1.0, 2.0, 3.0)), v.orientation(), v.spacing_mm())
     };
-    // Nothing: RAS by the spacing.
+    // Neither qform nor sform: RAS with the spacing.
     let mut f = small();
     f.f32(80, 2.0);
     f.f32(84, 3.0);
@@ -142,10 +142,10 @@ pub fn sform_qform_and_spacing() {
     assert_eq!(letters, "ALS");
     f.f32(76, -1.0);
     assert!((corner(&f).0.z - 18.0).abs() < 1e-5);
-    // A quaternion that is longer than 1 must not break anything.
+    // A quaternion longer than 1 must not break the reader.
     f.f32(256, 1.0);
     assert!(corner(&f).0.is_finite());
-    // sform goes first; a singular one is ignored with a warning.
+    // The sform takes precedence; a singular one is ignored with a warning.
     f.i16(254, 2);
     for (n, v) in [0.0, 0.0, -4.0, 7.0, 2.0, 0.0, 0.0, 8.0, 0.0, 3.0, 0.0, 9.0].into_iter().enumerate() {
         f.f32(280 + 4 * n, v);
@@ -156,7 +156,7 @@ pub fn sform_qform_and_spacing() {
     f.f32(280 + 8, 0.0);
     let v = read(&f.write(folder.path(), "b.nii")).unwrap();
     assert!(v.warnings.iter().any(|w| w.contains("sform")), "{:?}", v.warnings);
-    // Spacing that is none; metres.
+    // An invalid spacing; metres.
     let mut f = small();
     f.f32(80, f32::NAN);
     f.f32(84, 0.0);
@@ -184,7 +184,7 @@ pub fn damaged_files_are_named() {
         (40, 9, "9 dimensions"),
         (42, -3, "-3 voxels"),
         (44, 0, "0 voxels"),
-        // Three bytes per voxel, of which the file holds one.
+        // Three bytes per voxel, but the file holds only one.
         (70, 128, "more than the file can hold"),
         (70, 32, "complex"),
         (70, 77, "unknown type 77"),
@@ -224,7 +224,7 @@ pub fn damaged_files_are_named() {
     let path = folder.path().join("flipped.nii.gz");
     std::fs::write(&path, &flipped).unwrap();
     assert!(read(&path).unwrap_err().to_string().contains("damaged"));
-    // Zeros after the stream, as some tools pad with.
+    // Trailing zeros after the stream, as some tools write.
     std::fs::write(&path, [&whole[..], &[0; 512]].concat()).unwrap();
     assert!(read(&path).is_ok());
     assert!(read(&folder.path().join("none.nii")).unwrap_err().to_string().contains("none.nii"));

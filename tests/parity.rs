@@ -1,6 +1,8 @@
-//! GPU against CPU: numbers first (the shaders' functions at thousands of points), then every scene in both modes.
+//! GPU against CPU: first values (the shaders' functions at thousands of points), then every scene
+//! in both modes.
 //!
-//! Without an adapter these are reported as ignored; with INCISE_REQUIRE_ADAPTER set, a missing adapter fails.
+//! Without an adapter these are reported as ignored; with INCISE_REQUIRE_ADAPTER set, a missing
+//! adapter fails.
 
 use crate::contract::points;
 use crate::metrics::{STEP, difference};
@@ -22,7 +24,7 @@ static RENDERER: LazyLock<Mutex<Result<Renderer, String>>> =
     LazyLock::new(|| Mutex::new(Device::open(AdapterPreference::Any).map(Renderer::new).map_err(|e| e.to_string())));
 
 pub fn with_renderer<T>(work: impl FnOnce(&mut Renderer) -> T) -> T {
-    // A test that failed before leaves the renderer usable.
+    // The renderer stays usable after another test has failed.
     let mut guard = RENDERER.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
     work(guard.as_mut().unwrap())
 }
@@ -79,10 +81,10 @@ pub fn trials() -> Vec<Trial> {
     all
 }
 
-/// As a hardware GPU does it.
+/// The strategy of a hardware GPU.
 const PREPARE: Strategy = Strategy { exact_filter: true, compute_rays: true, prepare: true };
 
-/// Work of the renderer in a manner that is not its own.
+/// Runs the renderer with a strategy other than its own.
 fn with_strategy<T>(strategy: Strategy, work: impl FnOnce(&mut Renderer) -> T) -> T {
     with_renderer(|r| {
         let own = r.set_strategy(strategy);
@@ -113,7 +115,8 @@ fn scene_agrees(name: &str, mode: Mode) {
     agree(&format!("{name} {mode:?}"), &Prepared::new(&scene, &assets).unwrap());
 }
 
-/// Source point, mask, Jacobian, cut, value, opacity and gradient by the shaders are the CPU's, in a rotated, anisotropic placement.
+/// Source point, mask, Jacobian, cut, value, opacity and gradient computed by the shaders equal the
+/// CPU's, in a rotated, anisotropic placement.
 fn numbers_agree(kind: &str) {
     let mut scene = Scene::of_volume("phantom:head-ct:size=48");
     let mut deformation = Deformation::new(kind);
@@ -125,7 +128,7 @@ fn numbers_agree(kind: &str) {
     let assets = scenes::assets(&scene);
     let prepared = Prepared::new(&scene, &assets).unwrap();
     numbers_of(kind, &prepared, &assets);
-    // The same where the device has sampled the map: its texels against those that the CPU samples when it is asked.
+    // Again with the map sampled on the device: its texels against those sampled on the CPU.
     let by_cpu = prepared.stack.maps()[0].map.extent();
     let again = scenes::assets(&scene);
     let prepared = with_strategy(PREPARE, |r| Prepared::with(&scene, &again, &PrepareOptions::on(r)).unwrap());
@@ -135,7 +138,7 @@ fn numbers_agree(kind: &str) {
     let by_device = map.extent();
     let near = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| (a - b).abs() <= 2e-3 * (1.0 + a.abs()));
     assert!(near(&by_cpu.texels.min, &by_device.texels.min) && near(&by_cpu.texels.max, &by_device.texels.max), "{kind}: {by_cpu:?} {by_device:?}");
-    // A texel's rounding counts as often as there are texels.
+    // Slopes amplify the rounding of a texel by the number of texels.
     let steep = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| (a - b).abs() <= 0.02 * (1.0 + a.abs()) + 0.1);
     assert!(steep(&by_cpu.slopes.min, &by_device.slopes.min) && steep(&by_cpu.slopes.max, &by_device.slopes.max), "{kind}: {by_cpu:?} {by_device:?}");
     numbers_of(kind, &prepared, &again);
@@ -177,7 +180,7 @@ fn numbers_of(kind: &str, prepared: &Prepared, assets: &incise::prepare::Assets)
     assert!(worst.iter().zip(bound).all(|(w, b)| *w <= b), "{kind}: {worst:?} against {bound:?}");
 }
 
-/// Every option that changes the shaders.
+/// All options that change the shaders.
 fn options_agree() {
     let mut base = Scene::of_volume("phantom:head-ct:size=64");
     base.render.size = [128, 128];
@@ -218,7 +221,7 @@ fn options_agree() {
         settings.iter().for_each(|(name, value)| d.parameters.insert(*name, *value));
         d
     };
-    // Every shape, a group and an inversion, after a map that moves.
+    // Every shape, a group and an inversion, after a displacing map.
     let cuts = [
         cut("half-space", [0.0, 0.0, 30.0], &[("group", "a"), ("combine", "and")]),
         Deformation { rotate: Some([0.0, 70.0, 0.0]), ..cut("half-space", [10.0, 0.0, 0.0], &[("group", "a")]) },
@@ -254,7 +257,7 @@ fn options_agree() {
     }
 }
 
-/// Rays look where the CPU's look: the counts agree but for rounding.
+/// Rays sample at the same positions as the CPU's: the counts agree except for rounding.
 fn counts_agree() {
     let mut scene = scenes::load("tomato-wave-then-peel");
     scene.render.size = [128, 128];
@@ -266,7 +269,8 @@ fn counts_agree() {
     assert!(close(by_cpu.samples_taken, by_gpu.samples_taken), "{by_cpu:?} {by_gpu:?}");
     assert!(close(by_cpu.samples_skipped, by_gpu.samples_skipped), "{by_cpu:?} {by_gpu:?}");
     assert!(close(by_cpu.samples_terminated, by_gpu.samples_terminated), "{by_cpu:?} {by_gpu:?}");
-    // By invocations each pixel is counted once as well, also where a band does not end with the picture.
+    // With compute invocations each pixel is counted once as well, also if a band extends beyond
+    // the picture.
     scene.render.size = [700, 397];
     let prepared = Prepared::new(&scene, &assets).unwrap();
     let fragments = with_strategy(Strategy { compute_rays: false, ..PREPARE }, |r| r.render(&prepared, true, &Watch::NONE).unwrap()).stats.unwrap();
@@ -276,7 +280,8 @@ fn counts_agree() {
     assert!(same(fragments.samples_skipped, invocations.samples_skipped), "{fragments:?} {invocations:?}");
 }
 
-/// A stack composed on the device is the one composed by the CPU: eleven maps, some of them added, in two passes.
+/// A stack composed on the device equals the one composed on the CPU: eleven maps, some of them
+/// added, in two passes.
 fn composition_agrees() {
     let mut scene = Scene::of_volume("phantom:tomato:size=64");
     for n in 0..11 {
@@ -300,7 +305,7 @@ fn composition_agrees() {
         far += usize::from(at_cpu.distance(at_gpu) > 0.05 || (alpha - beta).abs() > 0.02);
     }
     println!("composed on the device: {far} of 5000 points differ by more than 0.05 mm; {moved} are moved");
-    // A point on the very face of a map's cube may be counted to either side.
+    // A point exactly on the face of a map's cube may count as inside or outside.
     assert!(far <= 5 && moved > 1000, "{far} {moved}");
     scene.render.size = [96, 96];
     scene.camera.view = "30,30".parse().unwrap();
@@ -323,7 +328,8 @@ fn eight_maps_agree() {
     agree("eight maps", &prepared);
 }
 
-/// What a device is asked to do differently than it would by itself shows the same: labels and holes too, by rays of both kinds, slices and surfaces.
+/// Strategies other than the device's default give the same picture: also for labels and holes,
+/// with both kinds of rays, slices and surfaces.
 fn strategies_agree() {
     use incise::scene::surface::Representation;
     let scene = |name: &str, mode: Mode| {
@@ -336,7 +342,7 @@ fn strategies_agree() {
     let mut depth_maps = scene("bunny-twist", Mode::Surface);
     depth_maps.mesh[0].representation = Some(Representation::DepthMapCube);
     let mut wide = scene("head-peel", Mode::Raycast);
-    // More than one band of rays, none of them whole workgroups.
+    // More than one band of rays, none of them a multiple of the workgroup size.
     wide.render.size = [700, 397];
     let scenes = [
         ("labels", scene("brain-labels", Mode::Raycast)),
@@ -348,7 +354,7 @@ fn strategies_agree() {
     for (name, scene) in scenes {
         let assets = scenes::assets(&scene);
         let prepared = Prepared::new(&scene, &assets).unwrap();
-        // Invocations first: what fragments have drawn would still be there.
+        // Compute first, since results of the fragment path would otherwise remain in the target.
         for compute_rays in [true, false] {
             agree_by(&format!("{name}, compute_rays {compute_rays}"), &prepared, |r| {
                 let own = r.set_strategy(Strategy { exact_filter: true, compute_rays, prepare: false });
@@ -360,11 +366,12 @@ fn strategies_agree() {
     }
 }
 
-/// At points of cells that are said to be empty nothing shows; at those of cells that are said to be clear no mask does anything.
+/// Points of cells marked empty are transparent; at points of cells marked clear no mask has an
+/// effect.
 fn empty_is_empty(name: &str, prepared: &Prepared) {
     let cells = &prepared.volume().macrocells;
     let grid = prepared.volume().grid;
-    // Cells are said to be clear of the maps' own masks.
+    // Cells are marked clear with respect to the maps' masks only.
     let maps = incise::deform::Stack::new(prepared.stack.maps().to_vec());
     let depth_at = |p: Vec3| -> f32 {
         let (source, alpha) = prepared.stack.source_and_alpha(p);
@@ -400,8 +407,9 @@ fn empty_is_empty(name: &str, prepared: &Prepared) {
     }
 }
 
-/// Empty space that the device finds is what the CPU finds: nothing that shows something is left out, and little besides is kept; maps of its own making
-/// and others, every kind of shape, whatever decides what shows.
+/// Empty space found by the device matches the CPU's: no visible cell is skipped, and few empty
+/// ones are kept; for maps sampled on the device and others, every kind of shape, and all settings
+/// that determine visibility.
 fn empty_space_agrees() {
     let small = |name: &str, change: &dyn Fn(&mut Scene)| {
         let mut scene = scenes::load(name);
@@ -462,12 +470,13 @@ fn empty_space_agrees() {
         }
         let clear_in_cpus = a.distance.iter().filter(|d| clear(**d)).count();
         println!("{name}: {both} cells in both, {more} more, {lost} lost; clear {clear_in_both} of {clear_in_cpus}, {also_clear} more");
-        // Each takes boxes of texels together in its own way, and the device what of a box lies inside and outside of a cube: most, of six maps.
+        // CPU and device merge boxes of texels differently, and split boxes at the faces of a cube
+        // differently; the difference is largest for six maps.
         assert!(both > 500 && lost * 50 <= both && more * 4 <= both, "{name}: {both} {more} {lost}");
         assert!(also_clear * 20 <= both && clear_in_both * 10 >= clear_in_cpus * 9, "{name}: {clear_in_both} of {clear_in_cpus}, {also_clear}");
         empty_is_empty(name, &by_device);
         agree(&format!("{name}, prepared by the device"), &by_device);
-        // What is left out would not have shown.
+        // Skipped cells would have been transparent.
         let picture = |prepared: &Prepared| with_strategy(PREPARE, |r| r.render(prepared, false, &Watch::NONE).unwrap()).picture;
         let skipping = picture(&by_device);
         scene.render.empty_space_skipping = false;
@@ -503,7 +512,8 @@ fn voxel_types_agree() {
     }
 }
 
-/// Voxels in their own colours, opaque and not, undeformed and twisted, by rays and by slices; and with the table's colours where that is wanted.
+/// Voxels with their own colours, opaque and not, undeformed and twisted, by rays and by slices;
+/// and with the transfer function's colours if requested.
 fn own_colors_agree() {
     use incise::volume::{Colors, phantom};
     let phantom = phantom::generate("tomato", [48; 3], Vec3::splat(160.0 / 48.0)).unwrap();
@@ -531,7 +541,7 @@ fn own_colors_agree() {
     }
 }
 
-/// A volume that the device cannot hold is shown reduced, with a notice: never black, never refused.
+/// A volume too large for the device is shown reduced, with a notice: never black, never refused.
 fn larger_than_the_device_is_reduced() {
     use incise::volume::{Rescale, Volume, Voxels};
     let most = with_renderer(|r| r.device().device.limits().max_texture_dimension_3d) as usize;
@@ -548,7 +558,7 @@ fn larger_than_the_device_is_reduced() {
         done.notices
     );
     assert!(done.picture.pixels.iter().any(|p| p[3] > 0.5));
-    // Labels in colours and a scan, cut: reduced, they are nearly what they are in full.
+    // Coloured labels and a scan, with a cut: the reduced picture is close to the full one.
     for (spec, bound) in [("phantom:head-ct:size=64", 4.0), ("volumes/colin27-aal-labels.nii.gz", 9.0)] {
         let mut scene = Scene::of_volume(spec);
         scene.folder = env!("CARGO_MANIFEST_DIR").into();
@@ -570,7 +580,7 @@ fn larger_than_the_device_is_reduced() {
     }
 }
 
-/// Depth of surfaces: within a thousandth of the box of the CPU's where both see one.
+/// Surface depths: within a thousandth of the box of the CPU's where both hit.
 fn surface_depths_agree() {
     for name in ["bunny-twist", "bunny-two-stage", "bunny-deformers", "apple-hollow", "apple-thick", "apple-solid", "gyroid", "head-skin-peel"] {
         let mut scene = scenes::load(name);
@@ -593,12 +603,12 @@ fn surface_depths_agree() {
             }
         }
         println!("{name}: {seen} pixels, {off} beyond {bound:.3} mm (silhouettes and edges), the others within {worst:.4} mm");
-        // Rays that graze an edge are one side's hit and the other's miss.
+        // A ray that grazes an edge may hit on one backend and miss on the other.
         assert!(seen > 2000 && off * 500 < seen, "{name}: {off} of {seen}");
     }
 }
 
-/// Every way of stepping, every kind of solid and deformer, projections and slices before surfaces.
+/// All step methods, solids, deformers, and projections; slices in front of surfaces.
 fn surface_options_agree() {
     use incise::mesh::deformer::NormalMethod;
     use incise::scene::surface::{DeformerSource, Representation, Steps};
@@ -662,7 +672,8 @@ fn surface_options_agree() {
     }
 }
 
-/// Slices, rays and surface rays on the device: the silhouettes of a solid ball under one deformation agree to a pixel with the CPU's surface.
+/// Slices, rays and surface rays on the device: the silhouettes of a solid ball under one
+/// deformation agree with the CPU's surface to within a pixel.
 fn one_deformation_on_the_gpu() {
     crate::surfaces::three_silhouettes(&|prepared| with_renderer(|r| r.render(prepared, false, &Watch::NONE).unwrap()).picture);
 }

@@ -1,4 +1,4 @@
-//! The scenes in volumes/, and properties that every scene has.
+//! The scenes in volumes/, and properties of all scenes.
 
 use crate::closed_forms::picture;
 use crate::metrics::{STEP, difference};
@@ -34,7 +34,8 @@ pub fn every_scene_loads_and_comes_back() {
     }
 }
 
-/// Deformed and cut scenes, both modes: skipping and early termination are worth at most one 8-bit step anywhere.
+/// Deformed and cut scenes, both modes: skipping and early ray termination change no pixel by more
+/// than one 8-bit step.
 pub fn skipping_and_termination_change_nothing() {
     for name in ["head-peel", "head-quadrant", "head-slabs", "piggy-bank-4", "tomato-wave-then-peel", "teddy-seam", "pull"] {
         let mut scene = load(name);
@@ -85,7 +86,8 @@ pub fn halving_the_step_changes_little() {
     }
 }
 
-/// What a mesh makes of the volume in it is made once, whatever the camera does, and anew when the mesh is placed elsewhere.
+/// The data derived from a mesh around a volume is cached independently of the camera, and rebuilt
+/// if the mesh changes.
 pub fn what_holds_a_volume_is_kept() {
     let mut scene = load("head-in-bent-hull");
     let assets = assets(&scene);
@@ -93,7 +95,8 @@ pub fn what_holds_a_volume_is_kept() {
     let first = stack(&scene);
     assert_eq!(first.maps().len(), 2, "the mask and the deformers' inverse");
     scene.camera.view = "35,15".parse().unwrap();
-    // Equal are stacks of the very same maps. A coarse picture does not take the place of the full one's.
+    // Stacks are equal if they hold the same map objects. A map at a coarser step does not evict
+    // the full one.
     assert!(stack(&scene) == first);
     scene.render.step = 2.0;
     assert!(stack(&scene) != first && stack(&scene) == stack(&scene));
@@ -103,8 +106,9 @@ pub fn what_holds_a_volume_is_kept() {
     assert!(stack(&scene) != first);
 }
 
-/// Cuts and the volume's own faces are lit as much alike at every step as surfaces are: what a cut does to normals beside it must not depend on how
-/// often a ray looks on its way through what lies in front of the cut.
+/// The shading of cuts and of the volume's own faces varies with the step no more than that of
+/// surfaces: the effect of a cut on nearby normals must not depend on the number of samples in
+/// front of the cut.
 pub fn cuts_are_lit_alike_at_every_step() {
     let camera = "[camera]\nview = \"30,30\"\nzoom = 1.6\n[[deformation]]\nkind = \"box\"\n";
     for (volume, rest) in [("phantom:ball:size=64", camera), ("volumes/colin27-head-t1.nii.gz", "[camera]\nview = \"anterior\"\n")] {
@@ -158,8 +162,8 @@ pub fn order_of_deformations_matters() {
     assert!(d.mean > 2.0 * STEP, "{d:?}");
 }
 
-/// The atlas of the bundled head names its regions: 1 is Precentral_L, 2 is Precentral_R. Patient left is +x, and on the right of an
-/// anterior picture.
+/// The atlas of the bundled head names its regions: 1 is Precentral_L, 2 is Precentral_R. Patient
+/// left is +x, and on the right of an anterior picture.
 pub fn left_is_left() {
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("volumes/colin27-aal-labels.nii.gz");
     let mut scene = Scene::of_volume(path.to_str().unwrap());
@@ -185,7 +189,7 @@ pub fn left_is_left() {
     scene.deformation.clear();
     scene.render.size = [128, 128];
     let p = picture(&Prepared::new(&scene, &assets).unwrap());
-    // Every label's edge passes through label 1's value: weigh by opacity.
+    // The edges of all labels pass through label 1's value: weight by opacity.
     let (mut on_left, mut on_right) = (0.0, 0.0);
     for (n, pixel) in p.pixels.iter().enumerate() {
         if n % 128 < 64 { on_left += pixel[3] } else { on_right += pixel[3] }
@@ -193,7 +197,7 @@ pub fn left_is_left() {
     assert!(on_right > 1.1 * on_left, "label Precentral_L shows {on_left} on the left half, {on_right} on the right");
 }
 
-/// An empty picture is an answer, with the reason in a line.
+/// An empty picture comes with the reason in one line.
 pub fn empty_pictures_say_why() {
     let volume = "[volume]\npath = \"phantom:head-ct:size=16\"\n";
     let solid = |join: &str, center: [f32; 3], radius: f32| {
@@ -233,7 +237,7 @@ pub fn empty_pictures_say_why() {
         assert!(rendered.picture.is_blank(), "{text}");
         assert!(warnings.iter().any(|line| line.contains(words)), "{text}\n{warnings:?}");
     }
-    // And one with something in it says nothing of the kind.
+    // A picture that is not empty has no such notice.
     let scene = Scene::of_volume("phantom:head-ct:size=16");
     let assets = assets(&scene);
     assert!(incise::cpu::render(&Prepared::new(&scene, &assets).unwrap()).notices.is_empty());

@@ -1,4 +1,5 @@
-//! Shaders without a GPU: every program parses and validates, and the Rust mirrors of its structs have its layout.
+//! Shader tests without a GPU: every program parses and validates, and the Rust mirrors of its
+//! structs have its layout.
 
 use incise::gpu::shaders::Program;
 use incise::render::uniforms::{
@@ -22,7 +23,7 @@ pub fn every_program_is_valid() {
     }
 }
 
-/// Members of a WGSL struct: name, offset; and its size.
+/// Members of a WGSL struct with their offsets; and its size.
 fn layout(module: &naga::Module, name: &str) -> (Vec<(String, u32)>, u32) {
     module
         .types
@@ -68,7 +69,7 @@ pub fn uniforms_match_their_structs() {
     same_layout!(&module(Program::Bounds, false), "Level", LevelUniform: size, first, below_size, below_first);
 }
 
-/// A shader's constants are the CPU's.
+/// A shader's constants equal the CPU's.
 pub fn counterparts_exist() {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
     let read = |p: &str| std::fs::read_to_string(folder.join(p)).unwrap();
@@ -127,7 +128,8 @@ pub fn counterparts_exist() {
     }
 }
 
-/// The most textures that a program may sample, with room below the sixteen that WebGL2 and OpenGL allow.
+/// Most textures that a program may sample, leaving room below the sixteen that WebGL2 and OpenGL
+/// allow.
 const MAX_SAMPLED_TEXTURES: usize = 14;
 
 pub fn sampled_textures_leave_room() {
@@ -146,8 +148,8 @@ pub fn sampled_textures_leave_room() {
     assert!(most >= 8, "{most}");
 }
 
-/// Functions of Rust and of WGSL that do the same, in the order in which both files have them; `a=b` where a method's name needs its
-/// type before it in WGSL, which has one namespace.
+/// Equivalent functions of Rust and WGSL, in the order in which both files define them; `a=b` if
+/// WGSL, which has one namespace, prefixes a method's name with its type.
 const PAIRS: &[(&str, &str, &str)] = &[
     (
         "src/cpu/shading.rs",
@@ -183,7 +185,7 @@ const PAIRS: &[(&str, &str, &str)] = &[
     ("src/scene/camera.rs", "shaders/lib/march.wgsl", "ray=pixel_ray"),
 ];
 
-/// Names of a file's functions in their order, without those of its tests.
+/// Names of a file's functions in order, without those of its tests.
 fn functions(path: &str) -> Vec<String> {
     let text = std::fs::read_to_string(std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(path)).unwrap();
     let code = text.split("#[cfg(test)]").next().unwrap().to_owned();
@@ -194,13 +196,14 @@ fn functions(path: &str) -> Vec<String> {
     code.lines().filter(|l| !l.trim_start().starts_with("//")).filter_map(name).collect()
 }
 
-/// Whether names occur in a list in their order.
+/// Whether the names occur in the list in this order.
 fn is_subsequence(names: &[&str], list: &[String]) -> bool {
     let mut rest = list.iter();
     names.iter().all(|name| rest.any(|other| other == name))
 }
 
-/// What the CPU and the GPU do alike has one name and one place in both files, so that they can be read side by side.
+/// A function implemented on both the CPU and the GPU has the same name and position in both files,
+/// so that they can be read side by side.
 pub fn functions_are_paired() {
     for (rust, wgsl, pairs) in PAIRS {
         let (ours, theirs): (Vec<&str>, Vec<&str>) = pairs.split_whitespace().map(|p| p.split_once('=').unwrap_or((p, p))).unzip();
@@ -209,7 +212,7 @@ pub fn functions_are_paired() {
             assert!(is_subsequence(&names, &list), "{file} has not, in this order: {names:?}; it has {list:?}");
         }
     }
-    // A name that both files of a pair have is one of the table's.
+    // A name in both files of a pair must be listed in the table.
     for (rust, wgsl, _) in PAIRS {
         let listed = |name: &str| {
             PAIRS.iter().filter(|(_, w, _)| w == wgsl).any(|(_, _, pairs)| pairs.split_whitespace().any(|p| p.rsplit('=').next() == Some(name)))

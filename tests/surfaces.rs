@@ -1,4 +1,4 @@
-//! Meshes, their distance fields, and surfaces by rays: closed forms and properties.
+//! Meshes, their distance fields, and ray-traced surfaces: closed forms and properties.
 
 use crate::metrics::{STEP, difference};
 use crate::scenes;
@@ -30,7 +30,7 @@ fn grid_points(f: &MeshField) -> impl Iterator<Item = (Vec3, f32)> {
         .map(move |(n, d)| (place.transform_point3(Vec3::new((n % nx) as f32, (n / nx % ny) as f32, (n / (nx * ny)) as f32)), *d))
 }
 
-/// Meshes fine enough that they are the shapes to within a hundredth of a cell; boxes are exact.
+/// The meshes approximate the shapes to within a hundredth of a cell; boxes are exact.
 pub fn distances_of_closed_forms() {
     let torus = |p: Vec3| 3.0 - ((p.truncate().length() - 10.0).powi(2) + p.z * p.z).sqrt();
     let half = Vec3::new(9.0, 6.0, 4.0);
@@ -53,7 +53,8 @@ pub fn distances_of_closed_forms() {
         for (p, d) in grid_points(&f) {
             let want = want(back.transform_point3(p));
             let error = (d - want).abs() / cell;
-            // A little within the band's edge: there the mesh's own error decides what lies in it.
+            // Slightly inside the band's edge, where the mesh's own error determines which points
+            // belong to it.
             if want.abs() < 2.45 * cell {
                 band = band.max(error)
             } else {
@@ -69,7 +70,8 @@ pub fn distances_of_closed_forms() {
     assert!(worst <= 0.05, "exact everywhere: {worst}");
 }
 
-/// Holes, unwelded soups and contradicting triangles keep their inside, and nothing leaks to the grid's faces.
+/// Meshes with holes, unwelded soups and inconsistently oriented triangles have the correct inside,
+/// and nothing leaks to the grid's faces.
 pub fn broken_meshes_keep_their_inside() {
     let ball = || shapes::sphere(10.0, 60);
     let mut holes = ball();
@@ -109,7 +111,7 @@ pub fn broken_meshes_keep_their_inside() {
     }
 }
 
-/// A part of a field is that part of the whole.
+/// The field of a region equals that region of the whole field.
 pub fn a_part_is_part_of_the_whole() {
     let mesh = shapes::torus(10.0, 3.0, 100);
     let whole = field(&mesh, FieldSettings { resolution: 96, ..FieldSettings::default() });
@@ -137,7 +139,8 @@ fn with_shape(kind: &str, radius: f32) -> MeshSource {
     MeshSource { shape: vec![shape], ..MeshSource::default() }
 }
 
-/// What names one voxel's layer is drawn; a sheet can be deformed; an open mesh that faces inwards is turned wherever it lies.
+/// A flat sheet can be rendered and deformed; an open mesh that faces inwards is reoriented
+/// wherever it lies.
 pub fn thin_flat_and_far_things() {
     let mut half = shapes::sphere(10.0, 40);
     half.triangles.retain(|t| t.iter().all(|v| half.positions[*v as usize].z > -0.1));
@@ -147,7 +150,7 @@ pub fn thin_flat_and_far_things() {
         let f = field(&moved, FieldSettings { resolution: 40, ..FieldSettings::default() });
         assert!(f.grid.sample(Vec3::new(0.0, 0.0, z + 6.0)) > 0.0 && f.inside > 0.1, "{z}: {}", f.inside);
     }
-    // A part far from every surface has distances all the same.
+    // A region far from every surface still has correct distances.
     let part = FieldSettings { cell_mm: Some(0.5), region: Some(Bounds::new(Vec3::splat(-1.0), Vec3::splat(1.0))), ..FieldSettings::default() };
     let f = field(&shapes::sphere(10.0, 60), part);
     assert!(grid_points(&f).all(|(p, d)| (d - (10.0 - p.length())).abs() < 0.05));
@@ -189,7 +192,8 @@ fn linear(l: Mat3) -> PlacedMap {
     PlacedMap::new(std::sync::Arc::new(map), Placement::new(Vec3::ZERO, Vec3::splat(size), Vec3::ZERO).unwrap())
 }
 
-/// A sphere under a linear map is an ellipsoid: silhouette and depth within half a step, normals within a degree, with every way of stepping.
+/// A sphere under a linear map is an ellipsoid: silhouette and depth within half a step, normals
+/// within a degree, with all step methods.
 pub fn deformed_sphere_is_the_ellipsoid() {
     let mesh = shapes::sphere(50.0, 300);
     for steps in [Steps::Uniform, Steps::Threshold, Steps::Jacobian, Steps::Sphere] {
@@ -214,13 +218,14 @@ pub fn deformed_sphere_is_the_ellipsoid() {
                     let (a, b, c) = ((l * d).length_squared(), (l * o).dot(l * d), (l * o).length_squared() - 2500.0);
                     let root = b * b - a * c;
                     let want = (root >= 0.0).then(|| (-b - root.max(0.0).sqrt()) / a);
-                    // How far inside the silhouette, as a depth of the undeformed ball, mm.
+                    // Depth inside the silhouette, as a depth in the undeformed ball, mm.
                     let inside = 50.0 - (l * (o - d * (b / a))).length();
                     match (got, want) {
                         (Some((t, side)), Some(want)) => {
                             hits += 1;
                             assert_eq!(side, HitSide::Outside);
-                            // A grazing ray meets the surface in a long stretch: measured across the surface.
+                            // A grazing ray is nearly tangent to the surface, so the error is
+                            // measured along the normal.
                             let p = o + d * t;
                             let n = (l.transpose() * (l * p)).normalize();
                             worst_t = worst_t.max(((t - want) * n.dot(d)).abs());
@@ -247,7 +252,8 @@ pub fn deformed_sphere_is_the_ellipsoid() {
     }
 }
 
-/// [DS07] figure 3: a narrow pull out of a ball. Even steps and threshold steps miss pixels of it; Jacobian steps miss none.
+/// [DS07] figure 3: a narrow pull out of a ball. Uniform and threshold steps miss pixels of it;
+/// Jacobian steps miss none.
 pub fn narrow_pull_is_found_by_jacobian_steps() {
     let scene_with = |steps: Steps, step: f32| {
         let mut scene = ball_scene();
@@ -259,7 +265,8 @@ pub fn narrow_pull_is_found_by_jacobian_steps() {
         scene.render.empty_space_skipping = false;
         scene
     };
-    // D = (0, 0, -z exp(-r²/σ²)) ([DDM06] eq 8) over a box above the ball: a spike a few millimetres wide.
+    // D = (0, 0, -z exp(-r²/σ²)) ([DDM06] eq 8) over a box above the ball: a spike a few
+    // millimetres wide.
     let pull = || {
         let map = DisplacementMap::from_fn([161, 161, 33], Storage::F32, |x| {
             let r2 = (x.x - 0.5).powi(2) + (x.y - 0.5).powi(2);
@@ -290,7 +297,7 @@ fn silhouette(picture: &Picture) -> Vec<bool> {
     picture.pixels.iter().map(|p| p[3] > 0.5).collect()
 }
 
-/// Pixels set in one and not within a pixel of one set in the other.
+/// Pixels set in one picture without a pixel set in the other within a distance of one pixel.
 fn beyond_a_pixel(a: &[bool], b: &[bool], width: usize) -> usize {
     let near = |x: usize, y: usize, of: &[bool], value: bool| {
         (y.saturating_sub(1)..=(y + 1).min(of.len() / width - 1))
@@ -299,12 +306,13 @@ fn beyond_a_pixel(a: &[bool], b: &[bool], width: usize) -> usize {
     (0..a.len()).filter(|&n| a[n] != b[n] && !near(n % width, n / width, b, a[n])).count()
 }
 
-/// One deformation texture in slicing, volume ray casting and surface ray casting: the silhouettes of a solid ball agree to a pixel.
+/// One deformation texture in slicing, volume ray casting and surface ray casting: the silhouettes
+/// of a solid ball agree to within a pixel.
 pub fn three_modes_share_one_deformation() {
     three_silhouettes(&|prepared| incise::cpu::render(prepared).picture);
 }
 
-/// The same by any renderer.
+/// The same for any renderer.
 pub fn three_silhouettes(draw: &dyn Fn(&Prepared) -> Picture) {
     let mut scene = Scene::of_volume("phantom:ball:size=128");
     scene.render.size = [160, 160];
@@ -342,7 +350,7 @@ fn render(scene: &Scene) -> Picture {
     incise::cpu::render(&prepared).picture
 }
 
-/// Two stages or one: the same picture, and no line where they meet.
+/// Two stages or one: the same picture, without a visible seam.
 pub fn two_stages_are_one_picture() {
     let folder = tempfile::tempdir().unwrap();
     let smooth = write_off(folder.path(), "sphere.off", &shapes::sphere(50.0, 160));
@@ -355,8 +363,9 @@ pub fn two_stages_are_one_picture() {
         scene.surface.two_stage = false;
         let one = render(&scene);
         let d = difference(&two, &one).unwrap();
-        // A line is brighter or darker than what lies on both sides of it, in one picture and not in the other. On the bunny its own facets are
-        // such lines: triangles show them smoothed, the field does not.
+        // A seam is brighter or darker than both its sides, in one picture and not in the other.
+        // The bunny's own facets have the same appearance: triangles are shaded smoothly, the field
+        // is not.
         let luma = |p: &Picture, x: usize, y: usize| p.pixels[y * 256 + x][..3].iter().sum::<f32>() / 3.0;
         let ridge =
             |p: &Picture, x: usize, y: usize| luma(p, x, y) - 0.25 * (luma(p, x - 2, y) + luma(p, x + 2, y) + luma(p, x, y - 2) + luma(p, x, y + 2));
@@ -368,7 +377,7 @@ pub fn two_stages_are_one_picture() {
     }
 }
 
-/// Leaving out what cuts have emptied, or anything else, changes no pixel by more than a step.
+/// Skipping space emptied by cuts, or any other space, changes no pixel by more than a step.
 pub fn skipping_changes_no_surface() {
     for name in ["apple-hollow", "apple-thick", "apple-solid", "bunny-knife", "head-skin-peel"] {
         let mut scene = scenes::load(name);
@@ -388,7 +397,7 @@ pub fn skipping_changes_no_surface() {
     }
 }
 
-/// The three models of a cut ball show what they should along known rays.
+/// The three models of a cut ball give the expected hits along known rays.
 pub fn cut_models_are_what_they_say() {
     let mut scene = ball_scene();
     let mut cut = Deformation::new("half-space");
@@ -416,7 +425,7 @@ pub fn cut_models_are_what_they_say() {
             let (want_z, want_side) = middle.unwrap();
             assert!((z - want_z).abs() < 0.3 && side == want_side, "{model:?} exact {exact}: {z} {side:?}");
             assert!(n.z > 0.99, "{model:?}: {n}");
-            // On the rim of a thick shell lies the cut's face.
+            // The rim of a thick shell shows the cut's face.
             let (z, side, _) = look(45.0).unwrap();
             let rim = if model == CutModel::Hollow { (-(50.0f32.powi(2) - 45.0f32.powi(2)).sqrt(), HitSide::Inside) } else { (0.0, HitSide::Cut) };
             assert!((z - rim.0).abs() < 0.5 && side == rim.1, "{model:?} exact {exact} rim: {z} {side:?}");
@@ -425,7 +434,8 @@ pub fn cut_models_are_what_they_say() {
     }
 }
 
-/// A surface before, within and behind a volume: the volume in front of it, and only that, is seen before it.
+/// A surface in front of, inside and behind a volume is occluded exactly by the part of the volume
+/// in front of it.
 pub fn surfaces_and_volumes_share_depth() {
     let mut scene = Scene::of_volume("phantom:ball:size=64");
     scene.render.size = [64, 64];
@@ -446,7 +456,7 @@ pub fn surfaces_and_volumes_share_depth() {
         let [front, within, behind] = [-80.0, 0.0, 80.0].map(|y| picture(&scene, Some(y), mode));
         assert!(front[1] > 0.5 && front[3] > 0.99, "{front:?}");
         assert!(within[3] > 0.99 && behind[3] > 0.99);
-        // What the volume alone lets through shows the ball behind it.
+        // The ball behind the volume is attenuated by the volume's transmittance.
         let green = front[1] - front[0];
         assert!((behind[1] - (alone[1] + (1.0 - alone[3]) * front[1])).abs() < 0.1 || alone[3] > 0.99, "{alone:?} {behind:?}");
         assert!(green > 0.3 && within[1] - within[0] <= green + 1e-3);
@@ -462,11 +472,13 @@ fn write_off(folder: &Path, name: &str, mesh: &Mesh) -> PathBuf {
     path
 }
 
-/// A volume inside a mesh: the mask, and slices cut from the mesh, show the mesh's own volume; deformed, the inside goes along.
+/// A volume inside a mesh: the mask, and slices clipped to the mesh, select the mesh's interior; if
+/// the mesh is deformed, the interior moves with it.
 pub fn volumes_inside_meshes() {
     let folder = tempfile::tempdir().unwrap();
     let write = |name: &str, mesh: &Mesh| write_off(folder.path(), name, mesh);
-    // A shell within a shell, both facing outwards: even-odd, not orientation, says that the middle is empty.
+    // A shell within a shell, both facing outwards: by the even-odd rule, not by orientation, the
+    // middle is empty.
     let mut nested = shapes::sphere(40.0, 48);
     let inner = shapes::sphere(25.0, 48);
     let first = nested.positions.len() as u32;
@@ -491,7 +503,8 @@ pub fn volumes_inside_meshes() {
         }
         assert_eq!(wrong, 0, "{name}");
     }
-    // Twisted by a right angle over its height, the matter of +x at the top comes from a quarter turn away.
+    // With a twist by a right angle over the height, the source of a point at +x at the top is a
+    // quarter turn away.
     let path = write("ball.off", &shapes::sphere(40.0, 48));
     let twist = incise::scene::surface::DeformerSource {
         kind: "twist".into(),
@@ -520,7 +533,7 @@ pub fn volumes_inside_meshes() {
     assert!(error.contains("open.off") && error.contains("not closed"), "{error}");
 }
 
-/// One mesh in every format loads as itself.
+/// One mesh in every format is read as the same mesh.
 pub fn every_format_is_one_mesh() {
     let mesh = shapes::torus(10.0, 3.0, 12);
     let (v, f) = (&mesh.positions, &mesh.triangles);
@@ -566,7 +579,7 @@ pub fn every_format_is_one_mesh() {
     }
     use base64::Engine;
     let encode = |b: &[u8]| base64::engine::general_purpose::STANDARD.encode(b);
-    // Placed by a node, as files do: half the size, then doubled.
+    // Transformed by a node, as is common: half the size, then doubled.
     let halved: Vec<Vec3> = v.iter().map(|p| *p * 0.5).collect();
     let buffer = [floats(&halved), indices.clone()].concat();
     let gltf = format!(
@@ -581,7 +594,7 @@ pub fn every_format_is_one_mesh() {
         buffer.len(),
         encode(&buffer)
     );
-    // RAS: x and y turn.
+    // RAS: x and y change sign.
     let ras: Vec<Vec3> = v.iter().map(|p| *p * Vec3::new(-1.0, -1.0, 1.0)).collect();
     let gifti = |compress: bool| {
         let pack = |b: &[u8]| {
@@ -625,7 +638,7 @@ pub fn every_format_is_one_mesh() {
         let (got, want) = (read.bounds(), mesh.bounds());
         assert!(got.min.abs_diff_eq(want.min, 1e-4) && got.max.abs_diff_eq(want.max, 1e-4), "{name}: {got:?}");
     }
-    // Cut off anywhere, or with a byte changed, a file is read with a warning or refused, and nothing else.
+    // A file truncated anywhere, or with a byte changed, is read with a warning or refused.
     let mut refused = 0;
     for (_, ending, bytes) in &files {
         for n in 0..60 {
@@ -669,7 +682,8 @@ pub fn every_format_is_one_mesh() {
         let error = load::parse(text.as_bytes(), "gltf", Some(Path::new("."))).unwrap_err();
         assert!(error.contains(what), "{what}: {error}");
     }
-    // Read by other programs, and by this one: an upper-case STL, a name in Latin-1, a cube whose faces' diagonals lie on the grid's lines.
+    // Files that other programs accept: an upper-case STL, a name in Latin-1, a cube whose face
+    // diagonals lie on the grid's lines.
     let upper = "SOLID x\nFACET NORMAL 0 0 1\nOUTER LOOP\nVERTEX 0 0 0\nVERTEX 1 0 0\nVERTEX 0 1 0\nENDLOOP\nENDFACET\nENDSOLID x\n";
     assert_eq!(load::parse(upper.as_bytes(), "stl", None).unwrap().triangles.len(), 1);
     let latin = b"g K\xf6rper\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";
@@ -685,7 +699,7 @@ pub fn every_format_is_one_mesh() {
     assert!(huge.contains("99999999999"), "{huge}");
 }
 
-/// Files from elsewhere, where they are at hand.
+/// Files from other sources, if available.
 pub fn shared_meshes_load_or_say_why() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/meshes");
     if !folder.is_dir() {
@@ -717,7 +731,7 @@ pub fn shared_meshes_load_or_say_why() {
     assert_eq!(refused, ["OutOfMemory.off", "empty.obj", "empty.off", "empty.ply", "empty.stl", "invalid.off", "malformed.obj", "malformed2.obj"]);
 }
 
-/// A depth-map cube of a convex solid is the solid, at a fraction of the memory.
+/// A depth-map cube of a convex solid matches the solid, with a fraction of the memory.
 pub fn depth_map_cube_shows_the_field() {
     let mut scene = scenes::load("bunny-twist");
     scene.deformation.clear();

@@ -1,5 +1,6 @@
-//! Nothing of the user's is overwritten, hung up by or read without a bound: every writer against every kind of place, every reader against every
-//! kind of file that is none. Nodes are made in a scratch folder; no device of the machine is ever named.
+//! Safety of user files: no input is overwritten, no file blocks the program, no read is unbounded.
+//! Every writer is tested with every kind of destination, every reader with every kind of file that
+//! is not regular. Device nodes are created in a scratch folder; no device of the machine is named.
 #![cfg(unix)]
 
 use crate::nifti::small;
@@ -11,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-/// Longer than any of these runs takes, by far: what takes this long hangs.
+/// Far longer than any of these runs takes; a run of this length is considered hung.
 const HANGS: Duration = Duration::from_secs(60);
 
 fn command(folder: &Path, arguments: &[OsString]) -> Command {
@@ -20,7 +21,7 @@ fn command(folder: &Path, arguments: &[OsString]) -> Command {
     command
 }
 
-/// Runs the program; one that hangs is killed and reported.
+/// Runs the program; a hung run is killed and reported.
 fn incise(folder: &Path, arguments: &[OsString]) -> Output {
     let mut child = command(folder, arguments).spawn().unwrap();
     let (mut out, mut err) = (child.stdout.take().unwrap(), child.stderr.take().unwrap());
@@ -57,7 +58,7 @@ fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
-/// A command that writes a file of an ending, `OUT` in its words, and reads the files that are named.
+/// A command that writes a file with an extension, `OUT` in its words, and the files that it reads.
 struct Writer {
     words: &'static str,
     ending: &'static str,
@@ -86,7 +87,7 @@ const WRITERS: &[Writer] = &[
 const BOX: &str =
     "v 0 0 0\nv 9 0 0\nv 9 9 0\nv 0 9 0\nv 0 0 9\nv 9 0 9\nv 9 9 9\nv 0 9 9\nf 4 3 2 1\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n";
 
-/// The files that the writers read.
+/// Creates the files that the writers read.
 fn inputs(folder: &Path) {
     let write = |name: &str, content: &[u8]| {
         let path = folder.join(name);
@@ -104,11 +105,11 @@ fn inputs(folder: &Path) {
     write("detached.nhdr", format!("{nrrd}data file: values.raw\n\n").as_bytes());
     write("listed.nhdr", format!("{nrrd}data file: LIST\nslice-1.raw\nslice-2.raw\n").as_bytes());
     write("detached.mhd", b"ObjectType = Image\nNDims = 3\nDimSize = 8 8 8\nElementType = MET_UCHAR\nElementDataFile = values.raw\n");
-    // A pair is a NIfTI whose header and values lie in two files.
+    // A pair is a NIfTI whose header and values are in two files.
     let whole = std::fs::read(folder.join("small.nii")).unwrap();
     let mut header = whole[..348].to_vec();
     header[344..348].copy_from_slice(b"ni1\0");
-    // The values lie at the start of a file of their own.
+    // The values start at offset 0 of their own file.
     header[108..112].fill(0);
     write("pair.hdr", &header);
     write("pair.img", &whole[352..]);
@@ -138,7 +139,7 @@ fn node(path: &Path, kind: FileType, device: (u32, u32)) -> bool {
     mknodat(CWD, path, kind, Mode::from_raw_mode(0o666), makedev(device.0, device.1)).is_ok()
 }
 
-/// The content that a writer makes, which differs from run to run where it holds times.
+/// Whether a writer's content is complete; contents with times differ from run to run.
 fn is_complete(content: &[u8], ending: &str) -> bool {
     match ending {
         "png" => content.starts_with(b"\x89PNG") && content.ends_with(b"IEND\xaeB`\x82"),
@@ -151,7 +152,7 @@ fn is_complete(content: &[u8], ending: &str) -> bool {
     }
 }
 
-/// Writers against places.
+/// Writers against destinations.
 pub fn every_writer_into_every_place() {
     for writer in WRITERS {
         let folder = tempfile::tempdir().unwrap();
@@ -175,23 +176,23 @@ pub fn every_writer_into_every_place() {
             let message = stderr(&output);
             assert!(message.contains(word) && message.trim_end().lines().filter(|l| l.contains(word)).count() == 1, "{:?}: {message}", at(path));
             let after = tree(f);
-            // A report is whole before its numbers are told.
+            // A report may be complete before writing its statistics fails.
             let changed: Vec<_> = before.iter().filter(|b| !after.contains(b) && !b.0.starts_with(f.join("report"))).map(|b| &b.0).collect();
             assert!(changed.is_empty(), "{:?} changed {changed:?}", at(path));
         };
         let complete = |path: &Path| assert!(is_complete(&std::fs::read(path).unwrap(), writer.ending), "{}: {}", writer.words, path.display());
         let mode = |path: &Path| std::fs::metadata(path).unwrap().mode() & 0o7777;
 
-        // A new file is any program's new file.
+        // A new file has the same mode as any program's new file.
         succeeds(&place("new"));
         complete(&place("new"));
 
-        // A file keeps its mode and owner.
+        // A replaced file keeps its mode and owner.
         for bits in [0o600, 0o640, 0o755] {
             let path = place(&format!("mode-{bits:o}"));
             std::fs::write(&path, "old").unwrap();
             std::fs::set_permissions(&path, std::fs::Permissions::from_mode(bits)).unwrap();
-            // Only root can give files away.
+            // Only root can change the owner.
             let given = std::os::unix::fs::chown(&path, Some(1234), Some(4321)).is_ok();
             succeeds(&path);
             complete(&path);
@@ -207,7 +208,7 @@ pub fn every_writer_into_every_place() {
             complete(&place("twice"));
         }
 
-        // A file that is write-protected is left alone, whoever asks.
+        // A write-protected file is left unchanged, also for root.
         let protected = place("protected");
         std::fs::write(&protected, "old").unwrap();
         std::fs::set_permissions(&protected, std::fs::Permissions::from_mode(0o444)).unwrap();
@@ -216,7 +217,8 @@ pub fn every_writer_into_every_place() {
         symlink(&protected, &link).unwrap();
         refused(&link, "read-only");
 
-        // A link leads to what is replaced, and stays a link; one that leads nowhere is where it leads.
+        // Through a link its target is replaced, and the link stays; a dangling link creates its
+        // target.
         std::fs::create_dir(f.join("elsewhere")).unwrap();
         for (name, exists) in [("link", true), ("dangling", false)] {
             let (link, target) = (place(name), f.join("elsewhere").join(format!("{name}.{}", writer.ending)));
@@ -229,7 +231,7 @@ pub fn every_writer_into_every_place() {
             complete(&target);
         }
 
-        // A pipe takes the whole content, a device as well, and both stay what they are.
+        // A pipe or device receives the whole content and is not replaced.
         let pipe = place("pipe");
         assert!(node(&pipe, FileType::Fifo, (0, 0)));
         let from = pipe.clone();
@@ -244,7 +246,7 @@ pub fn every_writer_into_every_place() {
         succeeds(&piped);
         assert!(is_complete(&reading.join().unwrap(), writer.ending) && piped.is_symlink(), "{}", writer.words);
         let (null, full) = (place("null"), place("full"));
-        // Only root can make devices.
+        // Only root can create devices.
         if node(&null, FileType::CharacterDevice, (1, 3)) && node(&full, FileType::CharacterDevice, (1, 7)) {
             let before = std::fs::symlink_metadata(&null).unwrap().rdev();
             succeeds(&null);
@@ -265,12 +267,12 @@ pub fn every_writer_into_every_place() {
         assert!(is_complete(&reading.join().unwrap(), writer.ending), "{}", writer.words);
         assert!(std::fs::symlink_metadata(&socket).unwrap().file_type().is_socket(), "{}", writer.words);
 
-        // Nothing is ever written over what is read, under whatever name.
+        // No input is overwritten, under any name.
         for input in writer.reads {
             let endings = input.ends_with(writer.ending) || writer.words.contains("--stats OUT") || writer.words.contains("--csv OUT");
             if endings {
                 refused(&f.join(input), "input");
-                // By a way that leads through the system's names for what is open.
+                // Through a path that uses the system's names for open files.
                 #[cfg(target_os = "linux")]
                 refused(&Path::new("/proc/self/cwd").join(input), "input");
             }
@@ -286,7 +288,7 @@ pub fn every_writer_into_every_place() {
     }
 }
 
-/// Standard output takes a picture, and the names that the system has for it.
+/// Standard output takes a picture, also under the system's names for it.
 pub fn standard_output_takes_a_picture() {
     let folder = tempfile::tempdir().unwrap();
     let f = folder.path();
@@ -312,7 +314,7 @@ pub fn standard_output_takes_a_picture() {
     }
 }
 
-/// A full device is an error wherever something is printed, a reader that has gone away is none.
+/// A full device is an error wherever output is printed; a closed reader is not.
 pub fn what_cannot_be_printed_is_an_error() {
     let folder = tempfile::tempdir().unwrap();
     let f = folder.path();
@@ -346,7 +348,8 @@ pub fn what_cannot_be_printed_is_an_error() {
         drop(child.stdout.take());
         let output = child.wait_with_output().unwrap();
         assert!(output.status.success() && output.stderr.is_empty(), "{line}: {}", stderr(&output));
-        // There is nowhere to say that messages cannot be said.
+        // Messages that cannot be printed are dropped, since the failure cannot be reported
+        // anywhere.
         let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
         assert!(command(f, &words(line)).stderr(full).output().unwrap().status.success(), "{line}");
     }
@@ -354,14 +357,16 @@ pub fn what_cannot_be_printed_is_an_error() {
     assert_eq!(command(f, &words("info nowhere.nii")).stderr(full).status().unwrap().code(), Some(1));
 }
 
-/// Whether this process, and so each that it starts, was started to ignore a signal; unknown counts as not.
+/// Whether this process, and thus each of its children, was started with a signal ignored; unknown
+/// counts as no.
 fn is_ignored(signal: rustix::process::Signal) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let ignored = status.lines().find_map(|l| u64::from_str_radix(l.strip_prefix("SigIgn:")?.trim(), 16).ok());
     ignored.is_some_and(|set| set >> (signal.as_raw() - 1) & 1 == 1)
 }
 
-/// What a run that is told to end was writing is gone, and what one that was killed left is gone after the next.
+/// Partial files of an interrupted run are removed; those of a killed run are removed by the next
+/// run.
 pub fn nothing_unfinished_is_left() {
     let folder = tempfile::tempdir().unwrap();
     let f = folder.path();
@@ -372,7 +377,7 @@ pub fn nothing_unfinished_is_left() {
     // Long enough to be interrupted: the volume is written slice by slice.
     let bake = words("bake phantom:checker:size=400 -o out.nii --deform twist --interpolation cubic -q");
     for signal in [rustix::process::Signal::INT, rustix::process::Signal::TERM, rustix::process::Signal::HUP, rustix::process::Signal::KILL] {
-        // Under `nohup`, say, it stays ignored.
+        // Under `nohup`, for example, the signal stays ignored.
         if is_ignored(signal) {
             continue;
         }
@@ -390,7 +395,7 @@ pub fn nothing_unfinished_is_left() {
         assert!(!f.join("out.nii").exists());
         assert_eq!(left().is_empty(), signal != rustix::process::Signal::KILL, "{signal:?}: {:?}", left());
     }
-    // Not yet: it might be somebody's.
+    // A recent partial file is not removed yet: it may belong to a running process.
     let next = words("render phantom:ball -o a.png --backend cpu --size 16x16 -q");
     assert!(incise(f, &next).status.success() && left().len() == 1);
     let long_ago = std::time::SystemTime::now() - Duration::from_secs(600);
@@ -398,7 +403,7 @@ pub fn nothing_unfinished_is_left() {
     assert!(incise(f, &next).status.success() && left().is_empty(), "{:?}", left());
 }
 
-/// A command that reads `IN`, a file of any of these endings.
+/// A command that reads `IN`, a file with any of these extensions.
 struct Reader {
     words: &'static str,
     endings: &'static [&'static str],
@@ -426,7 +431,7 @@ const READERS: &[Reader] = &[
     Reader { words: "render sidecar.raw -q -o out.png", endings: &["IN"] },
 ];
 
-/// Readers against what is no file to be read.
+/// Readers against files that are not regular.
 pub fn every_reader_of_every_kind_of_file() {
     let folder = tempfile::tempdir().unwrap();
     let f = folder.path();
@@ -435,7 +440,7 @@ pub fn every_reader_of_every_kind_of_file() {
     std::fs::write(f.join("sidecar.raw"), [0; 512]).unwrap();
     symlink("IN", f.join("sidecar.raw.toml")).unwrap();
     let bomb = {
-        // Twenty megabytes of it would be twenty gigabytes; a tenth is as good.
+        // Twenty megabytes of it would unpack to twenty gigabytes; a tenth suffices.
         let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::best());
         for _ in 0..2000 {
             std::io::Write::write_all(&mut encoder, &[b' '; 1 << 20]).unwrap();
@@ -469,7 +474,7 @@ pub fn every_reader_of_every_kind_of_file() {
                 if !path.is_symlink() {
                     symlink(kind, &path).unwrap();
                 }
-                // A limit on the address space holds memory below it whatever happens.
+                // A limit on the address space bounds memory in any case.
                 let line = format!("ulimit -v 4000000; exec \"$0\" {} --backend cpu", reader.words.replace("IN", &name));
                 let line = if reader.words.starts_with("render") { line } else { line.replace(" --backend cpu", "") };
                 let start = Instant::now();
@@ -486,7 +491,7 @@ pub fn every_reader_of_every_kind_of_file() {
                 let output = child.wait_with_output().unwrap();
                 let message = stderr(&output);
                 assert_eq!(output.status.code(), Some(1), "{line}: {message}");
-                // A scene is wrong about itself in its own words.
+                // Errors of a scene file have their own wording.
                 assert!(message.contains(word) && message.trim().lines().count() == 1 && !message.contains("panicked"), "{line}: {message}");
                 let named =
                     message.contains(name.split('.').next().unwrap()) || message.contains("sidecar.raw") || matches!(kind, "nowhere" | "folder");
@@ -501,7 +506,7 @@ pub fn every_reader_of_every_kind_of_file() {
     assert!(tried > 300, "{tried}");
 }
 
-/// What a file names outside of its folder is not read, unless that is allowed.
+/// A reference to a file outside the folder is not followed, unless this is allowed.
 pub fn files_do_not_reach_outside() {
     let folder = tempfile::tempdir().unwrap();
     let f = folder.path();
@@ -548,11 +553,11 @@ pub fn files_do_not_reach_outside() {
         let output = incise(&inner, &words(&format!("info {name} --allow-outside")));
         assert!(output.status.success(), "{name}: {}", stderr(&output));
     }
-    // A page's address is no file at all.
+    // A URL is not a file.
     std::fs::write(inner.join("address.gltf"), gltf("file:///etc/passwd")).unwrap();
     assert_eq!(incise(&inner, &words("info address.gltf --allow-outside")).status.code(), Some(1));
 
-    // Folders: links to what lies in them are followed, others are counted.
+    // Folders: links to files inside them are followed, others are counted.
     let series = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/readers/phantom/dicom-explicit");
     let (one, other) = (f.join("one"), f.join("other"));
     for folder in [&one, &other] {
@@ -579,7 +584,7 @@ pub fn files_do_not_reach_outside() {
     assert!(count == 5 && !warnings.contains("not followed"), "{count} {warnings}");
 }
 
-/// Every name that a file can have is read and written.
+/// Any file name that the system allows can be read and written.
 pub fn names_that_are_no_text() {
     use std::os::unix::ffi::OsStrExt;
     let folder = tempfile::tempdir().unwrap();
@@ -614,7 +619,7 @@ pub fn names_that_are_no_text() {
         let output = incise(f, &arguments);
         assert!(output.status.success() && f.join(odd(to)).is_file(), "{line}: {}", stderr(&output));
     }
-    // In a deformation's setting as well; what a message names of it is printable.
+    // Also in a deformation's setting; the message shows the name in printable form.
     let mut setting = OsString::from("field:path=");
     setting.push(odd("nii"));
     let arguments = [words("render small.nii -q -o out.png --backend cpu --deform"), vec![setting]].concat();

@@ -1,5 +1,5 @@
-//! The workstation, used as people use it: widgets are found by their words, views by their places, and what comes of it is looked at in the
-//! scene, in files and in pictures.
+//! User-level tests of the workstation: widgets are found by their labels, views by their
+//! rectangles, and results are checked in the scene, in files and in pictures.
 
 use eframe::egui::{self, Key, Modifiers, PointerButton, Pos2, Rect, pos2, vec2};
 use egui_kittest::Harness;
@@ -33,19 +33,20 @@ mod tools;
 pub use pictures::*;
 pub use tools::*;
 
-/// Set in the process that edits until it is killed: the folder it keeps its scenes in.
+/// Set in the child process that edits until it is killed: the folder for its scenes.
 pub const CHILD: &str = "INCISE_TEST_EDITS_IN";
-/// A head that loads at once.
+/// A head that loads quickly.
 const HEAD: &str = "phantom:head-ct:size=48";
 
-/// Draws nothing: the usual renderer keeps every texture of the run until it is asked for a picture.
+/// Renders nothing: the default renderer retains every texture of the run until a picture is
+/// requested.
 struct NoPictures;
 
 impl egui_kittest::TestRenderer for NoPictures {
     fn handle_delta(&mut self, _delta: &mut egui::TexturesDelta) {}
 }
 
-/// A workstation in a window of 1280 x 800 that is not there.
+/// A workstation in a virtual window of 1280 x 800.
 struct Bench {
     harness: Harness<'static, Workstation>,
     folder: TempDir,
@@ -96,7 +97,7 @@ impl Bench {
         self.harness.step();
     }
 
-    /// Frames until nothing is under way any more.
+    /// Runs frames until no work is in progress.
     fn settle(&mut self) {
         let start = Instant::now();
         for n in 0.. {
@@ -147,7 +148,7 @@ impl Bench {
         self.harness.get_by_label(label).rect()
     }
 
-    /// Presses at one place, moves through others and lets go.
+    /// Presses at the first place, moves through the others and releases.
     fn drag(&mut self, button: PointerButton, modifiers: Modifiers, places: &[Pos2]) {
         let press = |pos, pressed| egui::Event::PointerButton { pos, button, pressed, modifiers };
         let mut events = vec![egui::Event::ModifiersChanged(modifiers), egui::Event::PointerMoved(places[0]), press(places[0], true)];
@@ -166,7 +167,7 @@ impl Bench {
         self.drag(PointerButton::Primary, Modifiers::NONE, &[pos]);
     }
 
-    /// The scene as the view shows it, rendered small by the library itself.
+    /// The scene as the view shows it, rendered at a small size by the library.
     fn picture(&mut self) -> Picture {
         let mut scene = self.app().scene_of_view().unwrap();
         let [w, h] = scene.render.size;
@@ -184,7 +185,7 @@ impl Bench {
         assert!(!self.app().log.entries().iter().any(|e| e.level == LogLevel::Error), "{text}");
     }
 
-    /// Where a handle of the selected deformation is on the screen.
+    /// The screen position of a handle of the selected deformation.
     fn handle(&mut self, wanted: Handle) -> Pos2 {
         let app = self.app();
         let projector = app.projector().unwrap();
@@ -246,7 +247,7 @@ pub fn every_panel_is_there() {
     ] {
         assert!(bench.harness.query_all_by_label(label).next().is_some(), "no \"{label}\"");
     }
-    // Nothing lies outside the window, and the views have room: at least two thirds of it are anatomy.
+    // All views are inside the window and large enough: at least two thirds of it show anatomy.
     let anatomy: f32 = ["3D view", "Axial view", "Coronal view", "Sagittal view"].iter().map(|l| bench.rect(l)).map(|r| r.area()).sum();
     println!("{:.0} % of the window is anatomy", 100.0 * anatomy / (1280.0 * 800.0));
     assert!(anatomy / (1280.0 * 800.0) > 0.57);
@@ -274,7 +275,7 @@ pub fn every_panel_is_there() {
 pub fn a_peel_is_placed_undone_saved_and_opened_again() {
     let mut bench = Bench::open(HEAD);
     let before = bench.picture();
-    // A preset by its picture.
+    // A preset, selected by its picture.
     bench.app().select(Selection::Volume);
     let preset = bench.harness.get_by_label("ct-skin");
     preset.scroll_to_me();
@@ -292,11 +293,11 @@ pub fn a_peel_is_placed_undone_saved_and_opened_again() {
     assert_eq!(scene.deformation.len(), 1, "{}", bench.app().log.text());
     let peel = &scene.deformation[0];
     assert_eq!((peel.kind.as_str(), bench.app().tool, peel.progress), ("peel", Tool::Navigate, Some(0.5)));
-    // Its axis points out of the surface, which faces the viewer.
+    // Its axis points out of the surface, towards the viewer.
     let turn = incise::gui::state::tool::matrix_of(peel.rotate.unwrap().into());
     let forward = bench.app().projector().unwrap().frame.forward;
     assert!((turn * glam::Vec3::Z).dot(forward) < -0.3, "{turn}");
-    // The handle opens it, by a drag.
+    // Dragging the handle opens it.
     let at = bench.handle(Handle::Progress);
     let fully = {
         let mut scene = bench.scene();
@@ -314,7 +315,7 @@ pub fn a_peel_is_placed_undone_saved_and_opened_again() {
     assert!((opened - 0.9).abs() < 0.06, "{opened}");
     let shown = bench.picture();
     assert!(mean_difference(&before, &shown) > 1.0);
-    // Three steps back, and forth again.
+    // Three undo steps, then redo.
     for expected in [Some(0.5), None, None] {
         bench.key(Modifiers::COMMAND, Key::Z);
         assert_eq!(bench.scene().deformation.first().and_then(|d| d.progress), expected);
@@ -325,7 +326,7 @@ pub fn a_peel_is_placed_undone_saved_and_opened_again() {
     }
     assert_eq!(bench.scene().deformation[0].progress, Some(opened));
     assert_eq!(bench.picture(), shown);
-    // Saved through the file dialog's own answer, and opened in another window.
+    // Saved through the file dialog's result, and opened in another window.
     let file = bench.folder.path().join("work.toml");
     bench.chosen(&file, FilePurpose::Save(None));
     assert!(!bench.app().doc.as_ref().unwrap().is_changed());
@@ -347,14 +348,14 @@ pub fn lasso_cuts_and_restores() {
     bench.settle();
     assert_eq!(bench.scene().deformation.len(), 1, "{}", bench.app().log.text());
     let cut = bench.picture();
-    // A hole as large as was drawn: pixels of a quarter of the view's.
+    // The hole has the size of the outline, in pixels of a quarter of the view's resolution.
     let lost = opaque(&before) as f32 - opaque(&cut) as f32;
     assert!((lost / (120.0 * 100.0 / 16.0) - 1.0).abs() < 0.15, "{lost} pixels of {}", 120.0 * 100.0 / 16.0);
-    // What is drawn around is what is gone: the middle of the outline shows nothing.
+    // The inside of the outline is removed: its centre is transparent.
     let (x, y) = ((c.x - view.left()) / view.width(), (c.y - view.top()) / view.height());
     let pixel = cut.pixels[(y * cut.height as f32) as usize * cut.width as usize + (x * cut.width as f32) as usize];
     assert_eq!(pixel[3], 0.0);
-    // The camera turns, the cut stays in the head.
+    // The cut stays in place as the camera turns.
     let stroke = bench.scene().deformation[0].clone();
     bench.app().orbit(80.0, 0.0);
     bench.settle();
@@ -389,7 +390,7 @@ pub fn renderers_are_compared_and_reported() {
         difference.mean, difference.max, difference.psnr_db, difference.ssim
     );
     assert!(difference.mean > 0.0 && difference.psnr_db > 25.0 && difference.ssim > 0.9 && difference.ssim < 1.0);
-    // The same renderer on both sides is the same picture.
+    // The same renderer on both sides gives the same picture.
     bench.app().compare.sides[1] = bench.app().compare.sides[0];
     bench.step();
     bench.until("no second comparison", |app| app.compare.is_done() && app.compare.difference.as_ref().is_some_and(|d| d.max == 0.0));
@@ -434,19 +435,19 @@ pub fn broken_files_are_told() {
     std::fs::write(&scene, "incise = 1\n[volume]\npath = \"phantom:ball\"\n[camra]\n").unwrap();
     drop(&mut bench, &scene);
     assert!(bench.has_error("did you mean \"camera\""), "{}", bench.app().log.text());
-    // Over an open scene the scene stays, and a good file still opens.
+    // If opening fails, the open scene stays, and a valid file still opens.
     let ctx = bench.ctx();
     bench.app().open(&ctx, Path::new(HEAD));
     bench.settle();
     let before = bench.scene();
     drop(&mut bench, &scene);
     assert_eq!(bench.scene(), before);
-    // What a message says can be read in the log.
+    // The full text of a message is in the log.
     bench.app().show_panel(incise::gui::state::layout::Panel::Log);
     bench.step();
     bench.step();
     assert!(bench.harness.query_all_by_label_contains("did you mean").next().is_some());
-    // A deformation that cannot be made is told once, and the scene goes on.
+    // A failing deformation is reported once, and the scene stays usable.
     let mut bad = Deformation::new("field");
     bad.parameters.insert("path", "no-such-field.nii.gz");
     bench.app().doc.as_mut().unwrap().add(bad);
@@ -456,7 +457,7 @@ pub fn broken_files_are_told() {
     assert!(bench.scene().deformation.is_empty());
 }
 
-/// A volume of n³ bytes whose reading takes a while.
+/// A volume of n³ bytes that takes a while to read.
 fn large_volume(folder: &Path, n: usize) -> PathBuf {
     use std::io::Write;
     let path = folder.join("large.nrrd");
@@ -484,7 +485,7 @@ pub fn loading_is_cancelled() {
     bench.until("not cancelled", |app| app.loading.is_none());
     println!("cancelled after {:.2} s", start.elapsed().as_secs_f64());
     assert!(bench.app().doc.is_none() && bench.app().log.text().contains("Cancelled"));
-    // And the window works on.
+    // The window stays responsive.
     bench.app().open(&ctx, Path::new(HEAD));
     bench.settle();
     assert!(bench.app().doc.is_some());
@@ -528,7 +529,7 @@ pub fn dragging_never_waits() {
     assert!(pictures >= 5, "only {pictures} pictures arrived during the drag");
 }
 
-/// What the killed process does: edits, saves and saves automatically, as fast as it can.
+/// Run by the process to be killed: edits, saves and autosaves as fast as possible.
 pub fn edit_until_killed() {
     let folder = PathBuf::from(std::env::var_os(CHILD).unwrap());
     let mut harness = workstation(&folder.join("home"), Some(Path::new(HEAD)), Backend::Cpu);
@@ -550,7 +551,7 @@ pub fn edit_until_killed() {
         app.autosave();
         if n % 3 == 0 {
             app.save_to(&ctx, &file, None);
-            // The next edit makes it worth an automatic save again.
+            // The next edit makes an automatic save necessary again.
         }
         harness.step();
     }
@@ -587,7 +588,7 @@ pub fn the_last_save_opens_after_a_crash() {
     }
     println!("killed 20 times: {recovered} automatic saves and {saved} saved scenes, all of which open");
     assert!(recovered >= 10, "{recovered}");
-    // And a window offers it.
+    // A new window offers it.
     let mut bench = loop {
         let program = std::env::current_exe().unwrap();
         let mut child = std::process::Command::new(program).env(CHILD, folder.path()).stdout(std::process::Stdio::null()).spawn().unwrap();
@@ -597,7 +598,7 @@ pub fn the_last_save_opens_after_a_crash() {
         let mut bench = Bench { harness: workstation(&folder.path().join("home"), None, Backend::Cpu), folder: tempfile::tempdir().unwrap() };
         bench.step();
         bench.step();
-        // It may have been killed just after it saved, with nothing to recover.
+        // If the process was killed just after saving, there is nothing to recover.
         match bench.app().dialog {
             Some(Dialog::Recover(_)) => break bench,
             _ => assert!(bench.app().session.left_behind().is_empty(), "nothing was offered"),
@@ -634,7 +635,8 @@ pub fn a_monkey_does_no_harm() {
             let entry: &ActionEntry = &entries[below(&mut random, entries.len())];
             let (action, label) = (entry.action, entry.label.clone());
             recent.push(label);
-            // What ends the window or leaves it for a dialog of files is tried rarely, and left again.
+            // Actions that close the window or open a file dialog are tried rarely, and then
+            // dismissed.
             let leaves = matches!(action, Action::Quit | Action::OpenFolder | Action::OpenHead | Action::Close | Action::CopyCommand);
             let asks = matches!(
                 action,
@@ -689,7 +691,7 @@ pub fn a_monkey_does_no_harm() {
                 d.center = Some([value * 10.0, -value, value * 3.0]);
             }
         }
-        // What grows without end in any program: deformations are taken away again.
+        // The number of deformations is limited, since memory grows with it in any program.
         if let Some(doc) = bench.app().doc.as_mut() {
             if doc.scene.deformation.len() > 4 {
                 doc.scene.deformation.truncate(1);
@@ -725,7 +727,7 @@ pub fn a_monkey_does_no_harm() {
     assert!(end < 1.1 * warm + 32.0, "memory grew from {warm} to {end} MiB");
 }
 
-/// With an adapter: a device that is lost is opened anew, and the scene goes on.
+/// With an adapter: a lost device is reopened, and the scene stays usable.
 fn a_lost_device_is_recovered() {
     let folder = tempfile::tempdir().unwrap();
     let harness = workstation(&folder.path().join("home"), Some(Path::new(HEAD)), Backend::Gpu);

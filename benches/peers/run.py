@@ -20,20 +20,21 @@ import work
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAD = ROOT / "volumes" / "colin27-head-t1.nii.gz"
-# Rays may step differently through the outermost voxels: what two pictures' mean brightness may differ by, as a share.
+# Tolerance of the mean brightness between two pictures, as a fraction: programs step differently
+# through the outermost voxels.
 AGREEMENT = 0.04
-# Baked values may be rounded or cut off.
+# Tolerance of baked values, which may be rounded or truncated.
 BAKED = 1.0
-# Peak memory of a picture: this many times the voxels, and so much besides.
+# Allowed peak memory of a picture: this factor times the bytes of the voxels, plus this constant.
 MEMORY_FACTOR, MEMORY_BASE = 2.2, 200e6
-# A way that is slow is repeated until this much time is spent, s, but at least so often.
+# A slow alternative is repeated until this much time is spent, s, but at least this many times.
 LONGEST, FEWEST = 240.0, 3
 
 SURFACE = work.Case("CT, surface", "ct", "ct-surface")
 SOFT = work.Case("CT, soft", "ct", "ct-soft")
 CASES = [SURFACE, SOFT, work.Case("head MR, surface", "mr", "mr-surface"), work.Case("head MR, soft", "mr", "mr-soft")]
 FIELD = '[[deformation]]\nkind = "field"\npath = "{path}"\nprogress = {strength}\n'
-# A third of the phantom's box of 160 mm.
+# A box with a third of the volume of the phantom's 160 mm box.
 THIRD = 'center = [0.0, 0.0, 24.5]\nsize = [111.0, 111.0, 111.0]\nresolution = 64\n'
 TWIST = f'[[deformation]]\nkind = "twist"\n{THIRD}'
 KNIFE = f'[[deformation]]\nkind = "knife"\n{THIRD}'
@@ -445,7 +446,8 @@ def line_7(bench: Bench) -> None:
     residuals = {"incise": judge(made, np.fromfile(output, np.float32).reshape(made.vectors.shape).astype(np.float64))}
     inversion = bench.itk().Inversion(made)
     array = bench.itk().array
-    # As they come (more iterations of the second change nothing), and about as exact as incise.
+    # With default settings (more iterations of the second change nothing), and at about the
+    # accuracy of incise.
     theirs: dict[str, Callable[[], Any]] = {
         "InvertDisplacementField, 10 iterations": lambda: inversion.direct(10, 0.1),
         "InvertDisplacementField, to 1e-3 voxels": lambda: inversion.direct(200, 1e-3),
@@ -465,7 +467,7 @@ def line_8(bench: Bench) -> None:
     """How the time of a picture grows with the volume and with the picture."""
     for backend, name in (("cpu", "CPU"), ("gpu", "GPU rays")):
         for transfer in ("ct-surface", "ct-soft"):
-            # The same matter over a millimetre: a voxel is a quarter as long.
+            # The same opacity per millimetre: a voxel is a quarter as long.
             small, large = work.Case(transfer, "ct128", transfer), work.Case(transfer, "ct512", transfer, voxels=4)
             ways = {"128^3": small, "a sample a voxel": large, "the same samples": replace(large, step=4.0)}
             times = bench.alternate({way: bench.steady(bench.ray(case, backend)) for way, case in ways.items()})
@@ -494,7 +496,8 @@ def line_9(bench: Bench) -> None:
     for size in (256, 512):
         path = bench.phantom(size)
         most = MEMORY_FACTOR * size**3 * 2 + MEMORY_BASE
-        # The program's own VmHWM: what a parent is told of its child includes the parent's size at the fork.
+        # The program's own VmHWM: the peak that a parent sees for its child includes the parent's
+        # size at the fork.
         peaks = [run(path)[1]["peak_memory_bytes"] for _ in range(FEWEST)]
         bench.add(Row(9, f"peak memory of incise render, CT {size}^3", [p / 1e6 for p in peaks], "allowed", [most / 1e6] * len(peaks), bar=1.0, unit="MB"))
     runs = [run(HEAD) for _ in range(bench.repeats + 1)][1:]

@@ -9,11 +9,11 @@ from vtk.util import numpy_support
 
 import work
 
-# Pictures a second that VTK may coarsen its sampling for, at its best.
+# Frame rate at which VTK may coarsen its sampling, at its best.
 BEST_PER_SECOND = 5.0
 
 if sys.platform == "linux":
-    # No display is needed, and none is looked for.
+    # No display is needed; off-screen rendering through EGL.
     os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
 
 
@@ -97,7 +97,7 @@ class Renderer:
         self.renderer.AutomaticLightCreationOff()
         light = vtk.vtkLight()
         light.SetLightTypeToHeadlight()
-        # Black by default, which leaves the CPU mapper without ambient light.
+        # The default is black, which leaves the CPU mapper without ambient light.
         light.SetAmbientColor(1.0, 1.0, 1.0)
         self.renderer.AddLight(light)
         self.window = vtk.vtkRenderWindow()

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-# As incise's Camera: a little air around the volume, a vertical field of view of 30 degrees.
+# As in incise's Camera: a small margin around the volume, a vertical field of view of 30 degrees.
 MARGIN = 1.04
 FIELD_OF_VIEW_DEG = 30.0
 # Largest displacement of the measured field, mm.
@@ -19,7 +19,8 @@ Point = tuple[float, Rgb, float]
 BONE_DARK, BONE, WHITE = (0.77, 0.63, 0.46), (0.94, 0.89, 0.79), (1.0, 1.0, 1.0)
 MUSCLE, SKIN = (0.69, 0.3, 0.26), (0.87, 0.69, 0.59)
 
-# Value, colour, opacity over one voxel. "surface" ends most rays within a few voxels of a surface, "soft" ends few of them.
+# Value, colour, opacity over one voxel. "surface" ends most rays within a few voxels of a surface,
+# "soft" ends few of them.
 TRANSFER: dict[str, list[Point]] = {
     "ct-surface": [(150, BONE_DARK, 0.0), (220, BONE_DARK, 0.25), (450, BONE, 0.75), (1200, WHITE, 0.95), (1900, WHITE, 0.95)],
     "ct-soft": [(-150, SKIN, 0.0), (-20, SKIN, 0.01), (40, MUSCLE, 0.012), (130, MUSCLE, 0.016), (300, BONE_DARK, 0.03), (1200, BONE, 0.06), (1900, WHITE, 0.06)],
@@ -39,7 +40,7 @@ class Light:
 
 
 HEADLIGHT = Light(0.25, 0.7, 0.1, 20.0)
-# Shown in white: opacity alone, which programs with different lighting models must agree in.
+# Shown in white: opacity alone, on which programs with different lighting models must agree.
 FLAT = Light(1.0, 0.0, 0.0, 20.0)
 
 

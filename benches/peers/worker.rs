@@ -1,7 +1,9 @@
-//! incise's side of `run.py`: answers one JSON object per line on standard input with one per line on standard output.
+//! incise's side of `run.py`: answers each JSON object, one per line on standard input, with one on
+//! standard output.
 //!
-//! What outlives a picture (volumes, fields, the device) is loaded once and kept, as peers keep theirs; `ms` is the time of the work alone,
-//! measured here, without the pipe. A request that cannot be met is answered with its `error`.
+//! Data that is reused between pictures (volumes, fields, the device) is loaded once and cached, as
+//! in the peer programs. `ms` is the time of the work alone, measured here, without the pipe. A
+//! request that cannot be met is answered with its `error`.
 #![allow(missing_docs, reason = "a benchmark has no callers")]
 
 use anyhow::{Context as _, Result, bail};
@@ -23,26 +25,27 @@ use std::io::{BufRead, Write};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// What can be asked.
+/// The requests.
 #[derive(Deserialize)]
 #[serde(tag = "do", rename_all = "snake_case", deny_unknown_fields)]
 enum Request {
-    /// What this is running on, and the program that was built with it.
+    /// The machine and the build of the program.
     About,
-    /// Reads a volume and keeps it by name.
+    /// Reads a volume and stores it under a name.
     Load { name: String, path: String },
-    /// Reads a displacement field and keeps it by name.
+    /// Reads a displacement field and stores it under a name.
     LoadField { name: String, path: PathBuf },
-    /// Forgets a volume.
+    /// Discards a volume.
     Forget { name: String },
-    /// Everything between a scene that has changed and its picture in memory, 8 bits a channel. The volume is a loaded one, whatever the
-    /// scene names. `picture` gets the picture's bytes (RGBA).
+    /// Renders a changed scene to a picture in memory, 8 bits per channel. `volume` names a loaded
+    /// volume, which replaces the scene's. The picture's bytes (RGBA) are written to `picture`.
     Render { volume: String, backend: Backend, scene: String, picture: Option<PathBuf> },
-    /// The deformed volume on the grid of its source, as a file's bytes in memory. `output` gets them.
+    /// Bakes the deformed volume on the grid of its source, as a file's bytes in memory, which are
+    /// written to `output`.
     Bake { volume: String, scene: String, output: Option<PathBuf> },
     /// The gradients of a volume at all voxels, as stored values.
     Gradient { volume: String },
-    /// The inverse of a field on its own grid. `output` gets it: three f32 a point.
+    /// Inverts a field on its own grid. The inverse is written to `output`: three f32 per point.
     Invert { field: String, output: Option<PathBuf> },
 }
 
@@ -53,7 +56,7 @@ enum Backend {
     Gpu,
 }
 
-/// The GPU renderer, opened when it is first asked for.
+/// The GPU renderer, opened on first use.
 #[cfg(feature = "gpu")]
 #[derive(Default)]
 struct Gpu(Option<incise::render::Renderer>);

@@ -1,4 +1,4 @@
-// Compositing of a segment of a ray, front to back: a whole ray, or what one slab of slices holds of it.
+// Composites a segment of a ray front to back: the whole ray, or the samples of one slab of slices.
 
 const MIN_TRANSMITTANCE: f32 = 1.0 / 512.0;
 const NEVER: f32 = -1e30;
@@ -6,12 +6,12 @@ const NEVER: f32 = -1e30;
 struct RaySegment {
     // Premultiplied.
     color: vec4<f32>,
-    // Greatest, smallest or summed value of a projection, and number of samples in it.
+    // Greatest, smallest or summed value of a projection, and the number of samples in it.
     projected: f32,
     present_count: f32,
 }
 
-// Where a ray meets the box of what can be seen: near and far; it misses if near > far.
+// Where a ray enters and leaves the box of what is visible; it misses if near > far.
 fn proxy_range(origin: vec3<f32>, inverse_direction: vec3<f32>) -> vec2<f32> {
     let a = (frame.proxy_min - origin) * inverse_direction;
     let b = (frame.proxy_max - origin) * inverse_direction;
@@ -20,7 +20,8 @@ fn proxy_range(origin: vec3<f32>, inverse_direction: vec3<f32>) -> vec2<f32> {
     return vec2<f32>(max(nears.x, max(nears.y, nears.z)), min(fars.x, min(fars.y, fars.z)));
 }
 
-// A pixel's shift of its samples, in steps, -1/2 .. 1/2: a hash by multiplication and shifts, the same integers on every device.
+// A pixel's shift of its samples, in steps, -1/2 .. 1/2: a hash by multiplications and shifts, with
+// the same integers on every device.
 fn pixel_shift(pixel: vec2<u32>) -> f32 {
     if frame.jitter == 0u {
         return 0.0;
@@ -32,7 +33,7 @@ fn pixel_shift(pixel: vec2<u32>) -> f32 {
     return f32(h >> 8u) / 16777216.0 - 0.5;
 }
 
-// A projection with one more value.
+// Adds a value to a projection.
 fn insert_value(projected: f32, value: f32) -> f32 {
     switch BLEND {
         case BLEND_MIP: { return max(projected, value); }
@@ -41,7 +42,8 @@ fn insert_value(projected: f32, value: f32) -> f32 {
     }
 }
 
-// The value at the front end of a sample's segment: that of the sample before it, if there is one; otherwise its own.
+// The value at the front end of a sample's segment: that of the previous sample if there is one,
+// otherwise the sample's own.
 fn front_value(at: SceneSample, previous: vec3<f32>, before: f32, is_known: bool) -> f32 {
     if !at.present {
         return at.value;
@@ -53,7 +55,7 @@ fn front_value(at: SceneSample, previous: vec3<f32>, before: f32, is_known: bool
     return select(at.value, earlier.value, earlier.present);
 }
 
-// Whether a sample shows something, or may lie at the face of a cut.
+// Whether a sample is visible or may lie at a cut face.
 fn is_to_be_shaded(at: SceneSample, depth: f32, sampled: vec3<f32>, step: f32) -> bool {
     if GREY_FACES != 0u && at.present && is_near_cut_face(at, sampled, step) {
         return true;
@@ -64,7 +66,7 @@ fn is_to_be_shaded(at: SceneSample, depth: f32, sampled: vec3<f32>, step: f32) -
     return depth > 0.0 || is_near_mask_edge(at);
 }
 
-// Samples first .. end of a ray, at (i + 1/2) step.
+// Composites samples first .. end of a ray, at (i + 1/2) step.
 fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> RaySegment {
     let inverse_direction = 1.0 / ray.direction;
     let length = step / frame.reference_mm;
@@ -74,20 +76,20 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Ray
     var color = vec4<f32>(0.0);
     var projected = select(0.0, select(-1e30, 1e30, BLEND == BLEND_MINIP), BLEND != BLEND_AVERAGE);
     var present_count = 0.0;
-    // Samples taken, skipped, and left out behind what is opaque.
+    // Samples taken, skipped, and terminated behind opaque ones.
     var counted = vec3<u32>(0u);
-    // Value of the last sample that was present, and its number.
+    // Value and index of the last present sample.
     var before = 0.0;
     var before_at = -2;
-    // What a PreviousSample says of the last sample that was looked at, and the number of the one behind it.
+    // Depth of the last sample (see PreviousSample), and the index after it.
     var last_depth = 0.0;
     var last_at = -2;
-    // Whether the ray is in a block of clear cells, and until where: there cells are not asked.
+    // Whether the ray is in a block of cut-free cells, and up to which t.
     var cut_free = false;
     var cut_free_until = NEVER;
     while i < end {
-        // Two loops instead of a branch: neighbouring rays run in lockstep, and shading costs far more than looking. This way the rays of a
-        // group look until each has something to shade, then shade together.
+        // Two loops, not a branch: rays run in lockstep, and shading costs far more than sampling.
+        // The rays of a group sample until each has something to shade.
         var stop = false;
         var found: VisibleSample;
         var at: SceneSample;
@@ -114,9 +116,9 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Ray
             }
             share = part.share;
             let sampled = ray.origin + ray.direction * part.t;
-            // Visible samples come in runs: the one behind something visible is likely to be shaded too.
+            // Visible samples come in runs: the next one is likely to be shaded too.
             at = sample_scene_and_gradient(sampled, needs_gradients && i - 1 == last_at && last_depth > 0.0);
-            // The same point, to the bit, whether or not it was looked at.
+            // The same point, bit for bit, whether or not it was sampled.
             front = PreviousSample(sampled - ray.direction * step, NOT_SAMPLED);
             if share == 1.0 {
                 front.point = ray.origin + ray.direction * ((f32(i) - 1.5) * step);

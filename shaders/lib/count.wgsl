@@ -1,4 +1,4 @@
-// Sample counts, spread over many counters so that neither contention nor 32 bits matter.
+// Sample counts, spread over many counters to avoid contention and 32-bit overflow.
 
 @group(1) @binding(0) var<storage, read_write> counts: array<atomic<u32>, 3072>;
 

@@ -7,7 +7,7 @@ fn shape_signed_distance_mm(k: u32, world: vec3<f32>) -> f32 {
     return outside_shape(cuts[k].shape, q, cuts[k].half, cuts[k].half_angle) * cuts[k].sense;
 }
 
-// Distance from what is removed, mm, positive where matter stays.
+// Signed distance to what is removed, mm, positive where the volume is retained.
 fn cuts_signed_distance_mm(world: vec3<f32>) -> f32 {
     var all = 1e30;
     var group = 1e30;
@@ -36,7 +36,7 @@ fn cuts_gradient(world: vec3<f32>, h: f32) -> vec3<f32> {
     ) / (2.0 * h);
 }
 
-// The part of a step that is kept: where its sample lies, and its share of the step.
+// The retained part of a step: where its sample lies, and its fraction of the step.
 struct RetainedPart {
     t: f32,
     share: f32,
@@ -73,7 +73,7 @@ fn retained_part(origin: vec3<f32>, direction: vec3<f32>, t: f32, step: f32) -> 
         b = cut_root(origin, direction, high, middle);
     }
     if low.y >= 0.0 && high.y >= 0.0 {
-        // Of two kept ends the nearer one is sampled; both count.
+        // If both ends are retained, the nearer one is sampled; the fraction counts both.
         return RetainedPart(0.5 * (low.x + a), (a - low.x + high.x - b) / step);
     }
     if low.y >= 0.0 {

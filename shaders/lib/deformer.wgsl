@@ -99,7 +99,7 @@ fn apply_all(world: vec3<f32>) -> DeformedVertex {
         let m = deformers[k].local_from_world;
         let own = deformer_local(k, transform_point(m, all.p));
         let linear = linear_part(m);
-        // Rigid: the inverse of its linear part is the transpose.
+        // The transform is rigid, hence the inverse of its linear part is its transpose.
         let back = transpose(linear);
         all = DeformedVertex(back * (own.p - m[3].xyz), back * own.j * linear * all.j);
     }

@@ -1,4 +1,4 @@
-// Implicit surfaces: distance grids, depth maps, formulas. With what an object binds.
+// Implicit surfaces: distance grids, depth maps, formulas; and the bindings of one object.
 
 @group(2) @binding(0) var<uniform> object: SurfaceObject;
 @group(2) @binding(1) var field: texture_3d<f32>;
@@ -18,7 +18,7 @@ fn grid_distance(world: vec3<f32>) -> f32 {
     return select(f - away, -sqrt(f * f + away * away), f < 0.0);
 }
 
-// f of the map number n, on a face; place in 0..1 over the box.
+// f of depth map number n on a face; x is the position in 0..1 over the box.
 fn depth_height(n: f32, face: u32, world: vec3<f32>, x: vec3<f32>) -> f32 {
     let axis = face / 2u;
     let uv = select(select(x.xy, x.xz, axis == 1u), x.yz, axis == 0u);

@@ -1,5 +1,6 @@
-// Counterpart of the formulas in src/deform/kinds: where the matter at a deformed point came from, in local millimetres (xyz), and the signed
-// distance to the nearest cut (w, mm, positive where matter is). Numbers in the order of each field's `formula`.
+// Counterpart of the formulas in src/deform/kinds: the source of a deformed point in local
+// millimetres (xyz), and the signed distance to the nearest cut (w, mm, positive where the volume
+// is retained). The numbers are in the order of each field's `formula`.
 
 const NO_CUT_DISTANCE_MM: f32 = 1e6;
 const TURN: f32 = 6.2831855;
@@ -28,12 +29,12 @@ fn ease(low: f32, high: f32, x: f32) -> f32 {
     return t * t * (3.0 - 2.0 * t);
 }
 
-// 1 in the middle, 0 at `half`, eased over a share of it.
+// 1 in the middle, 0 at `half`, eased over a fraction of it.
 fn window(x: f32, half: f32, share: f32) -> f32 {
     return ease(0.0, share, 1.0 - abs(x) / half);
 }
 
-// Gaps that a map can show: one that narrows below a texel closes.
+// Gaps that the map can resolve: one that narrows below a texel closes.
 fn gap_distance(to_wall: f32, half_width: f32, ramp_mm: f32, texel_mm: f32) -> f32 {
     return to_wall + 2.0 * ramp_mm * clamp(1.0 - half_width / texel_mm, 0.0, 1.0);
 }
@@ -104,7 +105,7 @@ fn bulge(q: vec3<f32>) -> vec4<f32> {
     return vec4<f32>(q * (1.0 - n(0u) * within * within), NO_CUT_DISTANCE_MM);
 }
 
-// Of a side of the roll, at an angle from it.
+// Distance to a side of the roll, at an angle from it.
 fn edge_distance(rho: f32, angle: f32) -> f32 {
     return select(with_sign(rho, angle), rho * sin(angle), abs(angle) < HALF_PI);
 }
@@ -169,7 +170,8 @@ fn slab(q: vec3<f32>) -> vec4<f32> {
     return vec4<f32>(q.xy, source_z, gap_distance(cut, g / 2.0, n(3u), n(4u)));
 }
 
-// Source coordinate and distance to the nearest gap, of an axis of count, gap and piece.
+// Source coordinate and distance to the nearest gap along one axis, from the count, gap and piece
+// lengths.
 fn pieces(x: f32, count: f32, gap: f32, piece: f32) -> vec2<f32> {
     let pitch = piece + gap;
     let from_low = x + 0.5 * (pitch * count - gap);

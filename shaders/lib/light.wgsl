@@ -1,6 +1,7 @@
 // Counterpart of src/math/light.rs.
 
-// The factor on a surface's colour, and the highlight that is added to it; facing: cosine of normal and light, cosine: of normal and half vector.
+// The factor on a surface's colour and the highlight added to it. facing: cosine between the normal
+// and the light; cosine: between the normal and the half vector.
 fn shine(facing: f32, cosine: f32, specular: f32, shininess: f32) -> vec2<f32> {
     var highlight = 0.0;
     if facing > 0.0 {
@@ -9,7 +10,7 @@ fn shine(facing: f32, cosine: f32, specular: f32, shininess: f32) -> vec2<f32> {
     return vec2<f32>(frame.ambient + frame.diffuse * max(facing, 0.0), highlight);
 }
 
-// Where highlights are: half-way between the light and the eye.
+// Half vector between the light and the eye.
 fn half_vector(direction: vec3<f32>) -> vec3<f32> {
     return normalize_or(frame.to_light - direction, frame.to_light);
 }

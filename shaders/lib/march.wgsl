@@ -1,11 +1,11 @@
-// What a ray meets on its way: empty blocks, samples, opaque faces.
+// Ray marching: rays, empty blocks, samples, opaque faces.
 
 struct Ray {
     origin: vec3<f32>,
     direction: vec3<f32>,
 }
 
-// The ray through a pixel's centre; pixel in 0 .. picture, y downwards.
+// The ray through a pixel's centre; pixel in 0 .. picture, y pointing down.
 fn pixel_ray(pixel: vec2<f32>) -> Ray {
     let u = pixel.x / frame.picture.x * 2.0 - 1.0;
     let v = 1.0 - pixel.y / frame.picture.y * 2.0;
@@ -22,11 +22,11 @@ fn first_sample_after(t: f32, step: f32) -> i32 {
 
 // The block of cells of one kind around a point.
 struct MacrocellBlock {
-    // Nothing is seen in it.
+    // Nothing in it is visible.
     empty: bool,
-    // Something may be seen, but no mask varies and no shape is near.
+    // Something may be visible, but no mask varies and no shape is near.
     cut_free: bool,
-    // Parameter at which a ray leaves it, if it is one or the other.
+    // Parameter at which the ray leaves the block, if either flag is set.
     until: f32,
 }
 
@@ -43,8 +43,10 @@ fn block_around(p: vec3<f32>, origin: vec3<f32>, inverse_direction: vec3<f32>) -
     return MacrocellBlock(d > 0u && !cut_free, cut_free, min(far.x, min(far.y, far.z)));
 }
 
-// Colour of a sample after light, premultiplied by its opacity over `length` reference lengths. `depth` is its own optical depth, if it
-// shows anything, and in a clear cell if `cut_free`; if not, it is near a cut, and what lies between the cut and it is looked for.
+// Colour of a sample after lighting, premultiplied by its opacity over `length` reference lengths.
+// `depth` is its own optical depth if it is visible, and `cut_free` states whether it lies in a
+// cut-free cell. An invisible sample is near a cut; then a thin layer between it and the cut is
+// searched for.
 fn shaded_sample(at: SceneSample, s: VisibleSample, front: PreviousSample, cut_free: bool, direction: vec3<f32>, half: vec3<f32>, step: f32, length: f32) -> vec4<f32> {
     var depth = s.depth;
     var point: ShadingPoint;
@@ -62,7 +64,7 @@ fn shaded_sample(at: SceneSample, s: VisibleSample, front: PreviousSample, cut_f
     return vec4<f32>(shaded.color * alpha, alpha);
 }
 
-// What hides everything behind it at a sample: the grey face of a cut, or the surface of the volume. Alpha 0: nothing does.
+// An opaque face at a sample: the grey face of a cut, or the iso-surface. Alpha 0: there is none.
 fn opaque_face(at: SceneSample, deformed: vec3<f32>, direction: vec3<f32>, step: f32) -> vec4<f32> {
     if GREY_FACES != 0u && at.present {
         let grey = grey_face(at, deformed, direction, step);

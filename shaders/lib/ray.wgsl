@@ -1,9 +1,9 @@
-// A pixel's ray, front to back.
+// The ray of one pixel, front to back.
 
-// Premultiplied, with what lies behind; by the position of the pixel's centre.
+// Premultiplied, composited over the surfaces behind; takes the position of the pixel's centre.
 fn ray_color(position: vec2<f32>) -> vec4<f32> {
     var ray = pixel_ray(position);
-    // Samples are shifted by moving where rays are measured from.
+    // Samples are shifted by moving the origin of the ray.
     let shift = pixel_shift(vec2<u32>(position)) * frame.step_mm;
     ray.origin += ray.direction * shift;
     var range = proxy_range(ray.origin, 1.0 / ray.direction);

@@ -16,7 +16,7 @@ struct VisibleSample {
     color: vec3<f32>,
     depth: f32,
     value: f32,
-    // As those of a SceneSample.
+    // As in SceneSample.
     gradient: vec3<f32>,
     has_gradient: bool,
 }
@@ -34,7 +34,7 @@ fn uses_gradient_opacity() -> bool {
     return frame.gradient_top > 0.0;
 }
 
-// The sample at a point that was looked at; depth 0 if it shows nothing.
+// The visible sample at a sampled point; depth 0 if it is invisible.
 fn visible_sample(at: SceneSample, deformed: vec3<f32>) -> VisibleSample {
     if !at.present {
         return VisibleSample(deformed, at.in_voxel, vec3<f32>(0.0), 0.0, 0.0, NOT_FETCHED, false);
@@ -50,7 +50,8 @@ fn nearer_volume_face(cut: NearestCut, j: Jet, in_voxel: vec3<f32>, axis: vec3<f
     return nearer_of(cut, min(at, beyond), transpose(j.d_source_d_deformed) * world_from_voxel_covector(axis * select(-1.0, 1.0, at < beyond)));
 }
 
-// A cut near a sample in the midst of matter, if the ray came out of it; none if it came through another surface since, or goes towards it.
+// A cut near a sample inside the material, if the ray came out of it; none if the ray has passed
+// another surface since, or heads towards the cut.
 fn cut_in_front(cut: NearestCut, s: VisibleSample, direction: vec3<f32>) -> NearestCut {
     if NORMALS != NORMALS_BLENDED || cut.distance_mm >= frame.blend_far_mm {
         return cut;
@@ -73,7 +74,7 @@ fn cut_in_front(cut: NearestCut, s: VisibleSample, direction: vec3<f32>) -> Near
     return cut;
 }
 
-// The colour that a voxel has of its own, if it has one, in place of another.
+// The voxel's own colour if it has one, else `otherwise`.
 fn own_color(in_voxel: vec3<f32>, otherwise: vec3<f32>) -> vec3<f32> {
     if COLORS == 0u {
         return otherwise;
@@ -82,12 +83,14 @@ fn own_color(in_voxel: vec3<f32>, otherwise: vec3<f32>) -> vec3<f32> {
     return clamp(c.rgb / max(c.a, 1.0 / 1024.0), vec3<f32>(0.0), vec3<f32>(1.0));
 }
 
-// What stands for an optical depth where there is none: matter, but less than half as dense; no matter; no sample was taken.
+// Values of an optical depth that is not known: present, but less than half as dense; not present;
+// not sampled.
 const THINNER: f32 = -1.0;
 const ABSENT: f32 = -2.0;
 const NOT_SAMPLED: f32 = -3.0;
 
-// The sample there, if it is at least half as dense as `depth`; else its depth is THINNER or ABSENT.
+// The sample at a point if it is at least half as dense as `depth`; else its depth is THINNER or
+// ABSENT.
 fn dense_sample(deformed: vec3<f32>, depth: f32) -> VisibleSample {
     let v = sample_scene(deformed);
     if !v.present {
@@ -103,14 +106,14 @@ struct SurfaceEntry {
     through_cut: bool,
 }
 
-// What is known of the point one step in front of a sample.
+// What is known about the point one step in front of a sample.
 struct PreviousSample {
     point: vec3<f32>,
-    // Its optical depth, ABSENT or NOT_SAMPLED.
+    // Its optical depth, or ABSENT or NOT_SAMPLED.
     depth: f32,
 }
 
-// Shades what is seen. half: that of half_vector, the same all along a ray.
+// Shades a visible point. half: the result of half_vector, constant along a ray.
 fn shade_point(e: ShadingPoint, direction: vec3<f32>, half: vec3<f32>) -> Shaded {
     let color = own_color(e.s.in_voxel, e.s.color);
     if !is_lit() && !uses_gradient_opacity() {
@@ -130,7 +133,7 @@ fn shade_point(e: ShadingPoint, direction: vec3<f32>, half: vec3<f32>) -> Shaded
     }
     let far = e.cut_free && far_from_faces(e.s.in_voxel);
     var j = e.j;
-    // Far from every cut, the deformation matters to what has a normal only.
+    // Far from every cut the deformation affects only points that have a normal.
     if !e.has_jet && !(far && surface_confidence(gradient_in_source) <= 0.0) {
         j = jet(e.s.deformed);
     }
@@ -149,12 +152,12 @@ fn shade_point(e: ShadingPoint, direction: vec3<f32>, half: vec3<f32>) -> Shaded
     return Shaded(light(n, half, color), depth_factor);
 }
 
-// How far a gradient in the source is that of a surface, 0 .. 1.
+// How reliably a gradient in the source is that of a surface, 0 .. 1.
 fn surface_confidence(gradient_in_source: vec3<f32>) -> f32 {
     return smoothstep(SURFACE_GRADIENT_LOW, SURFACE_GRADIENT_HIGH, length(gradient_in_source) * abs(frame.table_scale) * frame.reference_mm);
 }
 
-// Matter between a cut and a sample that shows nothing, thinner than a step; depth 0 if there is none.
+// A layer thinner than a step between a cut and an invisible sample; depth 0 if there is none.
 fn thin_layer_at_cut(deformed: vec3<f32>, present: bool, direction: vec3<f32>, step_mm: f32) -> ShadingPoint {
     var found = ShadingPoint(VisibleSample(deformed, vec3<f32>(0.0), vec3<f32>(0.0), 0.0, 0.0, NOT_FETCHED, false), true, identity_jet(deformed), false, present, 0.0, false);
     let before = deformed - direction * step_mm;
@@ -198,7 +201,7 @@ fn thin_layer_at_cut(deformed: vec3<f32>, present: bool, direction: vec3<f32>, s
     return found;
 }
 
-// Where the ray entered the matter that a sample lies in, if it did so within the last step.
+// Where the ray entered the material of a sample, if it did so within the last step.
 fn entry(s: VisibleSample, front: PreviousSample, direction: vec3<f32>, step_mm: f32) -> SurfaceEntry {
     var before = front.depth;
     if before == NOT_SAMPLED {
@@ -230,7 +233,7 @@ fn world_from_voxel_covector(per_voxel: vec3<f32>) -> vec3<f32> {
     return transpose(linear_part(frame.voxel_from_world)) * per_voxel;
 }
 
-// As visible, with colour and depth of the segment from a front value.
+// As visible_sample, with colour and depth of the segment that starts at a front value.
 fn visible_segment_sample(at: SceneSample, front: f32, deformed: vec3<f32>) -> VisibleSample {
     if !at.present {
         return VisibleSample(deformed, at.in_voxel, vec3<f32>(0.0), 0.0, 0.0, NOT_FETCHED, false);
@@ -245,7 +248,7 @@ fn nearest_cut(j: Jet, in_voxel: vec3<f32>) -> NearestCut {
     return nearer_volume_face(y, j, in_voxel, vec3<f32>(0.0, 0.0, 1.0));
 }
 
-// The nearer of a cut and the surface of the cuts that are shapes.
+// The nearer of a cut and the surface of the analytic cut shapes.
 fn nearer_cut_shape(cut: NearestCut, deformed: vec3<f32>) -> NearestCut {
     if CUTS == 0u {
         return cut;
@@ -263,7 +266,8 @@ fn is_cut(deformed: vec3<f32>) -> bool {
     return (CUTS > 0u && cuts_signed_distance_mm(deformed) < 0.0) || source_and_alpha(deformed).w < 0.5;
 }
 
-// The scan's grey value on the face of a cut that the ray came out of within the last step; negative if it did not.
+// The scan's grey value on the cut face that the ray came out of within the last step; negative if
+// there is none.
 fn grey_face(at: SceneSample, deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> f32 {
     let near = at.alpha < 1.0 || (CUTS > 0u && cuts_signed_distance_mm(deformed) < 1.5 * step_mm);
     var outside = deformed - direction * step_mm;
@@ -309,7 +313,8 @@ fn light_cosine_by_derivative(at: vec3<f32>) -> f32 {
     return select(max(facing, 0.0), abs(facing), frame.two_sided != 0u);
 }
 
-// Colour of the surface where the volume has the value frame.iso, met within the step before `deformed`.
+// Colour of the surface where the volume has the value frame.iso, crossed within the step before
+// `deformed`.
 fn iso_surface(deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> vec3<f32> {
     var inside = deformed;
     var outside = deformed - direction * step_mm;
@@ -345,16 +350,16 @@ fn iso_surface(deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> vec3<
     return light(n, half_vector(direction), color);
 }
 
-// What one call of shade_point needs of samples, entries and slivers.
+// The input of shade_point, shared by samples, entries and thin layers.
 struct ShadingPoint {
     s: VisibleSample,
     entered: bool,
-    // There, if it is known.
+    // The jet at the point, if it is known.
     j: Jet,
     has_jet: bool,
     through_cut: bool,
     share: f32,
-    // No cut but the volume's faces can be near.
+    // No cut except the volume's faces can be near.
     cut_free: bool,
 }
 
@@ -393,7 +398,7 @@ fn shaded_normal(d_source_d_deformed: mat3x3<f32>, gradient_in_source: vec3<f32>
     return Normal(normal, confidence);
 }
 
-// A visible sample.
+// The shading point of a visible sample.
 fn shading_point(s: VisibleSample, front: PreviousSample, cut_free: bool, direction: vec3<f32>, step_mm: f32) -> ShadingPoint {
     var j = identity_jet(s.deformed);
     var share = 1.0;

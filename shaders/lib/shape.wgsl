@@ -1,8 +1,8 @@
-// Cut shapes that are computed, not stored.
+// Cut shapes, evaluated analytically rather than sampled.
 
 const HALF_PI: f32 = 1.5707964;
 
-// Distance from a shape, mm, positive outside; q in the shape's own millimetres.
+// Distance from a shape, mm, positive outside; q in the shape's local millimetres.
 fn outside_shape(shape: u32, q: vec3<f32>, half: vec3<f32>, half_angle: f32) -> f32 {
     switch shape {
         case SHAPE_HALF_SPACE: { return half.z - q.z; }

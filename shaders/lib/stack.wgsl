@@ -1,9 +1,9 @@
 // Counterpart of src/deform/stack.rs and of the derivatives in src/deform/map.rs.
 
 struct NearestCut {
-    // mm, positive where matter is.
+    // mm, positive where the volume is retained.
     distance_mm: f32,
-    // Unit, out of the matter.
+    // Unit vector pointing out of the retained part.
     normal: vec3<f32>,
 }
 
@@ -38,11 +38,13 @@ fn displacement(k: u32, p: vec3<f32>) -> vec4<f32> {
     return vec4<f32>(linear_part(maps[k].world_from_stored) * t.xyz, t.w);
 }
 
-// A mask from which a sample has a part of marked texels, and how much it changes by over a map where they are.
+// A sample whose mask is at least MIN_MARKED_ALPHA includes a marked texel; a mask that changes by
+// more than MIN_MARKED_SLOPE over a map has marked texels nearby.
 const MIN_MARKED_ALPHA: f32 = 2.0;
 const MIN_MARKED_SLOPE: f32 = 4096.0;
 
-// xyz: the source point; w: the smallest mask value on the way. The walk ends where a mask cuts (below 1/2).
+// xyz: the source point; w: the smallest mask along the way. The walk ends where a mask cuts (below
+// 1/2).
 fn source_and_alpha(deformed: vec3<f32>) -> vec4<f32> {
     if PRECOMPOSED != 0u {
         let d = displacement(MAPS, deformed);
@@ -51,7 +53,7 @@ fn source_and_alpha(deformed: vec3<f32>) -> vec4<f32> {
         }
     }
     var p = vec4<f32>(deformed, 1.0);
-    // Where the maps that are added to each other are all evaluated.
+    // The point at which maps that are added to each other are all evaluated.
     var here = deformed;
     for (var n = MAPS; n > 0u; n -= 1u) {
         let d = displacement(n - 1u, here);
@@ -67,7 +69,7 @@ fn source_and_alpha(deformed: vec3<f32>) -> vec4<f32> {
     return p;
 }
 
-// As walk, but through every map whatever the masks say.
+// As source_and_alpha, but through every map whatever the masks are.
 fn source_and_alpha_unclipped(deformed: vec3<f32>) -> vec4<f32> {
     var p = vec4<f32>(deformed, 1.0);
     var here = deformed;
@@ -86,7 +88,8 @@ fn identity_jet(deformed: vec3<f32>) -> Jet {
     return Jet(deformed, 1.0, mat3x3<f32>(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), NO_CUT);
 }
 
-// What map k changes by along one of its axes, per map unit: a difference over one texel to each side, shortened at the cube's faces.
+// The change of map k along one of its axes, per map unit: a difference over one texel to each
+// side, shortened at the cube's faces.
 fn difference(k: u32, x: vec3<f32>, axis: vec3<f32>) -> vec4<f32> {
     let points = dot(maps[k].size, axis);
     if points < 1.5 {
@@ -100,7 +103,7 @@ fn difference(k: u32, x: vec3<f32>, axis: vec3<f32>) -> vec4<f32> {
     return (fetch(k, across + axis * high) - fetch(k, across + axis * low)) * (1.0 / (high - low));
 }
 
-// The jet of the map that stands for all; its alpha is MIN_MARKED_ALPHA where it does not.
+// The jet of the precomposed map; its alpha is MIN_MARKED_ALPHA where the map is not valid.
 fn jet_of_precomposed(deformed: vec3<f32>) -> Jet {
     var j = identity_jet(deformed);
     let x = transform_point(maps[MAPS].map_from_world, deformed);

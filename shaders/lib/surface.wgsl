@@ -20,7 +20,7 @@ struct SurfaceSample {
 }
 
 struct SurfaceEvent {
-    // Negative: none.
+    // Negative: no hit.
     t: f32,
     side: u32,
 }
@@ -31,7 +31,7 @@ struct Drawn {
     @builtin(frag_depth) depth: f32,
 }
 
-// Rises with t, within 0..1.
+// Increases with t, within 0..1.
 fn depth_of(t: f32) -> f32 {
     return t / (t + 100.0 * frame.reference_mm);
 }
@@ -44,7 +44,8 @@ fn depth_in_boxes(p: vec3<f32>) -> f32 {
     for (var k = 0u; k < MAPS; k += 1u) {
         let x = transform_point(maps[k].map_from_world, p);
         let m = linear_part(maps[k].map_from_world);
-        // Edges of the box: map space is the unit cube, and its axes are the rows of the inverse.
+        // Edge lengths of the box: map space is the unit cube, and its axes are the rows of the
+        // inverse.
         let inverse = transpose(m);
         let size = 1.0 / vec3<f32>(length(inverse[0]), length(inverse[1]), length(inverse[2]));
         let inside = min(x + maps[k].reach, 1.0 + maps[k].reach - x) * size;
@@ -81,7 +82,7 @@ fn surface_sample(ray: Ray, t: f32) -> SurfaceSample {
     return SurfaceSample(t, apply_cut_model(implicit_value(s.xyz)), max(0.5 - s.w, -cuts_signed_distance_mm(p)));
 }
 
-// Walks a ray to the first hit; counts samples in `taken`.
+// Follows a ray to the first hit; counts the samples in `taken`.
 fn trace(ray: Ray, taken: ptr<function, u32>) -> SurfaceEvent {
     let inverse = 1.0 / ray.direction;
     let low = (object.occupied_min - ray.origin) * inverse;
@@ -99,7 +100,8 @@ fn trace(ray: Ray, taken: ptr<function, u32>) -> SurfaceEvent {
     var before = SurfaceSample(-1.0, 0.0, 0.0);
     var count = 0u;
     while t < far && count < MAX_SAMPLES {
-        // Two loops instead of a branch: the rays of a group look for a change of sign each, then refine together.
+        // Two loops instead of a branch: each ray of a group searches for a sign change, then all
+        // refine together.
         var here = SurfaceSample(-1.0, 0.0, 0.0);
         var last = before;
         var changed = false;
@@ -157,7 +159,7 @@ fn object_cell(p: vec3<f32>) -> vec3<f32> {
     return clamp(floor((p - object.cells_origin) / object.cell_mm), vec3<f32>(0.0), vec3<f32>(object.cells) - 1.0);
 }
 
-// Parameter at which a ray leaves a block of `reach` cells about the one with the low corner.
+// Parameter at which a ray leaves the block of `reach` cells around the cell with this low corner.
 fn leaves(cell: vec3<f32>, reach: f32, ray: Ray, inverse: vec3<f32>) -> f32 {
     let low = object.cells_origin + (cell - (reach - 1.0)) * object.cell_mm;
     let high = object.cells_origin + (cell + reach) * object.cell_mm;
@@ -192,7 +194,7 @@ fn first_event(ray: Ray, a: SurfaceSample, b: SurfaceSample) -> SurfaceEvent {
     return best;
 }
 
-// The last sample on the near side of a change and the first on the far side; of the surface, or of the cut.
+// The last sample before a sign change and the first one after it, of the surface or of the cut.
 fn bisect(ray: Ray, a_start: SurfaceSample, b_start: SurfaceSample, of_cut: bool) -> array<SurfaceSample, 2> {
     var a = a_start;
     var b = b_start;

@@ -12,7 +12,8 @@ fn lookup(value: f32) -> vec4<f32> {
     return mix(table_entry(i, 0), table_entry(i + 1, 0), x - f32(i));
 }
 
-// The optical depth at a position in entries, its integral up to the entry before, and from there.
+// The optical depth at a position in entries, its integral up to the entry before, and its integral
+// from that entry on.
 fn depth_at(x: f32) -> vec3<f32> {
     let i = min(i32(x), TABLE_ENTRIES - 2);
     let t = x - f32(i);
@@ -27,7 +28,7 @@ fn segment_depth(ends: vec2<f32>) -> f32 {
     let a = min(at.x, at.y);
     let b = max(at.x, at.y);
     if b - a < 1.0 {
-        // Differences of integrals would be of their last digits.
+        // For short segments a difference of integrals would lose all significant digits.
         return depth_at(0.5 * (a + b)).x;
     }
     let low = depth_at(a);
@@ -35,7 +36,7 @@ fn segment_depth(ends: vec2<f32>) -> f32 {
     return max(((high.y - low.y) + (high.z - low.z)) / (b - a), 0.0);
 }
 
-// As lookup, of the segment between two samples.
+// As lookup, for the segment between two samples.
 fn lookup_segment(front: f32, back: f32) -> vec4<f32> {
     let ends = vec2<f32>(front, back) * frame.table_scale + frame.table_offset;
     return vec4<f32>(preintegrated_entry(ends.x, ends.y).rgb, segment_depth(ends));

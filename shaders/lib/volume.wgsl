@@ -2,13 +2,13 @@
 
 struct SceneSample {
     in_voxel: vec3<f32>,
-    // Normalised; only meaningful where matter is present.
+    // Normalised; only meaningful if `present`.
     value: f32,
-    // Neither cut away, nor outside the volume, nor in a hole.
+    // Not cut away, not outside the volume, not in a hole.
     present: bool,
-    // Smallest mask on the way: strictly between 0 and 1 near a cut.
+    // Smallest mask along the way: strictly between 0 and 1 near a cut.
     alpha: f32,
-    // That of gradient() here, if it came with the value.
+    // The result of gradient() here, if it was fetched with the value.
     gradient: vec3<f32>,
     has_gradient: bool,
 }
@@ -19,7 +19,7 @@ fn sample_scene(deformed: vec3<f32>) -> SceneSample {
     return sample_scene_and_gradient(deformed, false);
 }
 
-// With the gradient, if it is kept beside the values and wanted.
+// Also returns the gradient if gradients are stored with the values and requested.
 fn sample_scene_and_gradient(deformed: vec3<f32>, with_gradient: bool) -> SceneSample {
     if CUTS > 0u && cuts_signed_distance_mm(deformed) < 0.0 {
         return SceneSample(vec3<f32>(0.0), 0.0, false, 0.0, NOT_FETCHED, false);
@@ -48,7 +48,7 @@ fn central(p: vec3<f32>) -> vec3<f32> {
     ) * 0.5;
 }
 
-// Beside the volume's faces a difference is taken at the face.
+// Outside this range a difference is taken at the volume's face.
 fn is_in_grid(p: vec3<f32>) -> bool {
     return all(p >= vec3<f32>(0.0)) && all(p <= frame.grid_size - 1.0);
 }

@@ -1,4 +1,5 @@
-// Bounds on a box of a map's texels: stored (D, alpha), and what stored D changes by per map unit along each axis.
+// Bounds on a box of a map's texels: stored (D, alpha), and the change of stored D per map unit
+// along each axis.
 struct NodeBounds {
     low: vec4<f32>,
     high: vec4<f32>,

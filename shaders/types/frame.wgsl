@@ -12,7 +12,8 @@ struct Frame {
     right: vec3<f32>,
     reference_mm: f32,
     up: vec3<f32>,
-    // Distances from a cut at which its normal stops to rule alone, and to matter.
+    // Distance from a cut up to which its normal is used alone, and distance beyond which it has no
+    // effect.
     blend_near_mm: f32,
     to_light: vec3<f32>,
     blend_far_mm: f32,
@@ -33,32 +34,35 @@ struct Frame {
     // Table coordinate = table_scale * normalised value + table_offset.
     table_scale: f32,
     table_offset: f32,
-    // Gradient magnitude of the last entry of the gradient table; 0 for none.
+    // Gradient magnitude at the last entry of the gradient table; 0 for none.
     gradient_top: f32,
     two_sided: u32,
     has_holes: u32,
     early_termination: u32,
-    // Normalised values that are black and white on grey faces of cuts.
+    // Normalised values shown as black and white on grey cut faces.
     grey_low: f32,
     grey_high: f32,
-    // Normalised value of the surface that is shown.
+    // Normalised value of the iso-surface.
     iso: f32,
-    // 1: samples are shifted along each pixel's ray.
+    // 1: samples are jittered along each pixel's ray.
     jitter: u32,
-    // Voxels that the volume's texture spans: the grid's size, or a little more where it was reduced.
+    // Voxels spanned by the volume's texture: the grid's size, or slightly more where it was
+    // reduced.
     texture_size: vec3<f32>,
-    // Gradient of the normalised value per voxel = gradient_scale * texel of the gradient volume; 0: there is none.
+    // Gradient of the normalised value per voxel = gradient_scale * texel of the gradient volume;
+    // 0: no gradient volume.
     gradient_scale: f32,
-    // Voxels along each axis nearer to the volume's faces than which those may be seen as cuts, wherever the deformation has brought them.
+    // Distance from the volume's faces, in voxels along each axis, within which a face may act as a
+    // cut under any deformation.
     face: vec3<f32>,
-    // Normalised value = 2 gradient_scale * the first number of such a texel + stored_offset.
+    // Normalised value = 2 gradient_scale * first component of such a texel + stored_offset.
     stored_offset: f32,
     // 1 / texture_size.
     per_texture_size: vec3<f32>,
     padding: f32,
 }
 
-// A cut that is a shape (src/deform/cut.rs).
+// An analytic cut shape (src/deform/cut.rs).
 struct CutShape {
     // Rigid; the last row is unused.
     local_from_world: mat4x4<f32>,
@@ -74,21 +78,21 @@ struct CutShape {
 struct PlacedMap {
     // Affine; the last row is unused.
     map_from_world: mat4x4<f32>,
-    // Linear part of world_from_map times the map's scale: stored displacement to mm.
+    // Linear part of world_from_map times the map's scale: from stored displacement to mm.
     world_from_stored: mat4x4<f32>,
     // Texels along x, y, z.
     size: vec3<f32>,
-    // 1: added to the map before it; 0: applied after it.
+    // 1: added to the previous map; 0: applied after it.
     added: f32,
-    // How far beyond the cube its outermost texels go on, map units.
+    // How far the outermost texels extend beyond the cube, map units.
     reach: vec3<f32>,
     // Map units per stored unit of displacement.
     scale: f32,
-    // Its first texel in the atlas.
+    // The map's first texel in the atlas.
     origin: vec3<f32>,
-    // 1: in the atlas of single precision.
+    // 1: in the single-precision atlas.
     single: f32,
-    // 1 / texels of that atlas.
+    // 1 / size of that atlas in texels.
     per_atlas: vec3<f32>,
     padding: f32,
 }

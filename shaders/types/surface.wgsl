@@ -1,15 +1,15 @@
 // Mirrored by src/render/uniforms.rs; a test compares names, offsets and sizes.
 
 struct SurfaceObject {
-    // Field: world to grid indices and back. Affine; the last row is unused.
+    // For a field: world to grid indices and back. Affine; the last row is unused.
     grid_from_world: mat4x4<f32>,
     world_from_grid: mat4x4<f32>,
-    // Points of the field, or texels of the depth maps and their number.
+    // Grid points of the field; or texels of the depth maps, and their number.
     size: vec3<f32>,
-    // 0 a distance field, 1 formulas, 2 depth maps.
+    // 0 distance field, 1 formulas, 2 depth maps.
     kind: u32,
     cells_origin: vec3<f32>,
-    // What f is resolved to, mm.
+    // Resolution of f, mm.
     resolution_mm: f32,
     cell_mm: vec3<f32>,
     step_mm: f32,
@@ -27,7 +27,7 @@ struct SurfaceObject {
     shininess: f32,
     cut: vec3<f32>,
     threshold_mm: f32,
-    // The box of depth maps.
+    // The box of the depth maps.
     low: vec3<f32>,
     solids: u32,
     high: vec3<f32>,
@@ -35,10 +35,10 @@ struct SurfaceObject {
     face: u32,
     seam_mm: f32,
     rigid: u32,
-    // Triangles are drawn outside the boxes of deformations only.
+    // Triangles are drawn only outside the boxes of deformations.
     both: u32,
     deformers: u32,
-    // 0 inverse transpose, 1 tangent and binormal, 2 points beside.
+    // 0 inverse transpose, 1 tangent and binormal, 2 neighbouring points.
     normal_method: u32,
     vertex_offset_mm: f32,
     padding: vec2<f32>,
@@ -52,7 +52,7 @@ struct PlacedSolid {
     solid: u32,
     // 0 union, 1 intersect, 2 subtract.
     join: u32,
-    // Of a gyroid.
+    // For a gyroid.
     period: f32,
     wall: f32,
 }
@@ -64,6 +64,6 @@ struct Deformer {
     half: vec3<f32>,
     // 0 twist, 1 bend, 2 taper, 3 shear, 4 bulge, 5 wave, 6 lattice.
     kind: u32,
-    // Of a lattice, x fastest.
+    // For a lattice, x varies fastest.
     offsets: array<vec4<f32>, 64>,
 }

@@ -7,10 +7,11 @@ use crate::volume::load::{RawLayout, ReadOptions};
 use crate::{Error, Result};
 use clap::Args;
 
-/// Options that say which part of a volume's file is meant.
+/// Options that select the part of a volume's file to load.
 #[derive(Args, Clone, Debug)]
 pub struct VolumeArguments {
-    /// DICOM series to load: its number from incise info, its UID, or part of its description; the largest by default.
+    /// DICOM series to load: its number from incise info, its UID, or part of its description; the
+    /// largest by default.
     #[arg(long, value_name = "N|UID|TEXT")]
     series: Option<String>,
     /// Time point to load, counted from 1.

@@ -33,13 +33,15 @@ pub struct BakeArguments {
     /// Add a deformation after the scene's own; repeat for more, applied in order.
     #[arg(long, value_name = "KIND[:name=value,...]")]
     deform: Vec<OsString>,
-    /// Write the composed displacement (source minus deformed point, mm, LPS) instead of the volume.
+    /// Write the composed displacement (source minus deformed point, mm, LPS) instead of the
+    /// volume.
     #[arg(long)]
     field: bool,
     /// Interpolation between voxels: nearest by default for label maps, otherwise linear.
     #[arg(long, value_enum)]
     interpolation: Option<InterpolationName>,
-    /// Enlarge the grid so that the deformed volume is not clipped; by default, the input's grid is used.
+    /// Enlarge the grid so that the deformed volume is not clipped; by default, the input's grid is
+    /// used.
     #[arg(long)]
     enlarge: bool,
     /// Fill value outside the deformed volume and in cuts; the volume's lowest value by default.

@@ -52,7 +52,8 @@ enum ProjectionName {
 /// What is shown and how: the options that every command with a picture takes.
 #[derive(Args)]
 pub struct Common {
-    /// A scene (.toml), a volume (DICOM file, folder or zip, .nii.gz, .nrrd, .mha, .vti, .tif and so on), a mesh (.stl, .obj, .ply, .off, .gltf, .glb, .gii) or phantom:NAME[:size=N].
+    /// A scene (.toml), a volume (DICOM file, folder or zip, .nii.gz, .nrrd, .mha, .vti, .tif and
+    /// so on), a mesh (.stl, .obj, .ply, .off, .gltf, .glb, .gii) or phantom:NAME[:size=N].
     pub input: PathBuf,
     #[command(flatten)]
     volume: arguments::VolumeArguments,

@@ -19,7 +19,8 @@ use std::path::{Path, PathBuf};
 enum CompareBackends {
     /// The CPU and, if available, a GPU (software adapters included).
     Auto,
-    /// A GPU (software adapters included); an error if there is none. References are still rendered on the CPU.
+    /// A GPU (software adapters included); an error if there is none. References are still rendered
+    /// on the CPU.
     Gpu,
     /// The CPU.
     Cpu,
@@ -48,7 +49,8 @@ pub struct CompareArguments {
     /// Where to compute.
     #[arg(long, value_enum, default_value = "auto")]
     backend: CompareBackends,
-    /// Modes to compare; by default slice and raycast if there is a volume, and surface if the scene has a surface.
+    /// Modes to compare; by default slice and raycast if there is a volume, and surface if the
+    /// scene has a surface.
     #[arg(long, value_enum, value_name = "MODE,...", value_delimiter = ',', conflicts_with = "mode")]
     modes: Vec<ModeName>,
     /// Sampling distances in voxels, e.g. 0.5,1,2.
@@ -57,7 +59,8 @@ pub struct CompareArguments {
     /// Sizes of pictures, e.g. 256x256,512x512.
     #[arg(long, value_name = "WxH,...", value_delimiter = ',', value_parser = arguments::picture_size, conflicts_with = "size")]
     sizes: Vec<[u32; 2]>,
-    /// Cameras, e.g. 'anterior;left;40,20': names and pairs AZ,EL with ; or , between them, or the option repeated.
+    /// Cameras, e.g. 'anterior;left;40,20': names and pairs AZ,EL with ; or , between them, or the
+    /// option repeated.
     #[arg(long, value_name = "CAMERA;...", allow_hyphen_values = true, value_parser = cameras, conflicts_with = "camera")]
     cameras: Vec<CameraList>,
     /// Number of timed renderings per run; the median is reported.

@@ -19,7 +19,7 @@ pub struct GalleryArguments {
     /// The folder to write; made if it does not exist.
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// The volume that is shown beside the checker phantom.
+    /// The volume to show next to the checker phantom.
     #[arg(long, default_value = "phantom:head-ct")]
     volume: PathBuf,
     /// Edge length of each picture, in pixels.

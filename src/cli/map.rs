@@ -31,7 +31,8 @@ pub struct MapArguments {
     /// A kind with its parameters (as in --deform), or a file: a map, a field or a transform.
     #[arg(required = true, value_name = "KIND|FILE")]
     what: Option<OsString>,
-    /// The file to write. A kind as .nrrd keeps its mask (a displacement map); other endings hold the displacement alone.
+    /// The file to write. A kind as .nrrd keeps its mask (a displacement map); other endings hold
+    /// the displacement alone.
     #[arg(short, long, required = true, value_name = "OUT")]
     output: Option<PathBuf>,
     /// Reference volume; needed for default boxes, label surfaces and FSL files.

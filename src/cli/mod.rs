@@ -26,7 +26,8 @@ struct Cli {
     command: Option<Command>,
     /// A scene, a volume or a mesh to open in the workstation.
     file: Option<std::path::PathBuf>,
-    /// Allow input files to refer to files outside their own folders (detached headers, glTF), and follow symbolic links that lead out of an input folder.
+    /// Allow input files to refer to files outside their own folders (detached headers, glTF), and
+    /// follow symbolic links that lead out of an input folder.
     #[arg(long, global = true)]
     allow_outside: bool,
 }
@@ -35,7 +36,8 @@ struct Cli {
 enum Command {
     /// Render one picture of a scene, a volume or a phantom.
     Render(Box<render::RenderArguments>),
-    /// Compare slicing, ray casting and surfaces on CPU and GPU; write pictures, times, errors and a report page.
+    /// Compare slicing, ray casting and surfaces on CPU and GPU; write pictures, times, errors and
+    /// a report page.
     Compare(Box<compare::CompareArguments>),
     /// Resample the deformed volume, or the composed displacement field, into a file.
     Bake(Box<bake::BakeArguments>),
@@ -49,7 +51,8 @@ enum Command {
     Info(Box<info::InfoArguments>),
     /// Print the JSON schema of scene files.
     Schema,
-    /// List presets, kinds of deformation with their parameters, looks of surfaces, deformers of meshes, and phantoms.
+    /// List presets, kinds of deformation with their parameters, looks of surfaces, deformers of
+    /// meshes, and phantoms.
     List,
 }
 

@@ -33,7 +33,8 @@ pub struct Difference {
     pub mean: f64,
     /// Largest of any channel of any pixel, 0..255.
     pub max: f64,
-    /// Peak signal-to-noise ratio over all four channels, dB; infinite if the pictures are equal (`null` in JSON).
+    /// Peak signal-to-noise ratio over all four channels, dB; infinite if the pictures are equal
+    /// (`null` in JSON).
     #[serde(serialize_with = "finite")]
     pub psnr_db: f64,
     /// Mean structural similarity of the luminance over black, 1 for equal pictures.

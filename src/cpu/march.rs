@@ -1,17 +1,21 @@
-//! Eight rays, four across and two down, marched together.
+//! Marches packets of eight rays, four across and two down.
 //!
-//! *Theory*: neighbouring rays ask the same questions at nearly the same places, so eight of them share every instruction: one lane each
-//! ([`crate::math::lanes`]). As in `shaders/lib/composite.wgsl` there are two loops: lanes look until each has found something to shade or is
-//! through (or, in haze, until half of them have), then those that have found something shade together. A ray thus waits for its neighbours,
-//! never for their shading.
+//! *Theory*: neighbouring rays sample nearly the same places, hence eight of them share every
+//! instruction, one lane each ([`crate::math::lanes`]). As in `shaders/lib/composite.wgsl` there
+//! are two loops. The lanes sample until each has found something to shade or has ended (in
+//! semi-transparent regions, until half of them have); then those that have found something shade
+//! together. A ray waits while its neighbours sample, never while they shade.
 //!
-//! Most samples are *plain*: farther from every cut than anything that a cut does to light, or, beside a face of the volume's own box, than what it
-//! does to anything but normals. What lanes do for those is what [`super::shading`] does for one sample, less what is known to change nothing.
-//! The others, beside a cut, are handed to it one by one; there are few, since a cut is a surface.
+//! Most samples are *plain*: they are farther from every cut than the distance at which a cut
+//! affects lighting. Near a face of the volume's own box, they are farther than the distance at
+//! which the face affects anything but normals. For these the lanes compute what [`super::shading`]
+//! computes for one sample, without the parts known to have no effect. The remaining samples, next
+//! to a cut, are passed to it one by one; there are few, since a cut is a surface.
 //!
-//! *What is not computed*: a sample's neighbour in front of it has mostly been looked at just before, so whether the ray enters matter here is
-//! known without a look; the distance to the shapes of cuts changes no faster than the point moves, so that between two evaluations it is
-//! bounded; the Jacobian is the identity outside all maps.
+//! *Work avoided*: the point in front of a sample has usually just been sampled, hence it is known
+//! without another sample whether the ray enters the material here. The distance to the cut shapes
+//! changes no faster than the point moves, hence it is bounded between two evaluations. The
+//! Jacobian is the identity outside all maps.
 
 use super::packet::{RayMarcher, SamplePacket};
 use super::packet_shading::{PreviousSamples, ScalarSample, ShadingRays};
@@ -22,22 +26,22 @@ use crate::scene::Mode;
 use crate::volume::Voxel;
 use glam::{Mat3, Vec3};
 
-/// Eight rays.
+/// A packet of eight rays.
 #[derive(Clone, Copy)]
 pub struct RayPacket<S: Simd> {
-    /// Starts.
+    /// Origins.
     pub origin: Vec3x8<S>,
     /// Unit directions.
     pub direction: Vec3x8<S>,
-    /// Where something opaque ends them, mm; negative for a ray that is not wanted.
+    /// Distance at which something opaque ends them, mm; negative for an unused ray.
     pub until: f32x8<S>,
 }
 
-/// How many steps before a sample its texels are asked into the cache: by one they would come too late.
+/// How many steps ahead of a sample its texels are prefetched: one step would be too late.
 const PREFETCH_STEPS: f32 = 2.0;
 
-/// How many of the looks of the packets so far found something to shade. Where few do, differences are fetched for those alone, not beside every value.
-/// The picture is the same either way.
+/// Counts how many samples of the packets so far found something to shade. Where few did, gradients
+/// are fetched only for those rather than with every value. The picture does not depend on it.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct FetchPolicy {
     lookups: u32,
@@ -45,14 +49,14 @@ pub struct FetchPolicy {
 }
 
 impl FetchPolicy {
-    /// Whether differences are worth fetching beside values: a value alone costs about half of what it costs with them.
+    /// Whether it pays to fetch gradients with values: a value alone costs about half as much.
     fn fetches_gradients(self) -> bool {
         self.shaded_lookups * 3 >= self.lookups
     }
 }
 
-/// A pixel's shift of its samples, in steps, -1/2 .. 1/2: a hash by multiplication and shifts, the same integers as in
-/// `shaders/lib/composite.wgsl`.
+/// A pixel's shift of its samples, in steps, -1/2 .. 1/2: a hash by multiplications and shifts,
+/// with the same integers as in `shaders/lib/composite.wgsl`.
 pub fn pixel_shift(x: u32, y: u32) -> f32 {
     let mut h = x.wrapping_mul(0x9E37_79B1) ^ y.wrapping_mul(0x85EB_CA77);
     h = (h ^ (h >> 16)).wrapping_mul(0x7FEB_352D);
@@ -78,7 +82,7 @@ fn sum<S: Simd>(v: f32x8<S>) -> u64 {
 }
 
 impl<T: Voxel> RayMarcher<'_, T> {
-    /// The volume along eight rays: premultiplied colours.
+    /// Marches through the volume along eight rays; returns premultiplied colours.
     #[inline(always)]
     pub fn march<S: Simd>(&self, simd: S, rays: RayPacket<S>, stats: &mut RenderStats, fetch_policy: &mut FetchPolicy) -> [[f32; 4]; LANES] {
         let Some((rays, mut way)) = self.begin(simd, rays, fetch_policy) else { return [[0.0; 4]; LANES] };
@@ -104,7 +108,7 @@ impl<T: Voxel> RayMarcher<'_, T> {
         colors
     }
 
-    /// Where rays enter and leave what can be seen; none if no ray does.
+    /// Where rays enter and leave the visible region; none if no ray does.
     #[inline(always)]
     fn begin<S: Simd>(&self, simd: S, rays: RayPacket<S>, fetch_policy: &FetchPolicy) -> Option<(MarchRays<S>, March<S>)> {
         let scene = self.scene;
@@ -152,8 +156,9 @@ impl<T: Voxel> RayMarcher<'_, T> {
         Some((rays, march))
     }
 
-    /// Moves the lanes in empty cells on until every one has something to sample: a sample costs as much for one lane as for eight. Where the samples
-    /// lie along the rays, mm, and in the world; lanes that have left what can be seen search no more.
+    /// Advances the lanes in empty cells until every lane has something to sample: a sample costs
+    /// as much for one lane as for eight. Returns the samples' distances along the rays, mm, and
+    /// their positions in the world. Lanes that have left the visible region stop searching.
     #[inline(always)]
     fn advance_through_empty_space<S: Simd>(
         &self,
@@ -182,8 +187,9 @@ impl<T: Voxel> RayMarcher<'_, T> {
         }
     }
 
-    /// What the shapes of cuts leave of the steps of eight samples: which lanes have anything left, the share of their step, and which lie near a shape.
-    /// The samples move to the middle of what is left.
+    /// What the cut shapes leave of the steps of eight samples: which lanes have anything left, the
+    /// fraction of their step, and which are near a shape. The samples move to the middle of the
+    /// retained part.
     #[inline(always)]
     fn retain<S: Simd>(
         &self,
@@ -196,7 +202,8 @@ impl<T: Voxel> RayMarcher<'_, T> {
     ) -> (mask32x8<S>, f32x8<S>, mask32x8<S>) {
         let cuts = &self.scene.cuts;
         let mut share = f32x8::splat(simd, 1.0);
-        // The distance is known to within the way since: evaluate it only where that does not decide.
+        // The distance is bounded by how far the ray has moved since; evaluate it only where the
+        // bound does not decide.
         let certain_mm = way.cut_distance_mm.abs() - (t - way.cut_distance_t).abs();
         let unsure = lanes & !certain_mm.simd_gt(rays.step * 0.5);
         for n in lanes_of(unsure.to_bitmask()) {
@@ -214,7 +221,8 @@ impl<T: Voxel> RayMarcher<'_, T> {
         share = (whole & way.cut_distance_mm.simd_lt(0.0)).select(f32x8::splat(simd, 0.0), share);
         let left = lanes & share.simd_gt(0.0);
         let mut near_cut = left & !(certain_mm.simd_gt(self.margin_mm) & way.cut_distance_mm.simd_gt(0.0));
-        // Evaluated again where the bound leaves it open: what a sample is must not depend on where the distance was evaluated before.
+        // Evaluated again where the bound does not decide: a sample must not depend on where the
+        // distance was evaluated before.
         for n in lanes_of(near_cut.to_bitmask()) {
             way.cut_distance_t[n] = t[n];
             way.cut_distance_mm[n] = cuts.signed_distance_mm(rays.origin.lane(n) + rays.direction.lane(n) * t[n]);
@@ -223,7 +231,8 @@ impl<T: Voxel> RayMarcher<'_, T> {
         (left, share, near_cut)
     }
 
-    /// Samples along the rays until each has found something to shade or is through, or until half of them have where most samples show something.
+    /// Samples along the rays until each has found something to shade or has ended, or, where most
+    /// samples are visible, until half of them have.
     #[inline(always)]
     fn collect<S: Simd>(
         &self,
@@ -268,7 +277,7 @@ impl<T: Voxel> RayMarcher<'_, T> {
             }
             let whole = share.simd_eq(1.0);
             let previous = PreviousSamples {
-                // The same point, to the bit, whether or not it was sampled.
+                // The same point, bit for bit, whether or not it was sampled.
                 point: Vec3x8::select(whole, origin + direction * ((number - 0.5) * step), p - direction * step),
                 sampled: lanes & way.last.number.simd_eq(number - 1.0) & whole,
                 present: way.last.present,
@@ -290,7 +299,8 @@ impl<T: Voxel> RayMarcher<'_, T> {
             way.last.present = (here & sample.present) | (way.last.present & !here);
             way.last.depth = here.select(own_depth, way.last.depth);
             way.last.value = here.select(sample.value, way.last.value);
-            // The others are not waited for where they mostly have something to shade, too: a sample for a few lanes costs as much as one for all.
+            // Does not wait for the others where they mostly have something to shade too: a sample
+            // for a few lanes costs as much as one for all.
             if rays.with_gradients && count(found.lanes) >= LANES as u64 / 2 {
                 break;
             }
@@ -298,7 +308,8 @@ impl<T: Voxel> RayMarcher<'_, T> {
         found
     }
 
-    /// Depths of the segments between eight samples and those before them, where the transfer function is pre-integrated.
+    /// Depths of the segments between eight samples and the previous ones, where the transfer
+    /// function is pre-integrated.
     #[inline(always)]
     fn look_up_segments<S: Simd>(
         &self,
@@ -320,7 +331,8 @@ impl<T: Voxel> RayMarcher<'_, T> {
         }
     }
 
-    /// Shades what was found and blends it behind what is there; rays that have become opaque end.
+    /// Shades the samples found and composites them behind the accumulated colour; rays that have
+    /// become opaque end.
     #[inline(always)]
     fn blend<S: Simd>(
         &self,
@@ -376,7 +388,8 @@ impl<T: Voxel> RayMarcher<'_, T> {
         way.live &= !through & way.number.simd_lt(rays.end);
     }
 
-    /// Which of the samples that were found are shaded one by one: those near a cut, and those that end something.
+    /// Which of the samples found are shaded one by one: those near a cut, and those at which
+    /// material ends.
     #[inline(always)]
     fn scalar_lanes<S: Simd>(&self, simd: S, rays: &MarchRays<S>, found: &FoundSamples<S>, visible: mask32x8<S>) -> mask32x8<S> {
         let FoundSamples { lanes, sample, previous, .. } = found;
@@ -384,70 +397,72 @@ impl<T: Voxel> RayMarcher<'_, T> {
             return *lanes;
         }
         let mut scalar_lanes = found.near_cut & *lanes;
-        // Farther than a step from the volume's faces those change the normal alone, unless there are holes.
+        // Faces of the volume farther than a step away change only the normal, unless there are
+        // holes.
         let near_face = *lanes & !sample.inside & !self.far_from_faces(sample.in_voxel, Vec3x8::splat(simd, self.face_margin_voxels));
         if near_face.any_true() {
             let near = if self.scene.volume().grid.has_holes { f32x8::splat(simd, self.margin_mm) } else { rays.step * 1.1 };
             scalar_lanes |= near_face & self.nearest_face(simd, sample.in_voxel).0.simd_lt(near);
         }
-        // Matter that ends between the sample in front and this one, which both show nothing: only one of the two is present then.
+        // Material that ends between the previous sample and this one, both invisible: only one of
+        // the two is present then.
         let both = (previous.present & sample.present) | !(previous.present | sample.present);
         scalar_lanes | (*lanes & !visible & !(previous.sampled & (both | previous.depth.simd_gt(0.0))))
     }
 }
 
-/// A sample's number where there is none.
+/// Index that stands for no sample.
 const NO_SAMPLE: f32 = -2.0;
 
-/// What does not change along eight rays.
+/// Constants of eight rays.
 struct MarchRays<S: Simd> {
     origin: Vec3x8<S>,
     direction: Vec3x8<S>,
     inverse_direction: Vec3x8<S>,
-    /// Half-way between the light and the eye.
+    /// Half vectors between the light and the eye.
     half: Vec3x8<S>,
-    /// From sample to sample, mm.
+    /// Distance between samples, mm.
     step: f32x8<S>,
     /// The same in reference lengths.
     length: f32x8<S>,
-    /// The number past the last sample.
+    /// Index after the last sample.
     end: f32x8<S>,
     /// Whether gradients are fetched together with values.
     with_gradients: bool,
-    /// From a sample to what is fetched into the cache, voxels.
+    /// Offset from a sample to the point to prefetch, voxels.
     ahead: Vec3x8<S>,
     /// No lane.
     none: mask32x8<S>,
 }
 
-/// How far eight rays have come.
+/// State of eight rays.
 struct March<S: Simd> {
-    /// The next sample.
+    /// Index of the next sample.
     number: f32x8<S>,
-    /// Rays that are not through.
+    /// Rays that have not ended.
     live: mask32x8<S>,
     last: LastSamples<S>,
-    /// Where the distance from the shapes of cuts was last evaluated, mm, and what it was.
+    /// Where the distance to the cut shapes was last evaluated, mm, and its value there.
     cut_distance_t: f32x8<S>,
     cut_distance_mm: f32x8<S>,
-    /// Which rays are in macrocells without cuts, and until where.
+    /// Which rays are in macrocells without cuts, and up to which distance.
     cut_free: mask32x8<S>,
     cut_free_until: f32x8<S>,
-    /// Samples left out, as numbers.
+    /// Numbers of samples skipped.
     skipped: f32x8<S>,
     terminated: f32x8<S>,
 }
 
-/// The last sample that was taken on each ray.
+/// The last sample taken on each ray.
 struct LastSamples<S: Simd> {
-    /// Its number, if it stood for its whole step.
+    /// Its index, if it represents its whole step.
     number: f32x8<S>,
     present: mask32x8<S>,
     depth: f32x8<S>,
     value: f32x8<S>,
 }
 
-/// What eight rays have gathered, front to back.
+/// The accumulated colour of eight rays, front to back.
 struct Blended<S: Simd> {
     /// Premultiplied.
     color: Vec3x8<S>,
@@ -457,14 +472,14 @@ struct Blended<S: Simd> {
 
 /// Samples that have something to shade.
 struct FoundSamples<S: Simd> {
-    /// Which rays have found one.
+    /// Rays that have found one.
     lanes: mask32x8<S>,
     sample: SamplePacket<S>,
-    /// Where they lie in the deformed scene.
+    /// Their positions in the deformed scene.
     deformed: Vec3x8<S>,
-    /// The part of their step that they stand for.
+    /// The fraction of their step that they represent.
     share: f32x8<S>,
-    /// Which are near a shape that cuts.
+    /// Which are near a cut shape.
     near_cut: mask32x8<S>,
     previous: PreviousSamples<S>,
 }
@@ -491,7 +506,7 @@ impl<S: Simd> FoundSamples<S> {
         Self { lanes: none, sample, deformed: anywhere, share: one, near_cut: none, previous }
     }
 
-    /// Takes the samples of some lanes.
+    /// Stores the samples of some lanes.
     #[inline(always)]
     fn insert(
         &mut self,
@@ -504,7 +519,8 @@ impl<S: Simd> FoundSamples<S> {
     ) {
         let at = &mut self.sample;
         if self.lanes.all_false() {
-            // Nothing of other lanes needs to stay. One by one: the whole would be copied by a call, around which all registers are saved.
+            // Other lanes need no preservation. Fields are assigned one by one: a call that copies
+            // the whole would save all registers around it.
             (at.in_voxel, at.value, at.differences, at.color) = (new.in_voxel, new.value, new.differences, new.color);
             (at.depth, at.front, at.alpha) = (new.depth, new.front, new.alpha);
             (at.present, at.inside, at.cut_free) = (new.present, new.inside, new.cut_free);

@@ -1,24 +1,30 @@
-//! The CPU renderer: the reference for tests, and the backend wherever there is no GPU.
+//! The CPU renderer: the reference for tests, and the backend where there is no GPU.
 //!
-//! *Theory*: volumes are marched along each pixel's ray, by slices as by rays; surfaces are found by [`surface`] first. Ray casting puts samples at
-//! t = (i + 1/2) Δ from the eye; a view-aligned slice lies at depth (i + 1/2) Δ, so a ray meets it at t = (i + 1/2) Δ / cos θ, θ being the angle to
-//! the view direction. Samples are anchored at the eye, not at the box, so that a different box (a map more or less, skipping on or off) samples the
-//! same points.
+//! *Theory*: the volume is marched along each pixel's ray in both slicing and ray casting; surfaces
+//! are found first, by [`surface`]. Ray casting puts samples at t = (i + 1/2) Δ from the eye; a
+//! view-aligned slice lies at depth (i + 1/2) Δ, hence a ray meets it at t = (i + 1/2) Δ / cos θ, θ
+//! being the angle to the view direction. Samples are anchored at the eye, not at the box; a
+//! different box (one map more or less, skipping on or off) samples the same points.
 //!
-//! Per sample, cheapest question first: macrocell, mask and source point, value, opacity; only what is visible pays for a gradient, a Jacobian (where
-//! there is a normal or a cut is near) and light ([`shading`]). From the second picture of a volume on, where most samples show something,
-//! differences are read beside the values ([`GradientVolume`](crate::volume::GradientVolume), on huge pages). Eight neighbouring rays share every
-//! instruction ([`march`], and `packet`, `packet_shading` for their samples).
+//! Each sample evaluates the cheapest test first: macrocell, mask and source point, value, opacity.
+//! Only visible samples need a gradient, a Jacobian (where there is a normal or a cut is near) and
+//! lighting ([`shading`]). From the second picture of a volume on, where most samples are visible,
+//! gradients are read with the values ([`GradientVolume`](crate::volume::GradientVolume), on huge
+//! pages). Eight neighbouring rays share every instruction ([`march`], and `packet`,
+//! `packet_shading` for their samples).
 //!
-//! Strips of rows are what threads steal from each other, the middle of the picture first, so that all threads finish together; pixels are
-//! independent, so the number of threads changes nothing. Packets go down columns of 16 rows, so that the next one finds the last one's voxels in the
-//! cache. Pixels whose rays miss everything visible are left out.
+//! Threads steal strips of rows from each other, starting at the middle of the picture, so that all
+//! threads finish together. Pixels are independent, hence the result does not depend on the number
+//! of threads. Packets go down columns of 16 rows; each finds the voxels of the previous one in the
+//! cache. Pixels whose rays miss everything visible are skipped.
 //!
-//! Tried without gain: AVX-512; bounds of blocks of two voxels; bisecting where a ray enters matter by three independent samples instead of two
-//! dependent ones (what counts there is work, not waiting). What was measured when is in `benches/HISTORY.md`; `benches/growth.rs` prints how many
-//! trilinear samples a machine can fetch. Where the only adapter is a software one, `--backend auto` takes this renderer, which is faster there.
+//! Tried without gain: AVX-512; bounds of blocks of two voxels; bisecting surface entries by three
+//! independent samples instead of two dependent ones (the cost is work, not latency). Measurements
+//! are in `benches/HISTORY.md`; `benches/growth.rs` prints how many trilinear samples a machine can
+//! fetch. Where the only adapter is a software one, `--backend auto` selects this renderer, which
+//! is faster there.
 //!
-//! `shaders/lib` has the same arithmetic under the same names.
+//! `shaders/lib` contains the same arithmetic under the same names.
 
 pub mod march;
 mod packet;
@@ -41,12 +47,14 @@ use packet::RayMarcher;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// A ray whose remaining transmittance is below this is finished: less than half an 8-bit step can follow.
+/// A ray ends when its remaining transmittance falls below this: less than half an 8-bit step can
+/// follow.
 const MIN_TRANSMITTANCE: f32 = 1.0 / 512.0;
 
-/// Rows that one task renders, whole packets: where there are tasks enough for all threads to be busy to the end, and where there are not.
+/// Rows per task, in whole packets: where there are enough tasks to keep all threads busy to the
+/// end, and where there are not.
 const STRIP_ROWS: [usize; 2] = [16, 8];
-/// Tasks enough, for each thread.
+/// Tasks per thread that are enough.
 const STRIPS_PER_THREAD: usize = 4;
 
 /// Renders a prepared scene.
@@ -55,7 +63,8 @@ pub fn render(scene: &Prepared) -> Rendered {
     scene.rendered(picture, Some(stats), stages, Vec::new())
 }
 
-/// As [`render`], for a caller that may stop it: it asks before each strip of rows, and reports its progress from several threads.
+/// As [`render`], for a caller that may cancel: checks for cancellation before each strip of rows,
+/// and reports progress from several threads.
 ///
 /// # Errors
 /// [`Error::Cancelled`](crate::Error::Cancelled).
@@ -65,7 +74,7 @@ pub fn render_watched(scene: &Prepared, watch: &Watch) -> Result<Rendered> {
     Ok(scene.rendered(picture, Some(stats), stages, Vec::new()))
 }
 
-/// Rows after a stop stay empty.
+/// Rows after a cancellation stay empty.
 fn render_rows(scene: &Prepared, watch: &Watch) -> (Picture, RenderStats, StageTimes) {
     let mut stages = StageTimes::default();
     scene.stack.fetch_texels();
@@ -91,7 +100,8 @@ fn rows<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, watch: &Watch) -
         [[0, width as usize], [0, height as usize]]
     };
     let mut strips: Vec<_> = pixels.chunks_mut(width as usize * strip_rows).enumerate().collect();
-    // From the middle outwards: what takes long is begun first, and threads end together on what takes little.
+    // From the middle outwards: expensive strips start first, and the threads end together on cheap
+    // ones.
     strips.sort_by_key(|&(n, _)| (2 * n * strip_rows + strip_rows).abs_diff(lines[0] + lines[1]));
     let stats = strips
         .into_iter()
@@ -114,13 +124,13 @@ fn rows<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, watch: &Watch) -
     (Picture { width, height, pixels }, stats)
 }
 
-/// Some whole rows of a picture.
+/// Some whole rows of the picture.
 struct RowStrip<'a, T> {
     marcher: &'a RayMarcher<'a, T>,
     scene: &'a Prepared<'a>,
     /// The first row.
     top: usize,
-    /// Pixels where anything may be seen, first and past the last; the others stay empty.
+    /// Columns where anything may be visible, first and past the last; the others stay empty.
     columns: [usize; 2],
     lines: [usize; 2],
     pixels: &'a mut [[f32; 4]],
@@ -139,7 +149,7 @@ impl<T: Voxel> SimdKernel for RowStrip<'_, T> {
         let across = f32x8::load_array(simd, [0.5, 1.5, 2.5, 3.5, 0.5, 1.5, 2.5, 3.5]);
         let down = f32x8::load_array(simd, [0.5, 0.5, 0.5, 0.5, 1.5, 1.5, 1.5, 1.5]);
         let seen = |y: &usize| self.top + y + 1 >= self.lines[0] && self.top + y < self.lines[1];
-        // Columns of packets: what one of them has fetched of the volume, the one below it still finds in the cache.
+        // Columns of packets: each packet finds in the cache what the one above it has fetched.
         let columns = (self.columns[0] / 4 * 4..self.columns[1]).step_by(4);
         for (y, x) in columns.flat_map(|x| (0..rows).step_by(2).filter(seen).map(move |y| (y, x))) {
             let u = (across + x as f32) / width as f32 * 2.0 - 1.0;
@@ -156,7 +166,7 @@ impl<T: Voxel> SimdKernel for RowStrip<'_, T> {
             }
             if scene.settings.jitter {
                 for n in 0..LANES {
-                    // Samples are shifted by moving where the ray is measured from.
+                    // Samples are shifted by moving the origin of the ray.
                     let direction = direction.lane(n);
                     let slant = if scene.settings.mode == Mode::Slice { direction.dot(frame.view.forward) } else { 1.0 };
                     let shift = march::pixel_shift((x + n % 4) as u32, (self.top + y + n / 4) as u32) * frame.spacing.step_mm / slant;
@@ -180,20 +190,20 @@ impl<T: Voxel> SimdKernel for RowStrip<'_, T> {
     }
 }
 
-/// What is at a point of the deformed scene.
+/// The sample at a point of the deformed scene.
 #[derive(Clone, Copy)]
 struct SceneSample {
-    /// Where it came from, voxels.
+    /// Source position, voxels.
     in_voxel: Vec3,
-    /// Normalised value; only meaningful where matter is present.
+    /// Normalised value; only meaningful if `present`.
     value: f32,
-    /// Neither cut away, nor outside the volume, nor in a hole.
+    /// Not cut away, not outside the volume, not in a hole.
     present: bool,
-    /// Smallest mask on the way: strictly between 0 and 1 near a cut.
+    /// Smallest mask along the way: strictly between 0 and 1 near a cut.
     alpha: f32,
 }
 
-/// Looks at a point of the deformed scene.
+/// Samples a point of the deformed scene.
 #[inline(always)]
 fn sample_scene<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, deformed: Vec3) -> SceneSample {
     if scene.cuts.signed_distance_mm(deformed) < 0.0 {
@@ -231,7 +241,7 @@ impl<S: Simd> IntensityProjection<S> {
         Self { blend, value: f32x8::splat(simd, value), count: f32x8::splat(simd, 0.0) }
     }
 
-    /// The values of rays that met matter.
+    /// Adds the values of the rays whose sample is present.
     #[inline(always)]
     fn insert(&mut self, value: f32x8<S>, present: mask32x8<S>) {
         self.count = present.select(self.count + 1.0, self.count);
@@ -243,7 +253,8 @@ impl<S: Simd> IntensityProjection<S> {
         self.value = present.select(with, self.value);
     }
 
-    /// The projected value of a ray through the transfer function, premultiplied; nothing where the ray met nothing.
+    /// The projected value of a ray through the transfer function, premultiplied; transparent where
+    /// no sample was present.
     fn color(&self, scene: &Prepared, lane: usize) -> [f32; 4] {
         let (value, count) = (self.value[lane], self.count[lane]);
         if count == 0.0 {

@@ -1,4 +1,5 @@
-//! Eight points of the deformed scene at once: what is there, and how far the volume's faces are.
+//! Samples eight points of the deformed scene at once, and computes their distances to the volume's
+//! faces.
 
 use super::SceneSample;
 use crate::math::lanes::*;
@@ -7,7 +8,7 @@ use crate::transfer::{Blend, Preintegrated};
 use crate::volume::{VolumeSampler, Voxel};
 use glam::{Mat3, Vec3};
 
-/// What is at eight points of the deformed scene; see [`super::SceneSample`].
+/// The samples at eight points of the deformed scene; see [`super::SceneSample`].
 #[derive(Clone, Copy)]
 pub(super) struct SamplePacket<S: Simd> {
     pub(super) in_voxel: Vec3x8<S>,
@@ -16,16 +17,16 @@ pub(super) struct SamplePacket<S: Simd> {
     pub(super) alpha: f32x8<S>,
     /// Optical depth per reference length; 0 where nothing is present.
     pub(super) depth: f32x8<S>,
-    /// The value in front, where the segment between the two is what is seen.
+    /// The value at the segment's front end, if segments are pre-integrated.
     pub(super) front: f32x8<S>,
-    /// Inside the cube of any map.
+    /// Which lie inside the cube of any map.
     pub(super) inside: mask32x8<S>,
-    /// In a macrocell where no cut matters.
+    /// Which lie in a macrocell that no cut affects.
     pub(super) cut_free: mask32x8<S>,
-    /// Differences of stored values and colours by the transfer function, where those were fetched too.
+    /// Differences of stored values, and colours by the transfer function, if they were fetched.
     pub(super) differences: Vec3x8<S>,
     pub(super) color: Vec3x8<S>,
-    /// Whether they were.
+    /// Whether they were fetched.
     pub(super) with_gradients: bool,
 }
 
@@ -33,25 +34,26 @@ pub(super) struct SamplePacket<S: Simd> {
 pub struct RayMarcher<'a, T> {
     pub(super) scene: &'a Prepared<'a>,
     pub(super) sampler: &'a VolumeSampler<'a, T>,
-    /// Voxels along each axis nearer to the volume's faces than which those matter.
+    /// Distance from the volume's faces, in voxels along each axis, within which these have an
+    /// effect.
     pub(super) face_margin_voxels: Vec3,
-    /// The same wherever the deformation has brought the faces.
+    /// The same under any deformation of the faces.
     pub(super) deformed_face_margin_voxels: Vec3,
     /// The same for cuts, mm.
     pub(super) margin_mm: f32,
-    /// A covector per voxel to one per mm.
+    /// Transforms a covector per voxel to one per mm.
     pub(super) world_from_covector: Mat3,
-    /// Whether samples are asked for more than depth and colour.
+    /// Whether samples are composited; projections need only values.
     pub(super) composite: bool,
     pub(super) grey_faces: bool,
     pub(super) lit: bool,
     pub(super) gradient_opacity: bool,
-    /// By the values at both ends of a step, if those are what is seen.
+    /// The table indexed by the values at both ends of a step, if pre-integrated.
     pub(super) preintegrated: Option<Preintegrated>,
 }
 
 impl<'a, T: Voxel> RayMarcher<'a, T> {
-    /// Prepares what does not depend on the ray.
+    /// Computes everything that does not depend on the ray.
     pub fn new(scene: &'a Prepared, sampler: &'a VolumeSampler<'a, T>) -> Self {
         let world_from_covector = Mat3::from(scene.volume().voxel_from_world.matrix3).transpose();
         Self {
@@ -77,7 +79,8 @@ impl<'a, T: Voxel> RayMarcher<'a, T> {
         table.lookup(place(front), place(back))
     }
 
-    /// Looks at eight points, of which those in `lanes` are wanted; `with_gradients` for differences and colours too. Cuts that are shapes are not asked.
+    /// Samples eight points, of which only those in `lanes` are needed; `with_gradients` also
+    /// fetches differences and colours. Does not evaluate analytic cut shapes.
     #[inline(always)]
     pub(super) fn sample_points<S: Simd>(&self, simd: S, p: Vec3x8<S>, lanes: mask32x8<S>, with_gradients: bool) -> SamplePacket<S> {
         let walk = self.scene.stack.source_and_alpha_lanes(simd, p, lanes);
@@ -109,7 +112,8 @@ impl<'a, T: Voxel> RayMarcher<'a, T> {
         }
     }
 
-    /// The nearest of the volume's faces outside of all maps: distances, mm, and normals out of the volume.
+    /// The nearest of the volume's faces outside all maps: distances, mm, and normals out of the
+    /// volume.
     #[inline(always)]
     pub(super) fn nearest_face<S: Simd>(&self, simd: S, in_voxel: Vec3x8<S>) -> (f32x8<S>, Vec3x8<S>) {
         let none = (f32x8::splat(simd, f32::INFINITY), Vec3x8::splat(simd, Vec3::ZERO));
@@ -118,7 +122,7 @@ impl<'a, T: Voxel> RayMarcher<'a, T> {
         self.nearer_face(simd, in_voxel.z, 2, nearest)
     }
 
-    /// Which points are farther from the volume's faces than some voxels along each axis.
+    /// Which points are farther from the volume's faces than the given voxels along each axis.
     #[inline(always)]
     pub(super) fn far_from_faces<S: Simd>(&self, p: Vec3x8<S>, voxels: Vec3x8<S>) -> mask32x8<S> {
         let top = self.scene.volume().grid_size - 0.5;
@@ -126,7 +130,7 @@ impl<'a, T: Voxel> RayMarcher<'a, T> {
         above & p.x.simd_lt(-voxels.x + top.x) & p.y.simd_lt(-voxels.y + top.y) & p.z.simd_lt(-voxels.z + top.z)
     }
 
-    /// The nearer of some faces and the two across an axis.
+    /// The nearer of the given faces and the two across an axis.
     #[inline(always)]
     pub(super) fn nearer_face<S: Simd>(&self, simd: S, x: f32x8<S>, axis: usize, (nearest, normal): (f32x8<S>, Vec3x8<S>)) -> (f32x8<S>, Vec3x8<S>) {
         let (low, high) = (x + 0.5, -x + (self.scene.volume().grid_size[axis] - 0.5));
@@ -139,7 +143,7 @@ impl<'a, T: Voxel> RayMarcher<'a, T> {
 }
 
 impl<S: Simd> SamplePacket<S> {
-    /// What a lane saw, and its optical depth.
+    /// The sample of one lane, and its optical depth.
     #[inline(always)]
     pub(super) fn lane(&self, n: usize) -> (SceneSample, f32) {
         let sample = SceneSample { in_voxel: self.in_voxel.lane(n), value: self.value[n], present: self.present.test(n), alpha: self.alpha[n] };

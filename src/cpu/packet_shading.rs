@@ -1,4 +1,4 @@
-//! [`super::shading`] for eight samples at once, and for those of them that have to be shaded one by one.
+//! [`super::shading`] for eight samples at once, and for those that must be shaded one by one.
 
 use super::SceneSample;
 use super::packet::{RayMarcher, SamplePacket};
@@ -10,7 +10,7 @@ use crate::scene::Normals;
 use crate::volume::Voxel;
 use glam::Vec3;
 
-/// A colour under light where there is a surface, under even light where there is none.
+/// A colour lit by its normal where there is a surface, and evenly where there is none.
 #[inline(always)]
 fn lit<S: Simd>(color: f32x8<S>, even: f32, diffuse: f32x8<S>, highlight: f32x8<S>, confidence: f32x8<S>) -> f32x8<S> {
     let (dull, lit) = (color * even, color.mul_add(diffuse, highlight));
@@ -52,8 +52,8 @@ impl<T: Voxel> RayMarcher<'_, T> {
         ScalarSample::Nothing
     }
 
-    /// Light on eight visible samples: colours, factors on their depths, and which of `lanes` turn out to lie beside a cut, so that what is said
-    /// of them does not hold.
+    /// Lighting of eight visible samples: colours, factors on their depths, and which of `lanes`
+    /// turn out to lie next to a cut, where these results do not hold.
     #[inline(always)]
     pub(super) fn shade<S: Simd>(
         &self,
@@ -95,13 +95,14 @@ impl<T: Voxel> RayMarcher<'_, T> {
             let away = normal.dot(rays.direction).simd_gt(0.0);
             normal = Vec3x8::select(away, -normal, normal);
         }
-        // What entered through a surface of the volume's own shows that surface.
+        // A sample entered through the volume's own surface shows that surface.
         let near_cut = lanes & !in_a_map & !entered & !self.far_from_faces(at.in_voxel, Vec3x8::splat(simd, self.face_margin_voxels));
         let (normal, confidence) = self.blended_at_faces(simd, at, sampled, rays.direction, near_cut, (normal, confidence));
         (self.light(simd, normal, confidence, rays.half, color), factor, cut)
     }
 
-    /// The colours of eight entries before light: by the transfer function, by the segments in front of them, or the volume's own.
+    /// The colours of eight entries before lighting: from the transfer function, from the segments
+    /// in front of them, or the volume's own.
     #[inline(always)]
     fn unlit_color<S: Simd>(&self, simd: S, at: &SamplePacket<S>, entry: &SurfaceEntries<S>, entered: mask32x8<S>, bits: u64) -> Vec3x8<S> {
         let scene = self.scene;
@@ -141,7 +142,8 @@ impl<T: Voxel> RayMarcher<'_, T> {
         per_voxel.mapped(&self.world_from_covector)
     }
 
-    /// The columns of the deformation's Jacobian at eight entries, wherever they matter, and which of those that are in a map lie beside a cut.
+    /// The columns of the deformation's Jacobian at eight entries where they are needed, and which
+    /// of those in a map lie next to a cut.
     #[inline(always)]
     fn jacobians_and_cuts<S: Simd>(
         &self,
@@ -154,7 +156,7 @@ impl<T: Voxel> RayMarcher<'_, T> {
         let scene = self.scene;
         let mut cut = in_a_map & !in_a_map;
         let mut jacobian_columns = [Vec3x8::splat(simd, Vec3::X), Vec3x8::splat(simd, Vec3::Y), Vec3x8::splat(simd, Vec3::Z)];
-        // Far from every cut, the deformation matters to what has a normal only.
+        // Far from every cut the deformation affects only samples that have a normal.
         let mut active_lanes = in_a_map & !(at.cut_free & self.far_from_faces(entry.in_voxel, Vec3x8::splat(simd, self.deformed_face_margin_voxels)));
         if self.lit {
             active_lanes |= in_a_map & confidence.simd_gt(0.0);
@@ -162,7 +164,8 @@ impl<T: Voxel> RayMarcher<'_, T> {
         if active_lanes.any_true() {
             let jets = scene.stack.jets_lanes(simd, entry.deformed, active_lanes);
             jacobian_columns = jets.columns;
-            // No face of the volume's box is nearer than its distance in the source over the norm of J: mostly far enough to ask no further.
+            // The distance to a face of the volume's box is at least its distance in the source
+            // over the norm of J: usually enough to skip the exact test.
             let [x, y, z] = jets.columns;
             let norm = (x.dot(x) + y.dot(y) + z.dot(z)).sqrt();
             let far = self.far_from_faces(entry.in_voxel, Vec3x8::splat(simd, self.face_margin_voxels) * norm);
@@ -177,7 +180,7 @@ impl<T: Voxel> RayMarcher<'_, T> {
         (jacobian_columns, cut)
     }
 
-    /// Gradients turned into the matter, which only one-sided light asks for.
+    /// Gradients oriented into the material, needed only for one-sided light.
     #[inline(always)]
     fn inward_gradient<S: Simd>(&self, entry: &SurfaceEntries<S>, gradient: Vec3x8<S>, bits: u64) -> Vec3x8<S> {
         let scene = self.scene;
@@ -192,7 +195,8 @@ impl<T: Voxel> RayMarcher<'_, T> {
         inward
     }
 
-    /// Normals and their confidence, blended into those of the volume's faces where rays come out of one that is near.
+    /// Normals and their confidence, blended with those of the volume's faces where rays come out
+    /// of a nearby face.
     #[inline(always)]
     fn blended_at_faces<S: Simd>(
         &self,
@@ -221,7 +225,8 @@ impl<T: Voxel> RayMarcher<'_, T> {
         (Vec3x8::select(near_cut, blended, normal), near_cut.select((own * confidence).max(of_face), confidence))
     }
 
-    /// Which samples of `near_cut` have come out of the cut, not through another surface since; as `cut_in_front` of [`shading`].
+    /// Which samples of `near_cut` have come out of the cut without passing another surface since;
+    /// as `cut_in_front` in [`shading`].
     #[inline(always)]
     fn cut_in_front<S: Simd>(
         &self,
@@ -259,7 +264,8 @@ impl<T: Voxel> RayMarcher<'_, T> {
         }
     }
 
-    /// Where rays that enter matter within their last step do, by bisection, else the samples themselves; and which rays do. See [`shading`].
+    /// Where rays enter material within their last step, by bisection, else the samples themselves;
+    /// and which rays do. See [`shading`].
     #[inline(always)]
     fn entry<S: Simd>(
         &self,
@@ -297,7 +303,8 @@ impl<T: Voxel> RayMarcher<'_, T> {
     }
 }
 
-/// Of eight rays, their directions, the vectors half-way between the light and the eye, and the distances of their samples, mm.
+/// Directions of eight rays, half vectors between the light and the eye, and distances between
+/// samples, mm.
 #[derive(Clone, Copy)]
 pub(super) struct ShadingRays<S: Simd> {
     pub(super) direction: Vec3x8<S>,
@@ -307,7 +314,7 @@ pub(super) struct ShadingRays<S: Simd> {
 
 /// The points one step in front of eight samples.
 pub(super) struct PreviousSamples<S: Simd> {
-    /// Where they lie.
+    /// Their positions.
     pub(super) point: Vec3x8<S>,
     /// Which of them have been sampled.
     pub(super) sampled: mask32x8<S>,
@@ -315,7 +322,7 @@ pub(super) struct PreviousSamples<S: Simd> {
     pub(super) depth: f32x8<S>,
 }
 
-/// Where eight rays enter matter.
+/// Where eight rays enter the material.
 #[derive(Clone, Copy)]
 struct SurfaceEntries<S: Simd> {
     pub(super) deformed: Vec3x8<S>,
@@ -324,7 +331,7 @@ struct SurfaceEntries<S: Simd> {
     pub(super) inside: mask32x8<S>,
 }
 
-/// What a sample beside a cut shows.
+/// The result of shading a sample next to a cut.
 pub(super) enum ScalarSample {
     Nothing,
     /// A surface that hides everything behind it.

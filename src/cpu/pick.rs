@@ -1,7 +1,9 @@
-//! What is seen in one pixel: the point of the deformed scene, where it came from, the value there, and how its surface is turned.
+//! What one pixel shows: the point of the deformed scene, its source, the value there, and the
+//! surface normal.
 //!
-//! A ray is followed as the renderer follows it, to where it has lost three tenths of its light: the first surface that a viewer would point at,
-//! rather than the first haze in front of it.
+//! The ray is followed as in the renderer until it has lost three tenths of its light: this is the
+//! first surface a viewer would point at, rather than the first semi-transparent region in front of
+//! it.
 
 use super::{SceneSample, first_sample_after, sample_scene, shading, surface};
 use crate::deform::{Jet, NearestCut};
@@ -11,7 +13,7 @@ use crate::scene::Mode;
 use crate::volume::{VolumeSampler, Voxel, VoxelGridValues};
 use glam::{Mat3, Vec3};
 
-/// Share of a ray's light that is lost at the point that is picked.
+/// Fraction of a ray's light that is lost at the picked point.
 const MIN_PICK_OPACITY: f32 = 0.3;
 
 /// A picked point.
@@ -19,7 +21,7 @@ const MIN_PICK_OPACITY: f32 = 0.3;
 pub struct Pick {
     /// The point of the deformed scene, world mm.
     pub deformed: Vec3,
-    /// Where its matter came from, world mm.
+    /// Its source point, world mm.
     pub source: Vec3,
     /// The volume's value there, data units; none on a mesh outside the volume.
     pub value: Option<f64>,
@@ -27,7 +29,8 @@ pub struct Pick {
     pub normal: Vec3,
 }
 
-/// What is at picture coordinates in -1..1 (v upwards); `range` is the volume's, data units. None where nothing is seen.
+/// What is visible at picture coordinates in -1..1 (v upwards); `range` is the volume's value
+/// range, data units. None where nothing is visible.
 pub fn at(scene: &Prepared, range: [f64; 2], u: f32, v: f32) -> Option<Pick> {
     let (origin, direction) = scene.frame.view.ray(u, v);
     match &scene.volume().grid.voxels {
@@ -68,7 +71,7 @@ fn jet(scene: &Prepared, deformed: Vec3) -> Jet {
     scene.stack.jet(deformed)
 }
 
-/// The first sample along a ray by which enough light is lost.
+/// The first sample along a ray at which enough light is lost.
 fn first_visible_sample<T: Voxel>(
     scene: &Prepared,
     sampler: &VolumeSampler<T>,
@@ -78,7 +81,7 @@ fn first_visible_sample<T: Voxel>(
 ) -> Option<(Vec3, SceneSample)> {
     let frame = &scene.frame;
     let (near, far) = frame.proxy.intersect_ray(origin, direction)?;
-    // Half the renderer's step: the point is to lie on the surface, not up to a step behind it.
+    // Half the renderer's step: the point should lie on the surface, not up to a step behind it.
     let step = 0.5 * frame.spacing.step_mm;
     let (mut i, end) = (first_sample_after(near, step), first_sample_after(far.min(until), step));
     let inverse_direction = direction.recip();

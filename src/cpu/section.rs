@@ -1,7 +1,9 @@
-//! A plane through the scene: what multiplanar reconstructions (axial, coronal, sagittal) show, deformed as the volume is.
+//! Samples a plane through the scene, as for multiplanar reconstructions (axial, coronal,
+//! sagittal), deformed as the volume is.
 //!
-//! One sample per pixel, by the same walk through the maps as a ray's. Beside the value it can say what the map does there: the mask, the
-//! determinant of the Jacobian (below 0 the field folds, below 1 matter is compressed into view), and where the matter came from.
+//! One sample per pixel, by the same walk through the maps as a ray's. In addition to the value it
+//! reports the state of the map there: the mask, the determinant of the Jacobian (below 0 the field
+//! folds, below 1 it stretches the scan), and the source point.
 
 use crate::deform::StackAndCuts;
 use crate::math::to_f32;
@@ -13,26 +15,27 @@ use rayon::prelude::*;
 /// A plane of pixels in the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SectionPlane {
-    /// The point in the middle of the picture, mm.
+    /// The point at the centre of the picture, mm.
     pub center: Vec3,
-    /// Unit vector to the right of the picture.
+    /// Unit vector pointing right in the picture.
     pub right: Vec3,
-    /// Unit vector to its bottom.
+    /// Unit vector pointing down in the picture.
     pub down: Vec3,
-    /// Edge of a pixel, mm.
+    /// Edge length of a pixel, mm.
     pub mm_per_pixel: f32,
     /// Width and height, pixels.
     pub size: [u32; 2],
 }
 
 impl SectionPlane {
-    /// The world point of pixel coordinates (0 at the left or upper edge).
+    /// The world point at pixel coordinates (0 at the left or upper edge).
     pub fn point(&self, x: f32, y: f32) -> Vec3 {
         let [width, height] = self.size.map(|n| n as f32);
         self.center + (self.right * (x - width / 2.0) + self.down * (y - height / 2.0)) * self.mm_per_pixel
     }
 
-    /// Pixel coordinates of a world point's projection onto the plane, and its distance from it along right x down, mm.
+    /// Pixel coordinates of a world point's projection onto the plane, and its signed distance from
+    /// the plane along right x down, mm.
     pub fn pixel(&self, world: Vec3) -> (f32, f32, f32) {
         let d = world - self.center;
         let [width, height] = self.size.map(|n| n as f32);
@@ -40,21 +43,21 @@ impl SectionPlane {
     }
 }
 
-/// What was found on a plane, row by row from the top.
+/// Samples on a plane, row by row from the top.
 pub struct Section {
     /// The plane.
     pub plane: SectionPlane,
-    /// Data values; NaN where nothing is.
+    /// Data values; NaN where no sample is present.
     pub values: Vec<f32>,
-    /// Where each point's matter came from, mm.
+    /// Source point of each sample, mm.
     pub sources: Vec<Vec3>,
-    /// The smallest mask on the way: below 1/2 what was there is cut away.
+    /// The smallest mask along the way: below 1/2 the sample is cut away.
     pub mask: Vec<f32>,
-    /// det d source / d deformed; empty unless asked for.
+    /// det d source / d deformed; empty unless requested.
     pub determinants: Vec<f32>,
 }
 
-/// Samples a plane: of the deformed scene, or of the source if there is no deformation given.
+/// Samples a plane of the deformed scene, or of the source if no deformation is given.
 ///
 /// # Errors
 /// [`Error::Cancelled`](crate::Error::Cancelled).

@@ -1,27 +1,40 @@
-//! Light on one visible sample: normals under deformation and at cuts, and how much of the sample's length is matter.
+//! Lighting of one visible sample: normals under deformation and at cuts, and the fraction of the
+//! sample's length that lies in the material.
 //!
-//! *Theory*: with J = d source / d deformed, a gradient of the deformed scene is Jᵀ times the source's (\[DDM06\] eq 6 and 10). Near a
-//! cut the normal is blended into the cut's own (\[DDM06\] eq 7).
+//! *Theory*: with J = d source / d deformed, a gradient of the deformed scene is Jᵀ times the
+//! source's (\[DDM06\] eq 6 and 10). Near a cut the normal is blended into the cut's own (\[DDM06\]
+//! eq 7).
 //!
 //! *What we changed against the paper*:
-//! - The blend runs over distance to the cut, not over the mask's value, so that it does not depend on a map's resolution: the cut's
-//!   normal alone within one sample (the first one a ray finds behind a cut) or one voxel, whichever is longer, none of it after 2.5 of them.
-//! - A ray that enters matter through a surface of the volume's own, beside a cut, sees that surface: its normal is not blended. Only
-//!   where the ray comes out of a cut is the cut what is seen: where from the cut's face on, along the ray, there is matter at least half as dense as
-//!   here (`cut_in_front`). Without this every cut has a dark rim, and one behind thin matter shows through it, the more the finer the step.
-//! - The faces of the volume's own box are cuts too: matter that a scan's edge cuts off is lit like any other cut.
-//! - A sample next to a cut stands for the part of its length that is matter: (1/2 + d/ℓ) of it, ℓ being the step's share along the
-//!   cut's normal. The sum over a ray is then the exact path through a planar cut, wherever the samples fall: no rings on cuts.
-//! - A sample behind which the ray has just entered matter is shaded where it entered (where half its own density is reached, found by
-//!   bisection), not wherever within the step the sample happens to lie: else surfaces show the sampling as rings.
-//! - Matter thinner than a step between a cut and the next sample is looked for, by bisection, where a cut is near and the sample shows
-//!   nothing: else the thin end of what a cut crosses at a slant is hit or missed by turns, and its edge is a comb.
-//! - Cuts that are shapes (`deform::cut`) are met exactly: the sample stands for the part of its step that is kept, and needs no share.
-//! - Which side of a surface is outside is asked of the transfer function: where opacity falls. (Only one-sided light needs to know.)
-//! - Where the volume is uniform its gradient is noise. Its share fades with its size, and what has no normal is lit evenly.
+//! - The blend runs over the distance to the cut, not over the mask's value, hence it does not
+//!   depend on a map's resolution. Within one sample (the first one a ray finds behind a cut) or
+//!   one voxel, whichever is longer, the cut's normal is used alone; beyond 2.5 of them it is not
+//!   used.
+//! - A ray that enters material through the volume's own surface next to a cut shows that surface:
+//!   its normal is not blended. The cut is visible only where the ray comes out of it and, from the
+//!   cut's face onwards along the ray, the material is at least half as dense as at the sample
+//!   (`cut_in_front`). Without this every cut has a dark rim, and a cut behind a thin layer shows
+//!   through it, the more so the finer the step.
+//! - The faces of the volume's own box are cuts too: material cut off at a scan's edge is lit as at
+//!   any other cut.
+//! - A sample next to a cut represents the part of its length that lies in the material: the
+//!   fraction 1/2 + d/ℓ, where ℓ is the step's extent along the cut's normal. The sum over a ray is
+//!   then the exact path through a planar cut, wherever the samples fall; cuts show no rings.
+//! - A sample just behind a surface is shaded where the ray entered it (where half the sample's
+//!   density is reached, found by bisection), not wherever the sample lies within the step.
+//!   Otherwise surfaces show the sampling as rings.
+//! - Where a cut is near and a sample is invisible, a layer thinner than a step between them is
+//!   searched for by bisection. Otherwise the thin end of an obliquely cut layer is hit or missed
+//!   alternately, and its edge looks like a comb.
+//! - Analytic cut shapes (`deform::cut`) are intersected exactly: the sample represents the
+//!   retained part of its step and needs no such fraction.
+//! - The transfer function defines the outside of a surface: where opacity falls. (Only one-sided
+//!   light needs this.)
+//! - In uniform regions the gradient is noise. Its weight fades with its magnitude, and samples
+//!   without a normal are lit evenly.
 //!
-//! `shaders/lib/shading.wgsl` says the same; it takes the Jacobian at a sample once more instead of keeping it, so that samples, entries
-//! and slivers share one call.
+//! `shaders/lib/shading.wgsl` computes the same. It evaluates the Jacobian at a sample again
+//! instead of retaining it, so that samples, entries and thin layers share one call.
 
 use super::SceneSample;
 use crate::deform::{Jet, NearestCut};
@@ -31,47 +44,48 @@ use crate::scene::{IsoLight, Normals};
 use crate::volume::{VolumeSampler, Voxel};
 use glam::{Mat3, Vec3};
 
-/// A sample's colour under light, and the factor on its optical depth.
+/// A sample's lit colour, and the factor on its optical depth.
 pub struct Shaded {
     /// Red, green, blue, not premultiplied.
     pub color: Vec3,
-    /// Share of the sample's length that is matter, times the gradient opacity.
+    /// Fraction of the sample's length that lies in the material, times the gradient opacity.
     pub depth_factor: f32,
 }
 
-/// The normal of a sample and how much it can be trusted.
+/// The normal of a sample and its reliability.
 #[derive(Clone, Copy, Debug)]
 pub struct Normal {
-    /// Unit vector out of the matter.
+    /// Unit vector pointing out of the material.
     pub normal: Vec3,
     /// 0 where there is no surface, 1 where there is one.
     pub confidence: f32,
 }
 
-/// Change of the table coordinate per Δ₀ below which a gradient is noise, and above which it is a surface.
+/// Change of the table coordinate per Δ₀ below which a gradient is noise, and above which it is a
+/// surface.
 pub(super) const SURFACE_GRADIENT: [f32; 2] = [0.004, 0.04];
-/// Share of the diffuse light that a sample without a normal gets.
+/// Fraction of the diffuse light that a sample without a normal receives.
 pub(super) const ISOTROPIC_DIFFUSE: f32 = 0.6;
 
-/// Bisections of the step in which a ray enters matter.
+/// Bisections of the step in which a ray enters the material.
 pub(super) const ENTRY_STEPS: u32 = 4;
 
-/// A visible sample before light.
+/// A visible sample before lighting.
 #[derive(Clone, Copy, Debug)]
 pub struct VisibleSample {
-    /// Where it is seen, mm.
+    /// Position in the deformed scene, mm.
     pub deformed: Vec3,
-    /// Where its matter came from, voxels.
+    /// Source position, voxels.
     pub in_voxel: Vec3,
-    /// Its colour by the transfer function.
+    /// Colour from the transfer function.
     pub color: Vec3,
-    /// Its optical depth per reference length.
+    /// Optical depth per reference length.
     pub depth: f32,
-    /// Its normalised value.
+    /// Normalised value.
     pub value: f32,
 }
 
-/// The sample at a point that was looked at, if it shows anything.
+/// The visible sample at a sampled point, if it shows anything.
 #[inline(always)]
 pub(super) fn visible_sample(scene: &Prepared, at: &SceneSample, deformed: Vec3) -> Option<VisibleSample> {
     if !at.present {
@@ -97,14 +111,17 @@ pub fn shade<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, sample: &Vi
     shaded
 }
 
-/// How far back to the face of a cut one looks for the matter that it cuts: not onto the face itself, which the distance to it tells to first order only.
+/// How far back towards the face of a cut to sample the material that it cuts, as a fraction of the
+/// way: not onto the face itself, because the distance to it is only a first-order estimate.
 pub(super) const CUT_LOOKBACK_SHARE: f32 = 0.9;
-/// The farthest that is looked, in reaches of the blend: along a face that a ray grazes nothing is told of what lies farther.
+/// The farthest distance to sample back, in reaches of the blend: along a face that a ray grazes,
+/// more distant samples are meaningless.
 pub(super) const MAX_CUT_LOOKBACK: f32 = 4.0;
-/// How often half of that is tried where it is too far.
+/// How often that distance is halved where it reaches beyond the face.
 pub(super) const CUT_LOOKBACK_STEPS: u32 = 4;
 
-/// A cut near a sample in the midst of matter, if the ray came out of it; none if it came through another surface since, or goes towards it.
+/// A cut near a sample inside the material, if the ray came out of it; none if the ray has passed
+/// another surface since, or heads towards the cut.
 fn cut_in_front<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, sample: &VisibleSample, cut: NearestCut, direction: Vec3) -> NearestCut {
     if scene.settings.normals != Normals::Blended || cut.distance_mm >= scene.frame.spacing.blend_mm[1] {
         return cut;
@@ -119,13 +136,13 @@ fn cut_in_front<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, sample: 
         if back.present {
             return if scene.volume().table.lookup(back.value)[3] >= 0.5 * sample.depth { cut } else { NearestCut::NONE };
         }
-        // Beyond the face: it is not as flat as it is taken for.
+        // The sample lies beyond the face, which is less flat than assumed.
         way *= 0.5;
     }
     cut
 }
 
-/// Shades the point at which a ray enters matter.
+/// Shades the point at which a ray enters the material.
 fn shade_entry<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, entry: &SurfaceEntry, direction: Vec3) -> Shaded {
     let first = &entry.first;
     let jet = jet(scene, first.deformed);
@@ -133,12 +150,12 @@ fn shade_entry<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, entry: &S
     shade_point(scene, sampler, first, &jet, &cut, direction)
 }
 
-/// The colour that voxels have of their own, if they have one and show it.
+/// The voxels' own colour, if the volume has colours and shows them.
 fn own_color(scene: &Prepared, in_voxel: Vec3) -> Option<Vec3> {
     scene.volume().colors.map(|colors| colors.sample(scene.volume().grid.size, in_voxel))
 }
 
-/// Light and gradient opacity of a point.
+/// Lighting and gradient opacity at a point.
 fn shade_point<T: Voxel>(
     scene: &Prepared,
     sampler: &VolumeSampler<T>,
@@ -161,10 +178,12 @@ fn shade_point<T: Voxel>(
     Shaded { color: light(scene, normal, direction, color), depth_factor }
 }
 
-/// Matter between a cut and a sample that shows nothing, thinner than a step: found only if a cut lies between this sample and the
-/// one before it, exactly one of the two being present. Its optical depth per reference length, and its light with its share of the step.
+/// A layer thinner than a step between a cut and an invisible sample. It is found only if a cut
+/// lies between this sample and the previous one, exactly one of the two being present. Returns its
+/// optical depth per reference length, and its shading with its fraction of the step.
 ///
-/// Without this the thin end of whatever a cut crosses at a slant is hit or missed by turns, and its edge is a comb.
+/// Without this the thin end of an obliquely cut layer is hit or missed alternately, and its edge
+/// looks like a comb.
 pub(super) fn thin_layer_at_cut<T: Voxel>(
     scene: &Prepared,
     sampler: &VolumeSampler<T>,
@@ -199,7 +218,8 @@ pub(super) fn thin_layer_at_cut<T: Voxel>(
         }
     }
     let share = (dense.deformed - outside).length() / step_mm;
-    // Coming out of a cut, the ray sees the cut's face; going into one, the surface on the matter's other side.
+    // Coming out of a cut, the ray sees the cut's face; going into one, it sees the surface on the
+    // layer's other side.
     let entry = SurfaceEntry { first: if present { at_cut } else { dense }, through_cut: present };
     let mut shaded = shade_entry(scene, sampler, &entry, direction);
     shaded.depth_factor *= share;
@@ -213,16 +233,18 @@ fn jet(scene: &Prepared, deformed: Vec3) -> Jet {
     scene.stack.jet(deformed)
 }
 
-/// Where a ray entered the matter that a sample lies in.
+/// Where a ray entered the material of a sample.
 struct SurfaceEntry {
     first: VisibleSample,
-    /// Nothing was there just before (a cut, the volume's edge), as opposed to something thinner (a surface of the volume's own).
+    /// The point just before was not present (a cut, the volume's edge), as opposed to less dense
+    /// (a surface of the volume's own).
     through_cut: bool,
 }
 
-/// If the sample before this one is less than half as dense, the ray has entered matter in between: where it did, by bisection.
+/// If the previous sample is less than half as dense as this one, the ray has entered the material
+/// between the two; finds where, by bisection.
 fn entry<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, sample: &VisibleSample, direction: Vec3, step_mm: f32) -> Option<SurfaceEntry> {
-    // The sample there if it is dense enough, else whether anything is there at all.
+    // The sample at a point if it is dense enough, else whether the point is present at all.
     let dense = |deformed: Vec3| {
         let at = super::sample_scene(scene, sampler, deformed);
         if !at.present {
@@ -249,12 +271,12 @@ fn entry<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, sample: &Visibl
     Some(SurfaceEntry { first, through_cut })
 }
 
-/// A covector per voxel (a gradient along i, j, k) as one per millimetre of the source.
+/// Transforms a covector per voxel (a gradient along i, j, k) to one per millimetre of the source.
 pub fn world_from_voxel_covector(scene: &Prepared, per_voxel: Vec3) -> Vec3 {
     Mat3::from(scene.volume().voxel_from_world.matrix3).transpose() * per_voxel
 }
 
-/// The nearest of the masks' cuts and the six faces of the volume's box.
+/// The nearest of the cuts by masks and the six faces of the volume's box.
 pub fn nearest_cut(scene: &Prepared, jet: &Jet, in_voxel: Vec3) -> NearestCut {
     let low = in_voxel + 0.5;
     let high = scene.volume().grid_size - 0.5 - in_voxel;
@@ -267,10 +289,10 @@ pub fn nearest_cut(scene: &Prepared, jet: &Jet, in_voxel: Vec3) -> NearestCut {
     cut
 }
 
-/// The nearer of a cut and the surface of the cuts that are shapes.
+/// The nearer of a cut and the surface of the analytic cut shapes.
 pub fn nearer_cut_shape(scene: &Prepared, cut: NearestCut, deformed: Vec3) -> NearestCut {
     let distance_mm = scene.cuts.signed_distance_mm(deformed);
-    // Beyond the reach of the blend it matters no more.
+    // Beyond the reach of the blend it has no effect.
     if distance_mm > scene.frame.spacing.blend_mm[1] {
         cut
     } else {
@@ -286,7 +308,8 @@ fn is_cut(scene: &Prepared, deformed: Vec3) -> bool {
     scene.cuts.signed_distance_mm(deformed) < 0.0 || scene.stack.source_and_alpha(deformed).1 < 0.5
 }
 
-/// The scan's grey value by window and level on the face of a cut, if the ray came out of one within the last step.
+/// The scan's grey value, by window and level, on the cut face that the ray came out of within the
+/// last step, if there is one.
 pub(super) fn grey_face<T: Voxel>(
     scene: &Prepared,
     sampler: &VolumeSampler<T>,
@@ -311,8 +334,9 @@ pub(super) fn grey_face<T: Voxel>(
     (face.present && face.value > low).then(|| ((face.value - low) / (high - low).max(1e-6)).clamp(0.0, 1.0))
 }
 
-/// Cosine of the angle between an iso-surface and the light: the derivative of the deformed volume towards the light over that in all directions,
-/// by differences of looks. Neither the source's gradient nor the Jacobian is needed.
+/// Cosine of the angle between an iso-surface's normal and the light: the derivative of the
+/// deformed volume towards the light divided by the gradient's magnitude, by differences of
+/// samples. Needs neither the source's gradient nor the Jacobian.
 fn light_cosine_by_derivative<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, at: Vec3) -> f32 {
     let h = scene.frame.spacing.reference_mm;
     let value = |p: Vec3| {
@@ -321,13 +345,14 @@ fn light_cosine_by_derivative<T: Voxel>(scene: &Prepared, sampler: &VolumeSample
     };
     let to_light = scene.frame.to_light;
     let (u, v) = to_light.any_orthonormal_pair();
-    // Values fall out of the surface: towards a light that it faces.
+    // Values decrease outwards, that is, towards a light that the surface faces.
     let [l, u, v] = [to_light, u, v].map(|e| value(at - e * h) - value(at + e * h));
     let facing = l / (l * l + u * u + v * v).sqrt().max(1e-6);
     if scene.light.two_sided { facing.abs() } else { facing.max(0.0) }
 }
 
-/// Colour of the surface where the volume has the value `iso`, which the ray met within the step before `deformed` (\[RVD01\] section 3.3).
+/// Colour of the surface where the volume has the value `iso`, crossed within the step before
+/// `deformed` (\[RVD01\] section 3.3).
 pub(super) fn iso_surface<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, iso: f32, deformed: Vec3, direction: Vec3, step_mm: f32) -> Vec3 {
     let inside_at = |p: Vec3| {
         let at = super::sample_scene(scene, sampler, p);
@@ -363,11 +388,11 @@ pub(super) fn iso_surface<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>
     light(scene, normal, direction, color)
 }
 
-/// Share of a sample's length that lies in matter.
+/// Fraction of a sample's length that lies in the material.
 ///
-/// Next to a cut, the neighbouring sample on the cut's other side tells whether this one stands for the rest of the path: it does
-/// if that one was cut away. (Asking the distance alone would count half a sample too much or too little wherever a sample lies
-/// exactly on the cut.)
+/// Next to a cut, the neighbouring sample on the cut's other side decides whether this one
+/// represents the rest of the path: it does if the neighbour is cut away. (The distance alone would
+/// count half a sample too much or too little wherever a sample lies exactly on the cut.)
 fn path_fraction<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, cut: &NearestCut, deformed: Vec3, direction: Vec3, step_mm: f32) -> f32 {
     let facing = cut.normal.dot(direction);
     let across = step_mm * facing.abs();
@@ -378,7 +403,8 @@ fn path_fraction<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, cut: &N
     if super::sample_scene(scene, sampler, beyond).present { 1.0 } else { 0.5 + (cut.distance_mm / across).clamp(0.0, 1.0) }
 }
 
-/// The normal of \[DDM06\] eq 7 in the deformed scene, from a source gradient per mm that points into the matter.
+/// The normal of \[DDM06\] eq 7 in the deformed scene, from a source gradient per mm that points
+/// into the material.
 pub fn normal(scene: &Prepared, d_source_d_deformed: &Mat3, gradient_in_source: Vec3, cut: &NearestCut, direction: Vec3) -> Normal {
     let gradient = match scene.settings.normals {
         Normals::Source | Normals::None => gradient_in_source,
@@ -386,7 +412,7 @@ pub fn normal(scene: &Prepared, d_source_d_deformed: &Mat3, gradient_in_source: 
     };
     let per_reference = gradient_in_source.length() * scene.volume().table.scale.abs() * scene.frame.spacing.reference_mm;
     let mut confidence = smoothstep(SURFACE_GRADIENT[0], SURFACE_GRADIENT[1], per_reference);
-    // Out of the matter: down the gradient, which the caller has turned to where opacity rises.
+    // Out of the material: down the gradient, which the caller has oriented to where opacity rises.
     let mut normal = normalize_or(-gradient, Vec3::ZERO);
     if scene.light.two_sided && normal.dot(direction) > 0.0 {
         normal = -normal;

@@ -1,23 +1,27 @@
-//! Surfaces by rays: signed distance fields under deformation, and triangles where nothing deforms them (\[DS07\]; [`crate::model`], "Surfaces").
+//! Ray casting of surfaces: signed distance fields under deformation, and triangles where nothing
+//! deforms them (\[DS07\]; [`crate::model`], "Surfaces").
 //!
-//! *Theory*: a ray goes through the deformed scene; every sample is carried back through the stack, and the first place where the source's
-//! field changes its sign is a hit, refined by bisection. The mask decides what a hit is worth: on a hollow surface one in a cut is
-//! passed by; in a solid one the ray then looks for the surface of the cut itself, where there is matter behind it. A thick skin is the
-//! solid of f̂ = τ - f where f > τ/2 (\[DS07\] eq 7).
+//! *Theory*: a ray passes through the deformed scene. Every sample is carried back through the
+//! stack; the first sign change of the source's field is a hit, refined by bisection. The mask
+//! decides whether the hit counts. On a hollow surface a hit in a cut is ignored. In a solid one
+//! the ray then searches for the surface of the cut itself, where f is positive behind it. A thick
+//! skin is the solid of f̂ = τ - f where f > τ/2 (\[DS07\] eq 7).
 //!
 //! *What we changed against the paper*:
-//! - Both changes of sign within a step, the surface's and the cut's, are found and taken in their order along the ray, so that an edge
-//!   between them is sharp however long the step.
-//! - Jacobian steps divide by a bound on |J v| over the cell that the ray is in (`deform::lipschitz`) instead of its value at the sample: a
-//!   narrow pull between two samples is not stepped over.
-//! - Sphere steps: |f| divided by the same bound is free of surface. Inside a cut, where the next thing to meet is the cut's own
-//!   surface, steps are even.
-//! - Empty cells are skipped: those that a mask has emptied (\[DS07\] 6.2, their distance to the nearest other cell in place of a distance
-//!   field of the cut), and those that the field itself shows to be far from its surface.
+//! - Both sign changes within a step, the surface's and the cut's, are found and taken in their
+//!   order along the ray. The edge between them is sharp however long the step.
+//! - Jacobian steps divide by a bound on |J v| over the ray's current cell (`deform::lipschitz`)
+//!   instead of its value at the sample: a narrow pull between two samples is not stepped over.
+//! - Sphere steps: a distance of |f| divided by the same bound contains no surface. Inside a cut,
+//!   where the next hit is the cut's own surface, steps are even.
+//! - Empty cells are skipped: those emptied by a mask (\[DS07\] 6.2, with the distance to the
+//!   nearest non-empty cell in place of a distance field of the cut), and those that the field
+//!   itself shows to be far from its surface.
 //!
-//! Triangles outside the deformations' boxes are met by rays too: at a pixel's centre that is what rasterising gives.
+//! Triangles outside the deformations' boxes are also intersected by rays: at a pixel's centre this
+//! equals rasterisation.
 //!
-//! `shaders/surface.wgsl` and `shaders/lib/surface.wgsl` say the same.
+//! `shaders/surface.wgsl` and `shaders/lib/surface.wgsl` compute the same.
 
 use crate::deform::{Jet, NearestCut};
 use crate::math::light::BlinnPhong;
@@ -30,23 +34,26 @@ use glam::{Mat3, Vec3};
 
 /// Bisections of a step.
 const BISECTION_STEPS: u32 = 14;
-/// Sphere steps are no shorter than this share of an even one.
+/// Sphere steps are at least this fraction of an even step.
 const MIN_SPHERE_STEP: f32 = 0.25;
-/// Near the surface threshold steps are this share of an even one.
+/// Near the surface, threshold steps are this fraction of an even step.
 const THRESHOLD_STEP: f32 = 0.25;
-/// A ray goes on by this share of its length at least, else rounding would hold it at the border of a cell.
+/// A ray advances by at least this fraction of its length; otherwise rounding could stop it at a
+/// cell border.
 const MIN_ADVANCE: f32 = 1e-6;
-/// Steps are no shorter than this share of a ray's way through what an object may fill, however steep the deformation: beyond any picture's need.
+/// Steps are at least this fraction of a ray's path through an object's occupied box, however steep
+/// the deformation: finer than any picture needs.
 const MIN_STEP: f32 = 1.0 / 32_768.0;
-/// Most samples along one ray: three times as many as there is room for, an end whatever rounding does.
+/// Most samples along one ray: three times as many as `MIN_STEP` allows, so that a ray ends
+/// whatever rounding does.
 const MAX_SAMPLES: u32 = 100_000;
 
-/// What a ray sees of the surfaces.
+/// A ray's hit on the surfaces.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SurfaceHit {
     /// Distance along the ray, mm.
     pub t: f32,
-    /// Colour after light.
+    /// Lit colour.
     pub color: Vec3,
 }
 
@@ -61,7 +68,7 @@ pub enum HitSide {
     Cut,
 }
 
-/// A point of a ray.
+/// A sample along a ray.
 #[derive(Clone, Copy)]
 struct SurfaceSample {
     t: f32,
@@ -71,7 +78,7 @@ struct SurfaceSample {
     cut: f32,
 }
 
-/// The nearest surface along a ray, and how many samples it took.
+/// The nearest surface along a ray; counts the samples taken in `samples`.
 pub fn nearest(scene: &Prepared, origin: Vec3, direction: Vec3, samples: &mut u64) -> Option<SurfaceHit> {
     let mut best: Option<SurfaceHit> = None;
     for object in &scene.surfaces.objects {
@@ -84,7 +91,7 @@ pub fn nearest(scene: &Prepared, origin: Vec3, direction: Vec3, samples: &mut u6
     best
 }
 
-/// Distance to the nearest surface along a ray and its normal, without light.
+/// Distance to the nearest surface along a ray, and its normal; without lighting.
 pub fn nearest_side(scene: &Prepared, origin: Vec3, direction: Vec3) -> Option<(f32, Vec3)> {
     let mut samples = 0;
     let mut best: Option<(f32, Vec3)> = None;
@@ -130,7 +137,8 @@ fn object_hit(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction:
     }
 }
 
-/// Depth of a point in the deformations' boxes, mm: how far inside the one it is deepest in; negative outside all.
+/// Depth of a point in the deformations' boxes, mm: its largest depth in any box; negative outside
+/// all.
 pub fn depth_in_boxes(scene: &Prepared, object: &SurfaceObject, p: Vec3, seam: f32) -> f32 {
     if object.rigid {
         return f32::NEG_INFINITY;
@@ -144,14 +152,15 @@ pub fn depth_in_boxes(scene: &Prepared, object: &SurfaceObject, p: Vec3, seam: f
         let inside = (x + map.reach).min(Vec3::ONE + map.reach - x) * size;
         depth = depth.max(inside.min_element());
     }
-    // A cut that is a shape has no box: its neighbourhood takes its place.
+    // A cut shape has no box; its neighbourhood is used instead.
     if !scene.cuts.is_empty() {
         depth = depth.max(2.0 * seam - scene.cuts.signed_distance_mm(p));
     }
     depth
 }
 
-/// Whether the triangles still show the scene at a point: outside the boxes, or within the seam where nothing moves and nothing is cut.
+/// Whether the triangles are valid at a point: outside the boxes, or within the seam where nothing
+/// moves and nothing is cut.
 fn is_undeformed(scene: &Prepared, object: &SurfaceObject, p: Vec3, seam: f32) -> bool {
     let depth = depth_in_boxes(scene, object, p, seam);
     if depth <= 0.0 {
@@ -164,7 +173,8 @@ fn is_undeformed(scene: &Prepared, object: &SurfaceObject, p: Vec3, seam: f32) -
     alpha >= 0.5 && scene.cuts.signed_distance_mm(p) >= 0.0 && source.distance(p) < 0.25 * object.cell_mm
 }
 
-/// Joins what was drawn with what was cast: the nearer one, or, where both show one surface within the seam, a blend of their colours.
+/// Joins triangle and ray hits: the nearer one, or, where both show one surface within the seam, a
+/// blend of their colours.
 fn blend_seam(
     scene: &Prepared,
     object: &SurfaceObject,
@@ -182,7 +192,7 @@ fn blend_seam(
     Some(SurfaceHit { t: d.t + (c.t - d.t) * weight, color: d.color.lerp(c.color, weight) })
 }
 
-/// f of the object's model at a value of its field.
+/// f of the object's cut model, from the value of its field.
 fn apply_cut_model(object: &SurfaceObject, f: f32) -> f32 {
     if object.thickness_mm > 0.0 && f > 0.5 * object.thickness_mm { object.thickness_mm - f } else { f }
 }
@@ -197,7 +207,7 @@ fn sample(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: Vec
     SurfaceSample { t, f: apply_cut_model(object, implicit.value(source)), cut: (0.5 - alpha).max(-scene.cuts.signed_distance_mm(p)) }
 }
 
-/// Walks a ray to the first hit of an object: where, and which side.
+/// Follows a ray to the first hit of an object: its distance and side.
 pub fn trace(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: Vec3, samples: &mut u64) -> Option<(f32, HitSide)> {
     let grid = &object.cells.grid;
     let (near, far) = grid.occupied.intersect_ray(origin, direction)?;
@@ -210,7 +220,8 @@ pub fn trace(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: 
     while t < far && count < MAX_SAMPLES {
         let p = origin + direction * t;
         if let Some(exit) = grid.empty_until(p, origin, inverse) {
-            // A surface just within the next cell lies between its border and the first sample in it.
+            // A surface just inside the next cell lies between the cell's border and the first
+            // sample in it.
             t = exit.max(t) + 1e-4 * object.step_mm + MIN_ADVANCE * t;
             before = None;
             continue;
@@ -226,7 +237,7 @@ pub fn trace(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: 
         before = Some(here);
         t += step_length(scene, object, &here, p, is_distance, origin, inverse, t).max(MIN_ADVANCE * t).max(finest);
     }
-    // The last part of the ray, to the end of what can be seen.
+    // The last part of the ray, up to the end of the occupied box.
     let hit =
         before.filter(|b| b.t < far).and_then(|b| first_event(scene, object, origin, direction, b, sample(scene, object, origin, direction, far)));
     *samples += u64::from(count);
@@ -248,7 +259,7 @@ fn step_length(
     let even = object.step_mm;
     let grid = &object.cells.grid;
     let slope = || object.cells.slope[grid.index(p)].max(1e-3);
-    // Bounds hold within the cell; the next sample is at most just beyond it.
+    // Bounds hold within the cell; the next sample lies at most just beyond it.
     let within = |length: f32| {
         let cell = ((p - grid.origin) / grid.cell_mm).floor().clamp(Vec3::ZERO, (grid.size - 1).as_vec3());
         let low = grid.origin + cell * grid.cell_mm;
@@ -263,7 +274,7 @@ fn step_length(
         Steps::Sphere => {
             let slope = slope();
             let shortest = MIN_SPHERE_STEP * even / slope.max(1.0);
-            // In a cut the next thing to meet may be the cut itself.
+            // In a cut the next hit may be the cut itself.
             let in_cut = here.cut > 0.0 && here.f > 0.0 && object.look.model != CutModel::Hollow;
             if in_cut { even.min(even / slope).max(shortest) } else { within((0.9 * here.f.abs() / slope).max(shortest)) }
         }
@@ -285,7 +296,7 @@ fn first_event(
     let face = (solid && a.cut > 0.0 && b.cut <= 0.0).then(|| bisect(a, b, |s| s.cut > 0.0, &at));
     let surface_hit = surface.and_then(|(before, after)| {
         let entering = before.f <= 0.0;
-        // A shell shows both its sides, a solid only what a ray enters.
+        // A shell shows both its sides, a solid only the surfaces that a ray enters.
         if after.cut.max(before.cut) > 0.0 || (solid && !entering) {
             return None;
         }
@@ -299,13 +310,13 @@ fn first_event(
     }
 }
 
-/// f itself at a point of the deformed scene.
+/// The original f at a point of the deformed scene.
 fn source_value(scene: &Prepared, object: &SurfaceObject, p: Vec3) -> f32 {
     let source = if object.rigid { p } else { scene.stack.source_and_alpha_unclipped(p).0 };
     object.implicit.as_ref().map_or(-1.0, |i| i.value(source))
 }
 
-/// The two sides of a change between two samples, closer and closer.
+/// Narrows a sign change between two samples; returns the samples on its two sides.
 fn bisect(
     mut a: SurfaceSample,
     mut b: SurfaceSample,
@@ -320,7 +331,7 @@ fn bisect(
     (a, b)
 }
 
-/// Unit normal of a hit, out of the matter.
+/// Unit normal of a hit, pointing out of the material.
 pub fn normal(scene: &Prepared, object: &SurfaceObject, p: Vec3, side: HitSide) -> Vec3 {
     let jet = if object.rigid || scene.stack.is_empty() {
         Jet { source: p, d_source_d_deformed: Mat3::IDENTITY, cut: NearestCut::NONE, alpha: 1.0 }
@@ -350,7 +361,7 @@ fn shade_field(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction
     SurfaceHit { t, color: light(scene, object, normal, direction, color) }
 }
 
-/// The interpolated normal where a ray met a triangle.
+/// The interpolated normal at a ray's hit on a triangle.
 fn triangle_normal(triangles: &Triangles, hit: &MeshHit) -> Vec3 {
     let [a, b, c] = triangles.normals[hit.triangle as usize];
     let [u, v] = hit.barycentric;
@@ -363,8 +374,8 @@ fn shade_triangle(scene: &Prepared, object: &SurfaceObject, triangles: &Triangle
     SurfaceHit { t: hit.t, color: light(scene, object, if hit.front { normal } else { -normal }, direction, color) }
 }
 
-/// Blinn-Phong under the scene's light with the object's highlight. A normal that points away from the eye by a little (an interpolated one
-/// at a silhouette) is bent back to the edge.
+/// Blinn-Phong under the scene's light with the object's highlight. A normal that points slightly
+/// away from the eye (an interpolated one at a silhouette) is bent back to the silhouette.
 fn light(scene: &Prepared, object: &SurfaceObject, normal: Vec3, direction: Vec3, color: Vec3) -> Vec3 {
     let away = normal.dot(direction).max(0.0);
     let normal = normalize_or(normal - direction * away, -direction);

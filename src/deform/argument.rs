@@ -1,14 +1,14 @@
-//! Values of a deformation's parameters and settings, as scene files and options state them.
+//! Values of a deformation's parameters and settings, as given in scene files and options.
 
 use crate::{Error, Result};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// The largest whole number up to which single precision has all of them.
+/// The largest integer up to which single precision represents every integer.
 const MAX_WHOLE: f32 = 16_777_216.0;
 
-/// A number as a whole one.
+/// Converts a number to an integer.
 pub(super) fn whole(v: f32) -> Result<usize, String> {
     match v {
         v if v < 0.0 || v.fract() != 0.0 => Err(format!("{v} is not a whole number from 0 on")),
@@ -35,7 +35,7 @@ pub enum Argument {
     Rows(Vec<Vec<f32>>),
 }
 
-/// As people type it, cut short.
+/// As typed, shortened if long.
 impl std::fmt::Display for Argument {
     fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
         const SHOWN: usize = 8;
@@ -92,7 +92,7 @@ impl Arguments {
     /// A word or a path.
     ///
     /// # Errors
-    /// A value of another form.
+    /// The value has another type.
     pub fn text(&self, name: &str) -> Result<Option<&str>> {
         match self.0.get(name) {
             None => Ok(None),
@@ -104,20 +104,20 @@ impl Arguments {
     /// One or several words or paths.
     ///
     /// # Errors
-    /// A value of another form.
+    /// The value has another type.
     pub fn texts(&self, name: &str) -> Result<Option<Vec<String>>> {
         match self.0.get(name) {
             Some(Argument::Texts(all)) => Ok(Some(all.clone())),
-            // An empty list is read as one of numbers.
+            // An empty list is parsed as a list of numbers.
             Some(Argument::Numbers(none)) if none.is_empty() => Ok(Some(Vec::new())),
             _ => Ok(self.text(name)?.map(|t| vec![t.to_owned()])),
         }
     }
 
-    /// One of some words; the first if none is given.
+    /// One of the given words; the first if none is given.
     ///
     /// # Errors
-    /// Another word (with the closest known one).
+    /// Any other word (the message names the closest known one).
     pub fn choice<'a>(&self, name: &str, valid_names: &[&'a str]) -> Result<&'a str> {
         let Some(given) = self.text(name)? else { return Ok(valid_names[0]) };
         valid_names
@@ -127,10 +127,10 @@ impl Arguments {
             .ok_or_else(|| Error::value(name, format!("\"{given}\" is not known; {}", crate::error::suggestion(given, valid_names.iter().copied()))))
     }
 
-    /// Numbers, rows joined.
+    /// Numbers; rows are concatenated.
     ///
     /// # Errors
-    /// A value of another form, or a number that is not finite.
+    /// The value has another type, or a number is not finite.
     pub fn numbers(&self, name: &str) -> Result<Option<Vec<f32>>> {
         let numbers = match self.0.get(name) {
             None => return Ok(None),
@@ -148,7 +148,7 @@ impl Arguments {
     /// One number.
     ///
     /// # Errors
-    /// A value of another form.
+    /// The value has another type.
     pub fn number(&self, name: &str) -> Result<Option<f32>> {
         match self.numbers(name)?.as_deref() {
             None => Ok(None),
@@ -157,10 +157,10 @@ impl Arguments {
         }
     }
 
-    /// Whole numbers from 0 on: labels, counts.
+    /// Non-negative integers: labels, counts.
     ///
     /// # Errors
-    /// A value of another form.
+    /// The value has another type.
     pub fn whole(&self, name: &str) -> Result<Option<Vec<usize>>> {
         let Some(numbers) = self.numbers(name)? else { return Ok(None) };
         numbers.into_iter().map(whole).collect::<Result<_, _>>().map(Some).map_err(|problem| Error::value(name, problem))
@@ -169,7 +169,7 @@ impl Arguments {
     /// true or false; false if not given.
     ///
     /// # Errors
-    /// A value of another form.
+    /// The value has another type.
     pub fn flag(&self, name: &str) -> Result<bool> {
         match self.0.get(name) {
             None => Ok(false),

@@ -1,23 +1,28 @@
-//! Bounds on what a stack does to boxes, carried backwards map by map ([`crate::model`], "Empty space"), for empty space.
+//! Bounds on the effect of a stack on boxes, carried backwards map by map ([`crate::model`], "Empty
+//! space"), for empty-space skipping.
 //!
-//! Two bounds on a map's displacements are known: a box, from the least and greatest texels; and, from the least and greatest differences of
-//! neighbouring texels, how far they are from that of the box's centre. The second, the mean value form of interval arithmetic (Moore 1966), does not
-//! take a rotation for a growth along all axes. Both hold, so that what they share does.
+//! Two bounds on a map's displacements are known. One is a box, from the smallest and largest
+//! texels. The other bounds how far they deviate from the displacement of the box's centre, from
+//! the smallest and largest differences of neighbouring texels. The second, the mean value form of
+//! interval arithmetic (Moore 1966), does not turn a rotation into growth along all axes. Both
+//! hold, hence so does their intersection.
 
 use super::lipschitz::spectral_norm;
 use super::{PlacedMap, Stack};
 use crate::math::Bounds;
 use glam::{Affine3A, Mat3, Vec3, Vec3A, Vec4Swizzles};
 
-/// Where displacements differ by less than this share of a box, a bound by slopes is no better than a box of displacements.
+/// Where displacements differ by less than this fraction of a box, a bound by slopes is no tighter
+/// than a box of displacements.
 const FLAT_DISPLACEMENT: f32 = 0.25;
 
-/// A box that lies partly in a map's cube goes on as two parts, this many times; then as one box around both, so that the work grows with the number
-/// of maps and not with the power of it.
+/// A box that lies partly in a map's cube is split into two parts, at most this many times; after
+/// that it continues as one box around both. The work then grows linearly with the number of maps,
+/// not exponentially.
 const MAX_SPLITS: u32 = 4;
 
 impl PlacedMap {
-    /// A box that holds the displacements of the points of a box.
+    /// A box around the displacements of the points of a box.
     pub(super) fn displacement_bounds(&self, b: &Bounds) -> Bounds {
         let zero = Bounds::new(Vec3::ZERO, Vec3::ZERO);
         self.displacement_range(b).map_or(zero, |m| if m.outside { m.all.union(&zero) } else { m.all })
@@ -26,7 +31,8 @@ impl PlacedMap {
     /// The displacements and masks of the points of a box that lie in this map's cube, if any do.
     fn displacement_range(&self, b: &Bounds) -> Option<DisplacementRange> {
         let in_map = b.transformed(&self.placement.map_from_world);
-        // The transform of a sample rounds, and GPUs place samples by 1/256 of a texel; a hundredth of one covers both.
+        // Transforming a sample rounds, and GPUs place samples to 1/256 of a texel; a hundredth of
+        // a texel covers both.
         let texel = 0.01 / Vec3::from(self.map.size.map(|n| n.max(2) as f32));
         let in_map = Bounds::new(in_map.min - texel, in_map.max + texel);
         let inside = in_map.intersection(&self.domain());
@@ -39,7 +45,8 @@ impl PlacedMap {
         Some(DisplacementRange { all, mask: [range.min[3], range.max[3]], in_map, texel, outside: !self.domain().contains(&in_map) })
     }
 
-    /// Bounds on what this map does to the points of a box that lie in its cube, if any do ([`crate::model`], "Empty space"), and whether some lie outside.
+    /// Bounds on the effect of this map on the points of a box that lie in its cube, if any do
+    /// ([`crate::model`], "Empty space"), and whether some lie outside.
     fn affine_enclosure(&self, b: &Bounds) -> (Option<AffineEnclosure>, bool) {
         let Some(DisplacementRange { all, mask, in_map, texel, outside }) = self.displacement_range(b) else {
             return (None, true);
@@ -49,14 +56,14 @@ impl PlacedMap {
                 AffineEnclosure { all, mask, at_center: all.center(), slope: Mat3::ZERO, spread: Mat3::ZERO, remainder: all.size() * 0.5 };
             return (Some(affine_enclosure), outside);
         }
-        // Of the map as its outermost texels continue it, so that nothing jumps within the box.
+        // Of the map as extended by its outermost texels, to avoid a jump within the box.
         let at_center = self.world_from_stored * self.map.fetch(self.placement.map_from_world.transform_point3(b.center())).xyz();
         let [slope, spread] = self.slopes_within(&in_map);
         let texel_mm = self.placement.world_from_map.matrix3.abs() * Vec3A::from(texel);
         (Some(AffineEnclosure { all, mask, at_center, slope, spread, remainder: (slope.abs() + spread) * Vec3::from(texel_mm) }), outside)
     }
 
-    /// Whether a texel within one of a box's is not that of matter.
+    /// Whether some texel within one texel of a box has a mask below 1.
     fn mask_varies(&self, b: &Bounds) -> bool {
         if !self.map.has_cuts() {
             return false;
@@ -67,7 +74,7 @@ impl PlacedMap {
         !around.is_empty() && self.map.bounds(around.min, around.max).min[3] < 1.0
     }
 
-    /// The middle and half of the extent of the bounds of J_G - I over a box in map coordinates.
+    /// Centre and half-width of the bounds on J_G - I over a box in map coordinates.
     fn slopes_within(&self, inside: &Bounds) -> [Mat3; 2] {
         let columns = self.map.slope_bounds(inside.min, inside.max);
         let [middle, spread] = [|(low, high): (Vec3, Vec3)| (low + high) * 0.5, |(low, high): (Vec3, Vec3)| (high - low) * 0.5]
@@ -77,8 +84,8 @@ impl PlacedMap {
     }
 }
 
-/// Bounds on the displacements (mm) and masks of the points of a box in a map's cube; the box in map coordinates with a margin of `texel`, and whether
-/// a part of it lies outside.
+/// Bounds on the displacements (mm) and masks of the points of a box in a map's cube; the box in
+/// map coordinates with a margin of `texel`, and whether part of it lies outside.
 struct DisplacementRange {
     all: Bounds,
     mask: [f32; 2],
@@ -87,25 +94,26 @@ struct DisplacementRange {
     outside: bool,
 }
 
-/// Bounds on what a map, or several added to each other, does to the points p of a box with centre c: their displacements lie in `all`, and also in
-/// `at_center` + (`slope` ± `spread`) (p - c) ± `remainder`.
+/// Bounds on the effect of a map, or of several maps added to each other, on the points p of a box
+/// with centre c: their displacements lie in `all`, and also in `at_center` + (`slope` ± `spread`)
+/// (p - c) ± `remainder`.
 struct AffineEnclosure {
     /// mm.
     all: Bounds,
-    /// Lowest and highest mask.
+    /// Smallest and largest mask.
     mask: [f32; 2],
     /// The displacement of the centre, mm.
     at_center: Vec3,
-    /// The middle of the Jacobians' bounds.
+    /// Centre of the bounds on the Jacobians.
     slope: Mat3,
-    /// Half of their extents.
+    /// Half-width of those bounds.
     spread: Mat3,
     /// mm.
     remainder: Vec3,
 }
 
 impl AffineEnclosure {
-    /// Of points outside of every cube.
+    /// For points outside every cube.
     const NONE: Self = Self {
         all: Bounds { min: Vec3::ZERO, max: Vec3::ZERO },
         mask: [1.0; 2],
@@ -115,14 +123,14 @@ impl AffineEnclosure {
         remainder: Vec3::ZERO,
     };
 
-    /// Of points some of which lie in the cube and some outside of it.
+    /// For points of which some lie inside the cube and some outside.
     fn including_zero(&self) -> Self {
         let all = self.all.union(&Self::NONE.all);
         let mask = [self.mask[0].min(1.0), self.mask[1].max(1.0)];
         Self { all, mask, at_center: all.center(), remainder: all.size() * 0.5, ..Self::NONE }
     }
 
-    /// Of two maps that are added to each other.
+    /// For two maps that are added to each other.
     fn sum(&self, other: &Self) -> Self {
         Self {
             all: Bounds::new(self.all.min + other.all.min, self.all.max + other.all.max),
@@ -134,7 +142,7 @@ impl AffineEnclosure {
         }
     }
 
-    /// A box that holds where the points of `b` came from: what both bounds allow.
+    /// A box around the source points of `b`: the intersection of both bounds.
     fn source(&self, b: &Bounds) -> Bounds {
         let (center, half) = (b.center() + self.at_center, b.size() * 0.5);
         let half = ((Mat3::IDENTITY + self.slope).abs() + self.spread) * half + self.remainder;
@@ -143,8 +151,9 @@ impl AffineEnclosure {
 }
 
 impl Stack {
-    /// Carries a box of deformed points back to the source: a box that holds all their source points, and the lowest and the highest value that
-    /// the smallest mask can have (at or above 1/2: nothing in the box is cut away; below: everything).
+    /// Carries a box of deformed points back to the source. Returns a box around all their source
+    /// points, and the smallest and largest value that the smallest mask can have (at or above 1/2:
+    /// nothing in the box is cut away; below: everything).
     pub fn source_bounds(&self, deformed: &Bounds) -> (Bounds, [f32; 2]) {
         let (mut all, mut alpha) = (Bounds::EMPTY, [1.0f32, 0.0]);
         self.source_parts(deformed, &mut |part, [low, high]| {
@@ -154,18 +163,21 @@ impl Stack {
         (all, alpha)
     }
 
-    /// As [`Self::source_bounds`], in parts: points inside and outside of a map's cube may come from far apart.
+    /// As [`Self::source_bounds`], in parts: the sources of points inside and outside a map's cube
+    /// may be far apart.
     pub fn source_parts(&self, deformed: &Bounds, found: &mut dyn FnMut(&Bounds, [f32; 2])) {
         let mut grown = |part: &Bounds, alpha: [f32; 2]| found(&part.grown(self.precompose_error_mm()), alpha);
         self.parts_of(self.maps().len(), MAX_SPLITS, deformed, &AffineEnclosure::NONE, [1.0; 2], &mut grown);
     }
 
-    /// How far sources may be from those of the maps, mm: what stands for them is not as exact as they are.
+    /// Largest distance between these sources and those of the maps, mm: the error bound of the
+    /// precomposed map.
     pub fn precompose_error_mm(&self) -> f32 {
         self.precomposed().map_or(0.0, |s| s.bound_mm)
     }
 
-    /// Through the first `count` maps, with `splits_left` left; those added to the next one have moved the box `together`.
+    /// Through the first `count` maps, with `splits_left` splits left; `together` is the effect of
+    /// the maps already passed that are added to the next one.
     fn parts_of(
         &self,
         count: usize,
@@ -198,8 +210,8 @@ impl Stack {
         }
     }
 
-    /// Whether any mask's value or derivative ([`super::DisplacementMap::derivatives`]) may be other than that of matter all around, anywhere in a box of
-    /// deformed points.
+    /// Whether any mask's value or derivative ([`super::DisplacementMap::derivatives`]) may differ
+    /// from those of an uncut region, anywhere in a box of deformed points.
     pub fn mask_varies(&self, deformed: &Bounds) -> bool {
         if !self.has_cuts() {
             return false;
@@ -218,7 +230,7 @@ impl Stack {
         false
     }
 
-    /// Whether any mask takes anything away.
+    /// Whether any mask removes anything.
     pub fn has_cuts(&self) -> bool {
         self.maps().iter().any(|m| m.map.has_cuts())
     }
@@ -234,11 +246,12 @@ impl Stack {
                 together = 1.0;
             }
         }
-        // Of hundreds of maps it may be beyond every number.
+        // With hundreds of maps the product may overflow.
         all.min(f32::MAX)
     }
 
-    /// The box that holds the deformed scene: the source's box and every cube into which a map can bring its matter.
+    /// A box around the deformed scene: the source's box and every cube into which a map can move
+    /// part of it.
     pub fn deformed_bounds(&self, source: &Bounds) -> Bounds {
         let mut all = source.grown(self.precompose_error_mm());
         for map in self.maps().iter().filter(|m| m.map.has_displacement()) {
@@ -259,7 +272,8 @@ mod tests {
     use super::*;
     use std::sync::Arc;
 
-    /// A map that turns matter takes a box to a turned box: its bounds are that one's, not the sum of how far its parts are moved.
+    /// A rotation takes a box to a rotated box: its bounds are those of the rotated box, not the
+    /// sum of the displacements of its parts.
     #[test]
     fn bounds_of_a_rotation_are_those_of_the_rotated_box() {
         let turn = Mat3::from_rotation_z(0.8);
@@ -273,7 +287,8 @@ mod tests {
         assert!(got.grown(1e-3).contains(&want) && want.grown(0.1).contains(&got), "{got:?} for {want:?}");
     }
 
-    /// The work grows with the number of maps, although a box may lie partly in the cube of each.
+    /// The work grows linearly with the number of maps, although a box may lie partly in the cube
+    /// of each.
     #[test]
     fn a_box_goes_on_as_few_parts() {
         let mut parts = 0;
@@ -281,7 +296,8 @@ mod tests {
         assert_eq!(parts, 1 << MAX_SPLITS);
     }
 
-    /// Where no mask is said to vary there is neither a cut nor a slope of one; no Jacobian is steeper than the steepest.
+    /// Where no mask is reported to vary there is neither a cut nor a slope of one; no Jacobian
+    /// exceeds the bound.
     #[test]
     fn what_is_said_of_boxes_holds_for_their_points() {
         let (mut clear, mut steepest) = (0, 0.0f32);

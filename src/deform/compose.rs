@@ -1,13 +1,17 @@
-//! A stack, or a transform from a file, as one displacement map. Where that is exact enough, a sample costs the same however many maps there are.
+//! Composes a stack, or a transform from a file, into one displacement map. Where the composite is
+//! accurate enough, a sample costs the same however many maps there are.
 //!
-//! *Theory*: the composite is a map like any other, D(p') = source(p') - p' on a grid over every cube of the stack (\[DDM06\] section 6
-//! names both ways). Interpolating it makes an error that shrinks with the square of the texel where the stack is smooth, with the texel where it
-//! has a kink, and not at all where it tears matter. The resolution is not guessed: a coarse map is made, compared with the exact walk, and refined
-//! until the worst error where matter is lies within the bound. Stacks tear more often than not, at the faces of boxes that matter enters: so the map
-//! that stands for a stack in pictures ([`precompose`]) marks the cells in which it is not exact enough, and there the maps themselves are walked.
+//! *Theory*: the composite is a map like any other, D(p') = source(p') - p' on a grid over all
+//! cubes of the stack (\[DDM06\] section 6 names both ways). Its interpolation error shrinks with
+//! the square of the texel size where the stack is smooth, linearly with it where the stack has a
+//! kink, and not at all where the stack tears. The resolution is found by refinement: a coarse map
+//! is made, compared with the exact walk, and refined until the worst error inside the volume is
+//! within the bound. Most stacks tear, at the faces of boxes that material enters. Hence the
+//! precomposed map used for pictures ([`precompose`]) marks the cells in which it is not accurate
+//! enough, and there the maps themselves are walked.
 //!
-//! *The error* at a point is the distance between the two sources where both show matter, and the distance to the cut where one shows matter and the
-//! other does not. Points whose source lies beyond the scene show nothing and do not count.
+//! *The error* at a point is the distance between the two sources where both are present, and the
+//! distance to the cut where only one is. Points whose source lies outside the scene do not count.
 
 use super::transform::{Transform, TransformStep};
 use super::{DisplacementMap, PlacedMap, Placement, PrecomposedMap, Stack, Storage, TexelSample};
@@ -19,70 +23,75 @@ use glam::{Affine3A, DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// Most texels of a composed map: 256³, 128 MiB in half precision.
+/// Maximum number of texels of a composed map: 256³, 128 MiB in half precision.
 pub const MAX_TEXELS: usize = 1 << 24;
-/// Texels along the longest axis that the search begins with.
+/// Texels along the longest axis at the start of the search.
 const FIRST_RESOLUTION: usize = 32;
 
-/// Texels that a map is refined to while it is looked for how far a stack can be composed.
+/// Maximum number of texels of a map during the search for a sufficient resolution.
 const MAX_SEARCH_TEXELS: usize = 1 << 23;
-/// Points at which a composed map is compared with what it was made from, while it is refined and at last.
+/// Points at which a composed map is compared with its original, during refinement and at the end.
 const PROBES: usize = 100_000;
 const LAST_PROBES: usize = 600_000;
-/// Share of the bound that the points that are compared may take: between them it may be more.
+/// Fraction of the bound that the error at the compared points may use: between them it may be
+/// larger.
 const OF_BOUND: f32 = 0.6;
-/// Texels along the longest axis of the maps that stand for a stack, the next one tried where too much is marked in one.
+/// Texels along the longest axis of a precomposed map; the next size is tried where one marks too
+/// many cells.
 const PRECOMPOSED_TEXELS: [usize; 4] = [48, 80, 128, 192];
-/// Points compared in the cells of one of them.
+/// Points compared in the cells of one such map.
 const CELL_PROBES: usize = 1_000_000;
-/// Share of the space that may be marked: a finer map is not worth it below.
+/// Fraction of the space that may be marked: below it a finer map does not pay.
 const FEW_MARKED: f32 = 0.12;
-/// Share of the maps' work that a precomposed map must save, and of the space that may be marked however many maps there are.
+/// Fraction of the maps' work that a precomposed map must save, and fraction of the space that may
+/// be marked however many maps there are.
 const MIN_SAVED: f32 = 0.2;
 const MAX_MARKED: f32 = 0.6;
-/// Of the points of a cell, those at which Jacobians are compared, and how far their components may be apart: normals turn by about as much, radians.
+/// Number of points per cell at which Jacobians are compared, and the largest allowed difference of
+/// their components: normals turn by about as much, radians.
 const SLOPE_PROBES: usize = 2;
 const MAX_SLOPE_ERROR: f32 = 0.05;
-/// Points by which a map is given up that is too coarse by far.
+/// Points after which a map that is far too coarse is rejected.
 const SOME_CELLS: usize = 10_000;
-/// Times that points found at last are marked.
+/// Rounds of the final comparison, each of which marks the points it finds.
 const LAST_ROUNDS: usize = 4;
-/// A map twice as fine that is not this much better will never be good enough: the stack tears there.
+/// If a map twice as fine is not this much better, no map will be good enough: the stack tears
+/// there.
 const MIN_GAIN: f32 = 0.8;
 
-/// A composed map and how well it stands for what it was made from.
+/// A composed map and its accuracy.
 pub struct ComposedMap {
-    /// The map in its place.
+    /// The map with its placement.
     pub placed: PlacedMap,
-    /// Largest error found where matter is, mm.
+    /// Largest error found inside the volume, mm.
     pub worst_mm: f32,
     /// 99th percentile of the error, mm.
     pub p99_mm: f32,
-    /// Whether that is within the bound.
+    /// Whether the worst error is within the bound.
     pub within: bool,
 }
 
-/// How finely to compose.
+/// The resolution of a composed map.
 #[derive(Clone, Copy, Debug)]
 pub enum Resolution {
     /// Texels along the longest axis.
     Fixed(usize),
-    /// As many as it takes for the worst error where matter is, mm.
+    /// As many as needed for this worst error inside the volume, mm.
     Within(f32),
 }
 
-/// How exact a precomposed map is.
+/// The accuracy of a precomposed map.
 #[derive(Clone, Copy, Debug)]
 pub struct PrecomposeError {
-    /// Largest error found where matter is, mm.
+    /// Largest error found inside the volume, mm.
     pub worst_mm: f32,
     /// 99th percentile of the error, mm.
     pub p99_mm: f32,
-    /// Share of the space with matter in it where the maps themselves are walked.
+    /// Fraction of the occupied space in which the maps themselves are walked.
     pub fallback_share: f32,
 }
 
-/// The axis-aligned box of every cube of a stack; none if it is empty.
+/// The axis-aligned box around all cubes of a stack; none if the stack is empty.
 fn cubes(stack: &Stack) -> Option<Bounds> {
     stack.maps().iter().map(PlacedMap::bounds_in_world).reduce(|a, b| a.union(&b))
 }
@@ -90,10 +99,10 @@ fn cubes(stack: &Stack) -> Option<Bounds> {
 /// Source and smallest mask of each of many points.
 pub type SourcesAndAlphas = Vec<(Vec3, f32)>;
 
-/// Evaluates a stack at many points. The CPU's own, or a device's.
+/// Evaluates a stack at many points, on the CPU or on a device.
 pub type Evaluate<'a> = &'a dyn Fn(&Stack, &[Vec3]) -> Result<SourcesAndAlphas>;
 
-/// The stack at many points, on all cores.
+/// Evaluates a stack at many points, on all cores.
 ///
 /// # Errors
 /// None.
@@ -101,7 +110,8 @@ pub fn evaluate(stack: &Stack, points: &[Vec3]) -> Result<SourcesAndAlphas> {
     Ok(points.par_iter().map(|p| stack.source_and_alpha_unclipped(*p)).collect())
 }
 
-/// What is sampled: source and mask of a deformed point, and the box beyond which there is no matter.
+/// The mapping to sample: source and mask of a deformed point, and the box outside which the scene
+/// is empty.
 struct BackwardMap<'a> {
     source_and_alpha: &'a (dyn Fn(Vec3) -> (Vec3, f32) + Sync),
     /// The same for all points of a grid at once.
@@ -112,7 +122,7 @@ struct BackwardMap<'a> {
 /// Composes a stack into one map; none if the stack is empty.
 ///
 /// # Errors
-/// A placement that cannot be used.
+/// A placement that is not invertible.
 pub fn stack(stack: &Stack, scene_box: &Bounds, resolution: Resolution, storage: Storage, evaluate: Evaluate) -> Result<Option<ComposedMap>> {
     let Some(bounds) = cubes(stack) else { return Ok(None) };
     let placement = Placement::new(bounds.center(), bounds.size(), Vec3::ZERO)?;
@@ -121,11 +131,12 @@ pub fn stack(stack: &Stack, scene_box: &Bounds, resolution: Resolution, storage:
     search(&BackwardMap { source_and_alpha: &f, many: &many, scene_box: *scene_box }, &placement, resolution, storage).map(Some)
 }
 
-/// One map that stands for a stack within `bound_mm` wherever matter is, with marks where it cannot: cells that a tear or a cut runs through, or
-/// that bend more than the grid resolves. None, with the share that would have to be marked, where that saves too little.
+/// One map that replaces a stack within `bound_mm` everywhere inside the volume, and marks where it
+/// cannot: cells that a tear or a cut runs through, or in which the stack bends more than the grid
+/// resolves. None, with the fraction that would have to be marked, where that saves too little.
 ///
 /// # Errors
-/// A placement that cannot be used; whatever the device reports; [`crate::Error::Cancelled`].
+/// A placement that is not invertible; any error of the device; [`crate::Error::Cancelled`].
 pub fn precompose(
     stack: &Stack,
     scene_box: &Bounds,
@@ -140,7 +151,7 @@ pub fn precompose(
     let finest = finest(size_mm, MAX_SEARCH_TEXELS);
     let exact = |p: &Vec3| stack.source_and_alpha_unclipped(*p);
     let comparison = Comparison { exact: &exact, scene_box };
-    // Every sample costs one map, those that are marked all others as well.
+    // Every sample costs one map; a sample in a marked cell also costs all the others.
     let max_marked = (1.0 - MIN_SAVED - 1.0 / stack.maps().len() as f32).min(MAX_MARKED);
     let mut best: Option<MarkedGrid> = None;
     for texels in PRECOMPOSED_TEXELS.map(|n| n.min(finest)) {
@@ -149,7 +160,7 @@ pub fn precompose(
             break;
         }
         let mut grid = MarkedGrid::new(stack, &placement, grid_for(size_mm, texels), bound_mm, evaluate)?;
-        // Too coarse by far: not worth a look at every cell.
+        // Far too coarse: not worth testing every cell.
         let about = grid.bad_share_of_some(&comparison, bound_mm);
         if about > max_marked {
             precompose_error.fallback_share = precompose_error.fallback_share.min(about);
@@ -166,7 +177,8 @@ pub fn precompose(
         }
     }
     let Some(mut grid) = best else { return Ok((None, precompose_error)) };
-    // Many points at last, elsewhere than those that were asked: what they find is marked as well.
+    // A final comparison at many other points; the cells of those with too large an error are
+    // marked as well.
     for _ in 0..LAST_ROUNDS {
         watch.check()?;
         precompose_error.fallback_share = grid.share();
@@ -187,26 +199,27 @@ pub fn precompose(
     Ok((None, precompose_error))
 }
 
-/// Whether two Jacobians would light matter differently.
+/// Whether two Jacobians lead to visibly different lighting.
 fn differs(a: &Mat3, b: &Mat3) -> bool {
     (*a - *b).to_cols_array().iter().any(|v| v.abs() > MAX_SLOPE_ERROR)
 }
 
-/// A composite in the making: samples, and the cells between them that are not exact enough.
+/// A composite under construction: samples, and the cells between them that are not accurate
+/// enough.
 struct MarkedGrid {
     size: [usize; 3],
     placement: Placement,
     storage: Storage,
     samples: Vec<TexelSample>,
     bad: Vec<bool>,
-    /// Cells with any matter in them.
+    /// Cells in which some point is present.
     occupied: Vec<bool>,
 }
 
 impl MarkedGrid {
     fn new(stack: &Stack, placement: &Placement, size: [usize; 3], bound_mm: f32, evaluate: Evaluate) -> Result<Self> {
         let samples = grid_samples(placement, size, &|points| evaluate(stack, points))?;
-        // What half precision rounds to must not matter.
+        // The rounding of half precision must be negligible.
         let largest = samples.par_iter().map(|s| s.displacement.abs().max_element()).reduce(|| 0.0, f32::max);
         let rounding = largest * placement.size_mm().max_element() / 2048.0;
         let storage = if rounding > 0.2 * bound_mm { Storage::F32 } else { Storage::F16 };
@@ -222,7 +235,7 @@ impl MarkedGrid {
         (self.placement.size_mm() / Vec3::from(Self::cells_of(self.size).map(|n| n as f32))).max_element()
     }
 
-    /// Share of the cells with matter that are bad.
+    /// Fraction of the occupied cells that are bad.
     fn share(&self) -> f32 {
         let (bad, occupied) = self
             .bad
@@ -237,14 +250,15 @@ impl MarkedGrid {
         PlacedMap::new(Arc::new(map), self.placement)
     }
 
-    /// Share of bad cells among some of those with matter.
+    /// Fraction of bad cells, estimated from some of the occupied ones.
     fn bad_share_of_some(&self, comparison: &Comparison, bound_mm: f32) -> f32 {
         let placed = self.placed();
         let errors = comparison.errors(&|p| placed.backward(*p), &placed.bounds_in_world(), SOME_CELLS, 0.25 * self.texel_mm());
         errors.iter().filter(|(e, _)| *e > OF_BOUND * bound_mm).count() as f32 / errors.len().max(1) as f32
     }
 
-    /// Finds the cells in which the composite is not exact enough, and those beside them: a tear may graze a cell without meeting a point that is asked.
+    /// Finds the cells in which the composite is not accurate enough, and their neighbours: a tear
+    /// may graze a cell without meeting a point that is compared.
     fn find_bad_cells(&mut self, comparison: &Comparison, stack: &Stack, bound_mm: f32, watch: &Watch) -> Result<()> {
         let placed = self.placed();
         let cells = Self::cells_of(self.size);
@@ -259,7 +273,7 @@ impl MarkedGrid {
                 if let Some(error) = comparison.error(&|p| placed.backward(*p), p, h) {
                     occupied = true;
                     bad |= error > OF_BOUND * bound_mm;
-                    // What a kink does to light is seen long before what it does to places.
+                    // A kink affects lighting long before it visibly affects positions.
                     bad = bad || k < SLOPE_PROBES && placed.derivatives(p).is_some_and(|(j, _)| differs(&j, &stack.jet(p).d_source_d_deformed));
                 }
             }
@@ -273,7 +287,7 @@ impl MarkedGrid {
         Ok(())
     }
 
-    /// Cells and their neighbours.
+    /// The cells and their neighbours.
     fn grown(&self, of: &[bool]) -> Vec<bool> {
         let cells = Self::cells_of(self.size);
         let strides = [1, cells[0], cells[0] * cells[1]];
@@ -300,7 +314,7 @@ impl MarkedGrid {
         self.bad.iter_mut().zip(grown).for_each(|(bad, more)| *bad |= more);
     }
 
-    /// The map, its texels marked at the corners of bad cells.
+    /// The map with the texels at the corners of bad cells marked.
     fn marked_map(&self) -> PlacedMap {
         let cells = Self::cells_of(self.size);
         let mut marked = vec![false; self.samples.len()];
@@ -316,13 +330,13 @@ impl MarkedGrid {
     }
 }
 
-/// Grid points for a box whose longest axis gets `texels`.
+/// Grid points of a box with `texels` of them along its longest axis.
 fn grid_for(size_mm: Vec3, texels: usize) -> [usize; 3] {
     let edge = size_mm.max_element() / (texels.max(2) - 1) as f32;
     size_mm.to_array().map(|s| ((s / edge).round() as usize + 1).max(2))
 }
 
-/// Samples a mapping over a placement, finely enough.
+/// Samples a mapping over a placement at a sufficient resolution.
 fn search(mapping: &BackwardMap, placement: &Placement, resolution: Resolution, storage: Storage) -> Result<ComposedMap> {
     let size_mm = placement.size_mm();
     let bound = match resolution {
@@ -341,14 +355,14 @@ fn search(mapping: &BackwardMap, placement: &Placement, resolution: Resolution, 
     let mut in_vain = 0;
     loop {
         if composed.worst_mm <= OF_BOUND * bound {
-            // Points may have missed the worst place: many more are asked at last.
+            // The points may have missed the worst position: many more are compared at the end.
             let (worst_mm, p99_mm) = error(mapping, &composed.placed, LAST_PROBES);
             (composed.worst_mm, composed.p99_mm) = (composed.worst_mm.max(worst_mm), p99_mm);
             if composed.worst_mm <= bound {
                 return Ok(ComposedMap { within: true, ..composed });
             }
         }
-        // What half precision rounds to is no finer for a finer grid.
+        // A finer grid does not reduce the rounding of half precision.
         let rounding = composed.placed.map.scale * size_mm.max_element() / 2048.0;
         if storage == Storage::F16 && rounding > 0.5 * OF_BOUND * bound {
             storage = Storage::F32;
@@ -359,7 +373,7 @@ fn search(mapping: &BackwardMap, placement: &Placement, resolution: Resolution, 
             return Ok(composed);
         }
         let before = (composed.worst_mm, texels);
-        // At the error's square root, if all is smooth.
+        // Proportional to the square root of the error, if everything is smooth.
         let needed = (texels as f32 * (composed.worst_mm / (OF_BOUND * bound)).sqrt() * 1.1) as usize;
         texels = needed.clamp(texels * 5 / 4, texels * 2).min(finest);
         composed = sampled(mapping, placement, grid_for(size_mm, texels), storage, PROBES)?;
@@ -369,12 +383,13 @@ fn search(mapping: &BackwardMap, placement: &Placement, resolution: Resolution, 
     }
 }
 
-/// The most texels along the longest axis of which there are at most `most` in all.
+/// The largest number of texels along the longest axis for which the grid has at most `most` in
+/// all.
 fn finest(size_mm: Vec3, most: usize) -> usize {
     (2..=4096).rev().find(|&n| grid_for(size_mm, n).iter().product::<usize>() <= most).unwrap_or(2)
 }
 
-/// The texels of a map: what `many` says of its grid points, in map coordinates.
+/// The texels of a map in map coordinates, from the values of `many` at its grid points.
 fn grid_samples(placement: &Placement, size: [usize; 3], many: &dyn Fn(&[Vec3]) -> Result<SourcesAndAlphas>) -> Result<Vec<TexelSample>> {
     let map_from_world = Mat3::from(placement.map_from_world.matrix3);
     let points: Vec<Vec3> = (0..size.iter().product::<usize>())
@@ -385,7 +400,7 @@ fn grid_samples(placement: &Placement, size: [usize; 3], many: &dyn Fn(&[Vec3]) 
     Ok(many(&points)?.into_par_iter().zip(&points).map(texel).collect())
 }
 
-/// The map of a mapping, with its error at some points.
+/// The map of a mapping, with its error at `probes` points.
 fn sampled(mapping: &BackwardMap, placement: &Placement, size: [usize; 3], storage: Storage, probes: usize) -> Result<ComposedMap> {
     let map = DisplacementMap::from_samples(size, storage, grid_samples(placement, size, mapping.many)?);
     let placed = PlacedMap::new(Arc::new(map), *placement);
@@ -393,7 +408,7 @@ fn sampled(mapping: &BackwardMap, placement: &Placement, size: [usize; 3], stora
     Ok(ComposedMap { placed, worst_mm, p99_mm, within: false })
 }
 
-/// Largest error and 99th percentile of a map where matter is, mm.
+/// Largest error and 99th percentile of a map inside the volume, mm.
 fn error(mapping: &BackwardMap, placed: &PlacedMap, probes: usize) -> (f32, f32) {
     let (exact, composed) = (|p: &Vec3| (mapping.source_and_alpha)(*p), |p: &Vec3| placed.backward(*p));
     let size = placed.map.size;
@@ -403,7 +418,8 @@ fn error(mapping: &BackwardMap, placed: &PlacedMap, probes: usize) -> (f32, f32)
     worst_and_p99(errors.into_iter().map(|(e, _)| e).collect())
 }
 
-/// Places spread over the unit cube: the powers of the plastic number, so that no grid of a map is met again and again at the same place of its cells.
+/// Points spread over the unit cube: multiples of the powers of the plastic number, to avoid
+/// hitting the cells of a map's grid at the same position repeatedly.
 fn spread(n: usize) -> Vec3 {
     Vec3::from([0.819_172_513_396_164_4, 0.671_043_606_703_789_3, 0.549_700_477_901_970_2f64].map(|a| (0.5 + a * n as f64).fract() as f32))
 }
@@ -418,18 +434,19 @@ fn worst_and_p99(mut errors: Vec<f32>) -> (f32, f32) {
     (above.iter().fold(p99, |a, b| a.max(*b)), p99)
 }
 
-/// A mapping. It is given a reference: where two closures are given the same point by value, Rust 1.95 gives the second one what the first has made of
-/// it (rust-lang/rust#155241).
+/// A mapping. It takes a reference: where two closures take the same point by value, Rust 1.95
+/// passes to the second one the value as modified by the first (rust-lang/rust#155241).
 type Map<'a> = dyn Fn(&Vec3) -> (Vec3, f32) + Sync + 'a;
 
-/// Sources and masks of one mapping held against another's.
+/// Compares the sources and masks of one mapping with those of another.
 struct Comparison<'a> {
     exact: &'a Map<'a>,
     scene_box: &'a Bounds,
 }
 
 impl Comparison<'_> {
-    /// How far a mapping is off at a point, mm; none where neither shows anything. The mask's slope is found over `h` mm.
+    /// The error of a mapping at a point, mm; none where both are empty. The mask's slope is
+    /// measured over `h` mm.
     fn error(&self, composed: &Map, p: Vec3, h: f32) -> Option<f32> {
         let holds = |p: Vec3| self.scene_box.contains(&Bounds::new(p, p));
         let ((source, alpha), (found, found_alpha)) = ((self.exact)(&p), composed(&p));
@@ -437,7 +454,7 @@ impl Comparison<'_> {
         match (alpha >= 0.5, found_alpha >= 0.5) {
             _ if !shows && !found_shows => None,
             (true, true) => Some(source.distance(found)),
-            // How far the cut is that only one of them has.
+            // Distance to the cut that only one of them has.
             _ => {
                 let mask = |p: Vec3| (self.exact)(&p).1;
                 let slope = Vec3::from(Vec3::AXES.map(|e| mask(p + e * h) - mask(p - e * h))).length() / (2.0 * h);
@@ -446,7 +463,7 @@ impl Comparison<'_> {
         }
     }
 
-    /// The errors at points spread over a box, and where they are.
+    /// The errors at points spread over a box, and those points.
     fn errors(&self, composed: &Map, over: &Bounds, probes: usize, h: f32) -> Vec<(f32, Vec3)> {
         let of_point = |n: usize| {
             let p = over.min + spread(n) * over.size();
@@ -456,14 +473,15 @@ impl Comparison<'_> {
     }
 }
 
-/// A transform as the maps of a stack, first applied first: a field keeps its own grid, an affine needs eight texels, B-splines are sampled at
-/// least four times per control point. (A stack's last map is the first that a deformed point goes through.)
+/// A transform as the maps of a stack, in order of application: a field keeps its own grid, an
+/// affine needs eight texels, B-splines are sampled at least four times per control point. (A
+/// deformed point passes a stack's last map first.)
 ///
-/// Where that cannot be done (a field of too many points, a strength other than 1 of several steps, a resolution that is asked for) the whole is
-/// sampled into one map ([`transform`]).
+/// Where that is not possible (a field with too many points, a strength other than 1 of several
+/// steps, an explicit resolution) the whole is sampled into one map ([`transform`]).
 ///
 /// # Errors
-/// A placement that cannot be used: a singular matrix.
+/// A placement that is not invertible: a singular matrix.
 pub fn transform_maps(
     transform: &Transform,
     scene_box: &Bounds,
@@ -481,7 +499,7 @@ pub fn transform_maps(
     if resolution.is_some() || !(single || strength == 1.0) || !all_fit {
         return Ok(vec![self::transform(transform, scene_box, strength, resolution, storage)?.placed]);
     }
-    // Each step's map reaches over all that the steps after it leave of the scene.
+    // Each step's map covers everything that the remaining steps carry into the scene.
     let mut bounds = *scene_box;
     let mut maps = Vec::with_capacity(transform.steps.len());
     for step in transform.steps.iter().rev() {
@@ -504,11 +522,12 @@ pub fn transform_maps(
     Ok(maps)
 }
 
-/// The box in which matter of a box can be seen before a step of a chain.
+/// The box, before a step of a chain, in which the contents of a box can appear.
 fn before(step: &TransformStep, bounds: &Bounds, strength: f32) -> Bounds {
     match step {
         TransformStep::Affine(m) => {
-            // Part of the way to an affine is one of its own, whose inverse may reach further than the whole's.
+            // A partial step towards an affine is itself an affine, whose inverse may reach further
+            // than that of the full step.
             let t = f64::from(strength);
             let part = glam::DAffine3 { matrix3: glam::DMat3::IDENTITY * (1.0 - t) + m.matrix3 * t, translation: m.translation * t };
             bounds.transformed(&to_f32(&part.inverse()))
@@ -518,12 +537,14 @@ fn before(step: &TransformStep, bounds: &Bounds, strength: f32) -> Bounds {
     }
 }
 
-/// A transform as one map over a scene, sampled as finely as its finest grid; an affine needs eight texels.
+/// A transform as one map over a scene, sampled at the spacing of its finest grid; an affine needs
+/// eight texels.
 ///
-/// The map reaches over `scene_box`, the undeformed volume's box, as well, so that what has left its place is gone from there.
+/// The map also covers `scene_box`, the undeformed volume's box, so that displaced material does
+/// not remain at its original position.
 ///
 /// # Errors
-/// A placement that cannot be used: a singular matrix.
+/// A placement that is not invertible: a singular matrix.
 pub fn transform(transform: &Transform, scene_box: &Bounds, strength: f32, resolution: Option<usize>, storage: Storage) -> Result<ComposedMap> {
     let f = |p: Vec3| {
         let d = transform.source_from_deformed(p.as_dvec3()) - p.as_dvec3();
@@ -531,7 +552,7 @@ pub fn transform(transform: &Transform, scene_box: &Bounds, strength: f32, resol
     };
     let many = |points: &[Vec3]| Ok(points.par_iter().map(|p| f(*p)).collect());
     let mapping = BackwardMap { source_and_alpha: &f, many: &many, scene_box: *scene_box };
-    // Backwards through the chain: where the scene's matter can be seen.
+    // Backwards through the chain: where the scene's contents can appear.
     let mut bounds = *scene_box;
     for step in transform.steps.iter().rev() {
         bounds = before(step, &bounds, strength);
@@ -584,7 +605,7 @@ pub fn grid_of(placement: &Placement, size: [usize; 3]) -> GridGeometry {
     }
 }
 
-/// A vector field on its own grid as a map, its mask 0 where `occupied` is false.
+/// A vector field on its own grid as a map; its mask is 0 where `occupied` is false.
 pub fn sampled_grid(
     field: &super::transform::VectorField,
     occupied: Option<&[bool]>,

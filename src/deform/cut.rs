@@ -1,19 +1,22 @@
-//! Cuts as shapes rather than as masks: planes, boxes, ellipsoids, cylinders, wedges and cones, in groups.
+//! Cuts as analytic shapes instead of masks: planes, boxes, ellipsoids, cylinders, wedges and
+//! cones, in groups.
 //!
-//! A removal that no later deformation moves is evaluated as a formula at every sample instead of being sampled into a map. A ray is straight
-//! there, so where it enters and leaves what is cut is found exactly: the part of each step that is kept is an interval, and the step counts for
-//! its length. Masks, which earlier deformations need, are only as sharp as their texels.
+//! A removal that no later deformation moves is evaluated as a formula at every sample instead of
+//! being sampled into a map. A ray is straight there, hence its intersections with the removed
+//! region are found exactly: the retained part of each step is an interval, and the step counts
+//! with its length. Masks, which earlier deformations need, are only as sharp as their texels.
 //!
-//! Every shape gives a signed distance of Lipschitz constant 1 (positive where matter stays), exact for all but the ellipsoid; combined by
-//! minimum and maximum it keeps that bound, which tells cells and steps that no surface crosses.
+//! Every shape has a signed distance of Lipschitz constant 1 (positive where the volume is
+//! retained), exact for all but the ellipsoid. Combinations by minimum and maximum preserve this
+//! bound, by which cells and steps that no surface crosses are recognised.
 
 use crate::math::Bounds;
 use glam::{Affine3A, Vec2, Vec3, Vec3Swizzles};
 
-/// The most shapes that are evaluated as formulas; more become masks.
+/// The most shapes evaluated as formulas; the remaining ones become masks.
 pub const MAX_CUTS: usize = 8;
 
-/// What is removed, in the shape's own millimetres about its centre.
+/// The removed region, in the shape's local millimetres about its centre.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum CutShapeKind {
@@ -31,27 +34,27 @@ pub enum CutShapeKind {
     Cone = 5,
 }
 
-/// A shape in its place.
+/// A shape with its placement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CutShape {
-    /// What it is.
+    /// The kind of shape.
     pub shape: CutShapeKind,
-    /// World to the shape's own millimetres: a rigid motion.
+    /// World to the shape's local millimetres: a rigid motion.
     pub local_from_world: Affine3A,
     /// Its lengths, mm.
     pub half: Vec3,
     /// Half the opening angle, radians.
     pub half_angle: f32,
-    /// Removes what is outside instead.
+    /// Removes the outside instead.
     pub inverted: bool,
-    /// Belongs to the group of the shape before it.
+    /// Belongs to the group of the previous shape.
     pub joins_previous: bool,
-    /// Within its group, only what every shape removes is removed; else what any does.
+    /// Within its group, only the intersection of the shapes is removed, instead of the union.
     pub intersects: bool,
 }
 
 impl CutShape {
-    /// Distance from what is removed, mm, positive where matter stays.
+    /// Signed distance to the removed region, mm, positive where the volume is retained.
     #[inline(always)]
     pub fn signed_distance_mm(&self, world: Vec3) -> f32 {
         let q = self.local_from_world.transform_point3(world);
@@ -70,7 +73,8 @@ impl CutShape {
             CutShapeKind::Wedge => {
                 let r = q.xy().length();
                 let beyond = q.y.abs().atan2(q.x) - self.half_angle;
-                // Distance to the nearer side plane; from more than a right angle away, to the edge.
+                // Distance to the nearer side plane; at more than a right angle from it, to the
+                // edge.
                 let side = if beyond.abs() < std::f32::consts::FRAC_PI_2 { r * beyond.sin() } else { r * beyond.signum() };
                 side.max(r - self.half.x).max(q.z.abs() - self.half.z)
             }
@@ -84,26 +88,26 @@ impl CutShape {
     }
 }
 
-/// Shapes in groups; what any group removes is removed.
+/// Shapes in groups; the union of the groups is removed.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CutShapes {
     primitives: Vec<CutShape>,
 }
 
-/// The part of a step that is kept.
+/// The retained part of a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RetainedPart {
-    /// Where the sample that stands for it lies, mm along the ray.
+    /// Position of its sample, mm along the ray.
     pub at: f32,
-    /// Its length, as a share of the step; 0 if nothing is kept.
+    /// Its length as a fraction of the step; 0 if nothing is retained.
     pub share: f32,
 }
 
-/// Steps of regula falsi: a plane needs one, a curved surface within a step of the ray few more.
+/// Steps of regula falsi: a plane needs one, a curved surface within a step of the ray a few more.
 const ROOT_STEPS: u32 = 4;
 
 impl CutShapes {
-    /// Shapes, those of a group one after the other.
+    /// Combines shapes; those of a group are consecutive.
     pub fn new(mut primitives: Vec<CutShape>) -> Self {
         assert!(primitives.len() <= MAX_CUTS, "more shapes than a pass evaluates");
         if let Some(first) = primitives.first_mut() {
@@ -122,7 +126,8 @@ impl CutShapes {
         self.primitives.is_empty()
     }
 
-    /// Distance from what is removed, mm, positive where matter stays; infinite if nothing is cut.
+    /// Signed distance to the removed region, mm, positive where the volume is retained; infinite
+    /// if nothing is cut.
     #[inline(always)]
     pub fn signed_distance_mm(&self, world: Vec3) -> f32 {
         let (mut all, mut group) = (f32::INFINITY, f32::INFINITY);
@@ -146,7 +151,7 @@ impl CutShapes {
         Vec3::new(d(Vec3::X), d(Vec3::Y), d(Vec3::Z)) / (2.0 * h)
     }
 
-    /// Lowest and highest value that [`Self::signed_distance_mm`] can have in a box.
+    /// Smallest and largest value that [`Self::signed_distance_mm`] can have in a box.
     pub fn bounds(&self, b: &Bounds) -> [f32; 2] {
         if self.is_empty() {
             return [f32::INFINITY; 2];
@@ -155,7 +160,8 @@ impl CutShapes {
         [middle - radius, middle + radius]
     }
 
-    /// The part of the step [t - step/2, t + step/2] of a ray that is kept. A plane is met where it is, to rounding.
+    /// The retained part of the step [t - step/2, t + step/2] of a ray. A plane is intersected
+    /// exactly, up to rounding.
     #[inline(always)]
     pub fn retained_part(&self, origin: Vec3, direction: Vec3, t: f32, step: f32) -> RetainedPart {
         let half = 0.5 * step;
@@ -170,7 +176,7 @@ impl CutShapes {
             (true, true, false) => (t - half, root(&f, t, middle, t + half, high)),
             (false, true, true) => (root(&f, t, middle, t - half, low), t + half),
             (false, true, false) => (root(&f, t, middle, t - half, low), root(&f, t, middle, t + half, high)),
-            // Of two kept ends the nearer one is sampled; both count.
+            // If both ends are retained, the nearer one is sampled; the fraction counts both.
             (true, false, true) => {
                 let (a, b) = (root(&f, t - half, low, t, middle), root(&f, t + half, high, t, middle));
                 return RetainedPart { at: 0.5 * (t - half + a), share: (a - t + half + t + half - b) / step };
@@ -183,8 +189,8 @@ impl CutShapes {
     }
 }
 
-/// Where a function changes its sign between `outside` (where it is not negative) and `cut` (where it is): regula falsi, which finds a plane in
-/// one step.
+/// The sign change of a function between `outside` (where it is not negative) and `cut` (where it
+/// is), by regula falsi, which finds a plane in one step.
 #[inline(always)]
 fn root(f: &impl Fn(f32) -> f32, mut outside: f32, mut outside_value: f32, mut cut: f32, mut at_cut: f32) -> f32 {
     for _ in 0..ROOT_STEPS {
@@ -224,7 +230,8 @@ mod tests {
         [CutShapeKind::HalfSpace, CutShapeKind::Box, CutShapeKind::Ellipsoid, CutShapeKind::Cylinder, CutShapeKind::Wedge, CutShapeKind::Cone];
 
     proptest! {
-        /// The kept lengths of a ray's steps sum to what a very fine march finds, whatever the shapes' combination.
+        /// The retained lengths of a ray's steps sum to the result of a very fine march, however
+        /// the shapes are combined.
         #[test]
         fn kept_parts_sum_to_the_path(a in 0usize..6, b in 0usize..6, intersects: bool, inverted: bool, joins_previous: bool,
                                       from in prop::array::uniform3(-60.0f32..60.0), to in prop::array::uniform3(-60.0f32..60.0)) {

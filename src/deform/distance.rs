@@ -1,7 +1,8 @@
-//! Signed distance fields of a label, a mask or an iso-value of a scan: what feature-aligned deformations follow and spared labels are
-//! known by. Millimetres, positive inside ([`crate::model`], "Surfaces").
+//! Signed distance fields of a label, a mask or an iso-value of a scan. Feature-aligned
+//! deformations follow them, and spared labels are tested with them. Millimetres, positive inside
+//! ([`crate::model`], "Surfaces").
 //!
-//! The distance is exact to the voxels' own boxes, and one pass of a 1-2-1 filter takes their stairs off it.
+//! The distance is exact to the voxels' boxes; one pass of a 1-2-1 filter removes their staircase.
 
 use crate::math::distance::{connected, largest_part, squared_distance};
 use crate::math::{DistanceGrid, to_f32};
@@ -11,27 +12,30 @@ use ndarray::{Array3, Axis, Zip};
 
 /// Openings of a body that are narrower than twice this are closed, mm.
 const CLOSING_MM: f32 = 6.0;
-/// Most voxels of a field; larger volumes are taken at every second voxel, or every fourth.
+/// Maximum number of voxels of a field; larger volumes are subsampled at every second voxel, or
+/// every fourth.
 const MAX_VOXELS: usize = 1 << 25;
 
 /// Which voxels are inside.
 pub enum RegionSource<'a> {
-    /// Those with one of these values.
+    /// Voxels with one of these values.
     Labels(&'a [usize]),
-    /// Those above zero.
+    /// Voxels above zero.
     Mask,
-    /// The largest connected part at or above a value, with its cavities filled: a body, not its pores.
+    /// The largest connected part at or above a value, with its cavities filled: a body, not its
+    /// pores.
     Body(f64),
 }
 
-/// The distance field of a region; none if the region is empty or everything. `smooth` takes the stairs of the voxels off it.
+/// The distance field of a region; none if the region is empty or fills the volume. `smooth`
+/// removes the staircase of the voxels.
 pub fn of_region(volume: &Volume, region: &RegionSource, smooth: bool) -> Option<DistanceGrid> {
     let mut stride = 1;
     while volume.size.iter().map(|n| n.div_ceil(stride)).product::<usize>() > MAX_VOXELS {
         stride *= 2;
     }
     let size = volume.size.map(|n| n.div_ceil(stride));
-    // A list of thousands of labels is looked up, not searched, for each of millions of voxels.
+    // A list of thousands of labels is indexed, not searched, for each of millions of voxels.
     let wanted = match region {
         RegionSource::Labels(labels) => LabelSet::new(labels),
         _ => LabelSet::default(),
@@ -59,7 +63,7 @@ pub fn of_region(volume: &Volume, region: &RegionSource, smooth: bool) -> Option
     Some(DistanceGrid::new(if smooth { keeping_sides(smoothed(signed.clone()), &signed) } else { signed }, world_from_grid))
 }
 
-/// Labels as a table of bits; those beyond it as a set.
+/// Small labels as a bit table; larger ones as a set.
 #[derive(Default)]
 struct LabelSet {
     bits: Vec<u64>,
@@ -67,7 +71,7 @@ struct LabelSet {
 }
 
 impl LabelSet {
-    /// Labels that the table holds: 128 KiB.
+    /// Number of labels in the table: 128 KiB.
     const SMALL: usize = 1 << 20;
 
     fn new(labels: &[usize]) -> Self {
@@ -85,13 +89,14 @@ impl LabelSet {
     }
 }
 
-/// Smoothing must not lose what is a voxel thick: every point stays on its side.
+/// Smoothing must not lose structures one voxel thick: every point stays on its side.
 fn keeping_sides(mut smooth: Array3<f32>, signed: &Array3<f32>) -> Array3<f32> {
     Zip::from(&mut smooth).and(signed).par_for_each(|s, d| *s = if *d > 0.0 { s.max(0.25 * d) } else { s.min(0.25 * d) });
     smooth
 }
 
-/// A body without its openings and cavities: closed by [`CLOSING_MM`] (so that a nostril or an ear does not let the outside in), then filled.
+/// A body without its openings and cavities: closed by [`CLOSING_MM`] (so that a nostril or an ear
+/// does not connect its inside to the outside), then filled.
 fn body(mask: Array3<bool>, spacing: Vec3) -> Array3<bool> {
     let beyond = |set: &Array3<bool>| squared_distance(set, spacing.into()).mapv(|d| d > CLOSING_MM * CLOSING_MM);
     let open = beyond(&mask);
@@ -99,7 +104,7 @@ fn body(mask: Array3<bool>, spacing: Vec3) -> Array3<bool> {
     let is_at_face = |&(k, j, i): &(usize, usize, usize)| [(k, nk), (j, nj), (i, ni)].iter().any(|(c, n)| *c == 0 || c + 1 == *n);
     let shell = ndarray::indices((nk, nj, ni)).into_iter().filter(is_at_face).map(|(k, j, i)| [i, j, k]);
     let outside = connected(&open, shell);
-    // What grew is taken back, but never a voxel of the body itself.
+    // The growth is taken back, but no voxel of the body itself.
     beyond(&outside) | mask
 }
 
@@ -171,7 +176,7 @@ mod tests {
             let d = body.sample(center + direction * r);
             assert!((d - (20.0 - r)).abs() < 1.2, "{d} at {r} mm");
         }
-        // Beyond the grid never farther than it is.
+        // Outside the grid the value never exceeds the true distance.
         assert!((-40.5..=-30.0).contains(&body.sample(center + Vec3::NEG_Y * 60.0)));
         let g = body.gradient(center + Vec3::X * 15.0, 1.0);
         assert!((g - Vec3::NEG_X).length() < 0.15, "{g}");

@@ -1,27 +1,30 @@
-//! A small linear-elastic solver on a lattice of nodes: the simulation that both papers of 2006 propose as a map's source.
+//! A small linear-elastic solver on a lattice of nodes: the simulation that both papers of 2006
+//! propose as a map's source.
 //!
-//! Nodes are joined to their 26 neighbours. A joint resists stretch along its own direction, and to a lesser degree any other relative
-//! displacement; some nodes are held, some are dragged, joints that cross a cut are gone. The energy is quadratic in the displacements, so there is one
-//! state of rest, and conjugate gradients find it in steps that can be shown live. (Position based dynamics with distance constraints was tried
-//! first: a lattice that is only told its lengths lets a dragged node pass through its neighbours, because inside out the lengths are right
-//! too.) Nothing more is claimed than that the result looks elastic; [`Solver::energy`] and [`Solver::residual`] tell how far it has settled.
+//! Nodes are joined to their 26 neighbours. A joint resists stretch along its own direction and,
+//! less strongly, any other relative displacement. Some nodes are fixed, some are dragged; joints
+//! that cross a cut are removed. The energy is quadratic in the displacements, hence there is one
+//! equilibrium, and conjugate gradients find it in steps that can be shown live. (A failed attempt:
+//! position-based dynamics with distance constraints. They are also satisfied inside out, hence a
+//! dragged node passes through its neighbours.) The only claim is that the result looks elastic;
+//! [`Solver::energy`] and [`Solver::residual`] report the convergence.
 //!
 //! Sums run in a fixed order: the same input gives the same result.
 
 use glam::{DVec3, Vec3};
 
-/// A place that is dragged.
+/// A dragged region.
 #[derive(Clone, Copy, Debug)]
 pub struct Grab {
     /// Centre, box mm.
     pub center: Vec3,
-    /// Radius of what is held, mm.
+    /// Radius of the held region, mm.
     pub radius: f32,
-    /// Where it is dragged to, relative.
+    /// The displacement applied.
     pub offset: Vec3,
 }
 
-/// A round piece of a plane across which nothing is joined.
+/// A circular disc across which no nodes are joined.
 #[derive(Clone, Copy, Debug)]
 pub struct Incision {
     /// Centre, box mm.
@@ -32,23 +35,23 @@ pub struct Incision {
     pub radius: f32,
 }
 
-/// What a simulation starts from.
+/// The input of a simulation.
 pub struct Setup<'a> {
     /// Extent of the box, mm.
     pub size_mm: Vec3,
     /// Nodes along x, y, z.
     pub nodes: [usize; 3],
-    /// What is dragged.
+    /// Dragged regions.
     pub grabs: &'a [Grab],
-    /// What is held in place, besides the box's faces.
+    /// Regions held in place in addition to the box's faces: centre and radius.
     pub fixed: &'a [(Vec3, f32)],
-    /// What is cut.
+    /// Cuts.
     pub incisions: &'a [Incision],
-    /// Stiffness at a place, relative to 1.
+    /// Stiffness at a point, relative to 1.
     pub stiffness: &'a dyn Fn(Vec3) -> f32,
 }
 
-/// Resistance to displacement across a joint, as a share of that along it.
+/// Resistance to displacement across a joint, as a fraction of that along it.
 const SHEAR: f64 = 0.25;
 
 struct Joint {
@@ -60,7 +63,7 @@ struct Joint {
 }
 
 impl Joint {
-    /// Force on b for a relative displacement of b against a, without its sign.
+    /// Force on b for a displacement of b relative to a, without its sign.
     fn force(&self, relative: DVec3) -> DVec3 {
         (self.along * relative.dot(self.along) + relative * SHEAR) * self.stiffness
     }
@@ -74,12 +77,12 @@ pub struct Solver {
     free: Vec<bool>,
     joints: Vec<Joint>,
     incisions: Vec<Incision>,
-    /// Forces on the free nodes that are not balanced yet.
+    /// Remaining unbalanced forces on the free nodes.
     unbalanced: Vec<DVec3>,
     direction: Vec<DVec3>,
-    /// Size of the unbalanced forces at the start.
+    /// Norm of the unbalanced forces at the start.
     start: f64,
-    /// Nodes that each grab holds.
+    /// Number of nodes held by each grab.
     caught: Vec<usize>,
 }
 
@@ -88,7 +91,7 @@ fn dot(a: &[DVec3], b: &[DVec3]) -> f64 {
 }
 
 impl Solver {
-    /// A lattice at rest but for its dragged nodes.
+    /// A lattice at rest except for its dragged nodes.
     pub fn new(setup: &Setup) -> Self {
         let [nx, ny, nz] = setup.nodes;
         let step = setup.size_mm / Vec3::new((nx - 1) as f32, (ny - 1) as f32, (nz - 1) as f32);
@@ -110,7 +113,7 @@ impl Solver {
                 caught[g] += 1;
             }
         }
-        // A place smaller than a cell holds the node that is nearest, if one is within a cell.
+        // A region smaller than a cell holds the nearest node, if one lies within a cell.
         for (g, grab) in setup.grabs.iter().enumerate() {
             if caught[g] > 0 {
                 continue;
@@ -127,7 +130,7 @@ impl Solver {
         let crosses = |a: Vec3, b: Vec3| {
             setup.incisions.iter().any(|i| {
                 let (da, db) = ((a - i.center).dot(i.normal), (b - i.center).dot(i.normal));
-                // A node on the plane itself counts to its upper side.
+                // A node on the plane itself belongs to its upper side.
                 (da < 0.0) != (db < 0.0) && (a.lerp(b, da / (da - db)) - i.center).length() <= i.radius
             })
         };
@@ -180,13 +183,13 @@ impl Solver {
         f
     }
 
-    /// One iteration of conjugate gradients towards the state of rest.
+    /// One iteration of conjugate gradients towards equilibrium.
     pub fn step(&mut self) {
         let before = dot(&self.unbalanced, &self.unbalanced);
         if before <= 0.0 {
             return;
         }
-        // The stiffness matrix times the direction is minus the forces that the direction makes.
+        // The stiffness matrix times the direction is minus the forces of that direction.
         let made = self.forces(&self.direction);
         let curvature = -dot(&self.direction, &made);
         if curvature <= 0.0 {
@@ -205,7 +208,8 @@ impl Solver {
         }
     }
 
-    /// Steps until the unbalanced forces are below `residual` of those at the start, or `most` steps are done; the number of steps.
+    /// Iterates until the unbalanced forces are below `residual` of those at the start, or for
+    /// `most` steps; returns the number of steps.
     pub fn settle(&mut self, most: usize, residual: f64) -> usize {
         (0..most)
             .find(|_| {
@@ -218,18 +222,18 @@ impl Solver {
             .unwrap_or(most)
     }
 
-    /// Elastic energy, in the solver's own units.
+    /// Elastic energy, in the solver's units.
     pub fn energy(&self) -> f64 {
         let relative = |j: &Joint| self.displacement[j.b] - self.displacement[j.a];
         self.joints.iter().map(|j| 0.5 * relative(j).dot(j.force(relative(j)))).sum()
     }
 
-    /// Unbalanced forces, as a share of those at the start.
+    /// Unbalanced forces, as a fraction of those at the start.
     pub fn residual(&self) -> f64 {
         if self.start > 0.0 { dot(&self.unbalanced, &self.unbalanced).sqrt() / self.start } else { 0.0 }
     }
 
-    /// Displacement of the nodes, trilinear between them; nothing beyond the box.
+    /// Displacement of the nodes, trilinearly interpolated; zero outside the box.
     pub fn displacement(&self, p: DVec3) -> DVec3 {
         let [nx, ny, nz] = self.nodes;
         let top = DVec3::new((nx - 1) as f64, (ny - 1) as f64, (nz - 1) as f64);
@@ -246,7 +250,7 @@ impl Solver {
         sum
     }
 
-    /// Nodes that each grab holds.
+    /// Number of nodes held by each grab.
     pub fn caught(&self) -> &[usize] {
         &self.caught
     }
@@ -288,7 +292,7 @@ mod tests {
         println!("{steps} steps, energy {start} to {}", s.energy());
         assert!(steps < 200, "it does not come to rest");
         assert!(s.energy() < start);
-        // The state of rest has the least energy: any other place of any free node has more.
+        // The equilibrium has the least energy: any other position of any free node has more.
         let least = s.energy();
         for n in (0..s.displacement.len()).filter(|n| s.free[*n]).step_by(37) {
             s.displacement[n] += DVec3::new(0.01, -0.02, 0.015);
@@ -306,7 +310,7 @@ mod tests {
 
     #[test]
     fn a_uniform_strain_is_at_rest() {
-        // Displacements linear in place balance in the inside of any lattice: the patch test.
+        // Linear displacements are balanced in the interior of any lattice: the patch test.
         let mut s = solver(&[], &[]);
         for n in 0..13 * 13 * 13usize {
             let p = DVec3::new((n % 13) as f64, (n / 13 % 13) as f64, (n / 169) as f64);

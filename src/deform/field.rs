@@ -1,33 +1,34 @@
-//! What a kind of deformation answers for a point, and the definition of the map that is sampled from it.
+//! The value of a kind of deformation at a point, and the definition of the map sampled from it.
 
 use super::formula::Formula;
 use super::texel::{Storage, TexelSample};
 use glam::Vec3;
 
-/// A kind's answer for one deformed point, in local millimetres.
+/// The value of a kind at one deformed point, in local millimetres.
 #[derive(Clone, Copy, Debug)]
 pub struct Backward {
-    /// Where the matter seen here came from. Continuous everywhere, also where nothing is seen (the pseudo-inverse).
+    /// The source point. Continuous everywhere, also where nothing is visible (the pseudo-inverse).
     pub source: Vec3,
-    /// Signed distance to the nearest cut, mm, positive where matter is: exact on the cut, at least of the right sign elsewhere.
+    /// Signed distance to the nearest cut, mm, positive where the volume is retained: exact on the
+    /// cut, and of the correct sign elsewhere.
     pub cut_distance_mm: f32,
 }
 
-/// A kind with its parameters filled in.
+/// A kind with its parameters resolved.
 pub trait Field: Send + Sync {
-    /// Where the matter at a deformed point came from.
+    /// Source and cut distance of a deformed point.
     fn backward(&self, deformed: Vec3) -> Backward;
 
-    /// Where a source point goes; none if it is removed or another one covers it.
+    /// Where a source point is moved to; none if it is removed or covered by another one.
     fn forward(&self, source: Vec3) -> Option<Vec3>;
 
-    /// The same as numbers that a device can sample, where they say all.
+    /// The field as numbers that a device can evaluate, if these describe it completely.
     fn formula(&self) -> Option<Formula> {
         None
     }
 }
 
-/// What a map is sampled from.
+/// The definition from which a map is sampled.
 pub struct MapDefinition {
     /// Grid points along x, y, z.
     pub size: [usize; 3],
@@ -37,7 +38,7 @@ pub struct MapDefinition {
     pub cube_mm: Vec3,
     /// Half width of the mask's ramp, mm.
     pub ramp_mm: f32,
-    /// The field in the cube's own millimetres from its centre.
+    /// The field in the cube's local millimetres about its centre.
     pub field: Box<dyn Field>,
 }
 

@@ -1,14 +1,14 @@
-//! Deformations that come from a file rather than from a formula, and the settings that each takes.
+//! Deformations that come from a file rather than from a formula, with the settings of each.
 
 use super::kinds::{Setting, SettingFormat};
 
 /// Deformations that come from a file rather than from a formula.
 pub struct FileKind {
-    /// What people type.
+    /// Name as typed.
     pub name: &'static str,
     /// One line for lists.
     pub about: &'static str,
-    /// Names and meanings of its settings.
+    /// Names and meanings of the settings.
     pub settings: &'static [Setting],
 }
 

@@ -1,6 +1,7 @@
-//! Fields that are said by numbers alone: the formula by number, which a device samples by `shaders/lib/kinds.wgsl`.
+//! Fields fully described by numbers: a formula and its numbers, which a device evaluates by
+//! `shaders/lib/kinds.wgsl`.
 
-/// Which formula, as `backward_of` in `shaders/lib/kinds.wgsl` numbers them.
+/// The formula, as numbered by `backward_of` in `shaders/lib/kinds.wgsl`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 #[allow(missing_docs, reason = "the kinds' names")]
@@ -23,15 +24,15 @@ pub enum FormulaKind {
     Removal = 15,
 }
 
-/// Numbers of a formula.
+/// Maximum number of numbers in a formula.
 pub const FORMULA_NUMBERS: usize = 16;
 
-/// A field that is said by numbers alone.
+/// A field fully described by numbers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Formula {
-    /// Which.
+    /// The formula.
     pub kind: FormulaKind,
-    /// Its numbers, in the order that the shader takes them; the rest is zero.
+    /// Its numbers in the order of the shader; the rest are zero.
     pub numbers: [f32; FORMULA_NUMBERS],
 }
 

@@ -1,12 +1,15 @@
 //! Numeric inversion of forward deformations: for every point y, the x with F(x) = y.
 //!
-//! *Method*: fixed point x <- x - λ (F(x) - y), which needs no derivative and converges where the displacement's Lipschitz constant is below 1
-//! (Chen et al. 2008, "A simple fixed-point approach to invert a deformation field"); λ is halved whenever the residual grows. Where
-//! it stalls, Newton's method with a Jacobian from differences and a halving line search finishes. Each point starts from its
-//! neighbour's solution. Points of a row depend on each other, rows do not: the number of threads changes nothing. A field on its own grid is
-//! inverted by Newton's method first, eight points at once.
+//! *Method*: fixed point x <- x - λ (F(x) - y), which needs no derivative and converges where the
+//! displacement's Lipschitz constant is below 1 (Chen et al. 2008, "A simple fixed-point approach
+//! to invert a deformation field"); λ is halved whenever the residual grows. Where it stalls,
+//! Newton's method finishes, with a Jacobian by differences and a halving line search. Each point
+//! starts from its neighbour's solution. Points of a row depend on each other, rows do not: the
+//! result does not depend on the number of threads. A field on its own grid is first inverted by
+//! Newton's method, eight points at once.
 //!
-//! What does not converge, or converges where det J <= 0, lies in a fold: no single source exists there. Its mask is 0.
+//! Points that do not converge, or converge where det J <= 0, lie in a fold: no single source
+//! exists there. Their mask is 0.
 
 use super::compose::{placement_of, sampled_grid};
 use super::transform::{Transform, TransformStep, VectorField};
@@ -20,7 +23,7 @@ use crate::volume::GridGeometry;
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 use rayon::prelude::*;
 
-/// A point counts as found when the residual is below this share of a voxel.
+/// A point counts as found when its residual is below this fraction of a voxel.
 const TOLERANCE_VOXELS: f64 = 1e-4;
 const FIXED_POINT_STEPS: u32 = 20;
 const NEWTON_STEPS: u32 = 12;
@@ -44,7 +47,8 @@ fn jacobian(forward: &impl Fn(DVec3) -> DVec3, x: DVec3, h: f64) -> DMat3 {
     DMat3::from_cols(column(DVec3::X), column(DVec3::Y), column(DVec3::Z))
 }
 
-/// Solves F(x) = y from a first guess; `h` is the step of differences, `tolerance` the residual that suffices.
+/// Solves F(x) = y from a first guess; `h` is the step of differences, `tolerance` the residual to
+/// reach.
 pub fn point(forward: &impl Fn(DVec3) -> DVec3, y: DVec3, guess: DVec3, h: f64, tolerance: f64) -> Solution {
     let mut x = guess;
     let mut error = forward(x) - y;
@@ -58,7 +62,7 @@ pub fn point(forward: &impl Fn(DVec3) -> DVec3, y: DVec3, guess: DVec3, h: f64, 
         let next_error = forward(next) - y;
         let next_residual = next_error.length();
         if next_residual < residual {
-            // Slow progress is Newton's to finish.
+            // Slow progress is left to Newton's method.
             let slow = next_residual > 0.7 * residual;
             (x, error, residual) = (next, next_error, next_residual);
             if slow {
@@ -101,14 +105,14 @@ pub fn point(forward: &impl Fn(DVec3) -> DVec3, y: DVec3, guess: DVec3, h: f64, 
     Solution { source: x, residual, determinant, found: residual <= tolerance && determinant > 0.0 }
 }
 
-/// How well an inverse fits.
+/// The accuracy of an inverse.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct InversionReport {
     /// Points of the grid.
     pub points: usize,
-    /// Points without a source: folds, and what lies beyond the field.
+    /// Points without a source: in folds, or outside the field.
     pub not_found: usize,
-    /// Residual of the points that were found: mean, mm.
+    /// Mean residual of the points found, mm.
     pub mean_mm: f64,
     /// 95th percentile, mm.
     pub p95_mm: f64,
@@ -124,12 +128,12 @@ pub struct Inverse {
     pub field: VectorField,
     /// Whether the point has a source.
     pub found: Vec<bool>,
-    /// How well it fits.
+    /// Its accuracy.
     pub report: InversionReport,
 }
 
 impl InversionReport {
-    /// The statistics of residuals, of which those not found are left out.
+    /// The statistics of the residuals, without those of points not found.
     fn of(residuals: &[f32], found: &[bool]) -> Self {
         let mut found_residuals: Vec<f32> = residuals.iter().zip(found).filter(|(_, f)| **f).map(|(r, _)| *r).collect();
         let mut report = Self { points: residuals.len(), not_found: residuals.len() - found_residuals.len(), ..Self::default() };
@@ -139,7 +143,8 @@ impl InversionReport {
         report.mean_mm = found_residuals.iter().map(|r| f64::from(*r)).sum::<f64>() / found_residuals.len() as f64;
         let rank = |share: f64| ((found_residuals.len() - 1) as f64 * share).round() as usize;
         let [p95, p99] = [rank(0.95), rank(0.99)];
-        // Ranks without sorting all: each is sought among those above the one before.
+        // Percentiles without a full sort: each is searched for among the values above the previous
+        // one.
         let (_, at_p95, above) = found_residuals.select_nth_unstable_by(p95, f32::total_cmp);
         report.p95_mm = f64::from(*at_p95);
         report.p99_mm = match p99 - p95 {
@@ -152,14 +157,14 @@ impl InversionReport {
 }
 
 impl Inverse {
-    /// The inverse as a map in the world; what has no source is cut away.
+    /// The inverse as a map in the world; points without a source are cut away.
     ///
     /// # Errors
-    /// A placement that cannot be used.
+    /// A placement that is not invertible.
     pub fn placed(&self, storage: Storage, strength: f32) -> Result<PlacedMap> {
         let placement = placement_of(&self.field.grid)?;
         let mut placed = sampled_grid(&self.field, Some(&self.found), &placement, storage, strength);
-        // As the field that was inverted, to the faces of its outermost voxels.
+        // As in the field that was inverted: up to the faces of its outermost voxels.
         placed.reach = Vec3::from(self.field.grid.size.map(|n| if n > 1 { 0.5 / (n - 1) as f32 } else { 0.0 }));
         Ok(placed)
     }
@@ -170,7 +175,8 @@ pub fn function(forward: &(impl Fn(DVec3) -> DVec3 + Sync), grid: &GridGeometry)
     by_rows(grid, |row, to| InversionRow::new(forward, grid, row).fill(to))
 }
 
-/// Inverts a field on its own grid. Beyond its grid the field goes on as at its faces, so that the faces have an inverse.
+/// Inverts a field on its own grid. Outside its grid the field is extended by its values on the
+/// faces, so that the faces have an inverse.
 pub fn field(field: &VectorField) -> Inverse {
     let forward = |x: DVec3| x + field.at_voxel(field.voxel_from_world(x)).as_dvec3();
     by_rows(&field.grid, |row, mut to| {
@@ -181,7 +187,7 @@ pub fn field(field: &VectorField) -> Inverse {
     })
 }
 
-/// Where the inverse of a row of points goes.
+/// Output of a row of points.
 struct InverseRow<'a> {
     /// Source minus deformed point, mm.
     displacements: &'a mut [Vec3],
@@ -200,7 +206,7 @@ impl InverseRow<'_> {
     }
 }
 
-/// `row` is given the number of each row of a grid and where its inverse goes; nothing is found at first.
+/// Calls `row` with the index of each row of a grid and its output; no point is found at first.
 fn by_rows(grid: &GridGeometry, row: impl Fn(usize, InverseRow) + Sync) -> Inverse {
     let points = grid.size.iter().product();
     let mut displacements = bytemuck::zeroed_vec(points);
@@ -216,18 +222,18 @@ fn by_rows(grid: &GridGeometry, row: impl Fn(usize, InverseRow) + Sync) -> Inver
     Inverse { field: VectorField::new(*grid, displacements), found, report }
 }
 
-/// A distance between neighbouring voxels, the shortest, mm.
+/// The shortest distance between neighbouring voxels, mm.
 fn voxel_mm(grid: &GridGeometry) -> f64 {
     let m = grid.world_from_voxel.matrix3;
     m.x_axis.length().min(m.y_axis.length()).min(m.z_axis.length())
 }
 
-/// A grid's points along a row, each found from its neighbour's solution.
+/// The points of a grid along a row, each solved from its neighbour's solution.
 struct InversionRow<'a, F> {
     forward: &'a F,
     grid: &'a GridGeometry,
     row: usize,
-    /// The neighbour's.
+    /// That of the neighbour.
     displacement: DVec3,
     voxel_mm: f64,
 }
@@ -237,14 +243,14 @@ impl<'a, F: Fn(DVec3) -> DVec3> InversionRow<'a, F> {
         Self { forward, grid, row, displacement: DVec3::ZERO, voxel_mm: voxel_mm(grid) }
     }
 
-    /// Finds what is not found yet.
+    /// Solves the points that are not found yet.
     fn fill(mut self, mut to: InverseRow) {
         for n in 0..to.found.len() {
             if to.found[n] {
                 self.displacement = to.displacements[n].as_dvec3();
             } else {
                 let s = self.solve(n);
-                // Where nothing was found, the neighbour's displacement keeps D continuous.
+                // Where no source is found, the neighbour's displacement keeps D continuous.
                 to.set(n, self.displacement.as_vec3(), s.residual as f32, s.found);
             }
         }
@@ -269,17 +275,18 @@ impl<'a, F: Fn(DVec3) -> DVec3> InversionRow<'a, F> {
     }
 }
 
-/// Newton's method in single precision for a row of a field's grid, eight points at once, by the field's own derivatives. What it does not
-/// settle, what lies beyond the grid and what comes near a fold is left to [`point`].
+/// Newton's method in single precision for a row of a field's grid, eight points at once, with the
+/// field's own derivatives. Points that do not converge, lie outside the grid or come near a fold
+/// are left to [`point`].
 struct Newton<'a> {
     field: &'a VectorField,
     row: usize,
     to: InverseRow<'a>,
 }
 
-/// Steps of [`Newton`]: it is quadratic within a cell.
+/// Steps of [`Newton`]: it converges quadratically within a cell.
 const LANE_STEPS: usize = 8;
-/// Share of its volume to which a neighbourhood may be compressed before it is looked at more closely.
+/// Compression of a neighbourhood's volume below which a point counts as near a fold.
 const NEAR_FOLD: f32 = 0.05;
 
 impl SimdKernel for Newton<'_> {
@@ -295,7 +302,7 @@ impl SimdKernel for Newton<'_> {
         let sense = world_from_voxel.determinant().signum();
         let tolerance = (TOLERANCE_VOXELS * voxel_mm(&self.field.grid)) as f32;
         let (y, z) = (f32x8::splat(simd, (self.row % ny) as f32), f32x8::splat(simd, (self.row / ny) as f32));
-        // From the point to its source, voxels.
+        // Offset from the point to its source, voxels.
         let mut way = Vec3x8::splat(simd, Vec3::ZERO);
         for first in (0..nx).step_by(LANES) {
             let mut x = [0.0; LANES];
@@ -331,17 +338,18 @@ impl SimdKernel for Newton<'_> {
             for n in lanes_of(settled.to_bitmask()).filter(|n| first + n < nx) {
                 self.to.set(first + n, displacement.lane(n), residual[n], true);
             }
-            // A good guess for the next eight; none from where nothing was found.
+            // A good guess for the next eight; zero where no source was found.
             way = Vec3x8::select(settled, way, Vec3x8::splat(simd, Vec3::ZERO));
         }
     }
 }
 
-/// Inverts a transform: on its own grid if it is a single field, else over the box that it carries the scene to, at `resolution` points along the
-/// longest axis (as fine as its finest grid by default).
+/// Inverts a transform: on its own grid if it is a single field, else over the box that the scene
+/// is carried to, with `resolution` points along the longest axis (by default at the spacing of its
+/// finest grid).
 ///
 /// # Errors
-/// A box that cannot be placed.
+/// A box that is not invertible as a placement.
 pub fn transform(transform: &Transform, scene_box: &Bounds, resolution: Option<usize>) -> Result<Inverse> {
     if let ([TransformStep::Field(f)], None) = (&transform.steps[..], resolution) {
         return Ok(field(f));
@@ -400,7 +408,8 @@ mod tests {
         }
     }
 
-    /// Eight points at once and one by one, on a grid that is neither cubic nor straight: the same inverse, and few points left to the slow way.
+    /// Eight points at once and one by one, on a grid that is neither cubic nor axis-aligned: the
+    /// same inverse, and few points left to the slow path.
     #[test]
     fn lanes_invert_alike() {
         let axes = DMat3::from_cols(DVec3::new(1.3, 0.2, 0.0), DVec3::new(-0.3, 1.1, 0.1), DVec3::new(0.1, 0.0, 2.0));
@@ -425,7 +434,8 @@ mod tests {
         assert!(10 * by_lanes.report.not_found < field.vectors.len(), "{:?}", by_lanes.report);
     }
 
-    /// Ranks are those of the sorted residuals, of few points and of many; what was not found counts as such alone.
+    /// Percentiles equal those of the sorted residuals, of few points and of many; points not found
+    /// are only counted.
     #[test]
     fn ranks_are_those_of_the_sorted() {
         for points in [1, 2, 20, 101, 5003] {

@@ -1,5 +1,5 @@
-//! What deformations read besides their numbers: the scene's volume, label maps, distance fields, fields from files. Each is loaded once
-//! and kept as long as the scene's assets are.
+//! Non-numeric inputs of deformations: the scene's volume, label maps, distance fields, fields from
+//! files. Each is loaded once and cached as long as the scene's assets exist.
 
 use super::compose::PrecomposeError;
 use super::distance::{RegionSource, of_region};
@@ -14,7 +14,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// Loaded things by name.
+/// Loaded inputs by name.
 #[derive(Default)]
 pub struct Library {
     volume: Option<Arc<Volume>>,
@@ -23,30 +23,30 @@ pub struct Library {
     label_maps: Mutex<HashMap<PathBuf, Arc<Volume>>>,
     distances: Mutex<HashMap<String, Arc<DistanceGrid>>>,
     transforms: Mutex<HashMap<String, Arc<Transform>>>,
-    /// The map that stands for the last stack that was composed.
+    /// The precomposed map of the last composed stack.
     precomposed: Mutex<Option<(PrecomposedKey, Precomposition)>>,
-    /// Sampled maps by what they were made of, the most recently used last.
+    /// Sampled maps by key, the most recently used last.
     maps: Mutex<Vec<(String, Arc<DisplacementMap>)>>,
     notices: Mutex<Vec<String>>,
 }
 
-/// What a precomposed map is made for: the stack, the scene's box, the bound.
+/// The key of a precomposed map: the stack, the scene's box, the bound.
 type PrecomposedKey = (Stack, Bounds, f32);
 
-/// A precomposed map, if there is one, and how exact it is.
+/// A precomposed map, if there is one, and its accuracy.
 type Precomposition = (Option<PrecomposedMap>, PrecomposeError);
 
-/// Sampled maps that are kept at most, and their bytes.
+/// Maximum number of cached sampled maps, and of their bytes.
 const MAX_CACHED_MAPS: usize = 32;
 const MAX_CACHED_MAP_BYTES: usize = 160 << 20;
 
 fn lock<T>(m: &Mutex<T>) -> MutexGuard<'_, T> {
-    // Entries are only ever added whole; a panic elsewhere leaves them good.
+    // Entries are only added as a whole; a panic elsewhere leaves them valid.
     m.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Library {
-    /// The library of a scene that shows `volume`; relative paths start from `folder`.
+    /// The library of a scene that shows `volume`; relative paths start at `folder`.
     pub fn new(volume: Arc<Volume>, folder: PathBuf) -> Self {
         Self { volume: Some(volume), folder, ..Self::default() }
     }
@@ -56,7 +56,7 @@ impl Library {
         Self { folder, ..Self::default() }
     }
 
-    /// The folder that relative paths start from.
+    /// The folder at which relative paths start.
     pub fn folder(&self) -> &std::path::Path {
         &self.folder
     }
@@ -64,12 +64,12 @@ impl Library {
     /// The scene's volume.
     ///
     /// # Errors
-    /// There is none.
+    /// The scene has none.
     pub fn volume(&self) -> Result<&Arc<Volume>> {
         self.volume.as_ref().ok_or_else(|| Error::value("volume", "this deformation follows a volume, and there is none"))
     }
 
-    /// Notes what a user should be told, once.
+    /// Records a notice for the user, once.
     pub fn notice(&self, text: String) {
         let mut notices = lock(&self.notices);
         if !notices.contains(&text) {
@@ -77,12 +77,12 @@ impl Library {
         }
     }
 
-    /// What was noted so far.
+    /// The notices recorded so far.
     pub fn notices(&self) -> Vec<String> {
         lock(&self.notices).clone()
     }
 
-    /// A path as this process finds it.
+    /// A path resolved for this process.
     pub fn path(&self, path: &str) -> PathBuf {
         if path.starts_with("phantom:") { PathBuf::from(path) } else { self.folder.join(path_of(path)) }
     }
@@ -90,7 +90,7 @@ impl Library {
     /// A volume by path.
     ///
     /// # Errors
-    /// What the readers report.
+    /// Errors of the readers.
     pub fn load_volume(&self, path: &str) -> Result<Arc<Volume>> {
         let path = self.path(path);
         if let Some(volume) = lock(&self.volumes).get(&path) {
@@ -101,10 +101,10 @@ impl Library {
         Ok(volume)
     }
 
-    /// A label map by path: whatever the volume there looks like, it is said to be one.
+    /// A label map by path; the volume is treated as one whatever its type.
     ///
     /// # Errors
-    /// What the readers report; values that are no labels.
+    /// Errors of the readers; values that are not labels.
     pub fn load_label_map(&self, path: &str) -> Result<Arc<Volume>> {
         let path = self.path(path);
         if let Some(map) = lock(&self.label_maps).get(&path) {
@@ -117,7 +117,7 @@ impl Library {
         Ok(map)
     }
 
-    /// Notes that what should lie over the volume lies beside it: it will do nothing.
+    /// Records a notice if a file that should overlap the volume does not: it has no effect.
     pub(crate) fn note_distance(&self, what: &str, path: &Path, other: &Volume) {
         let Some(volume) = &self.volume else { return };
         let (own, other) = (volume.bounds_in_world(), other.bounds_in_world());
@@ -130,11 +130,12 @@ impl Library {
         }
     }
 
-    /// The transform that the settings name: `path` (one file, or several that are gone through in order from the deformed to the source
-    /// point), `moving` and `reference` (images that FSL's files need; by default the scene's volume for matrices), `convention`.
+    /// The transform named by the settings: `path` (one file, or several, passed in order from the
+    /// deformed to the source point), `moving` and `reference` (images that FSL's files need; by
+    /// default the scene's volume for matrices), `convention`.
     ///
     /// # Errors
-    /// What the readers report; no path.
+    /// Errors of the readers; no path.
     pub fn transform(&self, settings: &Arguments) -> Result<Arc<Transform>> {
         let paths = settings.texts("path")?.ok_or_else(|| Error::value("path", "is missing; name a file"))?;
         let key = format!("{:?}", settings.0);
@@ -170,10 +171,10 @@ impl Library {
         Ok(transform)
     }
 
-    /// The volume that holds the labels: the file that the setting `labels` names, or the scene's volume.
+    /// The volume with the labels: the file named by the setting `labels`, or the scene's volume.
     ///
     /// # Errors
-    /// What the readers report; a setting of the wrong form.
+    /// Errors of the readers; a setting of the wrong type.
     pub fn labels(&self, settings: &Arguments) -> Result<Arc<Volume>> {
         match settings.text("labels")? {
             Some(path) => self.load_label_map(path),
@@ -181,10 +182,10 @@ impl Library {
         }
     }
 
-    /// The distance field of the labels that a setting names.
+    /// The distance field of the labels given by a setting.
     ///
     /// # Errors
-    /// No voxel has any of the labels (the ones that exist are named).
+    /// No voxel has any of the labels (the message names the existing ones).
     pub fn label_distance(&self, settings: &Arguments, setting: &str, wanted: &[usize]) -> Result<Arc<DistanceGrid>> {
         let volume = self.labels(settings)?;
         let file = settings.text("labels")?;
@@ -196,10 +197,11 @@ impl Library {
         })
     }
 
-    /// The distance field of the region that the settings name: `label` (of `labels`), `mask`, `iso`, or else the scan's body.
+    /// The distance field of the region given by the settings: `label` (of `labels`), `mask`,
+    /// `iso`, or else the scan's body.
     ///
     /// # Errors
-    /// A region without voxels, files that cannot be read, more than one way of naming the region.
+    /// A region without voxels, files that cannot be read, more than one way of giving the region.
     pub fn region(&self, settings: &Arguments) -> Result<Arc<DistanceGrid>> {
         let label = settings.whole("label")?;
         let mask = settings.text("mask")?;
@@ -228,11 +230,11 @@ impl Library {
         }
     }
 
-    /// The map made of what `key` says; made anew unless it is among the last ones used. (A live view asks for the same maps at every
-    /// turn of its camera.)
+    /// The map for a key, made unless it is among those used most recently. (A live view requests
+    /// the same maps for every frame.)
     ///
     /// # Errors
-    /// Those of making it.
+    /// Errors of making it.
     pub fn map(&self, key: String, make: impl FnOnce() -> Result<Arc<DisplacementMap>>) -> Result<Arc<DisplacementMap>> {
         {
             let mut cached = lock(&self.maps);
@@ -254,10 +256,10 @@ impl Library {
         Ok(made)
     }
 
-    /// The map that stands for a stack; made anew unless it is the last one that was.
+    /// The precomposed map of a stack, made unless it is the last one made.
     ///
     /// # Errors
-    /// Those of making it.
+    /// Errors of making it.
     pub fn precomposed(
         &self,
         stack: &Stack,
@@ -284,7 +286,7 @@ impl Library {
     }
 }
 
-/// The labels of a map in words, not too many.
+/// A list of a map's labels as text, limited in length.
 fn some_labels(volume: &Volume) -> String {
     let mut seen = std::collections::BTreeSet::new();
     for n in 0..volume.voxels.len() {

@@ -1,9 +1,10 @@
-//! How fast the deformation can change: bounds on |J v| for unit v over boxes of the deformed scene, for Jacobian steps and sphere tracing
-//! ([`crate::model`], "Empty space").
+//! Bounds on the rate of change of the deformation: on |J v| for unit v over boxes of the deformed
+//! scene, for Jacobian steps and sphere tracing ([`crate::model`], "Empty space").
 //!
-//! Within a cell of a map's grid each column of J lies in the hull of the differences along four edges. With M their mean, |J| ≤ |M| + the
-//! Frobenius norm of the largest deviations; |M| is the root of the largest eigenvalue of MᵀM, approached from above. The product of the maps' bounds, each
-//! over the box that the later maps can carry the deformed box to, bounds the stack's.
+//! Within a cell of a map's grid, each column of J lies in the hull of the differences along four
+//! edges. With M their mean, |J| ≤ |M| + the Frobenius norm of the largest deviations; |M| is the
+//! root of the largest eigenvalue of MᵀM, approached from above. The stack's bound is the product
+//! of the maps' bounds, each over the box to which the later maps can carry the deformed box.
 
 use super::{PlacedMap, Stack};
 use crate::math::cells::columns;
@@ -19,7 +20,8 @@ pub struct LipschitzBounds<'a> {
     of_maps: Vec<Option<MinMaxPyramid<1>>>,
 }
 
-/// The largest singular value of a matrix: the root of the largest eigenvalue of MᵀM (Smith 1961, in closed form).
+/// The largest singular value of a matrix: the root of the largest eigenvalue of MᵀM (Smith 1961,
+/// in closed form).
 pub fn spectral_norm(m: Mat3) -> f32 {
     let a = m.transpose() * m;
     let (xy, xz, yz) = (a.y_axis.x, a.z_axis.x, a.z_axis.y);
@@ -41,7 +43,8 @@ impl PlacedMap {
         let cells = size.map(|n| n.max(2) - 1);
         let texels = self.map.texels();
         let (world_from_map, map_from_world) = (self.placement.world_from_map, self.placement.map_from_world);
-        // In axes along the map's own, where most deformations have theirs: a rotation of both spaces changes no norm.
+        // In axes aligned with the map, in which most deformations act: a rotation of both spaces
+        // changes no norm.
         let world_from_map = Mat3::from(world_from_map.matrix3);
         let x = world_from_map.x_axis.normalize_or(Vec3::X);
         let y = world_from_map.y_axis.reject_from_normalized(x).normalize_or(x.any_orthonormal_vector());
@@ -51,7 +54,7 @@ impl PlacedMap {
         let mut bounds = vec![0.0; cells.iter().product()];
         bounds.par_chunks_mut(cells[0]).enumerate().for_each(|(n, bounds)| {
             let (j, k) = (n % cells[1], n / cells[1]);
-            // A flat axis has one texel on both sides.
+            // A flat axis uses the same texel on both sides.
             let (up, on) = ((j + 1).min(size[1] - 1), (k + 1).min(size[2] - 1));
             let row = |j: usize, k: usize| &texels[(k * size[1] + j) * size[0]..][..size[0]];
             with_simd(CellRow { rows: [row(j, k), row(up, k), row(j, on), row(up, on)], shared: &shared, bounds });
@@ -62,16 +65,17 @@ impl PlacedMap {
 
 /// What all rows of a map share.
 struct MapConstants {
-    /// Stored displacements to mm, in axes of its own.
+    /// From stored displacements to mm, in the map's axes.
     linear: Mat3,
-    /// Mm to map units, and its norm.
+    /// From mm to map units, and its norm.
     inverse: Mat3,
     norm_of_inverse: f32,
     /// Cells per map unit.
     per_unit: Vec3,
 }
 
-/// A row of a map's cells: the four rows of texels around it (along y, then z), and a bound for each cell.
+/// A row of a map's cells: the four rows of texels around it (along y, then z), and a bound for
+/// each cell.
 struct CellRow<'a> {
     rows: [&'a [Vec4]; 4],
     shared: &'a MapConstants,
@@ -97,7 +101,7 @@ impl SimdKernel for CellRow<'_> {
     }
 }
 
-/// Displacements in mm at eight texels of a row, those beyond its end being its last.
+/// Displacements in mm at eight texels of a row; beyond its end the last texel is repeated.
 #[inline(always)]
 fn displacements<S: Simd>(simd: S, row: &[Vec4], first: usize, linear: &Mat3) -> Vec3x8<S> {
     let mut texels = [[0.0; 4]; LANES];
@@ -108,7 +112,7 @@ fn displacements<S: Simd>(simd: S, row: &[Vec4], first: usize, linear: &Mat3) ->
     Vec3x8 { x, y, z }.mapped(linear)
 }
 
-/// The mean of four differences, and the largest square of what one differs from it.
+/// The mean of four differences, and the largest squared deviation from it.
 #[inline(always)]
 fn spread<S: Simd>(a: Vec3x8<S>, b: Vec3x8<S>, c: Vec3x8<S>, d: Vec3x8<S>, per_unit: f32) -> (Vec3x8<S>, f32x8<S>) {
     let token = a.x.token();
@@ -118,8 +122,10 @@ fn spread<S: Simd>(a: Vec3x8<S>, b: Vec3x8<S>, c: Vec3x8<S>, d: Vec3x8<S>, per_u
     (mean * f32x8::splat(token, per_unit), most * (per_unit * per_unit))
 }
 
-/// The largest eigenvalue of symmetric matrices that have no negative one, from above: the largest sum of a row's absolute values (Gershgorin 1931), from
-/// where Newton's method on the characteristic polynomial comes down to it and never below, for there the polynomial rises and is convex.
+/// The largest eigenvalue of positive semidefinite symmetric matrices, from above. The start is the
+/// largest sum of a row's absolute values (Gershgorin 1931). From there Newton's method on the
+/// characteristic polynomial decreases towards the eigenvalue and never passes it, because the
+/// polynomial is increasing and convex there.
 #[inline(always)]
 fn largest_eigenvalue<S: Simd>([a, b, c]: [f32x8<S>; 3], [ab, ac, bc]: [f32x8<S>; 3]) -> f32x8<S> {
     let of_rows = (a + ab.abs() + ac.abs()).max(b + ab.abs() + bc.abs()).max(c + ac.abs() + bc.abs());
@@ -130,14 +136,14 @@ fn largest_eigenvalue<S: Simd>([a, b, c]: [f32x8<S>; 3], [ab, ac, bc]: [f32x8<S>
     for _ in 0..2 {
         let value = ((largest - trace) * largest + minors) * largest - determinant;
         let slope = (largest * 3.0 - trace * 2.0) * largest + minors;
-        // Beside a multiple root both vanish, and little is to be won.
+        // Near a multiple root both vanish, and little can be gained.
         let usable = slope.simd_gt(trace * trace * 0.002) & value.simd_gt(0.0);
         largest = usable.select(largest - value / slope, largest);
     }
     largest
 }
 
-/// A column of I + M A⁻¹, of M's columns and that of A⁻¹.
+/// A column of I + M A⁻¹, from M's columns and one of A⁻¹.
 #[inline(always)]
 fn column<S: Simd>(unit: Vec3, [x, y, z]: [Vec3x8<S>; 3], v: Vec3) -> Vec3x8<S> {
     let token = x.x.token();
@@ -145,7 +151,8 @@ fn column<S: Simd>(unit: Vec3, [x, y, z]: [Vec3x8<S>; 3], v: Vec3) -> Vec3x8<S> 
     Vec3x8::splat(token, unit) + x * p + y * q + z * r
 }
 
-/// Bounds on |J_G| in eight cells of a row: |M| by [`largest_eigenvalue`], and what the deviations add.
+/// Bounds on |J_G| in eight cells of a row: |M| by [`largest_eigenvalue`], plus the contribution of
+/// the deviations.
 #[inline(always)]
 fn bound_of_eight<S: Simd>(simd: S, [a, b, c, d]: [&[Vec4]; 4], first: usize, shared: &MapConstants) -> f32x8<S> {
     let MapConstants { linear, inverse, norm_of_inverse, per_unit } = shared;
@@ -169,13 +176,15 @@ impl<'a> LipschitzBounds<'a> {
         Self { stack, of_maps: stack.maps().iter().map(|m| m.map.has_displacement().then(|| m.slopes())).collect() }
     }
 
-    /// A bound on how far two source points can lie apart per millimetre between their deformed points, over a box of the deformed scene.
+    /// A bound on the distance between two source points per millimetre between their deformed
+    /// points, over a box of the deformed scene.
     pub fn bound(&self, deformed: &Bounds) -> f32 {
         let (mut b, mut at) = (*deformed, *deformed);
         let (mut whole, mut here, mut together) = (1.0f32, 1.0f32, true);
         for (map, slopes) in self.stack.maps().iter().zip(&self.of_maps).rev() {
             let (own, moved) = slopes.as_ref().map_or((1.0, Bounds::new(Vec3::ZERO, Vec3::ZERO)), |s| map.lipschitz_over(&at, s));
-            // A map that follows one added to it sees a point that the walk has left: its displacement alone counts, J - I.
+            // A map evaluated at the same point as the one added to it contributes only its
+            // displacement, J - I.
             whole = if together { own * here } else { whole + (own + 1.0) * here };
             b = Bounds::new(b.min + moved.min, b.max + moved.max);
             together = !map.added;
@@ -188,7 +197,7 @@ impl<'a> LipschitzBounds<'a> {
 }
 
 impl PlacedMap {
-    /// The bound over a box, and the box of displacements there.
+    /// The bound over a box, and a box around the displacements there.
     fn lipschitz_over(&self, b: &Bounds, slopes: &MinMaxPyramid<1>) -> (f32, Bounds) {
         let moved = self.displacement_bounds(b);
         let inside = b.transformed(&self.placement.map_from_world).grown(1e-4).intersection(&Bounds::new(-self.reach, Vec3::ONE + self.reach));
@@ -233,7 +242,7 @@ mod tests {
         }
     }
 
-    /// Of linear maps the bound is the norm, to what two steps of Newton's method leave.
+    /// For linear maps the bound is the norm, up to the error left by two steps of Newton's method.
     #[test]
     fn bounds_of_linear_maps() {
         for size in [[2, 3, 11], [9, 17, 4], [18, 1, 2]] {

@@ -18,57 +18,61 @@ use std::sync::OnceLock;
 pub struct DisplacementMap {
     /// Grid points along x, y, z; an axis of 1 does not vary.
     pub size: [usize; 3],
-    /// Storage format; texels below are already rounded to it.
+    /// Storage format; the texels are already rounded to it.
     pub storage: Storage,
-    /// Map units per stored unit of D: the largest component of D, so that stored values lie in [-1, 1].
+    /// Map units per stored unit of D: the largest component of D, so that stored values lie in
+    /// [-1, 1].
     pub scale: f32,
     whole: TexelRange,
-    /// Not there until it is asked for where a device has made the texels, and then sampled anew.
+    /// Empty until first used if a device made the texels; then sampled again on the CPU.
     detail: OnceLock<TexelPyramids>,
     recipe: Option<MapDefinition>,
 }
 
-/// Points between which sampling asks whether to go on.
+/// Number of points between checks for cancellation.
 const AT_ONCE: usize = 2048;
 
-/// What the texels of a whole map lie within.
+/// Range of the texels of a whole map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TexelRange {
     /// Of (D / scale, alpha).
     pub texels: ChannelRange<4>,
-    /// Of what stored D changes by from a grid point to the next one along x, along y and along z, per map unit.
+    /// Of the differences of stored D from a grid point to the next one along x, along y and along
+    /// z, per map unit.
     pub slopes: ChannelRange<9>,
 }
 
-/// The texels with bounds on boxes of them.
+/// The texels, with bounds on boxes of them.
 struct TexelPyramids {
     /// (D / scale, alpha), of shape (z, y, x).
     texels: Array3<Vec4>,
     pyramid: MinMaxPyramid<4>,
-    /// At each grid point, what stored D changes by to the next one along x, along y and along z, per map unit.
+    /// At each grid point, the differences of stored D to the next one along x, along y and along
+    /// z, per map unit.
     slopes: MinMaxPyramid<9>,
 }
 
 impl TexelPyramids {
-    /// Of the texels of a grid.
+    /// For the texels of a grid.
     fn of(size: [usize; 3], texels: Vec<Vec4>) -> Self {
         let pyramid = MinMaxPyramid::from_runs(size, 1, |first, last, j, k| {
             let row = (k * size[1] + j) * size[0];
             let (low, high) = extremes(&texels[row + first..=row + last]);
             ChannelRange { min: low.to_array(), max: high.to_array() }
         });
-        // They vary less than what they are slopes of, and only say how far a bound is from a better one.
+        // Slopes vary less than the texels and only tighten a bound, hence a coarser pyramid
+        // suffices.
         let slopes = MinMaxPyramid::from_runs(size, 2, |first, last, j, k| slopes_of(&texels, size, [first, last], [j, k]));
         Self { texels: shaped(size, texels), pyramid, slopes }
     }
 }
 
-/// Samples as they count: what is not finite is no displacement and no matter.
+/// Replaces a sample that is not finite by no displacement and mask 0.
 fn finite(s: TexelSample) -> Vec4 {
     if s.displacement.is_finite() && s.alpha.is_finite() { s.displacement.extend(s.alpha.clamp(0.0, 1.0)) } else { Vec4::ZERO }
 }
 
-/// Samples as stored.
+/// Samples in the storage format.
 fn stored(samples: &[Vec4], scale: f32, storage: Storage) -> Vec<Vec4> {
     samples.par_iter().map(|s| Vec4::from_array((s.xyz() / scale).extend(s.w).to_array().map(|v| storage.quantise(v)))).collect()
 }
@@ -76,13 +80,13 @@ fn stored(samples: &[Vec4], scale: f32, storage: Storage) -> Vec<Vec4> {
 impl DisplacementMap {
     /// Samples a function of map coordinates at the grid points.
     ///
-    /// A value that is not finite becomes no displacement and no matter.
+    /// A value that is not finite becomes no displacement and mask 0.
     pub fn from_fn(size: [usize; 3], storage: Storage, f: impl Fn(Vec3) -> TexelSample + Sync) -> Self {
         let samples = (0..size.iter().product::<usize>()).into_par_iter().map(|n| f(Self::grid_point(size, n))).collect();
         Self::from_samples(size, storage, samples)
     }
 
-    /// As [`Self::from_fn`], until it is told to stop.
+    /// As [`Self::from_fn`], but can be cancelled.
     ///
     /// # Errors
     /// [`crate::Error::Cancelled`].
@@ -96,12 +100,12 @@ impl DisplacementMap {
         Ok(Self::from_samples(size, storage, samples))
     }
 
-    /// The map that a definition says, sampled now.
+    /// Samples a definition.
     pub fn of(definition: &MapDefinition) -> Self {
         Self::from_fn(definition.size, definition.storage, |x| definition.sample(x))
     }
 
-    /// As [`Self::of`], for a caller that may stop it.
+    /// As [`Self::of`], for a caller that may cancel.
     ///
     /// # Errors
     /// [`crate::Error::Cancelled`].
@@ -117,12 +121,13 @@ impl DisplacementMap {
 
     /// A map of given samples, x fastest.
     ///
-    /// A value that is not finite becomes no displacement and no matter.
+    /// A value that is not finite becomes no displacement and mask 0.
     pub fn from_samples(size: [usize; 3], storage: Storage, samples: Vec<TexelSample>) -> Self {
         Self::from_marked_samples(size, storage, samples, &[])
     }
 
-    /// A map of given samples of which some are marked ([`super::PrecomposedMap`]); `marked` may be empty.
+    /// A map of given samples, some of which are marked ([`super::PrecomposedMap`]); `marked` may
+    /// be empty.
     pub(super) fn from_marked_samples(size: [usize; 3], storage: Storage, samples: Vec<TexelSample>, marked: &[bool]) -> Self {
         assert!(size.iter().all(|&n| n >= 1) && samples.len() == size.iter().product::<usize>(), "sample count and size disagree");
         let samples: Vec<Vec4> = samples.into_par_iter().map(finite).collect();
@@ -135,17 +140,17 @@ impl DisplacementMap {
         Self { size, storage, scale, whole, detail: detail.into(), recipe: None }
     }
 
-    /// A map whose texels a device has made of a definition, with what they lie within.
+    /// A map whose texels a device has made from a definition, with their range.
     pub fn from_device(recipe: MapDefinition, scale: f32, whole: TexelRange) -> Self {
         Self { size: recipe.size, storage: recipe.storage, scale, whole, detail: OnceLock::new(), recipe: Some(recipe) }
     }
 
-    /// What all texels lie within.
+    /// The range of all texels.
     pub fn extent(&self) -> TexelRange {
         self.whole
     }
 
-    /// What a device made the texels of, if one did.
+    /// The definition from which a device made the texels, if one did.
     pub fn recipe(&self) -> Option<&MapDefinition> {
         self.recipe.as_ref()
     }
@@ -159,7 +164,8 @@ impl DisplacementMap {
         }
     }
 
-    /// Not within the lock: what samples in parallel may be lent to another piece of work that asks for the same.
+    /// Samples outside the lock: the parallel sampling may run another task on this thread that
+    /// needs the same texels.
     #[cold]
     fn sampled_now(&self) -> &TexelPyramids {
         let point = |n| self.recipe.as_ref().map_or(Vec4::ZERO, |r| finite(r.sample(Self::grid_point(self.size, n))));
@@ -168,7 +174,7 @@ impl DisplacementMap {
         self.detail.get_or_init(|| detail)
     }
 
-    /// Samples what only a device has, once, before many ask for it.
+    /// Samples texels that only a device has, once, before many threads need them.
     pub fn fetch_texels(&self) {
         self.detail();
     }
@@ -178,7 +184,7 @@ impl DisplacementMap {
         flat(&self.detail().texels)
     }
 
-    /// Stored (D / scale, alpha) of a grid point.
+    /// The stored (D / scale, alpha) of a grid point.
     pub fn texel(&self, [i, j, k]: [usize; 3]) -> Vec4 {
         self.detail().texels[[k, j, i]]
     }
@@ -197,9 +203,11 @@ impl DisplacementMap {
         self.detail().pyramid.query(low * top, high * top)
     }
 
-    /// Bounds of the columns of stored D's Jacobian, d (D / scale) / d x, over a box in map coordinates; a face of a cell counts to both sides.
+    /// Bounds of the columns of stored D's Jacobian, d (D / scale) / d x, over a box in map
+    /// coordinates; a face between cells belongs to both.
     ///
-    /// Within a cell each column is a mixture of the differences along four of its edges, so that these bound it.
+    /// Within a cell each column is a weighted mean of the differences along four of its edges,
+    /// hence these bound it.
     pub fn slope_bounds(&self, low: Vec3, high: Vec3) -> [(Vec3, Vec3); 3] {
         let top = Vec3::from(self.size.map(|n| (n - 1) as f32));
         let range = if is_all(low, high) { self.whole.slopes } else { self.detail().slopes.query(low * top, high * top) };
@@ -207,23 +215,24 @@ impl DisplacementMap {
         std::array::from_fn(|axis| {
             let of = |v: &[f32; 9]| Vec3::from_slice(&v[3 * axis..3 * axis + 3]);
             let (low, high) = (of(&range.min), of(&range.max));
-            // Beyond the cube its outermost texels go on.
+            // Beyond the cube the outermost texels are clamped.
             if flat { (low.min(Vec3::ZERO), high.max(Vec3::ZERO)) } else { (low, high) }
         })
     }
 
-    /// Whether D is anywhere but zero; a map that only cuts brings matter nowhere.
+    /// Whether D is non-zero anywhere; a map that only cuts moves nothing.
     pub fn has_displacement(&self) -> bool {
         let range = self.whole.texels;
         (0..3).any(|c| range.min[c] != 0.0 || range.max[c] != 0.0)
     }
 
-    /// Whether the mask takes anything away.
+    /// Whether the mask removes anything.
     pub fn has_cuts(&self) -> bool {
         self.whole.texels.min[3] < 1.0
     }
 
-    /// The texels as the GPU takes them: in the map's own format, or in another where a device lacks it.
+    /// The texels for upload to the GPU: in the map's own format, or in another one if a device
+    /// lacks it.
     pub fn encode_as(&self, storage: Storage) -> Vec<u8> {
         let mut bytes = vec![0; self.texels().len() * storage.bytes()];
         let rows = bytes.par_chunks_mut(storage.bytes() << 12).zip(self.texels().par_chunks(1 << 12));
@@ -269,21 +278,22 @@ impl DisplacementMap {
         Vec3::new((self.size[0] - 1) as f32, (self.size[1] - 1) as f32, (self.size[2] - 1) as f32)
     }
 
-    /// The texels of a line along the map's x axis at map coordinates across it, for [`Self::fetch_line`]; none of a map that is flat.
+    /// The texels of a line along the map's x axis at given map coordinates across it, for
+    /// [`Self::fetch_line`]; none if the map is flat.
     pub(super) fn line(&self, y: f32, z: f32) -> Option<Vec<Vec4>> {
         let [_, ny, nz] = self.size.map(|n| (n - 1) as f32);
         self.size.iter().all(|&n| n > 1).then(|| across(self.texels(), self.size, y * ny, z * nz))
     }
 
-    /// [`Self::fetch_lanes`] at eight points of a line, to the bit.
+    /// [`Self::fetch_lanes`] at eight points of a line, bit for bit.
     #[inline(always)]
     pub(super) fn fetch_line<S: Simd>(simd: S, line: &[Vec4], x: f32x8<S>) -> (Vec3x8<S>, f32x8<S>) {
         let [x, y, z, alpha] = mix_line(simd, line, x * (line.len() - 1) as f32);
         (Vec3x8 { x, y, z }, alpha)
     }
 
-    /// At eight points, of which those in `lanes` are wanted, stored (D / scale, alpha) and what it changes by along the three map axes, as
-    /// [`Self::derivatives`].
+    /// At eight points, of which only those in `lanes` are needed, stored (D / scale, alpha) and
+    /// its derivatives along the three map axes, as [`Self::derivatives`].
     #[inline(always)]
     pub fn derivatives_lanes<S: Simd>(&self, simd: S, x: Vec3x8<S>, lanes: mask32x8<S>) -> (Vec4x8<S>, [Vec4x8<S>; 3]) {
         let zero = f32x8::splat(simd, 0.0);
@@ -298,7 +308,7 @@ impl DisplacementMap {
             (value, slopes) = (inside, [scaled(dx, 0.5 * top.x), scaled(dy, 0.5 * top.y), scaled(dz, 0.5 * top.z)]);
         }
         if near_face.any_true() {
-            // No texel lies to each side.
+            // A texel is missing on one side.
             value = selected(near_face, self.fetch_fours(simd, x), value);
             for (axis, slope) in slopes.iter_mut().enumerate() {
                 *slope = selected(near_face, self.slope_at_faces(simd, x, axis), *slope);
@@ -307,7 +317,8 @@ impl DisplacementMap {
         (value, slopes)
     }
 
-    /// What [`Self::derivatives`] takes beside the cube's faces: differences over one texel to each side, as far as there is one.
+    /// The method of [`Self::derivatives`] near the cube's faces: differences over one texel to
+    /// each side, as far as there is one.
     #[inline(always)]
     fn slope_at_faces<S: Simd>(&self, simd: S, x: Vec3x8<S>, axis: usize) -> Vec4x8<S> {
         if self.size[axis] == 1 {
@@ -334,8 +345,8 @@ impl DisplacementMap {
         TexelSample { displacement: t.xyz() * self.scale, alpha: t.w }
     }
 
-    /// J_D (column a = ∂D/∂x_a) and the mask's gradient, both in map space, by differences over one texel to each side (shortened at
-    /// the cube's faces, taken at the face beyond it).
+    /// J_D (column a = ∂D/∂x_a) and the mask's gradient, both in map space, by differences over one
+    /// texel to each side (shortened at the cube's faces; beyond them, evaluated at the face).
     pub fn derivatives(&self, x: Vec3) -> (Mat3, Vec3) {
         if let Some(derivatives) = self.derivatives_inside(x) {
             return derivatives;
@@ -357,8 +368,9 @@ impl DisplacementMap {
         (Mat3::from_cols(columns[0], columns[1], columns[2]), slope)
     }
 
-    /// As [`Self::derivatives`] where a texel lies to each side: the differences are then taken between texels and interpolated by the point's one
-    /// fraction, from 32 texels instead of the 48 of six samples.
+    /// As [`Self::derivatives`] where there is a texel on each side: the differences are taken
+    /// between texels and interpolated with the point's fraction, from 32 texels instead of the 48
+    /// of six samples.
     #[inline(always)]
     fn derivatives_inside(&self, x: Vec3) -> Option<(Mat3, Vec3)> {
         let [nx, ny, nz] = self.size;
@@ -367,7 +379,8 @@ impl DisplacementMap {
         if !(p.cmpge(Vec3::ONE).all() && p.cmple(top - 1.0).all()) {
             return None;
         }
-        // Not beyond the cell whose far neighbours are the last texels; none of an axis of fewer than four.
+        // At most the cell whose far neighbours are the last texels; an axis of fewer than four
+        // texels has no such cell.
         let cell = |p: f32, n: usize| (p as usize).min(n.saturating_sub(3)).max(1);
         let (i, j, k) = (cell(p.x, nx), cell(p.y, ny), cell(p.z, nz));
         if nx < 4 || ny < 4 || nz < 4 {
@@ -404,7 +417,7 @@ impl DisplacementMap {
     }
 }
 
-/// Whether a box in map coordinates holds the whole cube.
+/// Whether a box in map coordinates contains the whole cube.
 fn is_all(low: Vec3, high: Vec3) -> bool {
     low.cmple(Vec3::ZERO).all() && high.cmpge(Vec3::ONE).all()
 }
@@ -418,14 +431,15 @@ fn encode<const N: usize>(to: &mut [u8], from: &[Vec4], channel: impl Fn(f32) ->
     }
 }
 
-/// The least and the greatest of each number.
+/// The smallest and the largest value of each component.
 #[inline(always)]
 fn extremes(texels: &[Vec4]) -> (Vec4, Vec4) {
     texels.iter().fold((Vec4::INFINITY, Vec4::NEG_INFINITY), |(low, high), t| (low.min(*t), high.max(*t)))
 }
 
-/// The range of what stored D changes by per map unit from the points of a run along x to the next ones along each axis; from the last point of an
-/// axis, of what it changed by before.
+/// The range of the differences of stored D per map unit from the points of a run along x to the
+/// next ones along each axis; for the last point of an axis, of the difference to the point before
+/// it.
 fn slopes_of(texels: &[Vec4], [nx, ny, nz]: [usize; 3], [first, last]: [usize; 2], [j, k]: [usize; 2]) -> ChannelRange<9> {
     let row = |first: usize, last: usize, j: usize, k: usize| &texels[(k * ny + j) * nx..][first..=last];
     let between = |low: &[Vec4], high: &[Vec4], points: usize| {
@@ -501,7 +515,7 @@ mod tests {
         assert_eq!(map.sample(Vec3::splat(0.5)), TexelSample { displacement: Vec3::ZERO, alpha: 0.0 });
     }
 
-    /// The derivatives from 32 texels are those from six samples, everywhere in the cube.
+    /// The derivatives from 32 texels equal those from six samples, everywhere in the cube.
     #[test]
     fn derivatives_are_differences_of_samples() {
         let map = DisplacementMap::from_fn([7, 4, 6], Storage::F32, |x| TexelSample {

@@ -1,16 +1,20 @@
 //! Displacement maps and their kinds.
 //!
-//! A [`DisplacementMap`] is a small 3D grid over the unit cube: the inverse displacement D and the mask alpha (\[DDM06\] section 4). A
-//! *kind* ([`kinds`]) is sampled into one: a formula with named parameters in millimetres and degrees; some kinds also read points, labels
-//! or files. A [`Placement`] puts the map into the world; an ordered [`Stack`] of placed maps is what a renderer walks at every sample, unless
-//! one map stands for all of them there ([`compose`]). Removals after the last map that moves anything are no maps but shapes ([`cut`]).
+//! A [`DisplacementMap`] is a small 3D grid over the unit cube: the inverse displacement D and the
+//! mask alpha (\[DDM06\] section 4). It is sampled from a *kind* ([`kinds`]), a formula with named
+//! parameters in millimetres and degrees; some kinds also read points, labels or files. A
+//! [`Placement`] puts the map into the world. A renderer walks an ordered [`Stack`] of placed maps
+//! at every sample, or evaluates one precomposed map instead ([`compose`]). Removals after the last
+//! map that moves anything are not maps but shapes ([`cut`]).
 //!
 //! *What we changed against the paper*:
-//! - The mask is not a blurred binary image but a ramp of the signed distance to the cut, alpha = 1/2 + d/2w. A blur moves the 1/2
-//!   iso-line wherever a cut bends; the ramp keeps it exact and has the same gradient to shade with.
-//! - Grid points lie on the cube's faces (x = i/(n-1)), so that a displacement which vanishes on a face does so exactly.
-//! - The masks of a stack combine as the sharp ones do: a point is cut if *any* mask is below 1/2 there. The product of the smoothed
-//!   masks would eat the corner where two cuts meet.
+//! - The mask is not a blurred binary image but a ramp of the signed distance to the cut, alpha =
+//!   1/2 + d/2w. A blur moves the 1/2 iso-line wherever a cut bends; the ramp keeps it exact and
+//!   has the same gradient for shading.
+//! - Grid points lie on the cube's faces (x = i/(n-1)), so that a displacement that vanishes on a
+//!   face does so exactly.
+//! - The masks of a stack combine like binary ones: a point is cut if *any* mask is below 1/2
+//!   there. The product of the smoothed masks would erode the corner where two cuts meet.
 
 mod argument;
 mod bounds;

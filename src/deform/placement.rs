@@ -1,4 +1,5 @@
-//! Where a map's unit cube lies in the world: an affine transform, usually from a centre, a size and a rotation.
+//! The position of a map's unit cube in the world: an affine transform, usually from a centre, a
+//! size and a rotation.
 
 use crate::{Error, Result};
 use glam::{Affine3A, EulerRot, Mat3, Quat, Vec3};
@@ -13,7 +14,8 @@ pub struct Placement {
 }
 
 impl Placement {
-    /// A cube of `size_mm` around `center_mm`, turned by `rotate_deg` about x, then y, then z (world axes through the centre).
+    /// A cube of `size_mm` around `center_mm`, turned by `rotate_deg` about x, then y, then z
+    /// (world axes through the centre).
     ///
     /// # Errors
     /// A size that is not positive, values that are not finite.

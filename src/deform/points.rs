@@ -1,7 +1,8 @@
-//! Scattered control points: displacements known at some places, interpolated everywhere.
+//! Scattered control points: displacements given at points and interpolated everywhere.
 //!
-//! Pairs are *forward*: matter goes from `from` to `to`. Backward warping needs the displacement at `to`, so what is interpolated is from - to
-//! at the points `to`: the map then carries every `to` exactly to its `from` (\[DS07\] section 4 after Ruprecht and Müller 1995).
+//! Pairs are *forward*: `from` moves to `to`. Backward warping needs the displacement at `to`,
+//! hence from - to is interpolated at the points `to`: the map then carries every `to` exactly to
+//! its `from` (\[DS07\] section 4 after Ruprecht and Müller 1995).
 //!
 //! | method | |
 //! |---|---|
@@ -17,13 +18,13 @@ use std::path::Path;
 /// A pair of points, mm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PointPair {
-    /// Where matter is.
+    /// Original position.
     pub from: DVec3,
-    /// Where it goes.
+    /// Deformed position.
     pub to: DVec3,
 }
 
-/// How to interpolate.
+/// The interpolation method.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Method {
     /// Thin-plate spline.
@@ -46,16 +47,16 @@ pub struct Interpolant {
     scale: f64,
 }
 
-/// Closer than this two points count as one, mm.
+/// Points closer than this are identical, mm.
 const MIN_POINT_DISTANCE_MM: f64 = 1e-3;
-/// Most pairs: the systems are dense.
+/// Maximum number of pairs: the systems are dense.
 const MAX_PAIRS: usize = 4000;
 
 impl Interpolant {
-    /// Interpolates pairs. The second value says what had to be done differently, if anything.
+    /// Interpolates pairs. The second value describes a fallback, if one was needed.
     ///
     /// # Errors
-    /// No pairs, or two that disagree about one place.
+    /// No pairs, or two that contradict each other at one point.
     pub fn new(pairs: &[PointPair], method: Method, width_mm: Option<f64>) -> Result<(Self, Option<String>)> {
         let mut distinct: Vec<PointPair> = Vec::with_capacity(pairs.len());
         for (n, p) in pairs.iter().enumerate() {
@@ -130,7 +131,7 @@ impl Interpolant {
                 let solved = if n >= 4 { solve(system, right) } else { None };
                 match solved {
                     Some(w) => {
-                        // Σ in normalised coordinates; the affine part in world ones.
+                        // Σ in normalised coordinates; the affine part in world coordinates.
                         let linear = DMat3::from_cols(w[n + 1], w[n + 2], w[n + 3]) * (1.0 / scale);
                         let affine = (linear, w[n] - linear * center);
                         Ok((Self { points, weights: w[..n].to_vec(), affine, method, scale }, None))
@@ -183,7 +184,8 @@ impl Interpolant {
     }
 }
 
-/// Gaussian elimination with partial pivoting for three right sides; none if the system is singular to working precision.
+/// Gaussian elimination with partial pivoting for three right sides; none if the system is singular
+/// to working precision.
 fn solve(mut a: Vec<Vec<f64>>, mut b: Vec<DVec3>) -> Option<Vec<DVec3>> {
     let n = b.len();
     for c in 0..n {
@@ -214,11 +216,11 @@ fn solve(mut a: Vec<Vec<f64>>, mut b: Vec<DVec3>) -> Option<Vec<DVec3>> {
     Some(b)
 }
 
-/// Pairs from a table of six numbers a line (from x, y, z, to x, y, z; mm, LPS), separated by commas, semicolons, tabs or spaces; a first line of
-/// names is passed over.
+/// Pairs from a table of six numbers per line (from x, y, z, to x, y, z; mm, LPS), separated by
+/// commas, semicolons, tabs or spaces; a header line is skipped.
 ///
 /// # Errors
-/// A file that cannot be read, a line without six numbers.
+/// A file that cannot be read, or a line without six numbers.
 pub fn read_pairs(path: &Path) -> Result<Vec<PointPair>> {
     let rows = table(path)?;
     rows.into_iter()
@@ -256,10 +258,11 @@ fn table(path: &Path) -> Result<Vec<(usize, Vec<f64>)>> {
     Ok(rows)
 }
 
-/// A list of points, LPS mm: 3D Slicer's `.mrk.json` and `.fcsv`, or a table of three numbers a line.
+/// A list of points, LPS mm: 3D Slicer's `.mrk.json` and `.fcsv`, or a table of three numbers per
+/// line.
 ///
 /// # Errors
-/// A file that cannot be read or is something else.
+/// A file that cannot be read or has another format.
 pub fn read_points(path: &Path) -> Result<Vec<DVec3>> {
     let name = path.file_name().map(|n| n.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     if name.ends_with(".json") {

@@ -1,4 +1,5 @@
-//! How sound a deformation is: folds, size, what happens at its border. Computed on the grid that it is stored on.
+//! Quality of a deformation: folds, magnitude, behaviour at its border. Computed on the grid on
+//! which it is stored.
 
 use super::PlacedMap;
 use super::compose::grid_of;
@@ -16,30 +17,31 @@ pub struct FieldQuality {
     pub points: usize,
     /// Points that are cut away, percent; the figures below leave them out.
     pub cut_percent: f64,
-    /// Smallest det J of d source / d deformed: below 1 matter has grown.
+    /// Smallest det J of d source / d deformed: below 1 the volume expands.
     pub det_min: f64,
     /// Mean det J.
     pub det_mean: f64,
     /// Largest det J.
     pub det_max: f64,
-    /// Points with det J <= 0, percent: there the field folds over.
+    /// Points with det J <= 0, percent: there the field folds.
     pub folds_percent: f64,
     /// Largest displacement, mm.
     pub largest_mm: f64,
     /// Mean displacement, mm.
     pub mean_mm: f64,
-    /// Largest displacement on the grid's faces, mm: beyond them nothing moves, so a large one tears there.
+    /// Largest displacement on the grid's faces, mm: nothing moves outside them, hence a large
+    /// value means a tear there.
     pub border_mm: f64,
-    /// How well the field can be inverted, if that was asked for.
+    /// Accuracy of the field's inverse, if requested.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub inverse: Option<InversionReport>,
 }
 
-/// A field with its mask, as health looks at it.
+/// A field with its mask, as input of the statistics.
 pub struct CheckedField {
     /// The displacement.
     pub field: VectorField,
-    /// Whether matter is there.
+    /// Whether the point is retained by the mask.
     pub is_valid: Vec<bool>,
     /// det J per point.
     pub determinants: Vec<f32>,
@@ -63,7 +65,7 @@ impl CheckedField {
         Self::new(VectorField::new(grid_of(&placed.placement, size), vectors), is_valid)
     }
 
-    /// A field, seen where the mask says.
+    /// A field and its mask.
     pub fn new(field: VectorField, is_valid: Vec<bool>) -> Self {
         let [nx, ny, _] = field.grid.size;
         let determinants =
@@ -106,8 +108,9 @@ impl CheckedField {
         }
     }
 
-    /// A picture of det J through the worst point: one slice across each axis, side by side, RGB. Blue: below 1 (grown), white: 1, green:
-    /// above 1 (shrunk), red: folded, black: cut away.
+    /// An image of det J through the worst point: one slice across each axis, side by side, RGB.
+    /// Blue: below 1 (expanded), white: 1, green: above 1 (compressed), red: folded, black: cut
+    /// away.
     pub fn picture(&self) -> (usize, usize, Vec<u8>) {
         let size = self.field.grid.size;
         let worst = (0..self.is_valid.len())
@@ -138,7 +141,7 @@ impl CheckedField {
         (width, height, rgb)
     }
 
-    /// One line per point: i, j, k, displacement in mm, det J, seen.
+    /// One line per point: i, j, k, position and displacement in mm, det J, validity.
     pub fn csv(&self) -> String {
         use std::fmt::Write as _;
         let size = self.field.grid.size;
@@ -171,7 +174,7 @@ fn color(det: f32, is_valid: bool) -> [u8; 3] {
     if det <= 0.0 {
         return [214, 40, 40];
     }
-    // Evenly in the logarithm, full colour at a factor of four.
+    // Linear in the logarithm; full colour at a factor of four.
     let t = (det.log2() / 2.0).clamp(-1.0, 1.0);
     let fade = |c: [f32; 3]| c.map(|c| (255.0 + (c - 255.0) * t.abs()) as u8);
     if t < 0.0 { fade([40.0, 90.0, 200.0]) } else { fade([30.0, 140.0, 70.0]) }

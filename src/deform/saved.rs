@@ -1,7 +1,8 @@
-//! Displacement maps as files: NRRD with four components, the displacement (source minus deformed point, LPS mm) and the mask, on the map's grid.
+//! Displacement maps as files: NRRD with four components, the displacement (source minus deformed
+//! point, LPS mm) and the mask, on the map's grid.
 //!
-//! Stored in millimetres rather than in map units, so that any program that reads vector NRRD shows the field; the geometry gives the
-//! placement back.
+//! Stored in millimetres rather than in map units, so that any program that reads vector NRRD can
+//! show the field; the placement is restored from the geometry.
 
 use super::compose::{grid_of, placement_of};
 use super::{DisplacementMap, PlacedMap, Storage, TexelSample};
@@ -17,7 +18,7 @@ use std::sync::Arc;
 /// Reads a map, its displacement scaled by `strength`.
 ///
 /// # Errors
-/// A file that cannot be read or is no displacement map.
+/// A file that cannot be read or is not a displacement map.
 pub fn read(path: &Path, storage: Storage, strength: f32) -> Result<PlacedMap> {
     let image = load::image(path, &ReadOptions::default(), &Watch::NONE)?;
     if !image.displacement || image.components != 4 {
@@ -37,7 +38,7 @@ pub fn read(path: &Path, storage: Storage, strength: f32) -> Result<PlacedMap> {
     let [x, y, z, alpha] = std::array::from_fn(|c| flat(&channels[c]));
     let sample = |n: usize| TexelSample {
         displacement: map_from_world * Vec3::new(x[n], y[n], z[n]) * strength,
-        // Without strength nothing is cut either.
+        // At strength 0 nothing is cut either.
         alpha: if strength > 0.0 { alpha[n] } else { 1.0 },
     };
     let map = DisplacementMap::from_samples(image.size, storage, (0..x.len()).map(sample).collect());
@@ -47,7 +48,7 @@ pub fn read(path: &Path, storage: Storage, strength: f32) -> Result<PlacedMap> {
 /// A map as the bytes of its file.
 ///
 /// # Errors
-/// The encoder's.
+/// Errors of the encoder.
 pub fn encode(placed: &PlacedMap) -> Result<Vec<u8>> {
     let size = placed.map.size;
     let linear = Mat3::from(placed.placement.world_from_map.matrix3);

@@ -1,13 +1,17 @@
-//! An ordered stack of placed maps: positions, Jacobians and cuts, on the fly at every sample (\[DDM06\] section 6).
+//! An ordered stack of placed maps: positions, Jacobians and cuts, on the fly at every sample
+//! (\[DDM06\] section 6).
 //!
-//! Rendering walks from the last applied map to the first: p_n = p', p_(k-1) = G_k(p_k) with G_k(p) = p + A_k D_k(M_k⁻¹ p) inside map
-//! k's cube and p elsewhere. The Jacobian dp_0/dp' = J_1(p_1) ··· J_n(p_n) is gathered on the same walk, so normals (its transpose
-//! times the source gradient, \[DDM06\] eq 10) and mask gradients need no second one. `shaders/lib/stack.wgsl` says the same.
+//! Rendering walks from the last applied map to the first: p_n = p', p_(k-1) = G_k(p_k), where
+//! G_k(p) = p + A_k D_k(M_k⁻¹ p) inside map k's cube and p elsewhere. The Jacobian dp_0/dp' =
+//! J_1(p_1) ··· J_n(p_n) is accumulated on the same walk, hence normals (its transpose times the
+//! source gradient, \[DDM06\] eq 10) and mask gradients need no second walk.
+//! `shaders/lib/stack.wgsl` computes the same.
 //!
-//! A stack may carry a [`PrecomposedMap`]: one map that stands for all of it wherever that is exact enough, and says where it is not.
+//! A stack may have a [`PrecomposedMap`]: one map that replaces all of it wherever it is accurate
+//! enough, and marks where it is not.
 //!
-//! A map may be *added* to the one before it (\[DS07\] section 4: detail): both are evaluated at the same point and their displacements
-//! summed, G(p) = p + A_1 D_1(M_1⁻¹ p) + A_2 D_2(M_2⁻¹ p).
+//! A map may be *added* to the previous one (\[DS07\] section 4: detail): both are evaluated at the
+//! same point and their displacements summed, G(p) = p + A_1 D_1(M_1⁻¹ p) + A_2 D_2(M_2⁻¹ p).
 
 use super::texel::{MIN_MARKED_ALPHA, MIN_MARKED_SLOPE};
 use super::{DisplacementMap, Placement};
@@ -16,60 +20,63 @@ use crate::math::lanes::*;
 use glam::{Mat3, Vec3, Vec4, Vec4Swizzles};
 use std::sync::Arc;
 
-/// The most maps that one pass on a GPU evaluates, besides the one that may stand for all of them: a uniform buffer of 16 KiB, the least that every
-/// device has, holds their placements. The CPU takes any number.
+/// Maximum number of maps in one GPU pass, in addition to a precomposed one: their placements are
+/// in a uniform buffer of 16 KiB, the minimum that every device supports. The CPU takes any number.
 pub const MAX_MAPS: usize = 64;
 
-/// A map in its place.
+/// A map with its placement.
 #[derive(Clone)]
 pub struct PlacedMap {
     /// The map.
     pub map: Arc<DisplacementMap>,
     /// Its placement.
     pub placement: Placement,
-    /// Whether its displacement is added to that of the map before it, instead of applied after it.
+    /// Whether its displacement is added to that of the previous map, instead of applied after it.
     pub added: bool,
-    /// How far beyond the cube's faces its outermost texels go on, map units: half a voxel for a registration's field, whose outermost vectors hold
-    /// for the whole of their voxels.
+    /// How far the outermost texels extend beyond the cube's faces, map units: half a voxel for a
+    /// registration's field, whose outermost vectors apply to the whole of their voxels.
     pub reach: Vec3,
-    /// `world_from_map`'s linear part times the map's scale: stored displacement to mm.
+    /// `world_from_map`'s linear part times the map's scale: from stored displacement to mm.
     pub(super) world_from_stored: Mat3,
 }
 
 impl PartialEq for PlacedMap {
-    /// Whether it is the very same map in the same place; another of the same content is another.
+    /// Identity of the map, not equality of its content: the same map with the same placement.
     fn eq(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.map, &other.map) && (self.placement, self.added, self.reach) == (other.placement, other.added, other.reach)
     }
 }
 
-/// Maps by order of application.
+/// Maps in order of application.
 #[derive(Clone, Default, PartialEq)]
 pub struct Stack {
     maps: Vec<PlacedMap>,
     precomposed: Option<PrecomposedMap>,
 }
 
-/// One map that stands for a whole stack within a bound ([`super::compose::precompose`]). Where it does not, at tears and cuts, its texels hold a mask
-/// above every valid one, which marks each sample that interpolates any of them: there the maps themselves are evaluated.
+/// One map that replaces a whole stack within an error bound ([`super::compose::precompose`]).
+/// Where it cannot, at tears and cuts, its texels hold a mask above every valid one. This marks
+/// each sample that interpolates any of them, and there the maps themselves are evaluated.
 #[derive(Clone, PartialEq)]
 pub struct PrecomposedMap {
-    /// The map, over the cubes of all.
+    /// The map, over the cubes of all maps.
     pub map: PlacedMap,
-    /// How far its sources may be from those of the stack, mm.
+    /// Largest distance of its sources from those of the stack, mm.
     pub bound_mm: f32,
 }
 
-/// The nearest cut to a point of the deformed scene, by the masks' first order.
+/// The nearest cut to a point of the deformed scene, to first order of the masks.
 #[derive(Clone, Copy, Debug)]
 pub struct NearestCut {
-    /// Distance from the cut, mm, positive where matter is; infinite where no mask varies.
+    /// Signed distance to the cut, mm, positive where the volume is retained; infinite where no
+    /// mask varies.
     pub distance_mm: f32,
-    /// Unit normal of the cut in the deformed scene, pointing out of the matter; zero where there is no cut.
+    /// Unit normal of the cut in the deformed scene, pointing out of the retained part; zero where
+    /// there is no cut.
     pub normal: Vec3,
 }
 
-/// Texels of a map along a line of points, mixed across it once for all of them.
+/// Texels of a map along a line of points, interpolated across it once for all of them.
 pub struct TexelLine {
     texels: Vec<Vec4>,
 }
@@ -79,40 +86,41 @@ pub struct TexelLine {
 pub struct SourceLanes<S: Simd> {
     /// Source points, mm.
     pub source: Vec3x8<S>,
-    /// Smallest masks on the way.
+    /// Smallest masks along the way.
     pub alpha: f32x8<S>,
-    /// Whether any map's cube was met.
+    /// Whether the point met any map's cube.
     pub inside: mask32x8<S>,
 }
 
-/// What shading needs to know of the deformation at eight points.
+/// The deformation at eight points, as needed for shading.
 #[derive(Clone, Copy)]
 pub struct JetLanes<S: Simd> {
     /// Columns of d source / d deformed.
     pub columns: [Vec3x8<S>; 3],
-    /// Distances of the nearest cuts, mm, to first order.
+    /// Signed distances to the nearest cuts, mm, to first order.
     pub cut_distance_mm: f32x8<S>,
 }
 
-/// Everything that shading needs to know of the deformation at a point.
+/// The deformation at a point, as needed for shading.
 #[derive(Clone, Copy, Debug)]
 pub struct Jet {
-    /// The point of the undeformed scene that is seen here, mm.
+    /// The source point, mm.
     pub source: Vec3,
     /// d source / d deformed.
     pub d_source_d_deformed: Mat3,
     /// The nearest cut.
     pub cut: NearestCut,
-    /// Smallest mask value on the way.
+    /// Smallest mask along the way.
     pub alpha: f32,
 }
 
 impl NearestCut {
-    /// No cut anywhere near.
+    /// No cut nearby.
     pub const NONE: Self = Self { distance_mm: f32::INFINITY, normal: Vec3::ZERO };
 
-    /// The nearer of this cut and the surface where `value` (positive inside) falls to zero with the given gradient in the deformed
-    /// scene: at first order, the distance is value / |gradient|.
+    /// The nearer of this cut and the surface where `value` (positive inside) falls to zero with
+    /// the given gradient in the deformed scene: to first order, the distance is value /
+    /// |gradient|.
     #[inline(always)]
     pub fn nearer_of(self, value: f32, gradient: Vec3) -> Self {
         let slope = gradient.length();
@@ -142,7 +150,7 @@ impl PlacedMap {
         x.cmplt(-self.reach).any() || x.cmpgt(Vec3::ONE + self.reach).any()
     }
 
-    /// Where the map acts, in map units.
+    /// Where the map applies, in map units.
     pub(super) fn domain(&self) -> Bounds {
         Bounds::new(-self.reach, Vec3::ONE + self.reach)
     }
@@ -165,7 +173,8 @@ impl PlacedMap {
         (self.world_from_stored * t.xyz(), t.w)
     }
 
-    /// J_G and the mask's gradient per mm at a point, or none outside the cube. J_G = I + A J_D A⁻¹.
+    /// J_G and the mask's gradient per mm at a point, or none outside the cube. J_G = I + A J_D
+    /// A⁻¹.
     pub fn derivatives(&self, p: Vec3) -> Option<(Mat3, Vec3)> {
         let x = self.placement.map_from_world.transform_point3(p);
         if self.is_outside(x) {
@@ -184,7 +193,7 @@ impl PlacedMap {
 }
 
 impl PrecomposedMap {
-    /// What shading needs to know at a point; none where the maps themselves are to be walked.
+    /// The jet at a point; none where the maps themselves must be walked.
     fn jet(&self, deformed: Vec3) -> Option<Jet> {
         let (d, alpha) = self.map.displacement(deformed);
         let unmoved = Jet { source: deformed, d_source_d_deformed: Mat3::IDENTITY, cut: NearestCut::NONE, alpha: 1.0 };
@@ -202,37 +211,37 @@ impl PrecomposedMap {
 }
 
 impl Stack {
-    /// Sees to it that all texels are here before many ask for them.
+    /// Ensures that all texels are sampled before many threads need them.
     pub fn fetch_texels(&self) {
         self.all_maps().for_each(|m| m.map.fetch_texels());
     }
 
-    /// A stack of maps, first applied first.
+    /// A stack of maps in order of application.
     pub fn new(mut maps: Vec<PlacedMap>) -> Self {
-        // There is nothing before the first map that it could be added to.
+        // The first map has no predecessor to be added to.
         if let Some(first) = maps.first_mut() {
             first.added = false;
         }
         Self { maps, precomposed: None }
     }
 
-    /// The same stack with one map that stands for it.
+    /// The same stack with a precomposed map.
     pub fn with_precomposed(mut self, precomposed: PrecomposedMap) -> Self {
         self.precomposed = Some(precomposed);
         self
     }
 
-    /// The map that stands for the stack, if there is one.
+    /// The precomposed map, if there is one.
     pub fn precomposed(&self) -> Option<&PrecomposedMap> {
         self.precomposed.as_ref()
     }
 
-    /// The maps, first applied first, and the one that stands for them, if there is one.
+    /// The maps in order of application, followed by the precomposed map if there is one.
     pub fn all_maps(&self) -> impl Iterator<Item = &PlacedMap> {
         self.maps.iter().chain(self.precomposed.as_ref().map(|s| &s.map))
     }
 
-    /// The maps, first applied first.
+    /// The maps in order of application.
     pub fn maps(&self) -> &[PlacedMap] {
         &self.maps
     }
@@ -249,7 +258,8 @@ impl Stack {
         (alpha >= 0.5).then_some(source)
     }
 
-    /// The source point of a deformed point and the smallest mask value on the way; the walk ends where a mask cuts (below 1/2).
+    /// The source of a deformed point and the smallest mask along the way; the walk ends where a
+    /// mask cuts (below 1/2).
     #[inline(always)]
     pub fn source_and_alpha(&self, deformed: Vec3) -> (Vec3, f32) {
         if let Some(precomposed) = &self.precomposed {
@@ -259,7 +269,7 @@ impl Stack {
             }
         }
         let mut p = deformed;
-        // Where the maps that are added to each other are all evaluated.
+        // The point at which maps that are added to each other are all evaluated.
         let mut at = deformed;
         let mut smallest = 1.0f32;
         for map in self.maps.iter().rev() {
@@ -276,11 +286,13 @@ impl Stack {
         (p, smallest)
     }
 
-    /// The map that is met first along points `first` + t `step` of the deformed scene, if they lie along its x axis.
+    /// The first map on the walk, for points `first` + t `step` of the deformed scene, if these lie
+    /// along its x axis.
     pub fn line(&self, first: Vec3, step: Vec3) -> Option<TexelLine> {
         let map = self.precomposed.as_ref().map(|s| &s.map).or(self.maps.last())?;
         let across = map.placement.map_from_world.matrix3.x_axis;
-        // Exactly, so that what is mixed across the line once is what each point would mix.
+        // Exactly, so that interpolating across the line once gives the same result as for each
+        // point.
         if [step.y, step.z, across.y, across.z] != [0.0; 4] {
             return None;
         }
@@ -288,13 +300,14 @@ impl Stack {
         Some(TexelLine { texels: map.map.line(x.y, x.z)? })
     }
 
-    /// [`Self::source_and_alpha`] for eight points, of which those in `lanes` are wanted. Only points inside a map's cube cost a fetch.
+    /// [`Self::source_and_alpha`] for eight points, of which only those in `lanes` are needed. Only
+    /// points inside a map's cube cost a fetch.
     #[inline(always)]
     pub fn source_and_alpha_lanes<S: Simd>(&self, simd: S, deformed: Vec3x8<S>, lanes: mask32x8<S>) -> SourceLanes<S> {
         self.source_and_alpha_on_line(simd, deformed, lanes, None)
     }
 
-    /// As [`Self::source_and_alpha_lanes`] for points of a line, if there is one.
+    /// As [`Self::source_and_alpha_lanes`] for points on a line, if one is given.
     #[inline(always)]
     pub fn source_and_alpha_on_line<S: Simd>(&self, simd: S, deformed: Vec3x8<S>, lanes: mask32x8<S>, line: Option<&TexelLine>) -> SourceLanes<S> {
         let nothing = mask32x8::splat(simd, false);
@@ -325,7 +338,7 @@ impl Stack {
         for map in self.maps.iter().rev() {
             let x = at.transformed(&map.placement.map_from_world);
             let inside = live & map.holds_lanes(x);
-            // Only the first map sees points that have not moved.
+            // Only the first map is evaluated at undisplaced points.
             let line = line.take();
             if inside.any_true() {
                 let (stored, alpha) = match line {
@@ -353,7 +366,8 @@ impl Stack {
         found
     }
 
-    /// As [`Self::source_and_alpha`], but through every map whatever the masks say: the pseudo-inverse, continuous across cuts.
+    /// As [`Self::source_and_alpha`], but through every map whatever the masks are: the
+    /// pseudo-inverse, continuous across cuts.
     pub fn source_and_alpha_unclipped(&self, deformed: Vec3) -> (Vec3, f32) {
         let (mut p, mut at, mut smallest) = (deformed, deformed, 1.0f32);
         for map in self.maps.iter().rev() {
@@ -367,7 +381,8 @@ impl Stack {
         (p, smallest)
     }
 
-    /// The source point with its Jacobian and the nearest cut. Cut points get a jet too (`alpha` tells).
+    /// The source point with its Jacobian and the nearest cut. Also defined for cut points (see
+    /// `alpha`).
     pub fn jet(&self, deformed: Vec3) -> Jet {
         if let Some(jet) = self.precomposed.as_ref().and_then(|s| s.jet(deformed)) {
             return jet;
@@ -389,7 +404,7 @@ impl Stack {
         jet
     }
 
-    /// [`Self::jet`] at eight points, of which those in `lanes` are wanted.
+    /// [`Self::jet`] at eight points, of which only those in `lanes` are needed.
     #[inline(always)]
     pub fn jets_lanes<S: Simd>(&self, simd: S, deformed: Vec3x8<S>, lanes: mask32x8<S>) -> JetLanes<S> {
         let Some(PrecomposedMap { map, .. }) = &self.precomposed else { return self.jets_by_maps(simd, deformed, lanes) };
@@ -456,13 +471,13 @@ impl Stack {
     }
 }
 
-/// Of what a map's texels change by along one of its axes, the displacement, mm.
+/// The displacement part of a texel derivative along one of a map's axes, mm.
 #[inline(always)]
 fn of_displacement<S: Simd>([x, y, z, _]: [f32x8<S>; 4], map: &PlacedMap) -> Vec3x8<S> {
     Vec3x8 { x, y, z }.mapped(&map.world_from_stored)
 }
 
-/// Columns times a vector.
+/// Matrix columns times a vector.
 #[inline(always)]
 fn along<S: Simd>([x, y, z]: [Vec3x8<S>; 3], v: Vec3x8<S>) -> Vec3x8<S> {
     Vec3x8 {
@@ -510,7 +525,7 @@ pub(super) mod tests {
         (x * (Vec3::ONE - x) * 4.0).element_product()
     }
 
-    /// Two turned maps, the upper one of which cuts.
+    /// Two rotated maps, the upper one of which cuts.
     pub(in crate::deform) fn stack() -> Stack {
         let swirl = placed(Vec3::new(3.0, 0.0, 0.0), 60.0, Vec3::new(20.0, 40.0, -10.0), |x| TexelSample {
             displacement: 0.2 * bump(x) * Vec3::new((9.0 * x.y).sin(), x.z, -1.0),
@@ -524,14 +539,15 @@ pub(super) mod tests {
     }
 
     impl Stack {
-        /// Its maps over and over.
+        /// The maps repeated.
         pub(in crate::deform) fn repeated(&self, times: usize) -> Stack {
             Stack::new(std::iter::repeat_n(&self.maps, times).flatten().cloned().collect())
         }
     }
 
     proptest! {
-        /// The box walk is conservative: every source point of a box lies in the box's image, and no mask exceeds the bound.
+        /// The box walk is conservative: every source point of a box lies in the box's image, and
+        /// no mask exceeds the bound.
         #[test]
         fn source_bounds_hold(corner in prop::array::uniform3(-50.0f32..50.0), edge in 0.5f32..20.0, at in prop::array::uniform3(0.0f32..1.0),
                               added: bool, times in 1usize..5) {
@@ -547,7 +563,8 @@ pub(super) mod tests {
         }
     }
 
-    /// Points of a line are walked as points are, to the bit; lines across the map's axes are none.
+    /// Points on a line give the same results as single points, bit for bit; lines across the map's
+    /// axes give none.
     #[test]
     fn lines_are_walked_as_points_are() {
         struct LineKernel<'a>(&'a Stack, [Vec3; LANES], Option<&'a TexelLine>);
@@ -578,7 +595,8 @@ pub(super) mod tests {
         assert!(moved > 1000, "{moved}");
     }
 
-    /// Many walks are the walks one by one, to the bit by lanes and to rounding by scalar code, cut points and maps added to each other among them.
+    /// Batched walks equal single walks: bit for bit between lanes, and up to rounding against
+    /// scalar code, including cut points and added maps.
     #[test]
     fn many_walks_are_single_walks() {
         let mut s = stack();
@@ -595,7 +613,8 @@ pub(super) mod tests {
         }
     }
 
-    /// Jacobians and distances to cuts of eight points at once are those of each, beside the faces of maps and in maps of few texels too.
+    /// Jacobians and cut distances of eight points at once equal those of single points, also near
+    /// the faces of maps and in maps of few texels.
     #[test]
     fn eight_jets_are_single_jets() {
         struct JetsKernel<'a>(&'a Stack, [Vec3; LANES]);

@@ -1,26 +1,27 @@
-//! Strokes of the brush as text: what an editor writes into a scene and reads back, and what people can type.
+//! Brush strokes as text: an editor writes them into a scene and reads them back, and people can
+//! type them.
 //!
-//! A stroke is words and numbers separated by blanks, without commas, which separate strokes on the command line. Lengths and places are
-//! millimetres in the world (LPS).
+//! A stroke is words and numbers separated by blanks, without commas, which separate strokes on the
+//! command line. Lengths and positions are in world millimetres (LPS).
 //!
 //! ```text
-//!   push    RADIUS STRENGTH x y z x y z ...        drags matter along the line
-//!   smooth  RADIUS STRENGTH x y z ...              evens out how far neighbours are moved
+//!   push    RADIUS STRENGTH x y z x y z ...        drags the volume along the line
+//!   smooth  RADIUS STRENGTH x y z ...              smooths the displacements
 //!   cut     RADIUS STRENGTH x y z ...              removes a tube around the line
-//!   restore RADIUS STRENGTH x y z ...              puts such a tube back
+//!   restore RADIUS STRENGTH x y z ...              restores such a tube
 //!   lasso-cut     EYE ox oy oz rx ry rz ux uy uz px py px py px py ...
 //!   lasso-restore EYE ox oy oz rx ry rz ux uy uz px py px py px py ...
 //! ```
 //!
-//! STRENGTH is 0 to 1; a cut and a restoration are there or not, and ignore it. An outline lies in the plane through o, its x along r and its y
-//! along u; the viewer is on the side of r × u, EYE mm from the plane, or at no finite distance if EYE is 0. It may cross itself: what an
-//! odd number of turns encloses is inside.
+//! STRENGTH is 0 to 1; cut and restore ignore it. An outline lies in the plane through o, its x
+//! along r and its y along u; the viewer is on the side of r × u, EYE mm from the plane, or at
+//! infinity if EYE is 0. It may cross itself: points enclosed by an odd number of turns are inside.
 
 use crate::error::suggestion;
 use glam::{Affine3A, Mat3, Vec2, Vec3};
 use std::fmt;
 
-/// Largest coordinate and distance of the eye, mm.
+/// Largest coordinate and eye distance, mm.
 const LARGEST_MM: f32 = 1e5;
 /// Largest radius, mm.
 const LARGEST_RADIUS_MM: f32 = 1000.0;
@@ -29,21 +30,21 @@ const LASSO_CUT: &str = "lasso-cut";
 const LASSO_RESTORE: &str = "lasso-restore";
 const NAMES: [&str; 6] = ["push", "smooth", "cut", "restore", LASSO_CUT, LASSO_RESTORE];
 
-/// What a stroke does along its line.
+/// The effect of a stroke along its line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StrokeTool {
-    /// Drags matter along.
+    /// Drags the volume along.
     Push,
-    /// Evens out how far neighbours are moved.
+    /// Smooths the displacements.
     Smooth,
-    /// Removes matter.
+    /// Removes a tube.
     Cut,
-    /// Puts matter back.
+    /// Restores a tube.
     Restore,
 }
 
 impl StrokeTool {
-    /// All of them.
+    /// All tools.
     pub const ALL: [Self; 4] = [Self::Push, Self::Smooth, Self::Cut, Self::Restore];
 
     /// The first word of its strokes.
@@ -56,7 +57,7 @@ impl StrokeTool {
         }
     }
 
-    /// The fewest points that it can do something with.
+    /// The smallest number of points it needs.
     fn min_points(self) -> usize {
         if self == Self::Push { 2 } else { 1 }
     }
@@ -67,27 +68,28 @@ impl StrokeTool {
 pub enum Stroke {
     /// Along a line.
     Line {
-        /// What it does.
+        /// Its tool.
         tool: StrokeTool,
-        /// Reach to every side of the line, mm.
+        /// Distance from the line within which it acts, mm.
         radius_mm: f32,
         /// 0 to 1.
         strength: f32,
         /// The line's points, mm, world.
         points: Vec<Vec3>,
     },
-    /// Through all that lies behind and before an outline.
+    /// Everything behind and in front of an outline.
     Lasso(Lasso),
 }
 
 /// A closed outline, seen from one side.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lasso {
-    /// Puts matter back rather than removing it.
+    /// Restores instead of removing.
     pub restores: bool,
     /// Distance of the viewer's eye from the outline's plane, mm; 0 for a parallel view.
     pub eye_mm: f32,
-    /// A point of the plane, from which the outline counts, mm, world; with an eye, the one that it looks at straight.
+    /// The origin of the outline's coordinates in its plane, mm, world; with an eye, the foot of
+    /// the perpendicular from it.
     pub origin: Vec3,
     /// Direction of the outline's x.
     pub right: Vec3,
@@ -98,7 +100,8 @@ pub struct Lasso {
 }
 
 impl Lasso {
-    /// The outline's own axes: right, up, and towards the viewer. Directions that are not at right angles are made so.
+    /// The outline's axes: right, up, and towards the viewer. Directions that are not perpendicular
+    /// are orthogonalised.
     pub fn world_from_outline(&self) -> Affine3A {
         let right = self.right.try_normalize().unwrap_or(Vec3::X);
         let towards = right.cross(self.up).try_normalize().unwrap_or_else(|| right.any_orthonormal_vector());
@@ -107,7 +110,7 @@ impl Lasso {
 }
 
 impl Stroke {
-    /// How many points it has.
+    /// The number of its points.
     pub fn points(&self) -> usize {
         match self {
             Self::Line { points, .. } => points.len(),
@@ -132,11 +135,11 @@ impl fmt::Display for Stroke {
     }
 }
 
-/// Reads one stroke.
+/// Parses one stroke.
 ///
 /// # Errors
-/// What is wrong with it and what to do, in words that follow the stroke's number: an unknown tool (with the closest one), what is no number
-/// or out of range, too few numbers.
+/// The problem and its remedy, worded to follow the stroke's number: an unknown tool (the message
+/// names the closest one), a word that is not a number or is out of range, too few numbers.
 pub fn parse(text: &str) -> Result<Stroke, String> {
     let mut words = text.split_whitespace();
     let name = words.next().ok_or_else(|| format!("is empty; begin with one of {}", NAMES.join(", ")))?;
@@ -152,7 +155,7 @@ pub fn parse(text: &str) -> Result<Stroke, String> {
 
 fn number(word: &str, name: &str) -> Result<f32, String> {
     let v: f32 = word.parse().map_err(|_| format!("{name}: \"{word}\" is not a number; separate numbers with spaces"))?;
-    // NaN is not below anything either.
+    // Also rejects NaN.
     if v.abs() <= LARGEST_MM { Ok(v) } else { Err(format!("{name}: {word} is outside -{LARGEST_MM} to {LARGEST_MM}")) }
 }
 
@@ -224,7 +227,7 @@ mod tests {
             prop_assert_eq!(parse(&stroke.to_string()), Ok(stroke));
         }
 
-        /// Whatever is typed is read or refused.
+        /// Any text is either parsed or rejected.
         #[test]
         fn nothing_panics(text in "[a-z0-9 .eE+-]{0,60}", name in 0usize..6) {
             let _ = parse(&text);

@@ -1,14 +1,15 @@
-//! The texels of displacement maps: what they hold, and how.
+//! The texels of displacement maps: their content and formats.
 
 use glam::Vec3;
 use half::f16;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// The mask of marked texels, and the one from which a sample has a part of them. Half precision holds it.
+/// The mask of marked texels, and the smallest mask of a sample that interpolates one.
+/// Representable in half precision.
 pub(super) const MARKED_ALPHA: f32 = 60_000.0;
 pub(super) const MIN_MARKED_ALPHA: f32 = 2.0;
-/// A mask that changes by this much over a map is that of marked texels.
+/// A mask that changes by this much over a map belongs to marked texels.
 pub(super) const MIN_MARKED_SLOPE: f32 = 4096.0;
 
 /// Texel format of a displacement map. Eight bits show jagged edges (\[DDM06\] section 8).
@@ -36,7 +37,7 @@ impl Storage {
         }
     }
 
-    /// The nearest value that the format can hold.
+    /// The nearest value that the format can represent.
     pub(super) fn quantise(self, v: f32) -> f32 {
         match self {
             Self::F16 => f16::from_f32(v).to_f32(),
@@ -52,6 +53,6 @@ impl Storage {
 pub struct TexelSample {
     /// Inverse displacement, in units of the map's cube.
     pub displacement: Vec3,
-    /// 1 where matter is, 0 where nothing is; 1/2 on a cut.
+    /// 1 where the volume is retained, 0 where it is removed; 1/2 on a cut.
     pub alpha: f32,
 }

@@ -1,15 +1,15 @@
-//! A deformation as one thing: the maps, and the cuts that come after them.
+//! A deformation as a whole: the maps, and the cuts after them.
 
 use super::Stack;
 use super::cut::CutShapes;
 use glam::Vec3;
 
-/// The maps of a deformation and the cuts that come after them.
+/// The maps of a deformation and the cuts after them.
 #[derive(Clone, Copy)]
 pub struct StackAndCuts<'a> {
     /// The maps.
     pub stack: &'a Stack,
-    /// The cuts that come after them.
+    /// The cuts after the maps.
     pub cuts: &'a CutShapes,
 }
 
@@ -19,7 +19,7 @@ impl StackAndCuts<'_> {
         self.stack.is_empty() && self.cuts.is_empty()
     }
 
-    /// Where what is at a point of the deformed scene came from, mm; none where it is cut away.
+    /// The source of a point of the deformed scene, mm; none where it is cut away.
     pub fn source(&self, deformed: Vec3) -> Option<Vec3> {
         if self.cuts.signed_distance_mm(deformed) < 0.0 {
             return None;

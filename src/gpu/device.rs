@@ -1,4 +1,4 @@
-//! Choosing an adapter and opening it with the features that the renderers can use.
+//! Selects an adapter and opens it with the features that the renderers can use.
 
 use crate::{Error, Result};
 use serde_json::{Value, json};
@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use wgpu::{DeviceType, Features};
 
-/// Which adapters will do.
+/// Acceptable adapters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AdapterPreference {
     /// Only a hardware GPU.
@@ -21,28 +21,29 @@ pub struct Device {
     pub device: wgpu::Device,
     /// Its queue.
     pub queue: wgpu::Queue,
-    /// What it is.
+    /// Information about its adapter.
     pub adapter: wgpu::AdapterInfo,
     /// Whether it runs compute shaders.
     computes: bool,
-    /// Set once it no longer answers.
+    /// Set once the device is lost.
     lost: Arc<AtomicBool>,
 }
 
-/// Used where the adapter has them; each has a fallback.
+/// Optional features; each has a fallback.
 const WISHES: [Features; 4] =
     [Features::TEXTURE_FORMAT_16BIT_NORM, Features::FLOAT32_FILTERABLE, Features::FLOAT32_BLENDABLE, Features::TIMESTAMP_QUERY];
 
 impl Device {
-    /// Opens the best adapter: discrete, then integrated, then others, then (if wanted) a software one; Vulkan, Metal and DirectX before
-    /// OpenGL.
+    /// Opens the best adapter: discrete, then integrated, then others, then (if accepted) a
+    /// software one; Vulkan, Metal and DirectX before OpenGL.
     ///
     /// # Errors
     /// No such adapter, or one that cannot be opened.
     pub fn open(preference: AdapterPreference) -> Result<Self> {
         let mut adapters = usable_adapters(wgpu::Backends::all() - wgpu::Backends::GL);
         let is_hardware = |a: &wgpu::Adapter| a.get_info().device_type != DeviceType::Cpu;
-        // OpenGL's drivers look for a display, and complain on standard error where there is none: they are asked last.
+        // OpenGL's drivers look for a display and write to standard error where there is none: they
+        // are tried last.
         if !adapters.iter().any(is_hardware) && (adapters.is_empty() || has_display()) {
             adapters.extend(usable_adapters(wgpu::Backends::GL));
         }
@@ -68,7 +69,7 @@ impl Device {
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("incise"),
             required_features: features,
-            // The defaults cap 3D textures and buffers far below what adapters can do.
+            // The default limits on 3D textures and buffers are far below those of adapters.
             required_limits: adapter.limits(),
             ..Default::default()
         };
@@ -81,9 +82,9 @@ impl Device {
         Ok(Self { device, queue, adapter: adapter.get_info(), computes, lost })
     }
 
-    /// Whether it no longer answers: the driver was reset, the device taken away, or given up.
+    /// Whether the device is lost: the driver was reset, or the device was removed or abandoned.
     pub fn is_lost(&self) -> bool {
-        // What has happened is told by polling; a device that cannot be polled is lost as well.
+        // Polling delivers the loss callback; a device that cannot be polled is lost as well.
         self.device.poll(wgpu::PollType::Poll).is_err() || self.lost.load(Ordering::Relaxed)
     }
 
@@ -92,12 +93,12 @@ impl Device {
         self.computes
     }
 
-    /// Whether a software implementation stands behind it.
+    /// Whether it is a software implementation.
     pub fn is_software(&self) -> bool {
         self.adapter.device_type == DeviceType::Cpu
     }
 
-    /// Name, for people.
+    /// Name for display.
     pub fn info(&self) -> String {
         format!("{} ({:?})", self.adapter.name, self.adapter.backend)
     }
@@ -114,10 +115,10 @@ impl Device {
     }
 }
 
-/// The adapters of some backends that can do what the renderers need.
+/// The adapters of some backends that meet the renderers' requirements.
 fn usable_adapters(backends: wgpu::Backends) -> Vec<wgpu::Adapter> {
     let descriptor = wgpu::InstanceDescriptor::new_without_display_handle_from_env();
-    // What the environment asks for (WGPU_BACKEND), of these.
+    // The backends selected in the environment (WGPU_BACKEND), out of these.
     let backends = descriptor.backends & backends;
     if backends.is_empty() {
         return Vec::new();
@@ -125,7 +126,7 @@ fn usable_adapters(backends: wgpu::Backends) -> Vec<wgpu::Adapter> {
     let instance = wgpu::Instance::new(wgpu::InstanceDescriptor { backends, ..descriptor });
     let mut adapters = pollster::block_on(instance.enumerate_adapters(backends));
     adapters.retain(|a| a.get_downlevel_capabilities().flags.contains(wgpu::DownlevelFlags::FRAGMENT_WRITABLE_STORAGE));
-    // Surfaces leave their distances in such a texture.
+    // Surfaces write their distances to such a texture.
     let draws = |a: &wgpu::Adapter, format| a.get_texture_format_features(format).allowed_usages.contains(wgpu::TextureUsages::RENDER_ATTACHMENT);
     adapters.retain(|a| draws(a, wgpu::TextureFormat::R32Float) && draws(a, wgpu::TextureFormat::Rgba16Float));
     adapters

@@ -1,4 +1,5 @@
-//! wgpu without meaning: opening a device, the table of shaders, uploading and reading back. Knows no volume.
+//! wgpu without knowledge of volumes: opening a device, the table of shaders, uploading and reading
+//! back.
 
 mod device;
 mod readback;
@@ -9,10 +10,10 @@ pub use readback::{read_buffer, read_r32f, read_rgba16f, texture_bytes};
 
 use crate::{Error, Result};
 
-/// Runs GPU work and turns what wgpu reports about it (validation, memory) into an error of ours.
+/// Runs GPU work and converts errors reported by wgpu (validation, memory) to ours.
 ///
 /// # Errors
-/// The first thing that wgpu reports, or the work's own.
+/// The first error reported by wgpu, or the work's own.
 pub fn checked<T>(device: &wgpu::Device, work: impl FnOnce() -> Result<T>) -> Result<T> {
     let memory = device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
     let validation = device.push_error_scope(wgpu::ErrorFilter::Validation);
@@ -34,7 +35,7 @@ pub fn wait(device: &wgpu::Device) -> Result<()> {
     Ok(())
 }
 
-/// Waits until one submission, and all before it, are done; later ones may still be under way.
+/// Waits until one submission, and all before it, are done; later ones may still be running.
 ///
 /// # Errors
 /// A lost device.

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 /// Rows of a texture copy are padded to this many bytes.
 const ROW_ALIGNMENT: u32 = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT;
 
-/// Maps a buffer and hands its content over.
+/// Maps a buffer and passes its content on.
 fn mapped<T>(device: &wgpu::Device, buffer: &wgpu::Buffer, use_bytes: impl FnOnce(&[u8]) -> Result<T>) -> Result<T> {
     let (send, receive) = std::sync::mpsc::channel();
     buffer.map_async(wgpu::MapMode::Read, .., move |result| {
@@ -34,7 +34,7 @@ pub fn read_buffer(device: &wgpu::Device, buffer: &wgpu::Buffer) -> Result<Vec<u
     mapped(device, buffer, |bytes| Ok(bytes.to_vec()))
 }
 
-/// An Rgba16Float texture as rows of pixels, through a buffer of [`texture_bytes`] that can be mapped for reading.
+/// An Rgba16Float texture as rows of pixels, through a mappable buffer of [`texture_bytes`].
 ///
 /// # Errors
 /// A lost device.
@@ -53,7 +53,7 @@ pub fn read_rgba16f(device: &wgpu::Device, queue: &wgpu::Queue, texture: &wgpu::
     Ok(pixels)
 }
 
-/// An R32Float texture as rows of pixels, through a buffer as of [`read_rgba16f`].
+/// An R32Float texture as rows of pixels, through a buffer as for [`read_rgba16f`].
 ///
 /// # Errors
 /// A lost device.
@@ -71,7 +71,7 @@ fn row_bytes(texture: &wgpu::Texture) -> u32 {
     (texture.width() * texture.format().block_copy_size(None).unwrap_or(16)).next_multiple_of(ROW_ALIGNMENT)
 }
 
-/// Bytes of a copy of a 2D texture in a buffer, whose rows are padded.
+/// Bytes of a 2D texture copied to a buffer, with padded rows.
 pub fn texture_bytes(texture: &wgpu::Texture) -> u64 {
     u64::from(row_bytes(texture)) * u64::from(texture.height())
 }

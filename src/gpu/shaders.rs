@@ -1,23 +1,24 @@
-//! The table of shaders: which pieces of WGSL make which program. Pieces are joined as text; WGSL needs no order of declaration.
+//! The table of shaders: the pieces of WGSL that make up each program. Pieces are joined as text;
+//! WGSL requires no order of declaration.
 
 /// A program of one or two entry points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Program {
-    /// Rays, by fragments.
+    /// Ray casting by fragments.
     Raycast,
-    /// Rays, by invocations of a compute shader.
+    /// Ray casting by compute invocations.
     RaycastCompute,
     /// Slices.
     Slice,
     /// The second pass of a projection by slices.
     Resolve,
-    /// The mask of pixels that slices have made opaque.
+    /// The mask of pixels made opaque by slices.
     Opaque,
-    /// Surfaces under slices.
+    /// Surfaces behind slices.
     SurfacesBehind,
     /// Shared functions at given points, for tests.
     Probe,
-    /// A stack at given points, to compose it.
+    /// A stack at given points, for composing it.
     Compose,
     /// A formula at the grid points of a map.
     Sample,
@@ -25,7 +26,7 @@ pub enum Program {
     Encode,
     /// Bounds on boxes of a map's texels.
     Bounds,
-    /// Empty space.
+    /// Empty-space classification.
     Classify,
     /// One surface, by rays through its field.
     Surface,
@@ -56,7 +57,7 @@ const NODE: &str = piece!("types/bounds.wgsl");
 const MARCH: &str = piece!("lib/march.wgsl");
 const COMPOSITE: &str = piece!("lib/composite.wgsl");
 
-/// What programs of surfaces share besides.
+/// Additional pieces shared by the surface programs.
 const SURFACES: [&str; 4] = [piece!("types/surface.wgsl"), piece!("lib/implicit.wgsl"), piece!("lib/formula.wgsl"), piece!("lib/surface.wgsl")];
 
 impl Program {
@@ -78,7 +79,7 @@ impl Program {
         Self::Mesh,
     ];
 
-    /// The program's whole text, `constants` first; `counting` keeps the sample counts.
+    /// The program's whole text, `constants` first; `counting` includes the sample counts.
     pub fn source(self, constants: &str, counting: bool) -> String {
         let count = if counting { piece!("lib/count.wgsl") } else { piece!("lib/count_disabled.wgsl") };
         let own: &[&str] = match self {
@@ -101,7 +102,7 @@ impl Program {
             Self::Surface | Self::Mesh => &SURFACES,
             _ => &[],
         };
-        // What makes maps reads no scene.
+        // Programs that make maps read no scene.
         let shared: &[&str] = if matches!(self, Self::Sample | Self::Encode | Self::Bounds) { &[] } else { &SHARED };
         std::iter::once(constants).chain(shared.iter().chain(of_surfaces).chain(own).copied()).collect::<Vec<_>>().join("\n")
     }

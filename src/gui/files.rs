@@ -393,7 +393,7 @@ impl Workstation {
                 if let Dialog::Locate { missing, scene, path: file, name, .. } = *dialog {
                     let mut scene = *scene;
                     scene.relocate(&missing, path);
-                    // At its new place the scene has never been saved.
+                    // With the relocated file the scene counts as never saved.
                     let recovered = Recovered { file: PathBuf::new(), original: file.clone(), saved: None };
                     self.start_loading(ctx, scene, file, name, false, Some(recovered));
                 }

@@ -14,7 +14,8 @@ pub struct Projector {
 }
 
 impl Projector {
-    /// Picture coordinates in -1..1 (v upwards) of a world point and its depth, mm; none behind the eye.
+    /// Picture coordinates in -1..1 (v upwards) of a world point and its depth, mm; none behind the
+    /// eye.
     pub fn uv(&self, world: Vec3) -> Option<(f32, f32, f32)> {
         let d = world - self.frame.eye;
         let depth = d.dot(self.frame.forward);
@@ -113,7 +114,7 @@ mod tests {
         }
     }
 
-    /// Two points a millimetre apart across the view have the stated distance on the screen.
+    /// Two points 10 mm apart across the view have the screen distance that the scale gives.
     #[test]
     fn the_scale_is_that_of_the_screen() {
         for p in projectors() {

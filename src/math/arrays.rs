@@ -1,8 +1,8 @@
-//! Arrays of the points of a grid: shape (k, j, i) in standard layout, so that i is fastest.
+//! Arrays over the points of a grid: shape (k, j, i) in standard layout, with i fastest.
 
 use ndarray::{Array3, ArrayBase, Data, Dimension};
 
-/// The values of an array, one after another.
+/// The values of an array as a flat slice.
 ///
 /// # Panics
 /// If it is not in standard layout; every array of a grid is.
@@ -15,7 +15,7 @@ pub fn flat<S: Data, D: Dimension>(array: &ArrayBase<S, D>) -> &[S::Elem] {
 /// An array of a size along i, j, k from its values, i fastest.
 ///
 /// # Panics
-/// If there are not as many values as points.
+/// If the number of values differs from the number of points.
 #[allow(clippy::expect_used, reason = "the caller has counted the values")]
 pub fn shaped<T>([i, j, k]: [usize; 3], values: Vec<T>) -> Array3<T> {
     Array3::from_shape_vec((k, j, i), values).expect("there is one value for each point")

@@ -13,7 +13,7 @@ pub struct Bounds {
 }
 
 impl Bounds {
-    /// The box that holds nothing.
+    /// The empty box.
     pub const EMPTY: Self = Self { min: Vec3::INFINITY, max: Vec3::NEG_INFINITY };
     /// The unit cube, map space's domain.
     pub const UNIT: Self = Self { min: Vec3::ZERO, max: Vec3::ONE };
@@ -54,7 +54,7 @@ impl Bounds {
         Self { min: self.min.min(other.min), max: self.max.max(other.max) }
     }
 
-    /// What both share (possibly empty).
+    /// The overlap of both (possibly empty).
     pub fn intersection(&self, other: &Self) -> Self {
         Self { min: self.min.max(other.min), max: self.max.min(other.max) }
     }
@@ -64,12 +64,13 @@ impl Bounds {
         Self { min: self.min - margin, max: self.max + margin }
     }
 
-    /// Whether `other` lies wholly inside.
+    /// Whether `other` lies entirely inside.
     pub fn contains(&self, other: &Self) -> bool {
         self.min.cmple(other.min).all() && self.max.cmpge(other.max).all()
     }
 
-    /// The box around the image of this box under an affine transform (Arvo 1990: centre and absolute extents).
+    /// The box around the image of this box under an affine transform (Arvo 1990: centre and
+    /// absolute extents).
     pub fn transformed(&self, transform: &Affine3A) -> Self {
         let center = transform.transform_point3a(Vec3A::from(self.center()));
         let half = Vec3A::from(self.size() * 0.5);
@@ -78,7 +79,7 @@ impl Bounds {
         Self { min: (center - extent).into(), max: (center + extent).into() }
     }
 
-    /// The parameters at which `origin + t * direction` enters and leaves, if it meets the box.
+    /// The parameters at which `origin + t * direction` enters and leaves the box, if it meets it.
     ///
     /// `direction` may have zero components.
     #[inline(always)]
@@ -89,7 +90,8 @@ impl Bounds {
         let inverse = direction.recip();
         let a = (self.min - origin) * inverse;
         let b = (self.max - origin) * inverse;
-        // 0 * inf is NaN for a ray that lies in a face's plane; min and max drop it, and such a ray misses or grazes.
+        // 0 * inf is NaN for a ray in a face's plane; min and max drop it, and such a ray misses or
+        // grazes.
         let (mut near, mut far) = (f32::NEG_INFINITY, f32::INFINITY);
         for axis in 0..3 {
             near = near.max(a[axis].min(b[axis]));
@@ -98,8 +100,8 @@ impl Bounds {
         (near <= far).then_some((near, far))
     }
 
-    /// Where eight rays enter and leave the box, by 1/d for the rays `origin + t d`; they miss it where they leave before they enter, as they do a box that
-    /// is empty.
+    /// Where eight rays `origin + t d` enter and leave the box, from 1/d. A ray misses if it leaves
+    /// before it enters; every ray misses an empty box.
     #[inline(always)]
     pub fn intersect_rays<S: Simd>(&self, simd: S, origin: Vec3x8<S>, inverse: Vec3x8<S>) -> (f32x8<S>, f32x8<S>) {
         let (least, most) = (f32x8::splat(simd, f32::NEG_INFINITY), f32x8::splat(simd, f32::INFINITY));
@@ -118,7 +120,7 @@ impl Bounds {
 #[inline(always)]
 fn between<S: Simd>(simd: S, [low, high]: [f32; 2], origin: f32x8<S>, inverse: f32x8<S>) -> (f32x8<S>, f32x8<S>) {
     let (a, b) = ((f32x8::splat(simd, low) - origin) * inverse, (f32x8::splat(simd, high) - origin) * inverse);
-    // Minima and maxima that drop what is no number.
+    // Minima and maxima that drop NaN.
     (a.min_precise(b), a.max_precise(b))
 }
 
@@ -131,7 +133,7 @@ mod tests {
         let unit = Bounds::UNIT;
         assert_eq!(unit.intersect_ray(Vec3::new(-1.0, 0.5, 0.5), Vec3::X), Some((1.0, 2.0)));
         assert_eq!(unit.intersect_ray(Vec3::new(-1.0, 1.5, 0.5), Vec3::X), None);
-        // A scene that shows nothing once kept a ray busy for ever.
+        // A scene that shows nothing made a ray loop forever.
         assert_eq!(Bounds::EMPTY.intersect_ray(Vec3::ZERO, Vec3::X), None);
     }
 

@@ -1,33 +1,35 @@
-//! Trilinear interpolation of texels of four numbers, at eight points at once.
+//! Trilinear interpolation of texels with four components, at eight points at once.
 //!
-//! *Theory*: two neighbouring texels of a row fill one register. A cell is four such rows, mixed along the second and third axis as they are
-//! loaded and along the first at the end, all four numbers together; only then are the eight points' results turned into lanes. Gathering
-//! corner by corner would take as many loads for one number as this takes for four.
+//! *Theory*: two neighbouring texels of a row fill one register. A cell is four such rows. They are
+//! interpolated along the second and third axis as they are loaded and along the first at the end,
+//! all four components together; only then are the results of the eight points transposed into
+//! lanes. Gathering corner by corner would take as many loads for one component as this takes for
+//! four.
 
 use super::lanes::*;
 use glam::{Vec3, Vec4};
 
-/// Cells that eight points lie in.
+/// The cells that contain eight points.
 #[derive(Clone, Copy)]
 pub struct Cells<S: Simd> {
     /// Flat index of each cell's lowest corner.
     pub base: [usize; LANES],
-    /// Where in the cell.
+    /// Position within the cell.
     pub f: Vec3x8<S>,
 }
 
-/// Cells along an axis and where in them, `margin` cells away from the ends.
+/// Cells along an axis and positions within them, at least `margin` cells away from the ends.
 #[inline(always)]
 fn along<S: Simd>(x: f32x8<S>, points: usize, margin: i32) -> (i32x8<S>, f32x8<S>) {
     let x = x.max(0.0).min((points - 1) as f32);
-    // x is not negative: truncation is floor. A coordinate that is no number must not leave the grid either.
+    // x is not negative: truncation equals floor. A NaN coordinate must not leave the grid either.
     let cell = x.to_int::<i32x8<S>>().max(margin).min(points as i32 - 2 - margin);
     (cell, x - cell.to_float::<f32x8<S>>())
 }
 
 impl<S: Simd> Cells<S> {
-    /// The cells of points of a grid of at least 2 + 2 `margin` points along every axis, kept `margin` cells away from its faces; points beyond the
-    /// outermost are moved onto them.
+    /// The cells of points of a grid of at least 2 + 2 `margin` points along every axis, at least
+    /// `margin` cells away from its faces; points outside the grid are clamped to it.
     #[inline(always)]
     pub fn of(p: Vec3x8<S>, [nx, ny, nz]: [usize; 3], margin: i32) -> Self {
         let ((i, x), (j, y), (k, z)) = (along(p.x, nx, margin), along(p.y, ny, margin), along(p.z, nz, margin));
@@ -35,7 +37,7 @@ impl<S: Simd> Cells<S> {
     }
 }
 
-/// From a point of a grid to the next one along its second and along its third axis, in points.
+/// Steps from a point of a grid to the next one along its second and third axis, in points.
 #[derive(Clone, Copy, Debug)]
 pub struct Strides {
     /// Along the second axis.
@@ -45,26 +47,31 @@ pub struct Strides {
 }
 
 impl Strides {
-    /// More points than a slice of any grid has.
+    /// Larger than the number of points in a slice of any grid.
     const MAX_POINTS_PER_SLICE: usize = usize::MAX >> 4;
 
-    /// Those of a grid of at least two points along every axis, x fastest. Masked, which changes nothing, and one as the other and more, so that the compiler
-    /// knows that sums of them do not overflow and which are the larger: one check of a cell's length then covers all of its rows.
+    /// The strides of a grid of at least two points along every axis, x fastest. The mask changes
+    /// nothing, and one stride is computed as the sum of the other and the rest, so that the
+    /// compiler knows that their sums do not overflow and which one is larger: one bounds check of
+    /// a cell then covers all its rows.
     #[inline(always)]
     pub fn of([nx, ny, _]: [usize; 3]) -> Self {
         let up = nx & Self::MAX_POINTS_PER_SLICE;
         Self { up, on: up + ((nx * (ny - 1)) & Self::MAX_POINTS_PER_SLICE) }
     }
 
-    /// The points of a grid around a cell, from the one before its lowest corner along every axis to the one behind its highest.
+    /// The points of a grid around a cell, from the one before its lowest corner along every axis
+    /// to the one after its highest.
     #[inline(always)]
     pub fn around<T>(self, points: &[T], base: usize) -> &[T] {
         let Self { up, on } = self;
         &points[base.saturating_sub(on + up + 1)..][..3 * on + 2 * up + 3]
     }
 
-    /// Where rows begin in [`Self::around`]: the four of the cell, from the point before it; along the second axis those below and above the near face,
-    /// and the far face, from the cell on; along the third axis the low and the high one in front of the cell, and behind it, from the cell on.
+    /// Starts of the rows in [`Self::around`]: the four rows of the cell, from the point before it;
+    /// along the second axis those below and above the near face, and the far face, from the cell
+    /// on; along the third axis the low and the high one in front of the cell, and behind it, from
+    /// the cell on.
     #[inline(always)]
     pub fn rows_around(self) -> [[usize; 4]; 3] {
         let Self { up, on } = self;
@@ -75,7 +82,7 @@ impl Strides {
         ]
     }
 
-    /// The points of a grid that hold a cell, from its lowest corner to its highest.
+    /// The points of a grid that span a cell, from its lowest corner to its highest.
     #[inline(always)]
     pub fn cell<T>(self, points: &[T], base: usize) -> &[T] {
         &points[base..][..self.on + self.up + 2]
@@ -105,7 +112,8 @@ pub fn mix<S: Simd>(a: f32x8<S>, b: f32x8<S>, t: f32x8<S>) -> f32x8<S> {
     (b - a).mul_add(t, a)
 }
 
-/// The mix of the rows of a cell (near low, near high, far low, far high) in the order of [`mix_texels`]: the second axis, the third, the first.
+/// Interpolates the rows of a cell (near low, near high, far low, far high) in the order of
+/// [`mix_texels`]: the second axis, the third, the first.
 #[inline(always)]
 pub fn mix_rows<S: Simd>([a, b, c, d]: [[f32x8<S>; 2]; 4], f: Vec3x8<S>) -> f32x8<S> {
     let low = mix(mix(a[0], b[0], f.y), mix(c[0], d[0], f.y), f.z);
@@ -116,7 +124,7 @@ pub fn mix_rows<S: Simd>([a, b, c, d]: [[f32x8<S>; 2]; 4], f: Vec3x8<S>) -> f32x
 /// Four numbers at eight points.
 pub type Vec4x8<S> = [f32x8<S>; 4];
 
-/// Texels of four numbers.
+/// Texels of four components.
 pub trait Texel: Copy {
     /// Two texels as numbers.
     fn pair<S: Simd>(simd: S, texels: [Self; 2]) -> f32x8<S>;
@@ -124,7 +132,7 @@ pub trait Texel: Copy {
     /// A texel and the next one as numbers.
     #[inline(always)]
     fn pair_at<S: Simd>(simd: S, texels: &[Self], at: usize) -> f32x8<S> {
-        // One check, and one load of both.
+        // One bounds check, and one load for both.
         let pair = &texels[at..at + 2];
         Self::pair(simd, [pair[0], pair[1]])
     }
@@ -134,7 +142,7 @@ impl Texel for [i16; 4] {
     #[inline(always)]
     fn pair<S: Simd>(simd: S, [[a, b, c, d], [e, f, g, h]]: [Self; 2]) -> f32x8<S> {
         let eight = i16x8::load_array(simd, [a, b, c, d, e, f, g, h]);
-        // Sixteen are widened at once: half of them by one instruction, eight by three.
+        // Widening sixteen and taking half costs one instruction; widening eight costs three.
         simd.widen_i16x16(simd.combine_i16x8(eight, eight)).0.to_float()
     }
 }
@@ -153,7 +161,7 @@ impl Texel for Vec4 {
     }
 }
 
-/// The four numbers in eight cells of a grid of texels, x fastest.
+/// The four components in eight cells of a grid of texels, x fastest.
 #[inline(always)]
 #[allow(clippy::needless_range_loop, reason = "lanes have numbers")]
 pub fn mix_texels<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3], cells: &Cells<S>) -> Vec4x8<S> {
@@ -171,7 +179,8 @@ pub fn mix_texels<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3], ce
     columns(simd, &mixed)
 }
 
-/// As [`mix_texels`] from texels that are mixed along the second and third axis already ([`across`]), at eight points along the first.
+/// As [`mix_texels`], from texels already interpolated along the second and third axis
+/// ([`across`]), at eight points along the first.
 #[inline(always)]
 #[allow(clippy::needless_range_loop, reason = "lanes have numbers")]
 pub fn mix_line<S: Simd>(simd: S, line: &[Vec4], x: f32x8<S>) -> Vec4x8<S> {
@@ -184,8 +193,8 @@ pub fn mix_line<S: Simd>(simd: S, line: &[Vec4], x: f32x8<S>) -> Vec4x8<S> {
     columns(simd, &mixed)
 }
 
-/// The texels of a line along the first axis of a grid, x fastest, at coordinates along the other two: what [`mix_texels`] mixes along the first at the
-/// end, to the bit.
+/// The texels of a line along the first axis of a grid, x fastest, at coordinates along the other
+/// two: the values that [`mix_texels`] interpolates along the first axis at the end, bit for bit.
 pub fn across(texels: &[Vec4], [nx, ny, nz]: [usize; 3], y: f32, z: f32) -> Vec<Vec4> {
     let cell = |x: f32, points: usize| {
         let x = x.max(0.0).min((points - 1) as f32);
@@ -200,7 +209,7 @@ pub fn across(texels: &[Vec4], [nx, ny, nz]: [usize; 3], y: f32, z: f32) -> Vec<
     line
 }
 
-/// Four rows of texels, the weights of the second and the fourth and of the last two, and their mix.
+/// Four rows of texels, their weights along y and z, and the interpolated row.
 struct Across<'a> {
     rows: [&'a [Vec4]; 4],
     y: f32,
@@ -224,7 +233,8 @@ impl SimdKernel for Across<'_> {
     }
 }
 
-/// The first three of [`mix_texels`]'s numbers as vectors, and their derivatives along the three axes, per cell.
+/// The first three components of [`mix_texels`] as vectors, and their derivatives along the three
+/// axes, per cell.
 #[inline(always)]
 pub fn mix_with_slopes<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3], cells: &Cells<S>) -> (Vec3x8<S>, [Vec3x8<S>; 3]) {
     let strides = Strides::of(size);
@@ -252,8 +262,8 @@ pub fn mix_with_slopes<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3
     (vectors(simd, &value), [vectors(simd, &dx), vectors(simd, &dy), vectors(simd, &dz)])
 }
 
-/// [`mix_texels`], and the central differences f(+1) - f(-1) along the three axes: those at the cells' corners, interpolated as the values are. All
-/// cells must have a texel to every side.
+/// [`mix_texels`], and the central differences f(+1) - f(-1) along the three axes: those at the
+/// cells' corners, interpolated as the values are. Every cell must have a texel on every side.
 #[inline(always)]
 pub fn mix_with_differences<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3], cells: &Cells<S>) -> [Vec4x8<S>; 4] {
     let strides = Strides::of(size);
@@ -293,7 +303,7 @@ pub fn mix_with_differences<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usi
     [columns(simd, &value), columns(simd, &dx), columns(simd, &dy), columns(simd, &dz)]
 }
 
-/// The mix of one cell, of whose corners two each fill a register.
+/// Interpolates one cell, whose corners fill registers in pairs.
 #[inline(always)]
 fn mix_cell<S: Simd>(simd: S, [a, b, c, d]: [f32x8<S>; 4], x: f32x4<S>, y: f32x8<S>, z: f32x8<S>) -> [f32; 4] {
     let (low, high) = simd.split_f32x8(mix(mix(a, b, y), mix(c, d, y), z));

@@ -1,15 +1,17 @@
-//! Exact Euclidean distance on an anisotropic grid (Felzenszwalb and Huttenlocher 2012, "Distance Transforms of Sampled Functions":
-//! along each axis in turn, the lower envelope of parabolas), and connected parts of a mask.
+//! Exact Euclidean distance on an anisotropic grid (Felzenszwalb and Huttenlocher 2012, "Distance
+//! Transforms of Sampled Functions": along each axis in turn, the lower envelope of parabolas), and
+//! connected parts of a mask.
 
 use super::arrays::{flat, shaped, size};
 use ndarray::{Array3, Axis, Zip};
 use rayon::prelude::*;
 
-/// Squared distance from every grid point to the nearest cell (the box of one spacing around a point) of `set`, in the unit of `spacing` along
-/// i, j, k; 0 for the points of the set, infinite if it is empty.
+/// Squared distance from every grid point to the nearest cell (the box of one spacing around a
+/// point) of `set`, in the unit of `spacing` along i, j, k; 0 for the points of the set, infinite
+/// if the set is empty.
 ///
-/// A cell is the set of three parabolas per axis, at its point and at its two faces: the distance to a box is the sum of squares of the
-/// distances to its three intervals, so the axes still separate.
+/// A cell is three parabolas per axis, at its point and at its two faces: the squared distance to a
+/// box is the sum of the squared distances to its three intervals, hence the axes still separate.
 pub fn squared_distance(set: &Array3<bool>, spacing: [f32; 3]) -> Array3<f32> {
     let mut d = set.mapv(|inside| if inside { 0.0 } else { f32::INFINITY });
     for (axis, spacing) in [2, 1, 0].into_iter().zip(spacing) {
@@ -27,9 +29,9 @@ pub fn squared_distance(set: &Array3<bool>, spacing: [f32; 3]) -> Array3<f32> {
 /// Scratch space for one line.
 #[derive(Default)]
 struct Envelope {
-    /// Grid points whose parabolas make the envelope.
+    /// Grid points whose parabolas form the envelope.
     at: Vec<usize>,
-    /// Where each begins to be the lowest.
+    /// Where each one becomes the lowest.
     from: Vec<f32>,
     input: Vec<f32>,
 }
@@ -39,7 +41,7 @@ impl Envelope {
         self.at.clear();
         self.from.clear();
         self.input.clear();
-        // Points at odd places, the faces between them at even ones.
+        // Points at odd indices, the faces between them at even ones.
         for n in 0..=2 * line.len() {
             let value = if n % 2 == 1 {
                 line[n / 2]
@@ -119,7 +121,7 @@ pub fn connected(mask: &Array3<bool>, seeds: impl IntoIterator<Item = [usize; 3]
     shaped(size, reached)
 }
 
-/// The largest connected part of a mask, by one pass that numbers all parts.
+/// The largest connected part of a mask, by one pass that labels all parts.
 pub fn largest_part(mask: &Array3<bool>) -> Array3<bool> {
     let size = size(mask);
     let mask = flat(mask);

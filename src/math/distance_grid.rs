@@ -1,4 +1,5 @@
-//! A signed distance on a grid of points, as renderers and deformations sample it: millimetres, positive inside ([`crate::model`], "Surfaces").
+//! A signed distance on a grid of points, as sampled by renderers and deformations: millimetres,
+//! positive inside ([`crate::model`], "Surfaces").
 
 use super::arrays::{flat, size};
 use super::trilinear;
@@ -25,8 +26,9 @@ impl DistanceGrid {
         Self { size: size(&distance_mm), distance_mm, world_from_grid, grid_from_world: world_from_grid.inverse() }
     }
 
-    /// Signed distance at a world point, mm. Beyond the grid the nearest point of the grid and the distance from it bound it: the grid is convex, so
-    /// nothing in it is nearer than the hypotenuse of the two.
+    /// Signed distance at a world point, mm. Outside the grid it is bounded by the value at the
+    /// nearest grid point and the distance from it: the grid is convex, hence nothing in it is
+    /// nearer than the hypotenuse of the two.
     pub fn sample(&self, world: Vec3) -> f32 {
         let p = self.grid_from_world.transform_point3(world);
         let top = Vec3::from(self.size.map(|n| (n - 1) as f32));
@@ -36,21 +38,23 @@ impl DistanceGrid {
         if beyond > 0.0 { if f < 0.0 { -f.hypot(beyond) } else { f - beyond } } else { f }
     }
 
-    /// Gradient at a world point by central differences over `step_mm`: about a unit vector into the region.
+    /// Gradient at a world point by central differences over `step_mm`: approximately a unit vector
+    /// into the region.
     pub fn gradient(&self, world: Vec3, step_mm: f32) -> Vec3 {
         let d = |e: Vec3| (self.sample(world + e * step_mm) - self.sample(world - e * step_mm)) / (2.0 * step_mm);
         Vec3::new(d(Vec3::X), d(Vec3::Y), d(Vec3::Z))
     }
 
-    /// Ends the solid at the faces of the grid: what a scan cuts off is closed there.
+    /// Closes the solid at the faces of the grid, where the scan cuts it off.
     pub fn closed_at_faces(mut self) -> Self {
         let per_mm = Mat3::from(self.grid_from_world.matrix3).transpose();
-        // Distance between two planes of points, mm: an axis of an oblique grid leans.
+        // Distance between two planes of points, mm: the axes of an oblique grid are not
+        // perpendicular.
         let between = [per_mm.x_axis, per_mm.y_axis, per_mm.z_axis].map(|row| row.length().recip());
         let size = self.size;
         for ((k, j, i), d) in self.distance_mm.indexed_iter_mut() {
             let at = [i, j, k];
-            // A slice or two have no inside between their faces.
+            // One or two slices have no interior between their faces.
             let to_face = (0..3).filter(|a| size[*a] > 2).map(|a| at[a].min(size[a] - 1 - at[a]) as f32 * between[a]).fold(f32::INFINITY, f32::min);
             *d = d.min(to_face);
         }

@@ -1,13 +1,18 @@
-//! Eight numbers at once: vectors whose components are SIMD registers, and the functions that registers lack: powers and logarithms.
+//! SIMD lanes of eight: vectors whose components are SIMD registers, and functions that registers
+//! lack: powers and logarithms.
 //!
-//! *Theory*: neighbouring rays do the same to different numbers. `Vec3x8` holds the x of eight points in one register, their y in a second and
-//! their z in a third, so that what is written for one point is done for eight. Points and vectors are transformed by the operations
-//! of scalar code, to the bit. Interpolation and polynomials use fused multiply-add (`mul_add`) where the machine has it: they differ from
-//! scalar code, and machines that fuse from those that do not, in the last bit.
+//! *Theory*: neighbouring rays apply the same operations to different numbers. `Vec3x8` holds the x
+//! of eight points in one register, their y in a second and their z in a third; code written for
+//! one point works on eight. Points and vectors are transformed by the same operations as in scalar
+//! code, bit for bit. Interpolation and polynomials use fused multiply-add (`mul_add`) where the
+//! machine has it: their last bit differs from scalar code, and between machines with and without
+//! it.
 //!
-//! *How to call it*: [`with_simd`] runs a function compiled for the best registers that the machine has (AVX2, else the target's least).
-//! Everything below it must be `#[inline(always)]`, closures included, and registers must not pass through functions that are not (`map` of an
-//! array): else it is compiled for the least, and every operation becomes a call, which is many times slower.
+//! *How to call it*: [`with_simd`] runs a function compiled for the best registers of the machine
+//! (AVX2, else the target's baseline). Everything it calls must be `#[inline(always)]`, closures
+//! included, and registers must not pass through functions that are not (`map` of an array):
+//! otherwise that code is compiled for the baseline, and every operation becomes a call, which is
+//! many times slower.
 
 pub use fearless_simd::prelude::{Bytes, ExtractToken, Select, Simd, SimdBase, SimdFloat, SimdInt, SimdMask};
 pub use fearless_simd::{f32x4, f32x8, i16x8, i32x4, i32x8, mask32x8};
@@ -19,19 +24,19 @@ use std::ops::{Add, Mul, Neg, Sub};
 /// Lanes of a register.
 pub const LANES: usize = 8;
 
-/// A function over any registers.
+/// A function generic over registers.
 pub trait SimdKernel {
-    /// What it gives.
+    /// Its result.
     type Output;
-    /// Runs it; to be `#[inline(always)]`.
+    /// Runs it; must be `#[inline(always)]`.
     fn run<S: Simd>(self, simd: S) -> Self::Output;
 }
 
 /// Runs a function on the best registers of this machine.
 pub fn with_simd<F: SimdKernel>(f: F) -> F::Output {
     let level = Level::new();
-    // Two kinds of machine, not the six that `dispatch!` knows: each is a copy of the renderer for each type of voxel. AVX-512 is
-    // slower than AVX2 for vectors of eight.
+    // Two levels, not the six that `dispatch!` knows: each is a copy of the renderer for each voxel
+    // type. AVX-512 is slower than AVX2 for vectors of eight.
     #[cfg(target_arch = "x86_64")]
     if let Some(simd) = level.as_avx2() {
         return simd.vectorize(
@@ -51,7 +56,7 @@ pub fn with_simd<F: SimdKernel>(f: F) -> F::Output {
     fearless_simd::dispatch!(level, simd => f.run(simd))
 }
 
-/// The lanes that a bit mask names.
+/// The lanes set in a bit mask.
 #[inline(always)]
 pub fn lanes_of(bits: u64) -> LaneIndices {
     LaneIndices(bits)
@@ -143,7 +148,7 @@ impl<S: Simd> Vec3x8<S> {
         Self { x: usable.select(self.x, zero), y: usable.select(self.y, zero), z: usable.select(self.z, zero) } * factor
     }
 
-    /// Where a mask holds, the first, else the second.
+    /// The first where the mask is set, else the second.
     #[inline(always)]
     pub fn select(mask: mask32x8<S>, yes: Self, no: Self) -> Self {
         Self { x: mask.select(yes.x, no.x), y: mask.select(yes.y, no.y), z: mask.select(yes.z, no.z) }
@@ -204,7 +209,7 @@ impl<S: Simd> Neg for Vec3x8<S> {
     }
 }
 
-/// 2^x to 2e-7 of itself, for x from -126 to 126; beyond, the value at the end.
+/// 2^x with a relative error of 2e-7, for x from -126 to 126; clamped outside.
 #[inline(always)]
 pub fn exp2<S: Simd>(x: f32x8<S>) -> f32x8<S> {
     let x = x.max(-126.0).min(126.0);
@@ -219,11 +224,12 @@ pub fn exp2<S: Simd>(x: f32x8<S>) -> f32x8<S> {
     p * exponent.bitcast::<f32x8<S>>()
 }
 
-/// log2 of positive normal numbers, to 2e-7 of itself or, beside 1, of the distance from 1.
+/// log2 of positive normal numbers, with a relative error of 2e-7; near 1, relative to the distance
+/// from 1.
 #[inline(always)]
 pub fn log2<S: Simd>(x: f32x8<S>) -> f32x8<S> {
     let bits = x.bitcast::<i32x8<S>>();
-    // Mantissas from the root of 1/2 to the root of 2.
+    // Mantissas from √(1/2) to √2.
     let exponent = (bits - 0x3f35_04f3) >> 23;
     let m = (bits - (exponent << 23)).bitcast::<f32x8<S>>();
     let z = (m - 1.0) / (m + 1.0);
@@ -251,7 +257,7 @@ pub fn powi<S: Simd>(x: f32x8<S>, n: u32) -> f32x8<S> {
     power
 }
 
-/// Which numbers lie between two, both of them included.
+/// Which numbers lie between two bounds, inclusive.
 #[inline(always)]
 pub fn within<S: Simd>(x: f32x8<S>, low: f32, high: f32) -> mask32x8<S> {
     x.simd_ge(low) & x.simd_le(high)

@@ -1,15 +1,15 @@
 //! Blinn-Phong under one directional light (Blinn 1977), for one sample and for eight at once.
 //!
-//! `shaders/lib/light.wgsl` says the same.
+//! `shaders/lib/light.wgsl` computes the same.
 
 use super::lanes::*;
 
-/// Strengths of a light.
+/// Coefficients of a light.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BlinnPhong {
-    /// Light from everywhere.
+    /// Ambient weight.
     pub ambient: f32,
-    /// Share of the directional light.
+    /// Diffuse weight of the directional light.
     pub diffuse: f32,
     /// Strength of the highlight.
     pub specular: f32,
@@ -17,12 +17,13 @@ pub struct BlinnPhong {
     pub shininess: f32,
 }
 
-/// The numbers that light is computed in: one, or eight.
+/// The number types of the lighting code: one number, or eight.
 pub trait LightNumber: Copy {
-    /// `self · factor + summand` where `self` is positive, else the summand.
+    /// `self · factor + summand` where `self` is positive, else `summand`.
     fn positive_times_plus(self, factor: f32, summand: f32) -> Self;
 
-    /// `strength · cosine ^ exponent` where the light shines on the surface (`facing` is positive) and the cosine is, else 0.
+    /// `strength · cosine ^ exponent` where the surface faces the light (`facing` is positive) and
+    /// the cosine is positive, else 0.
     fn highlight(facing: Self, cosine: Self, strength: f32, exponent: f32) -> Self;
 }
 
@@ -62,15 +63,15 @@ impl<S: Simd> LightNumber for f32x8<S> {
     }
 }
 
-/// The exponent of a highlight as a whole number, if it is one.
+/// The exponent of a highlight as an integer, if it is one.
 #[inline(always)]
 fn whole(exponent: f32) -> Option<u32> {
     (exponent.fract() == 0.0 && (0.0..=1024.0).contains(&exponent)).then_some(exponent as u32)
 }
 
 impl BlinnPhong {
-    /// The factor on a surface's colour, and the highlight that is added to it. `facing` is the cosine of normal and light, `cosine` that of normal
-    /// and half vector.
+    /// The factor on a surface's colour, and the highlight added to it. `facing` is the cosine
+    /// between the normal and the light, `cosine` that between the normal and the half vector.
     #[inline(always)]
     pub fn shine<N: LightNumber>(&self, facing: N, cosine: N) -> (N, N) {
         (facing.positive_times_plus(self.diffuse, self.ambient), N::highlight(facing, cosine, self.specular, self.shininess))

@@ -1,4 +1,4 @@
-//! Boxes, interpolation, min/max pyramids, distance transforms, light, and SIMD lanes: what the rest computes with.
+//! Boxes, interpolation, min/max pyramids, distance transforms, light, and SIMD lanes.
 
 pub mod arrays;
 pub mod bounds;
@@ -20,7 +20,7 @@ pub use redistance::redistance;
 
 use glam::{Affine3A, DAffine3, Vec3};
 
-/// The single-precision copy of a transform, as renderers use it.
+/// The single-precision copy of a transform, as used by renderers.
 pub fn to_f32(transform: &DAffine3) -> Affine3A {
     Affine3A::from_mat3_translation(transform.matrix3.as_mat3(), transform.translation.as_vec3())
 }

@@ -1,7 +1,9 @@
-//! A min/max pyramid over a grid of `C` channels: bounds on any trilinear sample taken inside a box of grid indices.
+//! A min/max pyramid over a grid of `C` channels: bounds on any trilinear sample taken inside a box
+//! of grid indices.
 //!
-//! A trilinear sample lies between the values it mixes, so the minimum and maximum over the touched grid points bound it. Level 0
-//! has one node per `2^shift` grid cells and covers the grid points on both ends of those cells; each level above halves the last.
+//! A trilinear sample lies between the values it interpolates, hence the minimum and maximum over
+//! those grid points bound it. Level 0 has one node per `2^shift` grid cells and covers the grid
+//! points on both ends of those cells; each level above halves the one below.
 
 /// Bounds of the values inside boxes of a grid.
 pub struct MinMaxPyramid<const C: usize> {
@@ -17,26 +19,26 @@ struct PyramidLevel<const C: usize> {
     nodes: Vec<ChannelRange<C>>,
 }
 
-/// Lowest and highest value per channel.
+/// Smallest and largest value per channel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ChannelRange<const C: usize> {
-    /// Lowest.
+    /// Smallest.
     pub min: [f32; C],
-    /// Highest.
+    /// Largest.
     pub max: [f32; C],
 }
 
 impl<const C: usize> ChannelRange<C> {
-    /// The range of no value.
+    /// The empty range.
     pub const EMPTY: Self = Self { min: [f32::INFINITY; C], max: [f32::NEG_INFINITY; C] };
 
-    /// Widens to hold `value`.
+    /// Widens to include `value`.
     #[inline(always)]
     pub fn insert(&mut self, value: [f32; C]) {
         self.merge(&Self { min: value, max: value });
     }
 
-    /// Widens to hold another range.
+    /// Widens to include another range.
     #[inline(always)]
     pub fn merge(&mut self, other: &Self) {
         for c in 0..C {
@@ -47,7 +49,8 @@ impl<const C: usize> ChannelRange<C> {
 }
 
 impl<const C: usize> MinMaxPyramid<C> {
-    /// Builds the pyramid of a grid of `size` points by their values `value(i, j, k)`; `2^shift` cells per finest node.
+    /// Builds the pyramid of a grid of `size` points from their values `value(i, j, k)`, with
+    /// `2^shift` cells per finest node.
     pub fn new(size: [usize; 3], shift: u32, value: impl Fn(usize, usize, usize) -> [f32; C] + Sync) -> Self {
         Self::from_runs(size, shift, |first, last, j, k| {
             let mut range = ChannelRange::EMPTY;
@@ -56,7 +59,8 @@ impl<const C: usize> MinMaxPyramid<C> {
         })
     }
 
-    /// As [`Self::new`], by the ranges of runs along the first axis: `run(first, last, j, k)`, both ends in it.
+    /// As [`Self::new`], from the ranges of runs along the first axis: `run(first, last, j, k)`,
+    /// both ends included.
     pub fn from_runs(size: [usize; 3], shift: u32, run: impl Fn(usize, usize, usize, usize) -> ChannelRange<C> + Sync) -> Self {
         use rayon::prelude::*;
         let edge = 1usize << shift;
@@ -97,19 +101,19 @@ impl<const C: usize> MinMaxPyramid<C> {
         Self { size, shift, levels }
     }
 
-    /// Bounds on every trilinear sample with grid coordinates inside `[low, high]`; coordinates outside the grid are clamped to it,
-    /// as samples are.
+    /// Bounds on every trilinear sample with grid coordinates inside `[low, high]`; coordinates
+    /// outside the grid are clamped to it, as samples are.
     pub fn query(&self, low: glam::Vec3, high: glam::Vec3) -> ChannelRange<C> {
         let mut first = [0usize; 3];
         let mut last = [0usize; 3];
         for axis in 0..3 {
             let top = self.size[axis].saturating_sub(2) as f32;
-            // A sample at x mixes floor(x) and floor(x) + 1: cell floor(x).
+            // A sample at x interpolates floor(x) and floor(x) + 1: cell floor(x).
             first[axis] = low[axis].floor().clamp(0.0, top) as usize >> self.shift;
             last[axis] = high[axis].floor().clamp(0.0, top) as usize >> self.shift;
         }
         let widest = (0..3).map(|a| last[a] - first[a]).max().unwrap_or(0);
-        // A level at which at most three nodes per axis are touched.
+        // The level at which at most three nodes per axis are touched.
         let mut level = 0usize;
         while (widest >> level) > 1 && level + 1 < self.levels.len() {
             level += 1;
@@ -131,7 +135,8 @@ impl<const C: usize> MinMaxPyramid<C> {
         (self.size, self.shift)
     }
 
-    /// Nodes along each axis and the nodes themselves, x fastest, of each level, the finest first.
+    /// For each level, the finest first: nodes along each axis, and the nodes themselves, x
+    /// fastest.
     pub fn levels(&self) -> impl Iterator<Item = ([usize; 3], &[ChannelRange<C>])> {
         self.levels.iter().map(|l| (l.size, &*l.nodes))
     }
@@ -149,7 +154,8 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// Every grid point that a sample in the box can touch is inside the reported range, which is not the whole range throughout.
+        /// Every grid point that a sample in the box can touch is inside the reported range, which
+        /// is not always the whole range.
         #[test]
         fn bounds_hold(nx in 1usize..20, ny in 1usize..20, nz in 1usize..20, shift in 0u32..3,
                        a in prop::array::uniform3(-2.0f32..22.0), extent in prop::array::uniform3(0.0f32..9.0)) {

@@ -1,11 +1,13 @@
-//! Signed distances made anew: what was combined, carried along or stretched keeps its sign but is a distance no more.
+//! Restores signed distances: combined, advected or stretched distances keep their sign but are not
+//! distances.
 //!
-//! Points beside a change of sign take their distance from where it lies on the grid's edges. From there the eikonal equation |∇u| = 1 is
-//! solved outwards by sweeps along the eight diagonals (Zhao 2005, "A fast sweeping method for Eikonal equations"), in the box that
-//! they can reach.
+//! Points next to a sign change take their distance from its position on the grid's edges. From
+//! there the eikonal equation |∇u| = 1 is solved outwards by sweeps along the eight diagonals (Zhao
+//! 2005, "A fast sweeping method for Eikonal equations"), in the box that they can reach.
 
-/// Replaces values at the points of a grid (x fastest) by signed distances to where they change sign, in the unit of `spacing` and no further than
-/// `far`. Zero counts as positive; where no change of sign is within reach the values become ±`far`.
+/// Replaces values at the points of a grid (x fastest) by signed distances to their sign change, in
+/// the unit of `spacing` and limited to `far`. Zero counts as positive; where no sign change is
+/// within reach the values become ±`far`.
 pub fn redistance(values: &mut [f32], size: [usize; 3], spacing: [f32; 3], far: f32) {
     assert!(values.len() == size.iter().product::<usize>(), "value count and size disagree");
     let stride = [1, size[0], size[0] * size[1]];
@@ -65,17 +67,18 @@ pub fn redistance(values: &mut [f32], size: [usize; 3], spacing: [f32; 3], far: 
     }
 }
 
-/// Where the sign changes on the way to a neighbour, as a share of the way; infinite if it does not.
+/// Position of the sign change on the edge to a neighbour, as a fraction of the edge; infinite if
+/// there is none.
 fn crossing(own: f32, other: f32) -> f32 {
     if (own < 0.0) == (other < 0.0) { f32::INFINITY } else { own.abs() / (own.abs() + other.abs()) }
 }
 
-/// u with |∇u| = 1 from the lower neighbour along each axis, by Godunov's upwind scheme: the sum of ((u - value) / h)² over the axes on which u is
-/// above the neighbour's value is 1.
+/// u with |∇u| = 1 from the lower neighbour along each axis, by Godunov's upwind scheme: the sum of
+/// ((u - value) / h)², over the axes on which u is above the neighbour's value, is 1.
 fn solved(nearer: [f32; 3], spacing: [f32; 3]) -> f32 {
     let mut sides: [(f32, f32); 3] = std::array::from_fn(|a| (nearer[a], spacing[a]));
     sides.sort_by(|a, b| a.0.total_cmp(&b.0));
-    // Counted from the lowest, so that squares keep their digits.
+    // Relative to the lowest, so that squares keep their precision.
     let base = sides[0].0;
     let (mut a, mut b, mut c) = (0.0, 0.0, -1.0);
     let mut u = f32::INFINITY;
@@ -126,7 +129,8 @@ mod tests {
         for (p, v) in renewed(|p| distance(p) * (2.0 + (0.3 * p.x).sin())) {
             let want = distance(p).clamp(-FAR, FAR);
             assert!(v == 0.0 || (v < 0.0) == (want < 0.0), "{v} for {want} at {p}");
-            // A scheme of first order errs by h ln(ρ/R) at ρ from the centre of a sphere of radius R: 0.7 within reach, and a little where it begins.
+            // A first-order scheme errs by h ln(ρ/R) at ρ from the centre of a sphere of radius R:
+            // 0.7 within reach, plus a little at the start.
             assert!((v - want).abs() < 0.8, "{v} for {want} at {p}");
         }
     }

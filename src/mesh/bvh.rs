@@ -1,65 +1,68 @@
-//! A tree of boxes over the triangles of a mesh: the nearest point, rays, and the generalised winding number.
+//! A bounding volume hierarchy over the triangles of a mesh: nearest points, rays, and the
+//! generalised winding number.
 //!
-//! *Theory*: the winding number of a point is the sum of the triangles' solid angles over 4π (Jacobson et al. 2013). Far from a group of
-//! triangles the sum is that of a dipole and its first derivative at the group's middle (Barill et al. 2018, equations 13 and 14); "far" is
-//! [`FAR`] times the group's radius.
+//! *Theory*: the winding number of a point is the sum of the triangles' solid angles over 4π
+//! (Jacobson et al. 2013). Far from a group of triangles the sum is that of a dipole and its first
+//! derivative at the group's centre (Barill et al. 2018, equations 13 and 14); "far" is [`FAR`]
+//! times the group's radius.
 
 use super::Mesh;
 use crate::math::Bounds;
 use glam::{Mat3, Vec3};
 
-/// Triangles of a leaf, at most.
+/// Maximum number of triangles in a leaf.
 const LEAF: usize = 4;
-/// Distance from which a group's winding is approximated, in its radii.
+/// Distance beyond which a group's winding number is approximated, in its radii.
 const FAR: f32 = 2.3;
-/// Triangles reach this far beyond their edges, in their own coordinates, for a ray that looks for the first: one through an edge meets one of
-/// its two at least.
+/// Margin of triangles beyond their edges, in barycentric coordinates, for first-hit rays: a ray
+/// through an edge hits at least one of its two triangles.
 const SLACK: f32 = 1e-6;
 /// Deepest path: a median split halves its triangles.
 const STACK: usize = 64;
 
 struct BvhNode {
     bounds: Bounds,
-    /// First triangle of a leaf, or the second child (the first follows its parent).
+    /// Index of the first triangle of a leaf, or of the second child (the first one follows its
+    /// parent).
     start: u32,
-    /// Triangles of a leaf; 0 in an inner node.
+    /// Number of triangles in a leaf; 0 in an inner node.
     count: u32,
     dipole: Dipole,
 }
 
-/// A group of triangles from afar.
+/// The far-field approximation of a group of triangles.
 #[derive(Clone, Copy)]
 struct Dipole {
-    /// Middle by area.
+    /// Area-weighted centre.
     middle: Vec3,
-    /// Largest distance of a corner from it.
+    /// Largest distance of a corner from the centre.
     radius: f32,
     /// Sum of area times normal.
     area: Vec3,
-    /// Sum of area times (centroid - middle) ⊗ normal.
+    /// Sum of area times (centroid - centre) ⊗ normal.
     moment: Mat3,
 }
 
-/// Triangles by place.
+/// Triangles sorted by position.
 pub struct TriangleBvh {
     nodes: Vec<BvhNode>,
     corners: Vec<[Vec3; 3]>,
-    /// Index in the mesh of each.
+    /// Index of each triangle in the mesh.
     index: Vec<u32>,
 }
 
 /// The nearest point of a mesh.
 #[derive(Clone, Copy, Debug)]
 pub struct Nearest {
-    /// Distance squared.
+    /// Squared distance.
     pub squared: f32,
     /// The point.
     pub point: Vec3,
-    /// Its triangle in the tree's own order; for [`TriangleBvh::nearest_from`].
+    /// Its triangle, by its index in the tree; for [`TriangleBvh::nearest_from`].
     pub slot: u32,
 }
 
-/// Where a ray meets a mesh.
+/// A ray's hit on a mesh.
 #[derive(Clone, Copy, Debug)]
 pub struct MeshHit {
     /// Parameter along the ray.
@@ -68,12 +71,12 @@ pub struct MeshHit {
     pub triangle: u32,
     /// Weights of its second and third corner.
     pub barycentric: [f32; 2],
-    /// The ray comes from the side that the triangle faces.
+    /// Whether the ray comes from the side that the triangle faces.
     pub front: bool,
 }
 
 impl TriangleBvh {
-    /// Sorts the triangles of a mesh.
+    /// Builds the hierarchy of a mesh.
     pub fn new(mesh: &Mesh) -> Self {
         let mut order: Vec<(Vec3, u32)> = (0..mesh.triangles.len()).map(|t| (mesh.corners(t).iter().sum::<Vec3>() / 3.0, t as u32)).collect();
         let mut tree = Self { nodes: Vec::with_capacity(2 * order.len() / LEAF + 1), corners: Vec::new(), index: Vec::new() };
@@ -113,7 +116,7 @@ impl TriangleBvh {
         self.search(p, Nearest { squared: reach * reach, point: p, slot: u32::MAX })
     }
 
-    /// As [`Self::nearest`], knowing what was nearest to a point close by.
+    /// As [`Self::nearest`], starting from the nearest triangle of a neighbouring point.
     pub fn nearest_from(&self, p: Vec3, guess: u32) -> Option<Nearest> {
         let point = nearest_on_triangle(p, &self.corners[guess as usize]);
         self.search(p, Nearest { squared: p.distance_squared(point), point, slot: guess })
@@ -155,7 +158,7 @@ impl TriangleBvh {
             }
             let (a, b) = (n + 1, node.start);
             let (da, db) = (away(a), away(b));
-            // The nearer child is looked at first: it lies on top.
+            // The nearer child is visited first: it is on top of the stack.
             let [far, near] = if da < db { [(b, db), (a, da)] } else { [(a, da), (b, db)] };
             if far.1 < best.squared {
                 stack[height] = far;
@@ -169,7 +172,8 @@ impl TriangleBvh {
         (best.slot != u32::MAX).then_some(best)
     }
 
-    /// The winding number of a point: 1 inside a closed mesh that faces outwards, 0 outside, between them where there are holes.
+    /// The winding number of a point: 1 inside a closed mesh that faces outwards, 0 outside, in
+    /// between where there are holes.
     pub fn winding(&self, p: Vec3) -> f32 {
         let mut stack = [0u32; STACK];
         let mut height = usize::from(!self.nodes.is_empty());
@@ -196,7 +200,7 @@ impl TriangleBvh {
         sum / (4.0 * std::f32::consts::PI)
     }
 
-    /// The first triangle along a ray between two parameters that `accept` takes.
+    /// The first triangle along a ray, between two parameters, that `accept` accepts.
     pub fn ray(&self, origin: Vec3, direction: Vec3, near: f32, far: f32, accept: impl Fn(&MeshHit) -> bool) -> Option<MeshHit> {
         let mut best: Option<MeshHit> = None;
         self.all_along(origin, direction, near, far, SLACK, |hit, limit| {
@@ -208,7 +212,7 @@ impl TriangleBvh {
         best
     }
 
-    /// Every triangle along a ray between two parameters, in no order.
+    /// All triangles along a ray between two parameters, unordered.
     pub fn crossings(&self, origin: Vec3, direction: Vec3, near: f32, far: f32) -> Vec<MeshHit> {
         let mut all = Vec::new();
         self.all_along(origin, direction, near, far, 0.0, |hit, _| all.push(hit));
@@ -216,7 +220,7 @@ impl TriangleBvh {
     }
 
     fn all_along(&self, origin: Vec3, direction: Vec3, near: f32, mut far: f32, slack: f32, mut found: impl FnMut(MeshHit, &mut f32)) {
-        // Finite: infinity times the zero of a ray in a box's face would be no number.
+        // Finite: infinity times the zero of a ray in a box's face would be NaN.
         let inverse = direction.recip().clamp(Vec3::splat(-1e30), Vec3::splat(1e30));
         let enters = |n: u32, far: f32| {
             let b = &self.nodes[n as usize].bounds;
@@ -285,7 +289,7 @@ impl Dipole {
         Self { middle, radius, area, moment }
     }
 
-    /// Σ of the group's solid angles; `away` from the point to the middle.
+    /// Σ of the group's solid angles; `away` leads from the point to the centre.
     #[inline(always)]
     fn solid_angle(&self, away: Vec3, squared: f32) -> f32 {
         let inverse = squared.sqrt().recip();
@@ -296,7 +300,8 @@ impl Dipole {
     }
 }
 
-/// Solid angle of a triangle (van Oosterom and Strackee 1983), positive where it turns its back.
+/// Solid angle of a triangle (van Oosterom and Strackee 1983), positive where its back faces the
+/// point.
 fn solid_angle(p: Vec3, corners: &[Vec3; 3]) -> f32 {
     let [a, b, c] = corners.map(|v| v - p);
     let (la, lb, lc) = (a.length(), b.length(), c.length());
@@ -338,7 +343,8 @@ pub fn nearest_on_triangle(p: Vec3, &[a, b, c]: &[Vec3; 3]) -> Vec3 {
     a + ab * (vb * inverse) + ac * (vc * inverse)
 }
 
-/// Parameter, weights of the second and third corner, and side, where a ray meets a triangle (Möller and Trumbore 1997).
+/// Parameter, weights of the second and third corner, and side, where a ray meets a triangle
+/// (Möller and Trumbore 1997).
 #[inline(always)]
 fn meet(origin: Vec3, direction: Vec3, &[a, b, c]: &[Vec3; 3], slack: f32) -> Option<(f32, f32, f32, bool)> {
     let (ab, ac) = (b - a, c - a);
@@ -386,7 +392,7 @@ mod tests {
             prop_assert!(hit == first || (hit - first).abs() < 1e-4);
         }
 
-        /// The nearest point of a triangle is no farther than any other of its points.
+        /// The nearest point of a triangle is no farther away than any other of its points.
         #[test]
         fn nearest_points_are_nearest(v in prop::array::uniform9(-2.0f32..2.0), p in prop::array::uniform3(-3.0f32..3.0), w in prop::array::uniform2(0.0f32..1.0)) {
             let corner = |n: usize| Vec3::new(v[n], v[n + 1], v[n + 2]);

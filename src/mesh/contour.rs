@@ -1,14 +1,17 @@
-//! Where planes cut a closed mesh: the contours, filled (\[RVD01\] section 2.4).
+//! Filled contours: the sections of a closed mesh by planes (\[RVD01\] section 2.4).
 //!
-//! *Method*: a triangle that a plane crosses has exactly two crossed edges (a vertex on the plane counts as above it), so the crossings of a
-//! closed mesh link up into closed loops by the identity of their edges, without comparing coordinates. The loops of one plane, any
-//! number of them, concave and nested, are filled together by the sweep-line tessellator of lyon with the even-odd rule: what lies
-//! inside an outer contour and outside an inner one. The paper's tessellator (OpenGL's utility library) made trapezoids by the same rule.
-//! A stencil buffer would need no contours, but two passes over the mesh for every slice and an attachment that the slices' own target
-//! does not have; contours are made once per view and their triangles are vertices like those of any slice.
+//! *Method*: a triangle that a plane crosses has exactly two crossed edges (a vertex on the plane
+//! counts as above it). The crossings of a closed mesh therefore link up into closed loops by the
+//! identity of their edges, without comparing coordinates. The loops of one plane, any number of
+//! them, concave and nested, are filled together by lyon's sweep-line tessellator with the even-odd
+//! rule: the area inside an outer contour and outside an inner one. The paper's tessellator
+//! (OpenGL's utility library) makes trapezoids by the same rule. A stencil buffer would need no
+//! contours, but two passes over the mesh for every slice and an attachment that the slices' target
+//! does not have. Contours are made once per view, and their triangles are vertices like those of
+//! any slice.
 //!
-//! Instead of an active edge list, triangles are sorted into the planes that they cross before any is cut: planes are then independent, and
-//! are cut on all cores.
+//! Instead of using an active edge list, triangles are first sorted into the planes that they
+//! cross: the planes are then independent and processed on all cores.
 
 use super::Mesh;
 use glam::{Vec2, Vec3};
@@ -18,7 +21,7 @@ use lyon_tessellation::{BuffersBuilder, FillOptions, FillRule, FillTessellator, 
 use rayon::prelude::*;
 use std::collections::HashMap;
 
-/// The crossing of the edge between two vertices, by their numbers.
+/// The crossing of the edge between two vertices, by their indices.
 type EdgeKey = (u32, u32);
 
 /// A family of parallel planes: p · normal = offset.
@@ -31,7 +34,7 @@ pub struct Planes {
 }
 
 impl Planes {
-    /// The planes across a direction.
+    /// The planes perpendicular to a direction.
     pub fn across(normal: Vec3) -> Self {
         let (u, v) = normal.any_orthonormal_pair();
         Self { normal, across: [u, v] }
@@ -42,10 +45,11 @@ impl Planes {
     }
 }
 
-/// Triangles that fill the mesh's sections by planes at the given offsets (rising), plane by plane.
+/// Triangles that fill the mesh's sections by planes at the given increasing offsets, plane by
+/// plane.
 pub fn sections(mesh: &Mesh, planes: &Planes, offsets: &[f32]) -> Vec<Vec<[Vec3; 3]>> {
     let height: Vec<f32> = mesh.positions.iter().map(|p| p.dot(planes.normal)).collect();
-    // Which triangles each plane crosses.
+    // The triangles crossed by each plane.
     let mut crossed: Vec<Vec<u32>> = vec![Vec::new(); offsets.len()];
     for (t, triangle) in mesh.triangles.iter().enumerate() {
         let h = triangle.map(|v| height[v as usize]);
@@ -67,14 +71,15 @@ pub fn sections(mesh: &Mesh, planes: &Planes, offsets: &[f32]) -> Vec<Vec<[Vec3;
         .collect()
 }
 
-/// The closed loops in which a plane cuts some triangles.
+/// The closed loops of a plane's section through some triangles.
 fn loops(mesh: &Mesh, height: &[f32], offset: f32, triangles: &[u32]) -> Vec<Vec<Vec3>> {
     let above = |v: u32| height[v as usize] >= offset;
     let place = |(a, b): EdgeKey| {
         let (ha, hb) = (height[a as usize], height[b as usize]);
         mesh.positions[a as usize].lerp(mesh.positions[b as usize], ((offset - ha) / (hb - ha)).clamp(0.0, 1.0))
     };
-    // From the edge where the contour enters a triangle to that where it leaves it: one turn about the mesh's inside.
+    // From the edge where the contour enters a triangle to the one where it leaves: a consistent
+    // direction around the mesh's inside.
     let mut next: HashMap<EdgeKey, Vec<EdgeKey>> = HashMap::with_capacity(triangles.len());
     for &t in triangles {
         let v = mesh.triangles[t as usize];
@@ -118,7 +123,7 @@ fn fill(loops: &[Vec<Vec2>]) -> Vec<[Vec2; 3]> {
     for p in loops.iter().flatten() {
         (low, high) = (low.min(*p), high.max(*p));
     }
-    // lyon works in fixed point of its own: about a unit of a thousand steps everything fits.
+    // lyon uses its own fixed-point format: everything fits at a scale of a thousand units.
     let scale = 1000.0 / (high - low).max_element().max(f32::MIN_POSITIVE);
     let mut path = Path::builder();
     for l in loops {
@@ -150,7 +155,8 @@ mod tests {
         triangles.iter().map(|[a, b, c]| (*b - *a).cross(*c - *a).length() / 2.0).sum()
     }
 
-    /// Concave, with a hole: a torus lying and standing. Several contours in a plane, nested: a ball in a ball in a ball.
+    /// Concave, with a hole: a torus lying and standing. Several nested contours in a plane: a ball
+    /// in a ball in a ball.
     #[test]
     fn sections_have_the_area_of_the_closed_form() {
         let torus = shapes::torus(10.0, 3.0, 96);

@@ -1,54 +1,62 @@
-//! Forward deformers of meshes: functions that move vertices, with their Jacobians in closed form (\[GG42\]).
+//! Forward deformers of meshes: functions that move vertices, with their Jacobians in closed form
+//! (\[GG42\]).
 //!
-//! *Theory*: a deformer f moves a vertex p to f(p). A normal goes by the inverse transpose of J = df/dp, or as the cross product of J t and J
-//! b for a tangent t and binormal b; both are the same direction (J t × J b = det J · J⁻ᵀ (t × b)). The third way deforms two points
-//! beside the vertex; it needs no Jacobian and has the error of a difference.
+//! *Theory*: a deformer f moves a vertex p to f(p). A normal is transformed by the inverse
+//! transpose of J = df/dp, or as the cross product of J t and J b for a tangent t and binormal b;
+//! both give the same direction (J t × J b = det J · J⁻ᵀ (t × b)). The third method deforms two
+//! points near the vertex; it needs no Jacobian and has the error of a finite difference.
 //!
-//! *What we changed against the chapter*: every deformer acts in a box of its own, with millimetres and degrees, between two heights beyond
-//! which it goes on rigidly, as modelling programs have it; they are applied one after the other. On the GPU they run in the vertex
-//! shader (`shaders/lib/deformer.wgsl`, the same functions), so a changed parameter costs a few uniforms.
+//! *What we changed against the chapter*: every deformer acts in its own box, in millimetres and
+//! degrees, between two heights beyond which it continues rigidly, as in modelling programs;
+//! deformers are applied one after the other. On the GPU they run in the vertex shader
+//! (`shaders/lib/deformer.wgsl`, the same functions), where changing a parameter only updates a few
+//! uniforms.
 //!
-//! Local coordinates: millimetres from the box's centre along its axes; z is the axis of a twist, bend, taper or bulge.
+//! Local coordinates: millimetres from the box's centre along its axes; z is the axis of a twist,
+//! bend, taper or bulge.
 
 use crate::math::normalize_or;
 use glam::{Affine3A, Mat3, Vec3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// The most deformers of one mesh.
+/// Maximum number of deformers of one mesh.
 pub const MAX_DEFORMERS: usize = 4;
-/// Control points of a lattice along each axis, at most.
+/// Maximum number of control points of a lattice along each axis.
 pub const LATTICE: usize = 4;
-/// Points beside the vertex lie this share of the box's size away.
+/// Distance of the neighbouring points from the vertex, as a fraction of the box's size.
 const NUMERIC_STEP: f32 = 1e-3;
 
-/// What a deformer does.
+/// The kind of a deformer.
 #[derive(Clone, Debug, PartialEq)]
 pub enum DeformerKind {
-    /// Turns about z by this many radians per mm of height.
+    /// Rotates about z by this many radians per mm of height.
     Twist(f32),
-    /// Bends the z axis towards x, by this many radians per mm (Barr 1984, with the centre line kept).
+    /// Bends the z axis towards x by this many radians per mm (Barr 1984, with the length of the
+    /// centre line preserved).
     Bend(f32),
     /// Scales x and y by 1 at the lower height and this at the upper one.
     Taper(f32),
-    /// Moves x by this share of z.
+    /// Moves x by this fraction of z.
     Shear(f32),
     /// Scales x and y by 1 + amount · exp(-(z/width)²).
     Bulge(f32, f32),
-    /// Moves z by amplitude · sin(frequency · √(x² + y²) + phase): the chapter's wave, frequency in radians per mm.
+    /// Moves z by amplitude · sin(frequency · √(x² + y²) + phase): the chapter's wave, frequency in
+    /// radians per mm.
     Wave(f32, f32, f32),
-    /// Free-form deformation (Sederberg and Parry 1986): offsets of the control points of a box, mm, x fastest, [`LATTICE`] along each axis.
+    /// Free-form deformation (Sederberg and Parry 1986): offsets of the control points of a box,
+    /// mm, x fastest, [`LATTICE`] along each axis.
     Lattice(Box<[Vec3; LATTICE * LATTICE * LATTICE]>),
 }
 
-/// A deformer in its place.
+/// A deformer with its placement.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Deformer {
-    /// What it does.
+    /// Its kind.
     pub deform: DeformerKind,
     /// World to local; rigid.
     pub local_from_world: Affine3A,
-    /// Half the box, mm: heights end at half.z, and a lattice spans all of it.
+    /// Half the box, mm: heights end at half.z, and a lattice spans the whole box.
     pub half: Vec3,
 }
 
@@ -72,11 +80,11 @@ fn bernstein(t: f32) -> ([f32; 4], [f32; 4]) {
 }
 
 impl Deformer {
-    /// Where a point of local space goes, and the Jacobian there.
+    /// The deformed position of a point in local space, and the Jacobian there.
     pub fn local(&self, p: Vec3) -> (Vec3, Mat3) {
         let top = self.half.z;
         let h = p.z.clamp(-top, top);
-        // Whether the height still counts: its derivative.
+        // Derivative of the clamped height.
         let dh = if p.z.abs() <= top { 1.0 } else { 0.0 };
         match &self.deform {
             DeformerKind::Twist(rate) => {
@@ -91,7 +99,8 @@ impl Deformer {
                 }
                 let (s, c) = (rate * h).sin_cos();
                 let beyond = p.z - h;
-                // The centre line is an arc of radius 1/rate about (1/rate, 0); beyond the ends it goes on straight.
+                // The centre line is an arc of radius 1/rate about (1/rate, 0); beyond the ends it
+                // continues straight.
                 let r = 1.0 / rate - p.x;
                 let q = Vec3::new(1.0 / rate - r * c + beyond * s, p.y, r * s + beyond * c);
                 let along = Vec3::new(r * rate * s * dh + s * (1.0 - dh), 0.0, r * rate * c * dh + c * (1.0 - dh));
@@ -132,17 +141,17 @@ impl Deformer {
         }
     }
 
-    /// Where a world point goes, and the Jacobian there.
+    /// The deformed position of a world point, and the Jacobian there.
     pub fn apply(&self, world: Vec3) -> (Vec3, Mat3) {
         let (q, j) = self.local(self.local_from_world.transform_point3(world));
         let linear = Mat3::from(self.local_from_world.matrix3);
-        // Rigid: the inverse of its linear part is the transpose.
+        // The transform is rigid, hence the inverse of its linear part is its transpose.
         let back = linear.transpose();
         (back * (q - Vec3::from(self.local_from_world.translation)), back * j * linear)
     }
 }
 
-/// Where a chain of deformers takes a world point, and its Jacobian.
+/// The deformed position of a world point under a chain of deformers, and its Jacobian.
 pub fn apply_all(chain: &[Deformer], world: Vec3) -> (Vec3, Mat3) {
     chain.iter().fold((world, Mat3::IDENTITY), |(p, j), d| {
         let (q, own) = d.apply(p);
@@ -150,24 +159,26 @@ pub fn apply_all(chain: &[Deformer], world: Vec3) -> (Vec3, Mat3) {
     })
 }
 
-/// A tangent and binormal of a unit normal (\[GG42\] 42.2.3: the longer of two cross products), with t × b = n.
+/// A tangent and binormal of a unit normal (\[GG42\] 42.2.3: the longer of two cross products),
+/// with t × b = n.
 pub fn tangents(normal: Vec3) -> (Vec3, Vec3) {
     let (a, b) = (normal.cross(Vec3::Z), normal.cross(Vec3::Y));
     let t = normalize_or(if a.length_squared() >= b.length_squared() { a } else { b }, Vec3::X);
     (t, normal.cross(t))
 }
 
-/// How far the points beside a vertex lie from it for [`NormalMethod::Numeric`], mm.
+/// Distance of the neighbouring points from a vertex for [`NormalMethod::Numeric`], mm.
 pub fn vertex_offset_mm(chain: &[Deformer]) -> f32 {
     NUMERIC_STEP * chain.iter().map(|d| d.half.max_element()).fold(f32::INFINITY, f32::min).min(1e6)
 }
 
-/// A vertex and its unit normal under a chain of deformers. Where a deformer folds or flattens space there is no normal: the old one stays.
+/// A vertex and its unit normal under a chain of deformers. Where a deformer folds or flattens
+/// space the normal is undefined and stays unchanged.
 pub fn deform_vertex(chain: &[Deformer], world: Vec3, normal: Vec3, method: NormalMethod) -> (Vec3, Vec3) {
     let (p, j) = apply_all(chain, world);
     let (t, b) = tangents(normal);
     let turned = match method {
-        // The cofactors of J are det J · J⁻ᵀ, which exist without a division.
+        // The cofactors of J are det J · J⁻ᵀ and need no division.
         NormalMethod::InverseTranspose => Mat3::from_cols(j.y_axis.cross(j.z_axis), j.z_axis.cross(j.x_axis), j.x_axis.cross(j.y_axis)) * normal,
         NormalMethod::Tangent => (j * t).cross(j * b),
         NormalMethod::Numeric => {
@@ -183,7 +194,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// The chapter's wave displaces y by the radius in x and z: our z is its y.
+    /// The chapter's wave displaces y by the radius in x and z: z here is its y.
     fn wave() -> Deformer {
         let local_from_world = Affine3A::from_mat3(Mat3::from_cols(Vec3::X, Vec3::Z, Vec3::NEG_Y));
         Deformer { deform: DeformerKind::Wave(1.0, 2.0, 0.0), local_from_world, half: Vec3::splat(10.0) }
@@ -202,7 +213,7 @@ mod tests {
             let (_, n) = deform_vertex(&[wave()], p, Vec3::Y, method);
             assert!((n - want).abs().max_element() < 1e-5, "{method:?}: {n}");
         }
-        // The third way has the error of a difference.
+        // The third method has the error of a finite difference.
         let (_, n) = deform_vertex(&[wave()], p, Vec3::Y, NormalMethod::Numeric);
         assert!((n - want).abs().max_element() < 0.02, "{n}");
     }
@@ -228,7 +239,8 @@ mod tests {
         fn jacobians_are_central_differences(p in prop::array::uniform3(-6.0f32..6.0)) {
             let p = Vec3::from(p) + Vec3::new(-1.0, -2.0, 3.0);
             for d in all() {
-                // A wave has a cone on its axis, and a lattice ends at its faces: there they have no derivative.
+                // A wave has a cone on its axis, and a lattice ends at its faces: neither is
+                // differentiable there.
                 let local = d.local_from_world.transform_point3(p);
                 let on_axis = matches!(d.deform, DeformerKind::Wave(..)) && local.truncate().length() < 0.3;
                 let on_face = matches!(d.deform, DeformerKind::Lattice(_)) && (local.abs() - d.half).abs().min_element() < 0.05;
@@ -244,7 +256,7 @@ mod tests {
             }
         }
 
-        /// Both exact methods give one direction.
+        /// Both exact methods give the same direction.
         #[test]
         fn normal_methods_agree(p in prop::array::uniform3(-8.0f32..8.0), n in prop::array::uniform3(-1.0f32..1.0)) {
             let n = normalize_or(Vec3::from(n), Vec3::X);

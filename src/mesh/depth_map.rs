@@ -1,33 +1,37 @@
-//! Depth maps as implicit solids (\[DS07\] section 6.1): much less memory than a distance field, for solids that can be seen whole.
+//! Depth maps as implicit solids (\[DS07\] section 6.1): much less memory than a distance field,
+//! for solids without hidden concavities.
 //!
-//! A map over one face of the mesh's box holds, for each of its points, how deep below the face the surface lies. With d the depth of a
-//! point and H the map's, f = d - H is positive below the surface. A cube of six maps is f = ρ min |f_i|, ρ = 1 where all six are
-//! positive. (The paper writes f = H - d, which is negative inside by its own convention of sign.) What no face sees, a concavity,
-//! is filled. f is no distance: its slope is unbounded where H jumps, so rays take even steps through it and skip nothing.
+//! A map over one face of the mesh's box holds, for each of its points, the depth of the surface
+//! below the face. With d the depth of a point and H the map's, f = d - H is positive below the
+//! surface. A cube of six maps is f = ρ min |f_i|, ρ = 1 where all six are positive. (The paper
+//! writes f = H - d, which is negative inside by its own sign convention.) A concavity that no face
+//! sees is filled. f is not a distance: its slope is unbounded where H jumps, hence rays take even
+//! steps through it and skip nothing.
 
 use super::TriangleBvh;
 use crate::math::Bounds;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
-/// The faces of a box a map can lie on, in the order of a cube's maps.
+/// The faces of a box on which a map can lie, in the order of a cube's maps.
 pub const FACES: [&str; 6] = ["-x", "+x", "-y", "+y", "-z", "+z"];
 
 /// One map, or the six of a cube.
 #[derive(Clone, Debug)]
 pub struct DepthMaps {
-    /// The box whose faces they lie on, mm.
+    /// The box on whose faces they lie, mm.
     pub bounds: Bounds,
     /// Texels along each edge of a map.
     pub size: usize,
     /// Face of each map, as an index into [`FACES`].
     pub faces: Vec<u32>,
-    /// Depth below the face, mm, map after map, the lower of the other two axes fastest; the box's whole depth where there is nothing.
+    /// Depth below the face, mm, map after map, with the lower of the other two axes fastest; the
+    /// box's whole depth where there is no surface.
     pub depth_mm: Vec<f32>,
 }
 
 impl DepthMaps {
-    /// Looks at a mesh through the texels of the named faces.
+    /// Renders depth maps of a mesh from the given faces.
     pub fn new(tree: &TriangleBvh, bounds: Bounds, size: usize, faces: &[u32]) -> Self {
         let depth_mm = faces
             .iter()
@@ -51,7 +55,7 @@ impl DepthMaps {
         Self { bounds, size, faces: faces.to_vec(), depth_mm }
     }
 
-    /// f of the map number n at a world point.
+    /// f of map number n at a world point.
     fn height(&self, n: usize, world: Vec3) -> f32 {
         let (axis, inward) = axis_of(self.faces[n]);
         let [u, v] = others(axis);
@@ -60,7 +64,7 @@ impl DepthMaps {
         depth - self.fetch(n, Vec2::new(x[u], x[v]))
     }
 
-    /// Depth by bilinear interpolation at a place in 0..1.
+    /// Depth by bilinear interpolation at a position in 0..1.
     fn fetch(&self, n: usize, at: Vec2) -> f32 {
         let top = (self.size - 1) as f32;
         let p = (at * top).clamp(Vec2::ZERO, Vec2::splat(top));
@@ -93,7 +97,7 @@ impl DepthMaps {
     }
 }
 
-/// Axis of a face and the direction in which its map looks.
+/// Axis of a face and the sign of its map's viewing direction.
 fn axis_of(face: u32) -> (usize, f32) {
     (face as usize / 2, if face.is_multiple_of(2) { 1.0 } else { -1.0 })
 }
@@ -116,7 +120,7 @@ mod tests {
         for p in [Vec3::new(3.0, 2.0, 1.0), Vec3::new(0.0, 9.0, 0.0), Vec3::new(-5.0, 5.0, -5.0)] {
             assert!(cube.value(p) > 0.0 && cube.value(p.normalize() * 10.5) < 0.0, "{p}");
         }
-        // Along an axis f is the distance itself.
+        // On an axis f is the distance itself.
         let along = cube.value(Vec3::new(7.0, 0.0, 0.0));
         assert!((along - 3.0).abs() < 0.05, "{along}, by face {:?}", (0..6).map(|n| cube.height(n, Vec3::new(7.0, 0.0, 0.0))).collect::<Vec<_>>());
         let front = DepthMaps::new(&tree, bounds, 129, &[4]);

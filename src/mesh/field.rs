@@ -1,15 +1,19 @@
-//! The signed distance field of a mesh, and of an iso-value of a scan: millimetres, positive inside.
+//! The signed distance field of a mesh, and of an iso-value of a scan: millimetres, positive
+//! inside.
 //!
-//! *Distance*: exact, by a tree of boxes, in a narrow band around the surface (and everywhere if asked); from there the closest points are
-//! passed on from neighbour to neighbour in eight sweeps (Danielsson 1980; Zhao 2005 for the order), each keeping the nearest of what its
-//! neighbours know. The result never lies below the true distance.
+//! *Distance*: exact, by a bounding volume hierarchy, in a narrow band around the surface (and
+//! everywhere if requested). From there the closest points are propagated between neighbours in
+//! eight sweeps (Danielsson 1980; Zhao 2005 for the order), each point taking the nearest of its
+//! neighbours' closest points. The result is never below the true distance.
 //!
-//! *Sign*: the generalised winding number is above 1/2. It is harmonic away from the surface and changes slowly there, so blocks of the
-//! grid that the surface does not reach are decided by few of their points; the others are divided down to single points.
-//! A mesh with contradicting triangles is turned to face one way first ([`Mesh::oriented`]).
+//! *Sign*: inside is where the generalised winding number is above 1/2. It is harmonic away from
+//! the surface and changes slowly there; blocks of the grid that the surface does not reach are
+//! therefore decided by few of their points, and the others are subdivided down to single points. A
+//! mesh with inconsistently oriented triangles is first oriented ([`Mesh::oriented`]).
 //!
-//! *An iso-value*: the volume's own interpolation places the surface on each grid edge that it crosses; those points with the planes
-//! through them seed the same sweeps, and the sign is the value's.
+//! *An iso-value*: the volume's own interpolation locates the surface on each grid edge that it
+//! crosses; those points, with the tangent planes through them, seed the same sweeps. The sign is
+//! that of the value.
 
 use super::{Mesh, Topology, TriangleBvh};
 use crate::Watch;
@@ -20,31 +24,32 @@ use glam::{Affine3A, Mat3, Vec3};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Half the width of the band of exact distances, cells.
+/// Half width of the narrow band of exact distances, cells.
 const BAND: f32 = 2.5;
 /// Cells left free around the mesh on every side.
 pub const MARGIN: f32 = 3.0;
-/// Edge of the blocks that are decided together, points.
+/// Edge of the blocks that are decided as a whole, points.
 const BLOCK: usize = 16;
-/// A winding number this near to 1/2 is not certain.
+/// A winding number this close to 1/2 is not certain.
 const DOUBT: f32 = 0.2;
-/// Times the foot of a point is slid along an interpolated surface.
+/// Number of times that the foot of a point slides along an interpolated surface.
 const SLIDES: usize = 3;
-/// Most points of a field.
+/// Maximum number of points of a field.
 pub const MAX_POINTS: usize = 1 << 29;
 
-/// What is made of a mesh.
+/// The settings of a mesh's field.
 #[derive(Clone, Copy, Debug)]
 pub struct FieldSettings {
-    /// Points along the longest axis; `cell_mm` comes first.
+    /// Points along the longest axis; `cell_mm` takes precedence.
     pub resolution: usize,
     /// Distance between points, mm.
     pub cell_mm: Option<f32>,
-    /// Only this part (\[DS07\] section 3), mm.
+    /// Restricts the field to this region (\[DS07\] section 3), mm.
     pub region: Option<Bounds>,
     /// Exact distances everywhere, not only in the band.
     pub exact: bool,
-    /// Inside is where a line has crossed the mesh an odd number of times: for closed meshes of nested walls.
+    /// Inside is where a line has crossed the mesh an odd number of times: for closed meshes of
+    /// nested walls.
     pub parity: bool,
 }
 
@@ -54,25 +59,25 @@ impl Default for FieldSettings {
     }
 }
 
-/// A field with what was found on the way.
+/// A field and its statistics.
 pub struct MeshField {
     /// The distances.
     pub grid: DistanceGrid,
-    /// How the mesh hangs together, as it was read.
+    /// The connectivity of the mesh as read.
     pub topology: Topology,
-    /// Triangles that were turned to face one way.
+    /// Number of triangles flipped for a consistent orientation.
     pub turned: usize,
-    /// Points whose winding number was taken.
+    /// Number of points at which the winding number was computed.
     pub windings: usize,
-    /// Share of them within a quarter of 1/2: where inside and outside are a matter of opinion.
+    /// Fraction of these within a quarter of 1/2, where inside and outside are ambiguous.
     pub doubtful: f64,
-    /// Share of the grid's points that are inside.
+    /// Fraction of the grid's points that are inside.
     pub inside: f64,
     /// | |∇f| - 1 | in the band: its mean and its 99th percentile.
     pub eikonal: [f64; 2],
 }
 
-/// Distance between the points of a field of a mesh by its resolution, mm.
+/// Distance between the points of a mesh's field at a given resolution, mm.
 pub fn cell_of(bounds: &Bounds, resolution: usize) -> f32 {
     bounds.size().max_element() / (resolution.max(8) as f32 - 1.0 - 2.0 * MARGIN).max(1.0)
 }
@@ -103,7 +108,7 @@ impl FieldLattice {
         if points > MAX_POINTS {
             return Err(format!("a field of {} x {} x {} points is too large; make its cells larger", size[0], size[1], size[2]));
         }
-        // What the rounding added is shared by both sides.
+        // The extent added by rounding is split between both sides.
         let more = Vec3::from(size.map(|n| (n - 1) as f32)) * cell - part.size();
         Ok(Self { size, origin: part.min - more * 0.5, cell })
     }
@@ -125,7 +130,8 @@ impl MeshField {
     /// The signed distance field of a mesh.
     ///
     /// # Errors
-    /// A box without any of the mesh, a grid too large, or that the work was cancelled; in a sentence.
+    /// A box without any part of the mesh, a grid that is too large, or a cancellation; as a
+    /// sentence.
     pub fn new(mesh: &Mesh, settings: &FieldSettings, watch: &Watch) -> Result<Self, String> {
         let topology = mesh.topology();
         let bounds = mesh.bounds();
@@ -139,7 +145,7 @@ impl MeshField {
             (mesh, 0)
         };
         let tree = TriangleBvh::new(mesh);
-        // What a part is nearest to may lie outside of it, where no sweep comes from.
+        // The nearest point of a region may lie outside it, where no sweep originates.
         let exact = settings.exact || settings.region.is_some();
         let (mut distance, mut nearest) = band(&tree, &lattice, exact, watch)?;
         if !exact {
@@ -169,7 +175,7 @@ fn band(tree: &TriangleBvh, lattice: &FieldLattice, exact: bool, watch: &Watch) 
     let reach = BAND * lattice.cell;
     let mut distance = vec![f32::INFINITY; lattice.len()];
     let mut nearest = vec![Vec3::NAN; if exact { 0 } else { lattice.len() }];
-    // Without the points, empty slices stand in for them.
+    // Where no points are needed, empty slices take their place.
     let slab = nx * ny * EDGE;
     let mut points: Vec<&mut [Vec3]> = if exact { (0..nz.div_ceil(EDGE)).map(|_| &mut [][..]).collect() } else { nearest.chunks_mut(slab).collect() };
     let done = AtomicUsize::new(0);
@@ -209,7 +215,7 @@ fn band(tree: &TriangleBvh, lattice: &FieldLattice, exact: bool, watch: &Watch) 
     if watch.is_cancelled() { Err(CANCELLED.into()) } else { Ok((distance, nearest)) }
 }
 
-/// Passes nearest points on to neighbours in the eight orders of three axes.
+/// Propagates nearest points to neighbours in the eight orders of three axes.
 fn sweep(distance: &mut [f32], nearest: &mut [Vec3], size: [usize; 3], origin: Vec3, world_from_index: Mat3) {
     let [nx, ny, nz] = size;
     let (dj, dk) = (nx as isize, (nx * ny) as isize);
@@ -231,7 +237,8 @@ fn sweep(distance: &mut [f32], nearest: &mut [Vec3], size: [usize; 3], origin: V
                             continue;
                         }
                         let m = (n as isize + step) as usize;
-                        // A neighbour that is no nearer to anything than this point knows nothing better.
+                        // A neighbour that is no nearer to the surface than this point has nothing
+                        // better to offer.
                         if distance[m] < distance[n] {
                             let d = here.distance(nearest[m]);
                             if d < distance[n] {
@@ -246,7 +253,8 @@ fn sweep(distance: &mut [f32], nearest: &mut [Vec3], size: [usize; 3], origin: V
     }
 }
 
-/// Gives the distances inside their sign, here positive; says how many winding numbers were taken and how many were doubtful.
+/// Gives the distances, positive on input, their sign; returns how many winding numbers were
+/// computed and how many were ambiguous.
 fn signs(tree: &TriangleBvh, lattice: &FieldLattice, watertight: bool, distance: &mut [f32], watch: &Watch) -> Result<[usize; 2], String> {
     let [nx, ny, _] = lattice.size;
     let done = AtomicUsize::new(0);
@@ -275,12 +283,12 @@ fn signs(tree: &TriangleBvh, lattice: &FieldLattice, watertight: bool, distance:
 fn parity(tree: &TriangleBvh, lattice: &FieldLattice, distance: &mut [f32]) {
     let [nx, ny, _] = lattice.size;
     distance.par_chunks_mut(nx).enumerate().for_each(|(row, values)| {
-        // A little aside: a line through an edge or a vertex meets two triangles there, or none.
+        // Slightly offset: a line through an edge or a vertex meets two triangles there, or none.
         let aside = Vec3::new(-1.0, 0.0103, 0.0171) * lattice.cell;
         let origin = lattice.point(0, row % ny, row / ny) + aside;
         let mut crossings: Vec<(f32, bool)> = tree.crossings(origin, Vec3::X, 0.0, f32::INFINITY).iter().map(|h| (h.t, h.front)).collect();
         crossings.sort_by(|a, b| a.0.total_cmp(&b.0));
-        // Both triangles of an edge, if they were met there, are one wall.
+        // Both triangles of an edge that were hit count as one wall.
         crossings.dedup_by(|b, a| b.1 == a.1 && b.0 - a.0 <= 1e-4 * lattice.cell);
         for (i, d) in values.iter_mut().enumerate() {
             let before = crossings.partition_point(|c| c.0 <= (i + 1) as f32 * lattice.cell);
@@ -310,13 +318,13 @@ impl Signs<'_> {
         w
     }
 
-    /// Decides the points of low..high.
+    /// Decides the signs of the points low..high.
     fn decide(&mut self, slab: &mut [f32], low: [usize; 3], high: [usize; 3]) {
         let edges: [usize; 3] = std::array::from_fn(|a| high[a] - low[a]);
         let middle: [usize; 3] = std::array::from_fn(|a| low[a] + edges[a] / 2);
         let single = edges == [1; 3];
         let away = Vec3::from(std::array::from_fn(|a| (middle[a] - low[a]).max(high[a] - 1 - middle[a]) as f32)).length() * self.lattice.cell;
-        // Swept distances lie a little above the true ones.
+        // Swept distances are slightly above the true ones.
         let free = single || slab[self.at(middle)].abs() * 0.97 - 0.5 * self.lattice.cell > away;
         if free {
             let w = self.winding(middle);
@@ -360,7 +368,8 @@ impl Signs<'_> {
     }
 }
 
-/// Mean and 99th percentile of | |∇f| - 1 | at points in the band whose neighbours are all on their side of the surface.
+/// Mean and 99th percentile of | |∇f| - 1 | at points in the band whose neighbours are all on their
+/// side of the surface.
 fn eikonal(distance: &[f32], lattice: &FieldLattice) -> [f64; 2] {
     let [nx, ny, nz] = lattice.size;
     if nx < 3 || ny < 3 || nz < 3 {
@@ -384,8 +393,9 @@ fn eikonal(distance: &[f32], lattice: &FieldLattice) -> [f64; 2] {
     [mean, f64::from(off[at])]
 }
 
-/// The distance to the surface where a volume has a value, positive where it is higher, on the volume's own grid (every second or fourth
-/// voxel of a very large one). None if there is no such surface.
+/// The distance to the surface where a volume has a given value, positive where it is higher, on
+/// the volume's own grid (on every second or fourth voxel of a very large one). None if there is no
+/// such surface.
 pub fn of_iso_value(volume: &Volume, iso: f64) -> Option<DistanceGrid> {
     let mut stride = 1;
     while volume.size.iter().map(|n| n.div_ceil(stride)).product::<usize>() > MAX_POINTS / 8 {
@@ -413,7 +423,8 @@ pub fn of_iso_value(volume: &Volume, iso: f64) -> Option<DistanceGrid> {
         });
         per_mm * Vec3::from(d)
     };
-    // The nearest crossing of the grid edges at a point: its distance by the plane through it, and the foot on that plane.
+    // The nearest crossing of the grid edges at a point: its distance from the plane through the
+    // crossing, and its foot on that plane.
     let seeds: Vec<(f32, Vec3)> = (0..values.len())
         .into_par_iter()
         .map(|n| {
@@ -433,7 +444,8 @@ pub fn of_iso_value(volume: &Volume, iso: f64) -> Option<DistanceGrid> {
                     let near = *own.get_or_insert_with(|| gradient(n, at));
                     let normal = normalize_or(near + (gradient(m, there) - near) * along, Vec3::ZERO);
                     let foot = here + normal * (crossing - here).dot(normal);
-                    // The plane is a fair picture of the surface about a cell around the crossing, no farther.
+                    // The plane approximates the surface well within about a cell around the
+                    // crossing, no farther.
                     let reach = (crossing - here).length();
                     let foot = if normal == Vec3::ZERO || foot.distance(crossing) > reach { crossing } else { foot };
                     let d = foot.distance(here);
@@ -447,7 +459,8 @@ pub fn of_iso_value(volume: &Volume, iso: f64) -> Option<DistanceGrid> {
         .collect();
     let (mut distance, mut nearest): (Vec<f32>, Vec<Vec3>) = seeds.into_iter().unzip();
     sweep(&mut distance, &mut nearest, size, Vec3::ZERO, linear);
-    // Feet lie a cell apart; near the surface each is slid to the foot of its own point on the interpolated values.
+    // Feet are a cell apart; near the surface each one slides to the foot of its own point on the
+    // interpolated values.
     let (grid_from_linear, reach) = (linear.inverse(), BAND * linear.x_axis.length().max(linear.y_axis.length()).max(linear.z_axis.length()));
     let value_at = |x: Vec3| trilinear(&values, size, grid_from_linear * x);
     let slope_at = |x: Vec3| {
@@ -468,7 +481,7 @@ pub fn of_iso_value(volume: &Volume, iso: f64) -> Option<DistanceGrid> {
             let g = slope_at(x);
             x -= g * (value_at(x) / g.length_squared().max(1e-20));
         }
-        // A slide that went astray is not taken.
+        // A slide that diverged is discarded.
         let found = x.distance(here);
         if found.is_finite() && found < *d * 1.5 + 1e-3 {
             *d = found;
@@ -505,13 +518,13 @@ mod tests {
         for (n, d) in field.distance_mm.iter().enumerate() {
             let v = Vec3::new((n % 50) as f32, (n / 50 % 44) as f32, (n / 2200) as f32);
             let want = 15.0 - field.world_from_grid.transform_point3(v).distance(middle.as_vec3());
-            // The medial point of a ball is nobody's band.
+            // The medial point of a ball is in no band.
             worst = worst.max((d - want).abs());
             if want.abs() < 2.0 {
                 worst_near = worst_near.max((d - want).abs());
             }
         }
-        // What is swept lies above the true distance by less than half a cell.
+        // Swept distances exceed the true distance by less than half a cell.
         assert!(worst_near < 0.05 && worst < 0.45, "{worst_near} near the surface, {worst} at worst");
         assert!(of_iso_value(&volume, 1e9).is_none());
     }

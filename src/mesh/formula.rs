@@ -1,14 +1,16 @@
-//! Solids by formula, and what union, intersection and difference make of them: signed distances, positive inside, mm.
+//! Solids given by formulas, and their union, intersection and difference: signed distances,
+//! positive inside, mm.
 //!
-//! Spheres, boxes, tori and cylinders have exact distances (Quilez, "Distance functions"); a gyroid and the result of combining are
-//! bounds, never above the true distance, which is all that sphere tracing asks.
+//! Spheres, boxes, tori and cylinders have exact distances (Quilez, "Distance functions"). A gyroid
+//! and combinations are lower bounds that never exceed the true distance, which is sufficient for
+//! sphere tracing.
 //!
-//! `shaders/lib/formula.wgsl` says the same.
+//! `shaders/lib/formula.wgsl` computes the same.
 
 use crate::math::Bounds;
 use glam::{Affine3A, Vec2, Vec3};
 
-/// The most solids of one object.
+/// Maximum number of solids of one object.
 pub const MAX_SOLIDS: usize = 16;
 
 /// A solid about its own centre.
@@ -26,26 +28,26 @@ pub enum Solid {
     Gyroid(f32, f32, Vec3),
 }
 
-/// How a solid joins those before it.
+/// How a solid combines with the previous ones.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum CsgOperation {
-    /// Inside either.
+    /// Inside any of them.
     #[default]
     Union,
-    /// Inside both.
+    /// Inside all of them.
     Intersect,
-    /// Inside those before, outside this one.
+    /// Inside the previous ones and outside this one.
     Subtract,
 }
 
-/// A solid in its place.
+/// A solid with its placement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlacedSolid {
     /// The solid.
     pub solid: Solid,
-    /// How it joins.
+    /// How it combines with the previous ones.
     pub join: CsgOperation,
-    /// World to the solid's own millimetres; rigid.
+    /// World to the solid's local millimetres; rigid.
     pub local_from_world: Affine3A,
 }
 
@@ -58,7 +60,7 @@ fn to_box(p: Vec3, half: Vec3) -> f32 {
 }
 
 impl Solid {
-    /// Signed distance at a point of its own space, mm, positive inside.
+    /// Signed distance at a point in local space, mm, positive inside.
     pub fn distance(&self, p: Vec3) -> f32 {
         match *self {
             Self::Sphere(radius) => radius - p.length(),
@@ -77,7 +79,7 @@ impl Solid {
         }
     }
 
-    /// Half the box about it in its own space.
+    /// Half its bounding box in local space.
     pub fn half(&self) -> Vec3 {
         match *self {
             Self::Sphere(r) => Vec3::splat(r),
@@ -87,7 +89,7 @@ impl Solid {
         }
     }
 
-    /// Its smallest feature, mm: what decides how finely it is sampled.
+    /// Its smallest feature, mm, which determines the sampling.
     pub fn feature(&self) -> f32 {
         match *self {
             Self::Torus(_, tube) => tube,
@@ -97,7 +99,7 @@ impl Solid {
     }
 }
 
-/// Solids joined in order.
+/// Solids combined in order.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Formula(pub Vec<PlacedSolid>);
 
@@ -116,7 +118,7 @@ impl Formula {
         all
     }
 
-    /// A box that holds it: that of the first solid where nothing is left.
+    /// A bounding box: that of the first solid if nothing is left.
     pub fn bounds(&self) -> Bounds {
         let (mut all, mut first) = (Bounds::EMPTY, None);
         for s in &self.0 {
@@ -149,7 +151,8 @@ mod tests {
     }
 
     proptest! {
-        /// No formula changes faster than a distance, so spheres of that radius are free of surface.
+        /// No formula changes faster than a distance, hence spheres of that radius contain no
+        /// surface.
         #[test]
         fn slopes_are_at_most_one(p in prop::array::uniform3(-15.0f32..15.0), q in prop::array::uniform3(-15.0f32..15.0)) {
             let (p, q) = (Vec3::from(p), Vec3::from(q));

@@ -1,4 +1,5 @@
-//! What a surface ray samples: a function that is positive inside a solid, in millimetres, whatever it comes from.
+//! Implicit functions for surface rays: positive inside a solid, in millimetres, whatever their
+//! source.
 
 use super::depth_map::DepthMaps;
 use super::formula::Formula;
@@ -11,7 +12,7 @@ use std::sync::Arc;
 pub enum Implicit {
     /// A distance field on a grid.
     Grid(Arc<DistanceGrid>),
-    /// Solids by formula.
+    /// Solids given by formulas.
     Formula(Formula),
     /// A depth map or a cube of six.
     Depth(Arc<DepthMaps>),
@@ -33,7 +34,7 @@ impl Implicit {
         Vec3::from(Vec3::AXES.map(|e| self.value(world + e * step_mm) - self.value(world - e * step_mm))) / (2.0 * step_mm)
     }
 
-    /// The box that holds the solid, mm.
+    /// The bounding box of the solid, mm.
     pub fn bounds(&self) -> Bounds {
         match self {
             Self::Grid(g) => Bounds::new(Vec3::ZERO, Vec3::from(g.size.map(|n| (n - 1) as f32))).transformed(&g.world_from_grid),
@@ -42,7 +43,7 @@ impl Implicit {
         }
     }
 
-    /// The distance over which f is resolved, mm: what a ray's step is stated in.
+    /// The resolution of f, mm, in which a ray's step is stated.
     pub fn cell_mm(&self) -> f32 {
         match self {
             Self::Grid(g) => g.spacing_mm(),
@@ -54,7 +55,8 @@ impl Implicit {
         }
     }
 
-    /// Whether |f| never exceeds the distance to the surface by more than interpolation does, so that it may be skipped by.
+    /// Whether |f| exceeds the distance to the surface by no more than the interpolation error, and
+    /// can be used for skipping.
     pub fn is_distance(&self) -> bool {
         !matches!(self, Self::Depth(_))
     }

@@ -1,11 +1,15 @@
-//! Triangle meshes and what becomes of them: signed distance fields, depth maps, forward deformers, contours.
+//! Triangle meshes and the data derived from them: signed distance fields, depth maps, forward
+//! deformers, contours.
 //!
-//! *Theory*: any triangle mesh, watertight or not, becomes a signed distance field ([`field`]; positive inside, millimetres) that the same
-//! displacement maps deform and cut as volumes (\[DS07\]). The sign is the generalised winding number (Barill et al. 2018, "Fast Winding
-//! Numbers for Soups and Clouds"), so that holes and soups still have an inside.
+//! *Theory*: any triangle mesh, watertight or not, becomes a signed distance field ([`field`];
+//! positive inside, millimetres) that the same displacement maps deform and cut as volumes
+//! (\[DS07\]). The sign is the generalised winding number (Barill et al. 2018, "Fast Winding
+//! Numbers for Soups and Clouds"), which defines an inside even for triangle soups and meshes with
+//! holes.
 //!
-//! Coordinates are world millimetres, LPS. Mesh formats state no orientation, and what Slicer writes is LPS: they are taken as they are. GIfTI
-//! belongs to the NIfTI family and is RAS: its x and y are negated.
+//! Coordinates are world millimetres, LPS. Mesh formats state no orientation, and Slicer writes
+//! LPS: coordinates are used unchanged. GIfTI belongs to the NIfTI family and is RAS: its x and y
+//! are negated.
 
 mod bvh;
 pub mod contour;
@@ -33,23 +37,24 @@ use std::collections::HashMap;
 pub struct Mesh {
     /// World positions, mm.
     pub positions: Vec<Vec3>,
-    /// Vertex indices, counter-clockwise seen from outside.
+    /// Vertex indices, counter-clockwise when seen from outside.
     pub triangles: Vec<[u32; 3]>,
-    /// What was odd about the source, one sentence each.
+    /// Irregularities of the source, one sentence each.
     pub warnings: Vec<String>,
-    /// Triangles of the source without area, dropped.
+    /// Number of zero-area triangles dropped from the source.
     pub degenerate: usize,
-    /// Vertices of the source that lay on another one.
+    /// Number of vertices of the source merged with another one.
     pub welded: usize,
 }
 
-/// Points nearer than this share of the mesh's diagonal are one vertex.
+/// Points closer than this fraction of the mesh's diagonal are one vertex.
 const WELD: f32 = 1e-6;
-/// Faces that meet at a sharper angle than this have normals of their own, degrees.
+/// Faces that meet at a sharper angle than this have separate normals, degrees.
 const CREASE_DEG: f32 = 40.0;
 
 impl Mesh {
-    /// A mesh of what a file lists: equal vertices become one, triangles without area or with coordinates that are not finite are dropped.
+    /// A mesh from the content of a file: equal vertices are merged; triangles without area or with
+    /// non-finite coordinates are dropped.
     pub fn new(positions: Vec<Vec3>, triangles: Vec<[u32; 3]>, mut warnings: Vec<String>) -> Self {
         let finite = |t: &[u32; 3]| t.iter().all(|&v| positions[v as usize].is_finite());
         let used: Vec<[u32; 3]> = triangles.iter().copied().filter(finite).collect();
@@ -100,14 +105,15 @@ impl Mesh {
         self.positions.iter().fold(Bounds::EMPTY, |b, p| b.union(&Bounds::new(*p, *p)))
     }
 
-    /// The signed volume that the triangles enclose with the middle of the mesh's box: positive if they face outwards. For closed meshes their
-    /// volume, wherever they lie.
+    /// The signed volume between the triangles and the centre of the mesh's box: positive if they
+    /// face outwards. For closed meshes this is their volume, wherever they lie.
     pub fn signed_volume(&self) -> f64 {
         let middle = self.bounds().center();
         (0..self.triangles.len()).map(|t| volume_of(self.corners(t).map(|p| p - middle))).sum()
     }
 
-    /// The mesh under an affine transform; a reflection turns its triangles round so that they still face outwards.
+    /// The mesh under an affine transform; a reflection flips its triangles so that they still face
+    /// outwards.
     pub fn transformed(mut self, transform: &Affine3A) -> Self {
         self.positions.par_iter_mut().for_each(|p| *p = transform.transform_point3(*p));
         if Mat3::from(transform.matrix3).determinant() < 0.0 {
@@ -127,11 +133,11 @@ impl Mesh {
             .collect()
     }
 
-    /// Normals for smooth shading, one per corner of each triangle: the neighbours' by their angles at the vertex (Thürmer and Wüthrich 1998),
-    /// leaving out those beyond a crease.
+    /// Normals for smooth shading, one per corner of each triangle: face normals weighted by their
+    /// angle at the vertex (Thürmer and Wüthrich 1998), excluding faces beyond a crease.
     pub fn corner_normals(&self) -> Vec<[Vec3; 3]> {
         let faces = self.face_normals();
-        // Triangles around each vertex, with their angles there.
+        // The triangles around each vertex, with their angles there.
         let mut around: Vec<Vec<(u32, f32)>> = vec![Vec::new(); self.positions.len()];
         for (t, triangle) in self.triangles.iter().enumerate() {
             let p = self.corners(t);
@@ -154,7 +160,7 @@ impl Mesh {
             .collect()
     }
 
-    /// How the triangles hang together.
+    /// The connectivity of the triangles.
     pub fn topology(&self) -> Topology {
         Topology::of(self)
     }

@@ -1,10 +1,10 @@
-//! Meshes of shapes with closed forms: what tests and benchmarks compare with.
+//! Meshes of shapes with closed forms, for comparison in tests and benchmarks.
 
 use super::Mesh;
 use glam::Vec3;
 use std::f32::consts::{PI, TAU};
 
-/// A sphere of latitude rings, its vertices on the sphere.
+/// A sphere of latitude rings, with its vertices on the sphere.
 pub fn sphere(radius: f32, rings: usize) -> Mesh {
     surface(2 * rings, rings, |u, v| {
         let (theta, phi) = (v * PI, u * TAU);

@@ -1,20 +1,22 @@
-//! Finer triangles where a deformer bends them: edges are halved of which a quarter, the middle or three quarters goes elsewhere than to its place
-//! between the deformed ends.
+//! Refines triangles where a deformer bends them: an edge is halved if its point at a quarter, a
+//! half or three quarters is displaced from the straight line between the deformed ends.
 //!
-//! Whether an edge is halved depends on the edge alone, so both its triangles agree and no gap opens (Velho and Zorin's conforming
-//! refinement by edges).
+//! Whether an edge is halved depends on the edge alone; hence both its triangles agree and no gap
+//! opens (Velho and Zorin's conforming refinement by edges).
 
 use super::Mesh;
 use glam::Vec3;
 use rayon::prelude::*;
 use std::collections::HashMap;
 
-/// Rounds of halving: the edges that a round makes inside a triangle may be as long as the triangle.
+/// Rounds of halving: the edges that a round creates inside a triangle may be as long as the
+/// triangle.
 const ROUNDS: usize = 20;
 
 impl Mesh {
-    /// The mesh with triangles fine enough that no such point of an edge, moved by `deform`, is farther than `tolerance_mm` from the edge; no
-    /// more than `most` triangles. Says whether the tolerance was reached.
+    /// Refines the mesh until no tested point of an edge, moved by `deform`, is farther than
+    /// `tolerance_mm` from the edge, up to `most` triangles. Also returns whether the tolerance was
+    /// reached.
     pub fn tessellated(mut self, deform: impl Fn(Vec3) -> Vec3 + Sync, tolerance_mm: f32, most: usize) -> (Self, bool) {
         for _ in 0..ROUNDS {
             let mut edges: Vec<(u32, u32)> =
@@ -27,7 +29,7 @@ impl Mesh {
                 .into_par_iter()
                 .filter(|&(a, b)| {
                     let (a, b) = (a as usize, b as usize);
-                    // A whole turn moves no middle.
+                    // A full turn does not move the midpoint.
                     [0.25, 0.5, 0.75].iter().any(|&t| deform(positions[a].lerp(positions[b], t)).distance(moved[a].lerp(moved[b], t)) > tolerance_mm)
                 })
                 .collect();

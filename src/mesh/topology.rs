@@ -1,21 +1,21 @@
-//! How the triangles of a mesh hang together: components, open edges, orientation.
+//! The connectivity of a mesh: components, open edges, orientation.
 
 use super::{Mesh, volume_of};
 
 /// Counts over a mesh.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Topology {
-    /// Parts that share no vertex.
+    /// Number of parts that share no vertex.
     pub components: usize,
-    /// Edges with one triangle: the rims of holes.
+    /// Edges with one triangle: the boundaries of holes.
     pub open_edges: usize,
     /// Edges with more than two triangles.
     pub non_manifold_edges: usize,
     /// Edges whose two triangles face opposite ways.
     pub flipped_edges: usize,
-    /// Every edge has exactly two triangles.
+    /// Whether every edge has exactly two triangles.
     pub watertight: bool,
-    /// Signed volume in the unit of the coordinates cubed; of meaning if watertight.
+    /// Signed volume in the unit of the coordinates cubed; meaningful if watertight.
     pub volume: f64,
 }
 
@@ -45,7 +45,7 @@ fn sorted_edges(mesh: &Mesh) -> Vec<Edge> {
     edges
 }
 
-/// Disjoint sets.
+/// Disjoint sets (union-find).
 struct Sets(Vec<u32>);
 
 impl Sets {
@@ -108,11 +108,12 @@ impl Topology {
 }
 
 impl Mesh {
-    /// The mesh with triangles that face one way: in every patch of triangles connected across edges of two, contradicting ones are turned; a
-    /// patch that had contradictions is then turned so that it encloses a positive volume about its own middle, and if all the mesh
-    /// encloses a negative one, all of it is turned. Says how many triangles were turned.
+    /// The mesh with consistently oriented triangles. In every patch of triangles connected across
+    /// edges of two, contradicting triangles are flipped; a patch that had contradictions is then
+    /// flipped if it encloses a negative volume about its own centre. If the whole mesh encloses a
+    /// negative volume, all of it is flipped. Also returns the number of flipped triangles.
     ///
-    /// Patches that were consistent keep their sense: an inner wall rightly faces inwards.
+    /// Consistent patches keep their orientation: an inner wall correctly faces inwards.
     pub fn oriented(mut self) -> (Self, usize) {
         let edges = sorted_edges(&self);
         let mut neighbours: Vec<Vec<(u32, bool)>> = vec![Vec::new(); self.triangles.len()];

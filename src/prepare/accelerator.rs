@@ -1,4 +1,5 @@
-//! What of preparing a scene a device may take over: sampling maps, finding empty space, evaluating stacks that are composed.
+//! The parts of scene preparation that a device may take over: sampling maps, finding empty space,
+//! evaluating stacks to compose.
 
 use super::macrocells::{CellGrid, CellState, VisibilityCriteria};
 use crate::deform::compose::{self, SourcesAndAlphas};
@@ -8,12 +9,13 @@ use crate::{Result, Watch};
 use glam::Vec3;
 use std::sync::Arc;
 
-/// A device that takes over what it does well; what it leaves is done by the CPU.
+/// A device that takes over some work; the CPU does the rest.
 pub trait Accelerator {
-    /// Source and smallest mask of points under a stack, through every map whatever the masks say: what [`compose`] samples.
+    /// Source and smallest mask of points under a stack, through every map whatever the masks are:
+    /// the input of [`compose`].
     ///
     /// # Errors
-    /// Whatever the device reports.
+    /// Any error of the device.
     fn evaluate(&self, stack: &Stack, points: &[Vec3]) -> Result<SourcesAndAlphas> {
         compose::evaluate(stack, points)
     }
@@ -21,27 +23,28 @@ pub trait Accelerator {
     /// The map of a definition.
     ///
     /// # Errors
-    /// Whatever the device reports; [`crate::Error::Cancelled`].
+    /// Any error of the device; [`crate::Error::Cancelled`].
     fn map(&self, recipe: MapDefinition, watch: &Watch) -> Result<Arc<DisplacementMap>> {
         DisplacementMap::of_watched(&recipe, watch).map(Arc::new)
     }
 
-    /// Whether texels are wanted here, also of maps that a device has made before.
+    /// Whether texels are needed on the CPU, even those of maps made by a device.
     fn needs_texels(&self) -> bool {
         true
     }
 
-    /// What each cell of a grid over the deformed scene shows of a volume, x fastest; none if the CPU is to find out.
+    /// The state of each cell of a grid over the deformed scene for a volume, x fastest; none if
+    /// the CPU has to classify.
     ///
     /// # Errors
-    /// Whatever the device reports.
+    /// Any error of the device.
     fn classify(&self, cells: &CellGrid, contents: &VisibilityCriteria, volume: &VoxelGrid) -> Result<Option<Vec<CellState>>> {
         let _ = (cells, contents, volume);
         Ok(None)
     }
 }
 
-/// No device: the CPU does all.
+/// No device: the CPU does everything.
 pub struct CpuOnly;
 
 impl Accelerator for CpuOnly {}

@@ -1,4 +1,4 @@
-//! What a scene refers to, loaded once and shared by any number of pictures.
+//! The files of a scene, loaded once and shared by any number of pictures.
 
 use super::inside::InsideCache;
 use super::object_cache::ObjectCache;
@@ -16,18 +16,19 @@ use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, OnceLock};
 
-/// How assets are loaded; the default reports to nobody, never stops and reads everything.
+/// Options for loading assets; by default without progress, cancellation or reuse.
 #[derive(Clone, Copy, Default)]
 pub struct LoadOptions<'a> {
-    /// Receives what is being done (reading, distances) and the share of it that is done.
+    /// Receives the current stage (reading, distances) and the completed fraction of it.
     pub progress: Option<&'a (dyn Fn(&'static str, f32) + Sync)>,
     /// Loading stops with [`Error::Cancelled`] once this is set.
     pub cancel: Option<&'a AtomicBool>,
-    /// Assets of another scene: their volume is taken over if it comes from the same file, with the same options.
+    /// Assets of another scene: their volume is reused if it comes from the same file with the same
+    /// options.
     pub previous: Option<&'a Assets>,
 }
 
-/// Everything of a scene that has to be loaded anew when it changes.
+/// The parts of a scene that require reloading when they change.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AssetKey {
     volume: Option<VolumeSource>,
@@ -37,11 +38,11 @@ pub struct AssetKey {
 }
 
 impl AssetKey {
-    /// Of a scene.
+    /// The key of a scene.
     pub fn of(scene: &Scene) -> Self {
         let mut meshes = scene.mesh.clone();
         for mesh in &mut meshes {
-            // How it looks needs nothing loaded.
+            // Its appearance requires no loading.
             mesh.appearance = Appearance::default();
             mesh.name = None;
             mesh.hidden = false;
@@ -55,42 +56,42 @@ impl AssetKey {
     }
 }
 
-/// What a scene refers to, loaded once and shared by any number of pictures.
+/// The files of a scene, loaded once and shared by any number of pictures.
 pub struct Assets {
     /// The volume; an empty one if the scene has none.
     pub volume: Arc<Volume>,
     /// Its sampled form.
     sampled: Arc<SampledVolume>,
-    /// What the volume was loaded from.
+    /// The file and options from which the volume was loaded.
     source: Option<(PathBuf, ReadOptions)>,
-    /// The label map that the scene names beside the volume, if it does.
+    /// The separate label map of the scene, if it has one.
     pub separate_labels: Option<Arc<Volume>>,
-    /// A label map as colours, made when it is first shown so.
+    /// A label map as colours, made when first shown.
     sampled_labels: OnceLock<Option<SampledVolume>>,
-    /// What deformations read besides.
+    /// Additional inputs of deformations.
     pub library: Arc<Library>,
     /// Meshes and distance fields.
     pub(super) objects: ObjectCache,
-    /// What a mesh that holds the volume makes of it.
+    /// Maps and proxies derived from the mesh that encloses the volume.
     pub(super) inside_meshes: InsideCache,
-    /// Whether there is a volume, or an empty one stands in its place.
+    /// Whether there is a volume, rather than an empty placeholder.
     pub has_volume: bool,
     /// The box around all meshes, mm; empty without any.
     pub mesh_box: Bounds,
-    /// Time that loading took.
+    /// Loading times.
     pub stages: StageTimes,
 }
 
 impl Assets {
-    /// Loads what a scene names.
+    /// Loads the files of a scene.
     ///
     /// # Errors
-    /// What the readers report.
+    /// Errors of the readers.
     pub fn load(scene: &Scene) -> Result<Self> {
         Self::load_with(scene, &LoadOptions::default())
     }
 
-    /// As [`Self::load`], reporting to a caller that may stop it, or keeping what is loaded already.
+    /// As [`Self::load`], for a caller that may cancel, wants progress, or reuses loaded assets.
     ///
     /// # Errors
     /// As [`Self::load`]; [`Error::Cancelled`].
@@ -100,7 +101,7 @@ impl Assets {
         let cancel = options.cancel.unwrap_or(&never);
         let report = |stage, share| options.progress.map_or((), |progress| progress(stage, share));
         let source = scene.volume_path().zip(scene.volume.as_ref().map(|v| v.choice.clone()));
-        // The same file may be named from another folder.
+        // The same file may be given relative to another folder.
         let place = |s: &Option<(PathBuf, ReadOptions)>| s.as_ref().map(|(path, choice)| (std::path::absolute(path).ok(), choice.clone()));
         let same_volume = options.previous.filter(|b| b.has_volume && source.is_some() && place(&b.source) == place(&source));
         let mut assets = match (same_volume, &source) {
@@ -131,7 +132,7 @@ impl Assets {
         Ok(assets)
     }
 
-    /// The assets of a scene that names nothing but a volume, which is in memory already.
+    /// The assets of a scene that consists of a volume in memory.
     pub fn of_volume(volume: Volume) -> Self {
         Self::in_folder(volume, PathBuf::new(), StageTimes::default())
     }
@@ -144,14 +145,15 @@ impl Assets {
         Self { stages, ..Self::over(volume, sampled, library, true) }
     }
 
-    /// An empty volume stands where there is none.
+    /// An empty volume serves as a placeholder.
     fn without_volume(folder: PathBuf) -> Self {
         let volume = Volume::empty_over(&Bounds::UNIT);
         let sampled = Arc::new(SampledVolume::new(VoxelGrid::new(&volume)));
         Self::over(Arc::new(volume), sampled, Arc::new(Library::without_volume(folder)), false)
     }
 
-    /// The volume of other assets, and what was read for its deformations if that is relative to the same folder.
+    /// The volume of other assets, with the inputs of its deformations if these are relative to the
+    /// same folder.
     fn with_volume_of(previous: &Self, folder: PathBuf) -> Self {
         let same_folder = previous.library.folder() == folder;
         let library = if same_folder { previous.library.clone() } else { Arc::new(Library::new(previous.volume.clone(), folder)) };
@@ -179,13 +181,13 @@ impl Assets {
         if self.has_volume {
             return self.volume.bounds_in_world().union(&self.mesh_box);
         }
-        // A flat sheet has a box all the same.
+        // A flat mesh also needs a box with a volume.
         let size = self.mesh_box.size();
         let more = (Vec3::splat(0.01 * size.max_element()) - size).max(Vec3::ZERO) * 0.5;
         Bounds::new(self.mesh_box.min - more, self.mesh_box.max + more)
     }
 
-    /// The label map: the one that the scene names, or the volume itself if it is one.
+    /// The label map: the scene's separate one, or the volume itself if it is one.
     ///
     /// # Errors
     /// [`Error::Value`] if there is neither.
@@ -197,17 +199,17 @@ impl Assets {
         }
     }
 
-    /// The volume's voxels as they are sampled.
+    /// The volume's voxels in their sampled form.
     pub fn grid(&self) -> &VoxelGrid {
         &self.sampled.grid
     }
 
-    /// The volume's voxels with what is derived from them.
+    /// The volume's voxels with the data derived from them.
     pub(super) fn sampled(&self) -> &SampledVolume {
         &self.sampled
     }
 
-    /// The grid that a label map shows as colours; none if the volume is no label map.
+    /// The grid of a label map shown as colours; none if the volume is not a label map.
     pub(super) fn sampled_labels(&self) -> Option<&SampledVolume> {
         self.sampled_labels.get_or_init(|| VoxelGrid::of_labels(&self.volume).map(SampledVolume::new)).as_ref()
     }

@@ -1,7 +1,9 @@
-//! Why a picture shows nothing. An empty picture is a valid answer, and never what was meant: one sentence says what is the matter and what to do.
+//! Explains why a picture is empty. An empty picture is valid but never intended: one sentence
+//! states the problem and the remedy.
 //!
-//! What a scene holds is asked at points of a grid over it: whether matter is there, whether it would be seen, whether it lies in the picture. The
-//! first question that every point answers with no is the reason.
+//! The scene is tested at the points of a grid over it: whether a point is left by the cuts,
+//! whether it would be visible, whether it is in view. The first test that fails at every point is
+//! the reason.
 
 use super::prepared::Prepared;
 use crate::deform::StackAndCuts;
@@ -14,16 +16,16 @@ use rayon::prelude::*;
 /// Points along each axis of the grid.
 const POINTS: usize = 40;
 
-/// What is true of any point of the grid.
+/// The combined tests of some points of the grid.
 #[derive(Clone, Copy, Default)]
 struct PointVisibility {
-    /// Something would be seen if nothing were deformed or cut.
+    /// Something would be visible without deformations and cuts.
     visible_before: bool,
-    /// Matter is left by the deformations and cuts.
+    /// Something is left by the deformations and cuts.
     left: bool,
-    /// And would be seen.
+    /// Something is left and would be visible.
     visible: bool,
-    /// In the picture.
+    /// Something visible is in view.
     in_view: bool,
 }
 
@@ -39,14 +41,15 @@ impl PointVisibility {
 }
 
 impl Prepared<'_> {
-    /// A picture of the scene with what a user should be told: what the renderer has to say, what resolving the scene has found, and why it is blank.
+    /// A picture of the scene with notices for the user: from the renderer, from resolving the
+    /// scene, and why the picture is blank.
     pub fn rendered(&self, picture: Picture, stats: Option<RenderStats>, stages: StageTimes, mut notices: Vec<String>) -> Rendered {
         let blank = self.why_blank(&picture);
         notices.extend(self.notices.iter().chain(&blank).cloned());
         Rendered { picture, stats, stages, notices, blank }
     }
 
-    /// Why a picture of the scene is blank, and what to do; none if it is not.
+    /// Why a picture of the scene is blank, and the remedy; none if it is not blank.
     fn why_blank(&self, picture: &Picture) -> Option<String> {
         if !picture.is_blank() {
             return None;
@@ -87,7 +90,7 @@ impl Prepared<'_> {
         self.volume().is_present && self.settings.mode != Mode::Surface
     }
 
-    /// A surface that encloses nothing, where all do.
+    /// The first surface, if every surface encloses nothing.
     fn surfaces_without_inside(&self) -> Option<String> {
         let empty = |o: &super::objects::SurfaceObject| {
             o.triangles.is_none() && o.implicit.as_ref().is_some_and(|i| !points_over(&i.bounds()).any(|p| i.value(p) > 0.0))
@@ -99,7 +102,7 @@ impl Prepared<'_> {
         ))
     }
 
-    /// Why nothing of the volume can be seen, even where nothing is deformed.
+    /// Why nothing of the volume is visible, even without deformations.
     fn why_invisible(&self) -> String {
         let [low, high] = self.volume().value_range;
         let range = format!("the volume's values range from {low} to {high}");
@@ -114,7 +117,7 @@ impl Prepared<'_> {
         )
     }
 
-    /// Asks the points of a grid.
+    /// Tests the points of a grid.
     fn search(&self, shows_volume: bool) -> PointVisibility {
         let mut found = PointVisibility::default();
         if shows_volume {
@@ -130,7 +133,8 @@ impl Prepared<'_> {
                 Some(iso) => v >= iso,
                 None => self.volume().table.lookup(v)[3] > 0.0,
             };
-            // Every voxel counts for what could be seen at all: a thin sheet may lie between the points.
+            // Every voxel counts for what could be visible at all: a thin sheet may lie between the
+            // points.
             let visible_before =
                 self.volume().iso.is_some_and(|iso| (0.0..=1.0).contains(&iso)) || self.volume().iso.is_none() && self.shows_any_value();
             found = self.of_points(&self.stack.deformed_bounds(&undeformed), |source| value(source).map(shows));
@@ -163,7 +167,8 @@ impl Prepared<'_> {
         found
     }
 
-    /// What is true of the points of a box of the deformed scene; `shows` tells of a source point whether it shows something, none where nothing is.
+    /// The combined tests of the points of a box of the deformed scene; `shows` returns whether a
+    /// source point is visible, none where nothing is present.
     fn of_points(&self, deformed: &Bounds, shows: impl Fn(Vec3) -> Option<bool> + Sync) -> PointVisibility {
         let points: Vec<Vec3> = points_over(deformed).collect();
         let deformation = StackAndCuts { stack: &self.stack, cuts: &self.cuts };
@@ -191,7 +196,7 @@ impl Prepared<'_> {
     }
 }
 
-/// Points of a grid over a box, its faces left out.
+/// Points of a grid over a box, without its faces.
 fn points_over(bounds: &Bounds) -> impl Iterator<Item = Vec3> + use<> {
     let (low, step) = (bounds.min, bounds.size() / POINTS as f32);
     (0..POINTS * POINTS * POINTS)

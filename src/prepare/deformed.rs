@@ -1,4 +1,4 @@
-//! A scene's deformation alone: what pictures are made by, and what is baked.
+//! A scene's deformation alone, as used for pictures and for baking.
 
 use super::accelerator::{Accelerator, CpuOnly};
 use super::assets::Assets;
@@ -18,24 +18,24 @@ use std::sync::Arc;
 pub struct Deformed {
     /// Maps, in order of application.
     pub stack: Stack,
-    /// Cuts that come after every map.
+    /// Cuts after all maps.
     pub cuts: CutShapes,
-    /// What composing maps into one has cost in exactness, if any were.
+    /// The error of composing maps into one, if any were composed.
     pub composition: Option<Composition>,
-    /// The mesh that slices are cut from instead of a box.
+    /// The mesh from which slices are cut, instead of a box.
     pub proxy_mesh: Option<Arc<Mesh>>,
 }
 
 impl Deformed {
-    /// The deformation of a scene, as its pictures have it.
+    /// The deformation of a scene as used in its pictures.
     ///
     /// # Errors
-    /// Any setting that cannot be used, by name.
+    /// Any invalid setting, by name.
     pub fn new(scene: &Scene, assets: &Assets) -> Result<Self> {
         Self::watched(scene, assets, &Watch::NONE)
     }
 
-    /// As [`Self::new`], for a caller that may stop it.
+    /// As [`Self::new`], for a caller that may cancel.
     ///
     /// # Errors
     /// As [`Self::new`]; [`Error::Cancelled`](crate::Error::Cancelled).
@@ -60,7 +60,8 @@ impl Deformed {
         Ok(Self { stack, cuts, composition, proxy_mesh })
     }
 
-    /// The exact deformation: every map in single precision, none composed; its last cuts as shapes if asked for. What is baked.
+    /// The exact deformation, as used for baking: every map in single precision, none composed; the
+    /// last cuts as shapes if requested.
     ///
     /// # Errors
     /// As [`Self::watched`].
@@ -85,7 +86,7 @@ impl Deformed {
         StackAndCuts { stack: &self.stack, cuts: &self.cuts }
     }
 
-    /// Where a point of the source is seen in the deformed scene, mm; none if it is cut away or no such point is found.
+    /// The deformed position of a source point, mm; none if it is cut away or not found.
     pub fn forward(&self, source: Vec3) -> Option<Vec3> {
         let y = source.as_dvec3();
         let backward = |p: DVec3| self.stack.source_and_alpha_unclipped(p.as_vec3()).0.as_dvec3();

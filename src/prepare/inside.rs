@@ -1,14 +1,17 @@
-//! A volume inside a closed mesh (\[RVD01\] sections 2 and 3.1): the mesh says where the volume is shown, and carries it along when it is
-//! deformed.
+//! A volume inside a closed mesh (\[RVD01\] sections 2 and 3.1): the mesh bounds the visible part
+//! of the volume and deforms it with itself.
 //!
-//! *Method*: the mesh's signed distance becomes the mask of the stack's first map, so that every mode and backend cuts the volume along it
-//! and lights the cut as any other, whatever deforms both later. Inside is where a line has crossed the mesh an odd number of times: between
-//! nested walls, however they are oriented. Where nothing else deforms the scene, slices are not the sections of a box but those of the
-//! mesh itself, filled contours ([`crate::mesh::contour`]): concave, with holes, several in a slice.
+//! *Method*: the mesh's signed distance becomes the mask of the stack's first map. Every mode and
+//! backend then cuts the volume along it and lights the cut as any other, whatever deforms both
+//! later. Inside is where a line has crossed the mesh an odd number of times: between nested walls,
+//! however they are oriented. Where nothing else deforms the scene, slices are sections of the mesh
+//! itself instead of a box, as filled contours ([`crate::mesh::contour`]): concave, with holes,
+//! several in a slice.
 //!
-//! *What we changed against the paper*: it deforms the mesh's vertices and interpolates texture coordinates over the contours' triangles, so
-//! that the inside depends on the view (its figure 5). Here the deformers' inverse is found numerically on a grid and is the stack's
-//! second map: vertices and inside follow one function from every side.
+//! *What we changed against the paper*: it deforms the mesh's vertices and interpolates texture
+//! coordinates over the contours' triangles, which makes the inside depend on the view (its figure
+//! 5). Here the inverse of the deformers is found numerically on a grid and is the stack's second
+//! map: vertices and inside follow one function from every side.
 
 use super::mesh_settings::{deformers, placement};
 use crate::Watch;
@@ -23,34 +26,34 @@ use crate::{Error, Result};
 use glam::{DAffine3, DVec3, Vec3};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Texels of the mask along its longest axis, at most.
+/// Maximum number of texels of the mask along its longest axis.
 const MASK: f32 = 192.0;
 /// Points of the deformers' inverse along its longest axis.
 const INVERSE: f32 = 80.0;
 
-/// Triangles that the deformed mesh is divided into, at most.
+/// Maximum number of triangles of the subdivided deformed mesh.
 const MAX_TRIANGLES: usize = 1_000_000;
 
-/// What a mesh makes of the volume inside it.
+/// The maps and proxy of a volume inside a mesh.
 pub struct InsideMeshMaps {
-    /// The mask, and the deformers' inverse if there are any; to be applied before everything else.
+    /// The mask, and the deformers' inverse if there are any; applied before everything else.
     pub maps: Vec<PlacedMap>,
-    /// The mesh where it is seen, if slices may be cut from it.
+    /// The deformed mesh, if slices may be cut from it.
     pub proxy: Option<Arc<Mesh>>,
 }
 
-/// What meshes make of the volume inside them, cached by its inputs, the most recently used last: distances and inverses are slow to compute, and no camera
-/// changes them.
+/// The maps of volumes inside meshes, cached by their inputs, the most recently used last:
+/// distances and inverses are slow to compute and do not depend on the camera.
 #[derive(Default)]
 pub struct InsideCache(Mutex<Vec<(InsideMeshKey, Arc<InsideMeshMaps>)>>);
 
-/// What an [`InsideMeshMaps`] was made of: the settings, the scene's box, the least ramp.
+/// The inputs of an [`InsideMeshMaps`]: the settings, the scene's box, the smallest ramp.
 type InsideMeshKey = (InsideMesh, Bounds, f32);
 
-/// A coarse picture while something moves, and the full one after it.
+/// One for the coarse picture while something moves, and one for the full picture.
 const MAX_CACHED_INSIDES: usize = 2;
 
-/// What the mesh that holds the scene's volume makes of it, if there is one.
+/// The maps of the mesh that encloses the scene's volume, if there is one.
 ///
 /// # Errors
 /// As [`resolve`].
@@ -60,7 +63,7 @@ pub fn of_scene(scene: &Scene, cache: &InsideCache, library: &Library, scene_box
     let lock = || cache.0.lock().unwrap_or_else(PoisonError::into_inner);
     let cached = {
         let mut entries = lock();
-        // To the end: it is the one used last.
+        // Moved to the end as the most recently used.
         let at = entries.iter().position(|k| k.0 == key);
         at.and_then(|n| {
             entries[n..].rotate_left(1);
@@ -79,10 +82,10 @@ pub fn of_scene(scene: &Scene, cache: &InsideCache, library: &Library, scene_box
     Ok(Some(inside))
 }
 
-/// Resolves the mesh that holds a volume.
+/// Resolves the mesh that encloses a volume.
 ///
 /// # Errors
-/// A mesh that cannot be read or is not closed, a placement or deformer that cannot be used.
+/// A mesh that cannot be read or is not closed, or an invalid placement or deformer.
 pub fn resolve(library: &Library, inside: &InsideMesh, scene_box: &Bounds, min_ramp_mm: f32) -> Result<InsideMeshMaps> {
     let named = |e: Error| e.within("volume.inside");
     let path = library.path(&inside.path);
@@ -97,13 +100,13 @@ pub fn resolve(library: &Library, inside: &InsideMesh, scene_box: &Bounds, min_r
         );
         return Err(Error::file(&path, problem));
     }
-    // Contours run around what their triangles face away from.
+    // Contours need triangles that face outwards.
     let mesh = if topology.flipped_edges > 0 { mesh.oriented().0 } else { mesh };
     let deformers = deformers(&inside.deformer, &mesh.bounds()).map_err(named)?;
     let mut maps = vec![mask(&path, &mesh, scene_box, min_ramp_mm, inside.invert)?];
     let mut moved = mesh.clone();
     if !deformers.is_empty() {
-        // A large triangle's edges stay straight, the volume inside does not.
+        // The edges of a large triangle stay straight, unlike the volume inside.
         moved = moved.tessellated(|p| apply_all(&deformers, p).0, 1e-4 * mesh.bounds().size().length(), MAX_TRIANGLES).0;
         moved.positions.iter_mut().for_each(|p| *p = apply_all(&deformers, *p).0);
         let (map, missing) = inverse(&deformers, &mesh.bounds().union(&moved.bounds()))?;
@@ -118,7 +121,7 @@ pub fn resolve(library: &Library, inside: &InsideMesh, scene_box: &Bounds, min_r
     Ok(InsideMeshMaps { maps, proxy: (!inside.invert).then(|| Arc::new(moved)) })
 }
 
-/// The mesh's distance as a mask over the scene's box and the mesh's.
+/// The mesh's distance as a mask over the boxes of the scene and the mesh.
 fn mask(path: &std::path::Path, mesh: &Mesh, scene_box: &Bounds, min_ramp_mm: f32, invert: bool) -> Result<PlacedMap> {
     let all = scene_box.union(&mesh.bounds());
     let texel = all.size().max_element() / MASK;
@@ -135,7 +138,7 @@ fn mask(path: &std::path::Path, mesh: &Mesh, scene_box: &Bounds, min_ramp_mm: f3
     Ok(PlacedMap::new(Arc::new(map), Placement::new(all.center(), all.size(), Vec3::ZERO)?))
 }
 
-/// The inverse of a chain of deformers over a box, and the share of its points without a source.
+/// The inverse of a chain of deformers over a box, and the fraction of its points without a source.
 fn inverse(deformers: &[Deformer], over: &Bounds) -> Result<(PlacedMap, f64)> {
     let step = over.size().max_element() / INVERSE;
     let over = over.grown(2.0 * step);

@@ -1,15 +1,18 @@
-//! Empty space under deformation: a coarse grid over the deformed scene that says where nothing can be seen.
+//! Empty-space skipping under deformation: a coarse grid over the deformed scene that marks where
+//! nothing is visible.
 //!
-//! *Theory*: [`crate::model`], "Empty space". A cell's box is carried backwards through the stack with interval arithmetic; the result bounds
-//! the source points, hence the values (from the volume's min/max pyramid), hence the opacity (from the transfer function's range
-//! maximum). Every bound is conservative, so skipping changes no picture.
+//! *Theory*: [`crate::model`], "Empty space". A cell's box is carried backwards through the stack
+//! with interval arithmetic. The result bounds the source points, hence the values (from the
+//! volume's min/max pyramid), hence the opacity (from the transfer function's range maximum). Every
+//! bound is conservative: skipping changes no picture.
 //!
-//! Cells hold the chessboard distance to the nearest occupied cell rather than one bit: an empty cell at distance d lets a ray leave
-//! the whole block of empty cells around it in one step.
+//! Cells store the chessboard distance to the nearest occupied cell rather than one bit: from an
+//! empty cell at distance d, a ray leaves the whole block of empty cells around it in one step.
 //!
-//! What looks back a step for what it shows (samples beside cuts; all of them where segments or grey faces are shown) makes a cell occupied by what lies
-//! that far away; other cells are occupied by their own contents alone. Occupied cells also say whether any cut but the volume's own faces can
-//! matter in them ([`CUT_FREE`]): in most it cannot, and no sample there asks for one.
+//! Samples that read a step back (those near cuts; all of them where segments or grey faces are
+//! shown) make a cell occupied by anything that far away; other cells are occupied by their own
+//! contents alone. Occupied cells also record whether any cut except the volume's own faces can
+//! affect them ([`CUT_FREE`]): in most cells none can, and no sample there evaluates cuts.
 
 use crate::deform::Stack;
 use crate::deform::cut::CutShapes;
@@ -20,13 +23,14 @@ use glam::{Affine3A, UVec3, Vec3};
 use rayon::prelude::*;
 use std::sync::OnceLock;
 
-/// Most cells along an axis.
+/// Maximum number of cells along an axis.
 const MAX_CELLS: f32 = 64.0;
 
-/// Cells along the edge of the blocks that are asked first.
+/// Cells along the edge of the blocks tested first.
 const BLOCK: u32 = 8;
 
-/// An occupied cell for whose samples no mask varies and no shape is near: of cuts, only the volume's own faces can matter to them.
+/// An occupied cell for whose samples no mask varies and no shape is near: the only cuts that can
+/// affect them are the volume's own faces.
 pub const CUT_FREE: u8 = 255;
 
 /// The grid.
@@ -37,7 +41,8 @@ pub struct Macrocells {
     pub cell_mm: Vec3,
     /// Cells along each axis.
     pub size: UVec3,
-    /// Chessboard distance to the nearest occupied cell, x fastest; 0 is occupied, and so is 255 (`CUT_FREE`).
+    /// Chessboard distance to the nearest occupied cell, x fastest; 0 is occupied, and so is 255
+    /// (`CUT_FREE`).
     pub distance: Vec<u8>,
     /// The box of the occupied cells, mm; empty if there is none.
     pub occupied: Bounds,
@@ -49,21 +54,21 @@ pub struct Macrocells {
 /// See [`Macrocells::blocks`].
 const CUT_FREE_FLAG: u8 = 128;
 
-/// What decides whether a cell shows anything.
+/// The inputs that decide whether a cell shows anything.
 pub struct VisibilityCriteria<'a> {
     /// The deformation.
     pub stack: &'a Stack,
     /// The cuts after it.
     pub cuts: &'a CutShapes,
-    /// Normalised value of the surface that is shown instead of the volume.
+    /// Normalised value of the iso-surface shown instead of the volume.
     pub iso: Option<f32>,
-    /// Whether the faces of cuts show whatever they cut.
+    /// Whether cut faces show everything they cut.
     pub grey_faces: bool,
-    /// How far every sample looks back, mm, for what it shows itself.
+    /// How far back along the ray every sample reads, mm.
     pub lookback_mm: f32,
-    /// How far a sample beside a cut does.
+    /// How far back a sample near a cut reads.
     pub cut_lookback_mm: f32,
-    /// How near a shape matters to a sample, mm.
+    /// Distance within which a shape affects a sample, mm.
     pub cut_margin_mm: f32,
     /// World to voxel.
     pub voxel_from_world: &'a Affine3A,
@@ -73,11 +78,12 @@ pub struct VisibilityCriteria<'a> {
     pub value_pyramid: &'a MinMaxPyramid<1>,
     /// Opacity by value.
     pub table: &'a TransferTable,
-    /// Composite pictures need opacity; projections need any matter.
+    /// Composite pictures need opacity; projections show every present sample.
     pub blend: Blend,
 }
 
-/// What a grid was classified by. What the voxels say is not among it: one is kept with each grid of voxels.
+/// The inputs of a grid's classification. Voxels are not part of it: one key is stored with each
+/// grid of voxels.
 #[derive(PartialEq)]
 pub struct MacrocellKey {
     bounds: Bounds,
@@ -95,7 +101,7 @@ pub struct MacrocellKey {
 }
 
 impl MacrocellKey {
-    /// Of a call of [`Macrocells::new`].
+    /// The key for a call of [`Macrocells::new`].
     pub fn of(bounds: Bounds, voxel_mm: f32, contents: &VisibilityCriteria) -> Self {
         let VisibilityCriteria { stack, cuts, iso, grey_faces, lookback_mm, cut_lookback_mm, cut_margin_mm, table, blend, .. } = *contents;
         let (stack, cuts) = (stack.clone(), cuts.clone());
@@ -107,22 +113,22 @@ impl MacrocellKey {
 /// What a box of the deformed scene shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BoxVisibility {
-    /// Nothing, anywhere in it.
+    /// Nothing in it is visible.
     Invisible,
-    /// Something, perhaps.
+    /// Something may be visible.
     MaybeVisible,
-    /// Something in every part of it, as far as these bounds can tell.
+    /// Something is visible in every part of it, as far as these bounds can tell.
     VisibleEverywhere,
 }
 
 impl VisibilityCriteria<'_> {
-    /// How far beyond a box there may be something that samples in it show, mm.
+    /// How far outside a box the content shown by its samples may lie, mm.
     pub fn reach_mm(&self) -> f32 {
         let cuts = self.stack.has_cuts() || !self.cuts.is_empty();
         if cuts { self.cut_lookback_mm.max(self.lookback_mm) } else { self.lookback_mm }
     }
 
-    /// What samples in a box of the deformed scene can see.
+    /// The visibility of a box of the deformed scene, including what its samples read further back.
     fn visibility(&self, deformed: &Bounds) -> BoxVisibility {
         let (visibility, is_near_cut) = self.box_visibility(&deformed.grown(self.lookback_mm));
         if visibility == BoxVisibility::Invisible && self.cut_lookback_mm > self.lookback_mm && (is_near_cut || self.is_near_cut_shape(deformed)) {
@@ -131,7 +137,7 @@ impl VisibilityCriteria<'_> {
         visibility
     }
 
-    /// Whether a shape that cuts is within the reach of samples in a box.
+    /// Whether a cut shape is within the reach of samples in a box.
     fn is_near_cut_shape(&self, deformed: &Bounds) -> bool {
         !self.cuts.is_empty() && {
             let [least, most] = self.cuts.bounds(&deformed.grown(self.cut_lookback_mm));
@@ -139,13 +145,14 @@ impl VisibilityCriteria<'_> {
         }
     }
 
-    /// Whether masks or shapes matter to samples in a box or to where their rays enter matter, at most a step in front of them.
+    /// Whether masks or shapes can affect samples in a box or their surface entries, at most a step
+    /// in front of them.
     fn near_cuts(&self, deformed: &Bounds) -> bool {
         let reached = deformed.grown(self.cut_lookback_mm);
         self.stack.mask_varies(&reached) || (!self.cuts.is_empty() && self.cuts.bounds(&reached)[0] < self.cut_margin_mm)
     }
 
-    /// What can be seen in a box of the deformed scene, and whether a mask varies there.
+    /// The visibility of a box of the deformed scene itself, and whether a mask varies there.
     fn box_visibility(&self, deformed: &Bounds) -> (BoxVisibility, bool) {
         let [min_distance, max_distance] = self.cuts.bounds(deformed);
         if max_distance < 0.0 {
@@ -166,7 +173,7 @@ impl VisibilityCriteria<'_> {
         (visibility, is_near_cut)
     }
 
-    /// What can be seen of a box of the source, `whole` if nothing of it is cut away.
+    /// The visibility of a box of the source; `whole` if nothing of it is cut away.
     fn source_visibility(&self, source: &Bounds, whole: bool, max_alpha: f32) -> BoxVisibility {
         if max_alpha < 0.5 {
             return BoxVisibility::Invisible;
@@ -194,27 +201,27 @@ impl VisibilityCriteria<'_> {
     }
 }
 
-/// Where the cells of a grid over the deformed scene lie.
+/// The layout of a cell grid over the deformed scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CellGrid {
-    /// The box that they fill, mm.
+    /// The box that the cells fill, mm.
     pub bounds: Bounds,
     /// Cells along each axis.
     pub size: UVec3,
     /// Edge of a cell along each axis, mm.
     pub cell_mm: Vec3,
-    /// How much larger than itself a cell is taken for, mm: a sample that lies on its face may be counted to either side.
+    /// Margin by which a cell is enlarged, mm: a sample on its face may be assigned to either side.
     pub margin_mm: f32,
 }
 
-/// What a cell shows.
+/// The state of a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CellState {
-    /// Nothing.
+    /// Nothing is visible.
     Empty,
-    /// Something, perhaps.
+    /// Something may be visible.
     Occupied,
-    /// Something, perhaps, and no cut but the volume's own faces can matter to it.
+    /// Something may be visible, and no cut except the volume's own faces can affect it.
     CutFree,
 }
 
@@ -227,7 +234,8 @@ impl CellGrid {
         Self { bounds, size: size.as_uvec3(), cell_mm, margin_mm: 1e-3 * cell_mm.max_element() }
     }
 
-    /// Cells for a volume of voxels of `voxel_mm`: not much smaller than a few of those, and not too many.
+    /// Cells for a volume with voxels of `voxel_mm`: at least a few voxels large, and limited in
+    /// number.
     pub fn over(bounds: Bounds, voxel_mm: f32) -> Self {
         Self::new(bounds, (bounds.size().max_element() / MAX_CELLS).max(3.0 * voxel_mm))
     }
@@ -240,7 +248,7 @@ impl CellGrid {
 }
 
 impl Macrocells {
-    /// One occupied cell over everything: skips nothing.
+    /// One occupied cell over everything, which skips nothing.
     pub fn solid(bounds: Bounds) -> Self {
         Self::of_distances(bounds.min, bounds.size(), UVec3::ONE, vec![0], bounds)
     }
@@ -249,8 +257,8 @@ impl Macrocells {
         Self { origin, cell_mm, size, distance, occupied, blocks: OnceLock::new(), cells_per_mm: cell_mm.recip() }
     }
 
-    /// What renderers ask: as `distance`, but for clear cells `CUT_FREE_FLAG` (128) more than their chessboard distance to the nearest cell that is not clear.
-    /// Found when first asked for.
+    /// The form read by renderers: as `distance`, but for cut-free cells `CUT_FREE_FLAG` (128) plus
+    /// their chessboard distance to the nearest cell that is not cut-free. Computed on first use.
     #[inline(always)]
     pub fn blocks(&self) -> &[u8] {
         match self.blocks.get() {
@@ -268,15 +276,18 @@ impl Macrocells {
         })
     }
 
-    /// Classifies a grid over `bounds`, the box of the deformed scene. What a sample sees by looking back counts as seen where the sample is.
+    /// Classifies a grid over `bounds`, the box of the deformed scene. Content that a sample reads
+    /// further back counts at the position of the sample.
     pub fn new(bounds: Bounds, voxel_mm: f32, contents: &VisibilityCriteria) -> Self {
         contents.stack.fetch_texels();
         Self::classified(CellGrid::over(bounds, voxel_mm), |b| contents.visibility(b), |b| contents.near_cuts(b))
     }
 
-    /// Cells of a grid, those occupied in whose box anything is seen, and of those clear that are not `near_cuts`.
+    /// The cells of a grid; occupied are those whose box shows anything, and cut-free are those of
+    /// them that are not `near_cuts`.
     ///
-    /// Blocks of cells are asked before their cells: what shows nothing, or something throughout, is not asked again.
+    /// Blocks of cells are tested before their cells: a block that shows nothing, or something
+    /// everywhere, is not subdivided.
     pub fn classified(grid: CellGrid, visibility: impl Fn(&Bounds) -> BoxVisibility + Sync, near_cuts: impl Fn(&Bounds) -> bool + Sync) -> Self {
         let size = grid.size;
         let blocks = UVec3::from(size.to_array().map(|n| n.div_ceil(BLOCK)));
@@ -311,7 +322,7 @@ impl Macrocells {
         Self::of_flags(&grid, &flags)
     }
 
-    /// Cells of a grid by what they show, x fastest.
+    /// The cells of a grid from their states, x fastest.
     pub fn of_flags(grid: &CellGrid, flags: &[CellState]) -> Self {
         let CellGrid { bounds, size, cell_mm, .. } = *grid;
         let occupied: Vec<bool> = flags.iter().map(|f| *f != CellState::Empty).collect();
@@ -340,14 +351,15 @@ impl Macrocells {
         cell_box(&Bounds::new(self.origin, self.origin), self.size, self.cell_mm, index as u32)
     }
 
-    /// Flat index of the cell at a point; the nearest one outside the grid.
+    /// Flat index of the cell at a point; the nearest cell for a point outside the grid.
     #[inline(always)]
     pub fn index(&self, p: Vec3) -> usize {
         let c = ((p - self.origin) / self.cell_mm).floor().clamp(Vec3::ZERO, (self.size - 1).as_vec3()).as_uvec3();
         ((c.z * self.size.y + c.y) * self.size.x + c.x) as usize
     }
 
-    /// Where a ray at `p` may go on: none in an occupied cell, else the parameter at which it leaves the empty block around it.
+    /// How far a ray at `p` can skip: none in an occupied cell, else the parameter at which it
+    /// leaves the empty block around it.
     ///
     /// `inverse_direction` is 1/d for the ray `origin + t d`.
     #[inline(always)]
@@ -370,24 +382,26 @@ impl Macrocells {
 }
 
 impl Macrocells {
-    /// Cells along an axis, as numbers and as indices.
+    /// Cells along an axis, as floats and as indices.
     #[inline(always)]
     fn cells_along<S: Simd>(&self, p: f32x8<S>, axis: usize) -> (f32x8<S>, i32x8<S>) {
-        // What lies below the first cell is moved into it: truncation is floor.
+        // Positions below the first cell are clamped to it: truncation equals floor.
         let cell = ((p - self.origin[axis]) * self.cells_per_mm[axis]).to_int::<i32x8<S>>().max(0).min(self.size[axis] as i32 - 1);
         (cell.to_float(), cell)
     }
 
-    /// Parameters at which rays leave the slabs of `reach` - 1 cells to both sides of theirs.
+    /// Parameters at which rays leave the slabs of `reach` - 1 cells on both sides of their cell.
     #[inline(always)]
     fn leaves<S: Simd>(&self, cell: f32x8<S>, reach: f32x8<S>, origin: f32x8<S>, inverse: f32x8<S>, axis: usize) -> f32x8<S> {
-        // The face that a ray goes towards. One along a face of the block multiplies zero by infinity: no number, which the other axes outdo.
+        // The face towards which a ray heads. A ray along a face of the block multiplies zero by
+        // infinity: NaN, which the minimum with the other axes drops.
         let face = (cell + 0.5) + (reach - 0.5).copysign(inverse);
         face.mul_add(self.cell_mm[axis], -origin + self.origin[axis]) * inverse
     }
 
-    /// As [`Self::empty_until`] for eight points: which lie in empty cells, which in clear ones, and where rays leave the block of empty or of clear cells
-    /// around them: until then they need not ask again.
+    /// As [`Self::empty_until`] for eight points: which lie in empty cells, which in cut-free ones,
+    /// and where rays leave the block of empty or cut-free cells around them; up to there no
+    /// further lookup is needed.
     #[inline(always)]
     pub fn blocks_lanes<S: Simd>(
         &self,
@@ -415,7 +429,8 @@ impl Macrocells {
     }
 }
 
-/// The occupied cells from `low` up to, not including, `high`, by what is seen between the corners of cells.
+/// The occupied cells from `low` to `high` (exclusive), from the visibility of boxes between
+/// corners of cells.
 fn occupied_cells(visibility: &impl Fn(UVec3, UVec3) -> BoxVisibility, low: UVec3, high: UVec3, cells: &mut Vec<UVec3>) {
     let extent = high - low;
     match visibility(low, high) {
@@ -446,13 +461,14 @@ fn cell_box(bounds: &Bounds, size: UVec3, cell_mm: Vec3, index: u32) -> Bounds {
     Bounds::new(low, low + cell_mm)
 }
 
-/// Chessboard distance of each cell to the nearest occupied one, at most 254: two passes over the rows, forwards and backwards, each of which takes
-/// the least of the neighbours that it has been to, plus one (Rosenfeld and Pfaltz 1968: exact for this metric).
+/// Chessboard distance of each cell to the nearest occupied one, at most 254: two passes over the
+/// rows, forwards and backwards, each taking the smallest of the neighbours already visited plus
+/// one (Rosenfeld and Pfaltz 1968: exact for this metric).
 fn chessboard_distance(occupied: &[bool], size: UVec3) -> Vec<u8> {
     const FAR: u8 = CUT_FREE - 1;
     let [nx, ny, nz] = size.to_array().map(|n| n as usize);
     let mut distance: Vec<u8> = occupied.iter().map(|&o| if o { 0 } else { FAR }).collect();
-    // The least of the rows around one, with a cell more at both ends.
+    // The minimum of the rows around one, padded by a cell at both ends.
     let mut least = vec![FAR; nx + 2];
     for backwards in [false, true] {
         for n in 0..ny * nz {
@@ -504,7 +520,8 @@ mod tests {
         }
     }
 
-    /// Eight points are told of empty cells what one is; and of clear cells where the ray leaves them, up to which every point lies in a clear cell.
+    /// For empty cells, eight points get the same results as single points; for cut-free cells,
+    /// every point up to the reported exit lies in a cut-free cell.
     #[test]
     fn blocks_are_those_of_cells() {
         struct BlocksKernel<'a>(&'a Macrocells, [Vec3; LANES], [Vec3; LANES]);

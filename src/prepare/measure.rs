@@ -1,4 +1,4 @@
-//! Measurements of a scene worked out: a length as it is in the patient and as it is in the picture.
+//! Evaluates a scene's measurements: a length in the patient and in the picture.
 
 use super::{Assets, Deformed};
 use crate::deform::distance::{RegionSource, of_region};
@@ -11,15 +11,15 @@ use rayon::prelude::*;
 /// One number of a measurement.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Quantity {
-    /// What it is.
+    /// What is measured.
     pub what: &'static str,
-    /// How much; none where a point cannot be seen in the deformed scene.
+    /// Its value; none where a point is not visible in the deformed scene.
     pub value: Option<f64>,
     /// Its unit; empty for data values.
     pub unit: &'static str,
 }
 
-/// Length or angle of points; none of too few.
+/// Length or angle of points; none if there are too few.
 fn of_points(kind: MeasureKind, points: &[Vec3]) -> Option<f64> {
     let p = |n: usize| points.get(n).map(|v| v.as_dvec3());
     match kind {
@@ -34,16 +34,17 @@ fn of_points(kind: MeasureKind, points: &[Vec3]) -> Option<f64> {
 }
 
 impl Measure {
-    /// The value of the volume at the nearest voxel; none outside of it.
+    /// The value of the volume at the nearest voxel; none outside it.
     fn probed(&self, volume: &Volume) -> Option<f64> {
         let p = Vec3::from(*self.points.first()?).as_dvec3();
         nearest_value(volume, p)
     }
 
-    /// What it comes to: in the patient, and in the deformed scene where that differs.
+    /// The quantities of a measurement: in the patient, and in the deformed scene where that
+    /// differs.
     ///
     /// # Errors
-    /// A label that no voxel has, labels that cannot be read.
+    /// A label that no voxel has, or labels that cannot be read.
     pub fn quantities(&self, assets: &Assets, deformed: &Deformed) -> Result<Vec<Quantity>> {
         let source: Vec<Vec3> = self.points.iter().map(|p| Vec3::from(*p)).collect();
         let unit = if self.kind == MeasureKind::Angle { "°" } else { "mm" };
@@ -110,7 +111,8 @@ fn label_quantities(labels: &Volume, label: u32, deformed: &Deformed) -> Result<
     Ok(all)
 }
 
-/// The area of a label's smoothed surface: the integral of |∇f| δ(f) with a cosine for δ, two voxels wide (coarea formula).
+/// The area of a label's smoothed surface: the integral of |∇f| δ(f) with a cosine for δ, two
+/// voxels wide (coarea formula).
 fn surface_mm2(labels: &Volume, label: u32) -> Option<f64> {
     let field = of_region(labels, &RegionSource::Labels(&[label as usize]), true)?;
     let [nx, ny, nz] = labels.size;
@@ -138,7 +140,8 @@ fn surface_mm2(labels: &Volume, label: u32) -> Option<f64> {
     Some(area * cell)
 }
 
-/// All measurements as a table: kind, name, quantity, value, unit, the points in the patient (mm), and what is to be known of it.
+/// All measurements as a table: kind, name, quantity, value, unit, the points in the patient (mm),
+/// and remarks.
 pub fn csv(measures: &[(Measure, Vec<Quantity>)]) -> String {
     let quoted = |text: &str| if text.contains([',', '"', '\n', '\r']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.to_owned() };
     let mut out = String::from("kind,name,quantity,value,unit,points_lps_mm,note\n");
@@ -175,7 +178,8 @@ mod tests {
         assert!((of(measure(MeasureKind::Angle, &[[5.0, 0.0, 0.0], [0.0; 3], [1.0, 1.0, 0.0]])) - 45.0).abs() < 1e-5);
     }
 
-    /// A slab that opens moves one end of a distance by the gap, and the patient's own length stays.
+    /// A slab that opens moves one end of a distance by the gap; the length in the patient stays
+    /// the same.
     #[test]
     fn lengths_in_the_picture_are_those_of_the_deformed_points() {
         let mut scene = Scene::of_volume("phantom:ball:size=32");
@@ -193,7 +197,7 @@ mod tests {
         assert!((found[1].value.unwrap() - f64::from(seen)).abs() < 1e-3 && f64::from(seen) > found[0].value.unwrap() + 0.1);
     }
 
-    /// A ball of labels has its closed-form volume and surface.
+    /// A ball of labels has the volume and surface of its closed form.
     #[test]
     fn a_labelled_ball_has_its_volume_and_surface() {
         let (n, radius, spacing) = (48usize, 18.0f64, 0.5f64);

@@ -1,4 +1,4 @@
-//! The settings of meshes as numbers: where they lie, how they are deformed, what their solids are.
+//! The settings of meshes in numeric form: placement, deformers, solids.
 
 use crate::deform::Placement;
 use crate::error::suggestion;
@@ -10,7 +10,7 @@ use crate::scene::surface::{DeformerSource, MeshPlace, ShapeSource};
 use crate::{Error, Result};
 use glam::{Affine3A, Mat3, Vec3};
 
-/// From a mesh file's coordinates to the world.
+/// The transform from a mesh file's coordinates to the world.
 pub fn placement(bounds: &Bounds, place: &MeshPlace) -> Result<Affine3A> {
     let MeshPlace { center, size, rotate, matrix } = *place;
     if let Some(rows) = matrix {
@@ -38,14 +38,14 @@ pub fn placement(bounds: &Bounds, place: &MeshPlace) -> Result<Affine3A> {
         * Affine3A::from_translation(-bounds.center()))
 }
 
-/// About x, then y, then z, as deformations turn.
+/// About x, then y, then z, as for deformations.
 fn rotation(degrees: Option<[f32; 3]>) -> Result<Mat3> {
     let Some(d) = degrees else { return Ok(Mat3::IDENTITY) };
     let placement = Placement::new(Vec3::ZERO, Vec3::ONE, Vec3::from(d))?;
     Ok(Mat3::from(placement.world_from_map.matrix3))
 }
 
-/// The deformers of a mesh that lies in `bounds`.
+/// The deformers of a mesh with the given bounds.
 pub fn deformers(sources: &[DeformerSource], bounds: &Bounds) -> Result<Vec<Deformer>> {
     if sources.len() > MAX_DEFORMERS {
         return Err(Error::value("deformer", format!("a mesh has at most {MAX_DEFORMERS}")));
@@ -82,7 +82,7 @@ fn deformer(d: &DeformerSource, bounds: &Bounds) -> Result<Deformer> {
     if !(0.0..=1.0).contains(&progress) {
         return Err(Error::value(format!("{kind}: progress"), format!("{progress} is outside 0 to 1")));
     }
-    // A flat sheet has a box all the same.
+    // A flat mesh also needs a box with a volume.
     let own = bounds.size().max(Vec3::splat(0.01 * bounds.size().max_element()));
     let size = d.size.map_or(own, Size::xyz);
     let placement = Placement::new(d.center.map_or(bounds.center(), Vec3::from), size, d.rotate.map_or(Vec3::ZERO, Vec3::from));

@@ -1,8 +1,10 @@
-//! A scene resolved for rendering: the files that it names are loaded ([`Assets`]), its deformations become a stack of maps ([`Deformed`]), its
-//! objects get what every backend needs of them, empty space above all ([`Prepared`]).
+//! A scene resolved for rendering: its files are loaded ([`Assets`]), its deformations become a
+//! stack of maps ([`Deformed`]), and its objects get the data that every backend needs, above all
+//! empty space ([`Prepared`]).
 //!
-//! What takes long is kept in the assets and found again by what it was made from, so that preparing the next picture of an edited scene costs what
-//! the edit changed. What a device does better than the CPU it takes over as an [`Accelerator`].
+//! Expensive results are cached in the assets under their inputs, hence preparing the next picture
+//! of an edited scene costs only what the edit changed. A device takes over what it does better
+//! than the CPU as an [`Accelerator`].
 
 mod accelerator;
 mod assets;
@@ -32,14 +34,15 @@ pub use volume::VolumeObject;
 use crate::Watch;
 use crate::deform::PlacedMap;
 
-/// How a scene is prepared; the default does all on the CPU, adds nothing and never stops.
+/// Options for preparing a scene; by default everything on the CPU, without additional maps or
+/// cancellation.
 #[derive(Clone, Copy)]
 pub struct PrepareOptions<'a> {
-    /// The device that takes over what it does well.
+    /// The device that takes over some work.
     pub accelerator: &'a dyn Accelerator,
-    /// Maps made by other means than a kind, applied after the scene's own.
+    /// Maps that do not come from a kind, applied after the scene's own.
     pub more_maps: &'a [PlacedMap],
-    /// Receives the share that is done, and says when to stop.
+    /// Receives the completed fraction, and can cancel.
     pub watch: Watch<'a>,
 }
 
@@ -50,17 +53,17 @@ impl Default for PrepareOptions<'_> {
 }
 
 impl<'a> PrepareOptions<'a> {
-    /// By a device that takes over what it does well.
+    /// With a device that takes over some work.
     pub fn on(accelerator: &'a dyn Accelerator) -> Self {
         Self { accelerator, ..Self::default() }
     }
 
-    /// With maps after the scene's own.
+    /// With additional maps after the scene's own.
     pub fn with_maps(more_maps: &'a [PlacedMap]) -> Self {
         Self { more_maps, ..Self::default() }
     }
 
-    /// The same, watched.
+    /// The same, with progress and cancellation.
     #[must_use]
     pub fn watched(self, watch: &Watch<'a>) -> Self {
         Self { watch: *watch, ..self }

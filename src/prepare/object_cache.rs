@@ -1,4 +1,5 @@
-//! What the surfaces of a scene are made of, loaded and computed once: meshes, their triangles after deformers, distance fields, depth maps.
+//! The sources of a scene's surfaces, loaded and computed once: meshes, their triangles after
+//! deformers, distance fields, depth maps.
 
 use super::mesh_settings::{deformers, formula, placement};
 use super::surface_cells::SurfaceCellsCache;
@@ -19,27 +20,28 @@ use ndarray::Array3;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// Most objects of a scene.
+/// Maximum number of objects in a scene.
 const MAX_OBJECTS: usize = 64;
-/// A mesh ready for rays: after its deformers, with normals and a tree; and as it was before them, for a vertex shader.
+/// A mesh ready for rays: after its deformers, with normals and a hierarchy; and its undeformed
+/// corners for a vertex shader.
 pub struct Triangles {
     /// The mesh after its deformers.
     pub mesh: Mesh,
     /// Its normals, per corner.
     pub normals: Vec<[Vec3; 3]>,
-    /// Its triangles by place.
+    /// Its bounding volume hierarchy.
     pub tree: TriangleBvh,
     /// Before its deformers: positions and normals, per corner.
     pub undeformed: Vec<[(Vec3, Vec3); 3]>,
 }
 
-/// Triangles that tessellation stops at.
+/// Number of triangles at which tessellation stops.
 const MAX_TESSELLATED_TRIANGLES: usize = 4_000_000;
 
-/// Bytes of fields that are kept though nothing shows them: a hand that drags an iso-value leaves one for each.
+/// Bytes of unused fields that stay cached: dragging an iso-value leaves one field per value.
 const MAX_CACHED_FIELD_BYTES: usize = 512 << 20;
 
-/// Computed fields by what decides them, the most recently used last.
+/// Computed fields by their inputs, the most recently used last.
 #[derive(Default)]
 struct FieldCache(Vec<(String, Arc<DistanceGrid>)>);
 
@@ -50,7 +52,7 @@ impl FieldCache {
         self.0.last().map(|(_, field)| field.clone())
     }
 
-    /// Keeps a field, and lets go of those that were used longest ago where they are too many.
+    /// Caches a field, and evicts the least recently used ones above the limit.
     fn insert(&mut self, key: String, field: Arc<DistanceGrid>, max_bytes: usize) {
         self.0.retain(|(of, _)| *of != key);
         self.0.push((key, field));
@@ -64,7 +66,8 @@ impl FieldCache {
     }
 }
 
-/// Loaded meshes and computed fields, kept as long as a scene's assets are; fields as far as there is room.
+/// Loaded meshes and computed fields, cached as long as a scene's assets exist; fields up to a
+/// limit.
 #[derive(Default)]
 pub struct ObjectCache {
     meshes: Mutex<HashMap<String, Arc<Mesh>>>,
@@ -75,15 +78,15 @@ pub struct ObjectCache {
 }
 
 fn lock<T>(m: &Mutex<T>) -> MutexGuard<'_, T> {
-    // Entries are only ever added whole.
+    // Entries are only added as a whole.
     m.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl ObjectCache {
-    /// Loads the meshes that a scene names and computes their fields; the box around them.
+    /// Loads the meshes of a scene and computes their fields; returns the box around them.
     ///
     /// # Errors
-    /// Files that cannot be read, settings that cannot be used.
+    /// Files that cannot be read, or invalid settings.
     pub fn load(&self, scene: &Scene, library: &Library, volume: &Volume, progress: &(dyn Fn(f32) + Sync)) -> Result<Bounds> {
         scene.surface.check()?;
         if scene.mesh.len() > MAX_OBJECTS {
@@ -96,7 +99,7 @@ impl ObjectCache {
                 source.check()?;
                 if source.path.is_some() {
                     let bounds = self.triangles(library, source)?.mesh.bounds();
-                    // A part is made when the deformations are known.
+                    // A partial field is computed once the deformations are known.
                     if source.representation() != Representation::Triangles && !scene.surface.two_stage {
                         self.implicit(library, source, &scene.surface, None, &watch)?;
                     }
@@ -109,7 +112,7 @@ impl ObjectCache {
         Ok(all)
     }
 
-    /// A mesh file where it lies in the world, before its deformers.
+    /// The mesh of a file placed in the world, before its deformers.
     pub fn placed(&self, library: &Library, source: &MeshSource) -> Result<Arc<Mesh>> {
         let path = source.path.as_deref().unwrap_or_default();
         let key = format!("{path} {:?}", source.place);
@@ -167,7 +170,7 @@ impl ObjectCache {
         Ok(t)
     }
 
-    /// What rays sample of a source; only `region` of it, if one is given.
+    /// The implicit function of a source, restricted to `region` if one is given.
     pub fn implicit(
         &self,
         library: &Library,
@@ -268,7 +271,7 @@ impl ObjectCache {
     }
 }
 
-/// The surfaces that a scene shows: its meshes, and the volume's own where the mode asks for it.
+/// The visible surfaces of a scene: its meshes, and the volume's own if the mode requires it.
 pub fn shown_surfaces(scene: &Scene, volume: &Volume) -> Vec<MeshSource> {
     let numbered = scene.mesh.iter().enumerate().map(|(n, m)| MeshSource { name: Some(m.label(n)), ..m.clone() });
     let mut all: Vec<MeshSource> = numbered.filter(|m| !m.hidden).collect();
@@ -279,7 +282,7 @@ pub fn shown_surfaces(scene: &Scene, volume: &Volume) -> Vec<MeshSource> {
     all
 }
 
-/// The field of no surface at all.
+/// The field without any surface.
 fn nothing_within(bounds: &Bounds) -> DistanceGrid {
     let size = bounds.size();
     let world_from_grid = Affine3A::from_translation(bounds.min) * Affine3A::from_scale(size);
@@ -290,7 +293,7 @@ fn nothing_within(bounds: &Bounds) -> DistanceGrid {
 mod tests {
     use super::*;
 
-    /// Fields that nothing shows are let go of beyond what is kept, those that something shows never.
+    /// Unused fields are evicted above the limit; fields in use never are.
     #[test]
     fn fields_are_kept_as_far_as_there_is_room() {
         let field = || Arc::new(DistanceGrid::new(Array3::zeros((2, 2, 2)), Affine3A::IDENTITY));

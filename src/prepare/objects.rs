@@ -1,5 +1,5 @@
-//! Surfaces resolved for rendering: every `[[mesh]]`, and the volume's own surface where the mode asks for it, as an implicit solid, as
-//! triangles, or both.
+//! Surfaces resolved for rendering: every `[[mesh]]`, and the volume's own surface if the mode
+//! requires it, as an implicit solid, as triangles, or both.
 
 use super::assets::Assets;
 use super::mesh_settings::deformers;
@@ -18,12 +18,13 @@ use crate::scene::surface::{CutModel, Look, MeshSource, Representation, Steps};
 use crate::{Result, Watch};
 use std::sync::{Arc, OnceLock};
 
-/// Which renderer an object passes through.
+/// How an object is rendered.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Stage {
     /// Rays through its field.
     Rays,
-    /// Triangles outside the deformations' boxes, rays within, blended over a seam of this width, mm.
+    /// Triangles outside the deformations' boxes, rays within, blended over a seam of this width,
+    /// mm.
     Both(f32),
     /// Triangles alone.
     Triangles,
@@ -33,23 +34,23 @@ pub enum Stage {
 pub struct SurfaceObject {
     /// Its name in messages.
     pub name: String,
-    /// How it looks.
+    /// Its appearance.
     pub look: Look,
-    /// Thickness of a thick one, mm; 0 of others.
+    /// Thickness of a thick surface, mm; 0 for others.
     pub thickness_mm: f32,
-    /// What rays sample.
+    /// The implicit function sampled by rays.
     pub implicit: Option<Implicit>,
-    /// Its triangles, where they are drawn.
+    /// Its triangles, if they are drawn.
     pub triangles: Option<Arc<Triangles>>,
-    /// Which renderer it passes through.
+    /// How it is rendered.
     pub stage: Stage,
-    /// The scene's deformations pass it by.
+    /// Whether the scene's deformations do not apply to it.
     pub rigid: bool,
     /// Forward deformers, for the vertex shader.
     pub deformers: Vec<Deformer>,
-    /// How they carry normals.
+    /// How these transform normals.
     pub normals: NormalMethod,
-    /// What f is resolved to, mm.
+    /// Resolution of f, mm.
     pub cell_mm: f32,
     /// Length of an even step, mm.
     pub step_mm: f32,
@@ -72,7 +73,7 @@ impl Assets {
     /// Resolves a scene's surfaces.
     ///
     /// # Errors
-    /// Files that cannot be read, settings that cannot be used.
+    /// Files that cannot be read, or invalid settings.
     pub(super) fn surfaces(&self, scene: &Scene, stack: &Stack, cuts: &CutShapes) -> Result<Surfaces> {
         let general = &scene.surface;
         general.check()?;
@@ -101,10 +102,11 @@ impl Assets {
         let look = source.appearance.resolve(&general.appearance)?;
         let only_triangles = source.representation() == Representation::Triangles;
         let untouched = source.rigid || (stack.is_empty() && cuts.is_empty());
-        // The inner wall of a thick skin is no part of the triangles: such a surface is cast whole.
+        // The inner wall of a thick skin is not part of the triangles: such a surface is rendered
+        // entirely by rays.
         let both = general.two_stage && source.path.is_some() && source.representation() == Representation::Field && look.model != CutModel::Thick;
         let triangles = if only_triangles || both { Some(self.objects.triangles(&self.library, source)?) } else { None };
-        // In two stages only what the boxes' matter comes from is needed as a field.
+        // In two stages, the field is needed only where the boxes' content comes from.
         let mut region = None;
         if let (true, Some(t)) = (both && cuts.is_empty(), &triangles) {
             let cell = cell_of(&t.mesh.bounds(), source.resolution.unwrap_or(general.resolution));

@@ -1,4 +1,4 @@
-//! A scene resolved for rendering: what every backend takes.
+//! A scene resolved for rendering: the input of every backend.
 
 use super::PrepareOptions;
 use super::assets::Assets;
@@ -26,39 +26,39 @@ pub struct Frame {
     pub view: ViewFrame,
     /// Width and height, pixels.
     pub size: [u32; 2],
-    /// Lengths that it is sampled by.
+    /// Sampling lengths.
     pub spacing: SampleSpacing,
-    /// The part of the deformed scene that can show anything of its volumes, mm.
+    /// The part of the deformed scene in which anything of its volumes may be visible, mm.
     pub proxy: Bounds,
     /// Unit vector towards the light, world.
     pub to_light: Vec3,
 }
 
-/// A scene resolved against its assets: the objects that it shows, how they are deformed, from where they are seen.
+/// A scene resolved against its assets: its visible objects, their deformation, and the camera.
 pub struct Prepared<'a> {
-    /// The volumes that are shown: one, which is empty if the scene has none.
+    /// The volumes shown: one, which is empty if the scene has none.
     pub volumes: Vec<VolumeObject<'a>>,
-    /// Surfaces that are shown with the volumes, or alone.
+    /// Surfaces shown with the volumes, or alone.
     pub surfaces: Surfaces,
     /// The deformation.
     pub stack: Stack,
-    /// Cuts that come after every map.
+    /// Cuts after all maps.
     pub cuts: CutShapes,
-    /// The mesh that slices are cut from instead of a box.
+    /// The mesh from which slices are cut, instead of a box.
     pub proxy_mesh: Option<Arc<Mesh>>,
-    /// What composing maps into one has cost in exactness, if any were.
+    /// The error of composing maps into one, if any were composed.
     pub composition: Option<Composition>,
     /// Constants.
     pub frame: Frame,
     /// Light.
     pub light: Light,
-    /// Settings as the scene has them.
+    /// The scene's render settings.
     pub settings: RenderSettings,
-    /// The factor on the opacities, if the scene states one.
+    /// The factor on the opacities, if the scene sets one.
     pub(super) density: Option<f64>,
-    /// What a user should know of how it was resolved, one sentence each.
+    /// Notices for the user from resolving the scene, one sentence each.
     pub notices: Vec<String>,
-    /// Time that preparing took.
+    /// Preparation times.
     pub stages: StageTimes,
 }
 
@@ -66,15 +66,16 @@ impl<'a> Prepared<'a> {
     /// Resolves a scene.
     ///
     /// # Errors
-    /// Any setting that cannot be used, by name.
+    /// Any invalid setting, by name.
     pub fn new(scene: &Scene, assets: &'a Assets) -> Result<Self> {
         Self::with(scene, assets, &PrepareOptions::default())
     }
 
-    /// As [`Self::new`], by an accelerator, with more maps, or for a caller that may stop it.
+    /// As [`Self::new`], with an accelerator, additional maps, or cancellation.
     ///
     /// # Errors
-    /// As [`Self::new`]; whatever the accelerator reports; [`Error::Cancelled`](crate::Error::Cancelled).
+    /// As [`Self::new`]; any error of the accelerator;
+    /// [`Error::Cancelled`](crate::Error::Cancelled).
     pub fn with(scene: &Scene, assets: &'a Assets, options: &PrepareOptions) -> Result<Self> {
         scene.check()?;
         let mut stages = StageTimes::default();
@@ -140,9 +141,9 @@ impl<'a> Prepared<'a> {
         !self.volume().table.gradient.is_empty() && self.volume().blend == Blend::Composite
     }
 
-    /// Distance from a cut beyond which it changes nothing about a sample, mm.
+    /// Distance from a cut beyond which it does not affect a sample, mm.
     pub fn cut_margin_mm(&self) -> f32 {
-        // Slices are met at a slant: their step along a ray is longer than their distance.
+        // Rays meet slices at an angle: their step along a ray is longer than their distance.
         let slant = match self.settings.mode {
             Mode::Slice => self.frame.view.longest_slant(),
             _ => 1.0,
@@ -156,13 +157,14 @@ impl<'a> Prepared<'a> {
         Vec3::from([0, 1, 2].map(|a| self.cut_margin_mm() * (world_from_covector * Vec3::AXES[a]).length()))
     }
 
-    /// The same wherever the deformation has brought the faces.
+    /// The same under any deformation of the faces.
     pub fn deformed_face_margin_voxels(&self) -> Vec3 {
         self.face_margin_voxels() * self.stack.lipschitz_bound()
     }
 
-    /// The gradients of all voxels for one more picture, if it uses them: they are computed for the second picture of a volume, and kept, since
-    /// one picture alone costs less without. What is lit by them is the same to the bit.
+    /// The gradients of all voxels for one more picture, if it uses them. They are computed for the
+    /// second picture of a volume and cached, since a single picture is cheaper without them. The
+    /// lighting is the same bit for bit.
     pub fn gradients_for_picture(&self) -> Option<&'a GradientVolume> {
         if !self.uses_gradients() {
             return None;
@@ -171,7 +173,8 @@ impl<'a> Prepared<'a> {
         if sampled.count_picture() > 1 { sampled.make_gradients() } else { sampled.gradients() }
     }
 
-    /// Computes the gradients of all voxels now, if pictures use them, rather than for the second one.
+    /// Computes the gradients of all voxels immediately, if pictures use them, rather than for the
+    /// second picture.
     pub fn make_gradients(&self) {
         if self.uses_gradients() {
             self.volume().sampled.make_gradients();

@@ -1,4 +1,4 @@
-//! A grid, and what is derived from its voxels and kept between pictures.
+//! A grid, and data derived from its voxels and cached between pictures.
 
 use super::accelerator::Accelerator;
 use super::macrocells::{CellGrid, MacrocellKey, Macrocells, VisibilityCriteria};
@@ -17,29 +17,30 @@ pub struct SampledVolume {
     /// Bounds of their normalised values.
     pub bounds: MinMaxPyramid<1>,
     gradients: OnceLock<Option<GradientVolume>>,
-    /// Pictures that could use the gradients.
+    /// Number of pictures that could use the gradients.
     pictures: AtomicUsize,
     /// The most recently used last.
     macrocells: Mutex<Vec<(MacrocellKey, Arc<Macrocells>)>>,
 }
 
-/// Macrocells that are kept: a window shows one scene in several views.
+/// Number of cached macrocell grids: a window shows one scene in several views.
 const MAX_CACHED_MACROCELLS: usize = 4;
 
 impl SampledVolume {
-    /// Derives what every picture needs.
+    /// Derives the data that every picture needs.
     pub fn new(grid: VoxelGrid) -> Self {
         let bounds = value_pyramid_of(&grid);
         Self { grid, bounds, gradients: OnceLock::new(), pictures: AtomicUsize::new(0), macrocells: Mutex::default() }
     }
 
-    /// [`Macrocells::new`], or those that are kept of the same inputs: a camera or a light changes nothing about empty space.
+    /// [`Macrocells::new`], or a cached grid of the same inputs: empty space does not depend on the
+    /// camera or the light.
     ///
     /// # Errors
-    /// Whatever a device reports that finds them.
+    /// Any error of a device that computes them.
     pub fn macrocells(&self, bounds: Bounds, voxel_mm: f32, contents: &VisibilityCriteria, device: &dyn Accelerator) -> Result<Arc<Macrocells>> {
         let inputs = MacrocellKey::of(bounds, voxel_mm, contents);
-        // Entries are only ever added whole.
+        // Entries are only added as a whole.
         let lock = || self.macrocells.lock().unwrap_or_else(PoisonError::into_inner);
         let found = {
             let mut entries = lock();
@@ -66,12 +67,12 @@ impl SampledVolume {
         Ok(cells)
     }
 
-    /// Counts one more picture that could use the gradients; how many there have been.
+    /// Counts one more picture that could use the gradients; returns the count.
     pub fn count_picture(&self) -> usize {
         self.pictures.fetch_add(1, Ordering::Relaxed) + 1
     }
 
-    /// Computes the gradients of all voxels, if that has not been done and there is room for them.
+    /// Computes the gradients of all voxels, unless they exist or do not fit into memory.
     pub fn make_gradients(&self) -> Option<&GradientVolume> {
         self.gradients.get_or_init(|| GradientVolume::new(&self.grid)).as_ref()
     }
@@ -102,7 +103,7 @@ fn value_pyramid_of_voxels<T: Voxel>(grid: &VoxelGrid, voxels: &[T]) -> MinMaxPy
             (low, high) = (low.min(v), high.max(v));
         }
         let (a, b) = (low * grid.scale + grid.offset, high * grid.scale + grid.offset);
-        // A negative slope turns the range around.
+        // A negative slope reverses the range.
         ChannelRange { min: [a.min(b)], max: [a.max(b)] }
     })
 }

@@ -13,46 +13,46 @@ use crate::{Error, Result, Watch};
 use glam::{Affine3A, Mat3, Vec3};
 use std::sync::Arc;
 
-/// What a stack of maps is made from, besides the scene's deformations.
+/// The inputs of a stack of maps in addition to the scene's deformations.
 #[derive(Clone, Copy)]
 pub struct StackInputs<'a> {
     /// Files and volumes.
     pub library: &'a Library,
     /// The undeformed scene's box, mm.
     pub scene_box: Bounds,
-    /// The mask's ramp is at least this wide to either side, mm.
+    /// Minimum half width of the mask's ramp, mm.
     pub min_ramp_mm: f32,
-    /// The camera, for what is locked to the view.
+    /// The camera, for deformations locked to the view.
     pub view: &'a ViewFrame,
     /// Overrides every storage format.
     pub storage: Option<Storage>,
-    /// Whether removals that nothing moves afterwards are kept as shapes.
+    /// Whether removals that no later deformation moves stay analytic shapes.
     pub exact_cuts: bool,
-    /// What samples maps.
+    /// Samples maps.
     pub accelerator: &'a dyn Accelerator,
-    /// Is told how far the work is, and tells when to stop.
+    /// Receives progress, and can cancel.
     pub watch: &'a Watch<'a>,
 }
 
-/// What composing has come to, for reports.
+/// The outcome of composing, for reports.
 #[derive(Clone, Copy, Debug)]
 pub struct Composition {
-    /// The bound that was asked for, mm.
+    /// The requested bound, mm.
     pub bound_mm: f32,
-    /// Maps of the stack.
+    /// Number of maps in the stack.
     pub maps: usize,
-    /// Whether one map stands for all of them, where it is exact enough.
+    /// Whether one map replaces all of them where it is accurate enough.
     pub composed: bool,
-    /// Largest error found where matter is, mm; within the bound.
+    /// Largest error found inside the volume, mm; within the bound.
     pub worst_mm: f32,
     /// 99th percentile of the error, mm.
     pub p99_mm: f32,
-    /// Share of the space with matter in it where the maps themselves are walked.
+    /// Fraction of the occupied space in which the maps themselves are walked.
     pub fallback_share: f32,
 }
 
 impl Composition {
-    /// What a user should know: that composing did not help.
+    /// A notice for the user if composing did not help.
     pub fn notice(&self) -> Option<String> {
         let Self { bound_mm, maps, composed, fallback_share, .. } = self;
         (!composed).then(|| {
@@ -64,10 +64,11 @@ impl Composition {
     }
 }
 
-/// The stack of a scene's deformations, with maps made by other means applied before and after them, and the cuts that come after all.
+/// The stack of a scene's deformations, with other maps applied before and after them, and the cuts
+/// after all of them.
 ///
 /// # Errors
-/// Any parameter that cannot be used, by name.
+/// Any invalid parameter, by name.
 pub fn stack(deformations: &[Deformation], inputs: &StackInputs, first: Vec<PlacedMap>, more: Vec<PlacedMap>) -> Result<(Stack, CutShapes)> {
     let enabled: Vec<&Deformation> = deformations.iter().filter(|d| d.enabled).collect();
     let mut first_cut = enabled.len();
@@ -79,7 +80,7 @@ pub fn stack(deformations: &[Deformation], inputs: &StackInputs, first: Vec<Plac
     let mut maps = first;
     let all = enabled[..first_cut].len().max(1) as f32;
     for (n, d) in enabled[..first_cut].iter().enumerate() {
-        // Each is its share of the whole.
+        // Each deformation is an equal fraction of the whole.
         let progress = |share: f32| (inputs.watch.progress)((n as f32 + share) / all);
         let watch = Watch { progress: &progress, cancel: inputs.watch.cancel };
         watch.check()?;
@@ -100,10 +101,10 @@ pub fn stack(deformations: &[Deformation], inputs: &StackInputs, first: Vec<Plac
     Ok((Stack::new(maps), cuts(&enabled[first_cut..], inputs)?))
 }
 
-/// Settings that only a shape can follow: a mask ends with its box.
+/// Settings that only an analytic shape supports: a mask ends with its box.
 const CUT_ONLY: [&str; 3] = ["invert", "group", "combine"];
 
-/// Whether a deformation is a removal that a formula can say.
+/// Whether a deformation is an analytic removal.
 fn is_exact(deformation: &Deformation) -> bool {
     kinds::kind(&deformation.kind).is_ok_and(|k| k.shape.is_some())
         && !deformation.add
@@ -111,10 +112,10 @@ fn is_exact(deformation: &Deformation) -> bool {
         && !["spare", "mapping"].iter().any(|n| deformation.parameters.0.contains_key(*n))
 }
 
-/// Removals as shapes, the members of each group together.
+/// Removals as shapes, with the members of each group consecutive.
 fn cuts(deformations: &[&Deformation], inputs: &StackInputs) -> Result<CutShapes> {
     let mut named: Vec<(Option<String>, CutShape)> = Vec::new();
-    // Members without strength: empty shapes, with which an intersection is empty.
+    // Members at strength 0: empty shapes, which make an intersection empty.
     let mut vanished: Vec<(String, bool)> = Vec::new();
     for d in deformations {
         let kind = kinds::kind(&d.kind)?;
@@ -133,7 +134,7 @@ fn cuts(deformations: &[&Deformation], inputs: &StackInputs) -> Result<CutShapes
     for n in 1..named.len() {
         named[n].1.joins_previous = named[n].0.is_some() && named[n].0 == named[n - 1].0;
     }
-    // A group is an intersection if any member says so.
+    // A group is an intersection if any member requests it.
     for n in 0..named.len() {
         let intersects = named.iter().any(|(g, p)| g.is_some() && *g == named[n].0 && p.intersects);
         named[n].1.intersects = intersects;
@@ -141,7 +142,8 @@ fn cuts(deformations: &[&Deformation], inputs: &StackInputs) -> Result<CutShapes
     Ok(CutShapes::new(named.into_iter().map(|(_, p)| p).collect()))
 }
 
-/// A removal's group, whether that is an intersection, and its shape; no shape if its strength is 0.
+/// A removal's group, whether that is an intersection, and its shape; no shape if its strength is
+/// 0.
 fn primitive(d: &Deformation, kind: &Kind, inputs: &StackInputs) -> Result<(Option<String>, bool, Option<CutShape>)> {
     let placement = kind_placement(d, kind, inputs)?;
     let size_mm = placement.size_mm();
@@ -157,7 +159,7 @@ fn primitive(d: &Deformation, kind: &Kind, inputs: &StackInputs) -> Result<(Opti
     Ok((group, intersects, shape))
 }
 
-/// Where a kind's box lies.
+/// The placement of a kind's box.
 fn kind_placement(d: &Deformation, kind: &Kind, inputs: &StackInputs) -> Result<Placement> {
     if matches!(kind.size, DefaultSize::Across(_)) && d.size.is_some() {
         return Err(Error::value("size", "this kind affects the whole scene and has no size; give center and rotate"));
@@ -165,10 +167,10 @@ fn kind_placement(d: &Deformation, kind: &Kind, inputs: &StackInputs) -> Result<
     stated_placement(d, inputs, || kind.default_size(&inputs.scene_box), kind.locked_to_view)
 }
 
-/// A stack with one map that stands for it within a bound, if one is asked for.
+/// A stack with a precomposed map within an error bound, if one is requested.
 ///
 /// # Errors
-/// A placement that cannot be used; whatever the device reports.
+/// A placement that is not invertible; any error of the device.
 pub fn composed(stack: Stack, inputs: &StackInputs, bound_mm: Option<f32>) -> Result<(Stack, Option<Composition>)> {
     let Some(bound_mm) = bound_mm.filter(|_| stack.maps().len() > 1) else { return Ok((stack, None)) };
     let evaluate = |stack: &Stack, points: &[Vec3]| inputs.accelerator.evaluate(stack, points);
@@ -186,7 +188,7 @@ pub fn composed(stack: Stack, inputs: &StackInputs, bound_mm: Option<f32>) -> Re
     ))
 }
 
-/// An error about a deformation of a kind, which says so once.
+/// An error about a deformation of a kind, which names the kind once.
 fn in_kind(error: Error, kind: &str) -> Error {
     match &error {
         Error::Value { name, .. } if !name.starts_with(kind) => error.within(kind),
@@ -194,7 +196,8 @@ fn in_kind(error: Error, kind: &str) -> Error {
     }
 }
 
-/// Samples one deformation into a map and puts it into the world; a chain of transforms becomes several.
+/// Samples one deformation into a map and places it in the world; a chain of transforms becomes
+/// several maps.
 fn place(deformation: &Deformation, inputs: &StackInputs) -> Result<Vec<PlacedMap>> {
     let named = |e: Error| in_kind(e, &deformation.kind);
     let mut placed = match deformation.kind.as_str() {
@@ -217,7 +220,7 @@ fn progress(deformation: &Deformation) -> Result<f32> {
     if (0.0..=1.0).contains(&progress) { Ok(progress) } else { Err(Error::value("progress", format!("{progress} is outside 0 to 1"))) }
 }
 
-/// The placement that a deformation states, if it states any part of one.
+/// The placement given by a deformation, if it gives any part of one.
 fn stated_placement(deformation: &Deformation, inputs: &StackInputs, default_size: impl Fn() -> Vec3, locked: bool) -> Result<Placement> {
     if let Some(rows) = deformation.matrix {
         let column = |c: usize| Vec3::new(rows[0][c], rows[1][c], rows[2][c]);
@@ -241,7 +244,7 @@ fn place_kind(deformation: &Deformation, inputs: &StackInputs) -> Result<PlacedM
     let placement = kind_placement(deformation, kind, inputs)?;
     let size_mm = match (deformation.matrix, deformation.size) {
         (Some(_), _) => placement.size_mm(),
-        // As stated: lengths of turned axes differ from it in their last digits.
+        // As given: lengths of rotated axes differ from it in their last digits.
         (None, Some(size)) => size.xyz(),
         (None, None) => kind.default_size(&inputs.scene_box),
     };
@@ -255,17 +258,18 @@ fn place_kind(deformation: &Deformation, inputs: &StackInputs) -> Result<PlacedM
     let (values, settings) = kind.resolve(&deformation.parameters, size_mm)?;
     let storage = inputs.storage.or(deformation.storage).unwrap_or_default();
     let sampling = Sampling { resolution: deformation.resolution, storage, min_ramp_mm: inputs.min_ramp_mm };
-    // The box's own millimetres: from its centre, along its axes.
+    // The box's local millimetres: from its centre, along its axes.
     let world_from_local = placement.world_from_map * Affine3A::from_translation(Vec3::splat(0.5)) * Affine3A::from_scale(size_mm.recip());
     let kind_inputs = FieldInputs { settings: &settings, world_from_local, library: inputs.library };
-    // A formula has the same map wherever its box lies: one that is moved or turned is not sampled, and not uploaded, again.
+    // A formula has the same map wherever its box lies: moving or rotating the box neither samples
+    // nor uploads it again.
     let lies = (!kind.is_the_same_anywhere(&deformation.parameters)).then_some(world_from_local);
     let key = format!("{} {:?} {progress} {size_mm:?} {sampling:?} {lies:?}", kind.name, deformation.parameters);
     let map = inputs.library.map(key, || inputs.accelerator.map(kind.recipe(&values, progress, size_mm, &sampling, &kind_inputs)?, inputs.watch))?;
     Ok(PlacedMap::new(map, placement.scaled(Vec3::splat(kind.cube_scale))?))
 }
 
-/// Only the settings of a file kind may be given.
+/// Only the settings of a file kind are allowed.
 fn check_settings(arguments: &Arguments, kind: &str) -> Result<()> {
     let valid_names: Vec<&str> = FILE_KINDS.iter().filter(|k| k.name == kind).flat_map(|k| k.settings.iter().map(|s| s.name)).collect();
     match arguments.0.keys().find(|name| !valid_names.contains(&name.as_str())) {
@@ -322,7 +326,7 @@ fn place_map(deformation: &Deformation, inputs: &StackInputs) -> Result<PlacedMa
     let mut stated = deformation.clone();
     stated.center.get_or_insert(own_center.into());
     if stated.size.is_none() && stated.rotate.is_none() && stated.matrix.is_none() {
-        // Only moved: it keeps its own axes.
+        // Moved only: it keeps its own axes.
         let shift = Affine3A::from_translation(Vec3::from(stated.center.unwrap_or_default()) - own_center);
         return Ok(PlacedMap::new(saved.map.clone(), Placement::from_affine(shift * saved.placement.world_from_map)?));
     }

@@ -1,7 +1,9 @@
-//! Where rays may meet a surface: empty space around each object, in deformed space, and how fast the deformation changes there.
+//! Where rays may hit a surface: empty space around each object, in deformed space, and bounds on
+//! the rate of deformation there.
 //!
-//! Neither depends on the camera: cells are cached until the deformation, a cut or the object changes; computed for every
-//! picture they would be the larger part of a frame. Slopes are bounded eight cells at once.
+//! Neither depends on the camera: cells are cached until the deformation, a cut or the object
+//! changes. Computing them for every picture would take most of a frame. Slopes are bounded eight
+//! cells at once.
 
 use super::macrocells::{BoxVisibility, CellGrid, Macrocells};
 use crate::deform::Stack;
@@ -17,11 +19,11 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 
 /// Cells along an object's longest edge.
 const CELLS: f32 = 64.0;
-/// Cells that are kept at most, and of how many deformations: each keeps its maps.
+/// Maximum number of cached cell grids, and of their deformations: each one retains its maps.
 const MAX_CACHED_CELLS: usize = 64;
 const MAX_CACHED_STACKS: usize = 4;
 
-/// Empty space around an object, and how fast the deformation changes, per cell.
+/// Empty space around an object, and the rate of deformation, per cell.
 pub struct SurfaceCells {
     /// The grid.
     pub grid: Macrocells,
@@ -29,12 +31,12 @@ pub struct SurfaceCells {
     pub slope: Vec<f32>,
 }
 
-/// What decides where a ray can meet an object.
+/// The inputs that decide where a ray can hit an object.
 pub(super) struct SurfaceCellsInputs<'a> {
     pub implicit: Option<Implicit>,
-    /// Of the undeformed object.
+    /// Bounds of the undeformed object.
     pub bounds: Bounds,
-    /// None for an object that deformations pass by.
+    /// None for an object to which deformations do not apply.
     pub stack: Option<&'a Stack>,
     pub cuts: &'a CutShapes,
     pub model: CutModel,
@@ -46,13 +48,14 @@ pub(super) struct SurfaceCellsInputs<'a> {
     pub skipping: bool,
 }
 
-/// Which solid it was, without keeping its field in memory: nothing else takes its address while it is remembered.
+/// The identity of a solid, without keeping its field in memory: the weak reference keeps its
+/// address from being reused.
 pub enum SolidIdentity {
-    /// The very same field.
+    /// Exactly this field.
     Grid(Weak<DistanceGrid>),
-    /// The same solids.
+    /// Equal solids.
     Formula(Formula),
-    /// The very same depth maps.
+    /// Exactly these depth maps.
     Depth(Weak<DepthMaps>),
 }
 
@@ -77,7 +80,7 @@ impl PartialEq for SolidIdentity {
     }
 }
 
-/// A [`SurfaceCellsInputs`] with what it borrows: cells of equal ones are equal.
+/// An owned [`SurfaceCellsInputs`]: equal keys have equal cells.
 #[derive(PartialEq)]
 struct SurfaceCellsKey {
     solid: Option<SolidIdentity>,
@@ -97,10 +100,10 @@ struct SurfaceCellsKey {
 pub(super) struct SurfaceCellsCache(Mutex<Vec<(SurfaceCellsKey, Arc<SurfaceCells>)>>);
 
 impl SurfaceCellsCache {
-    /// The cells of an object. `slopes` are those of the scene's stack, once something has asked for them.
+    /// The cells of an object. `slopes` are those of the scene's stack, computed on first use.
     pub fn of<'a>(&self, cells_inputs: &SurfaceCellsInputs<'a>, slopes: &OnceLock<LipschitzBounds<'a>>) -> Arc<SurfaceCells> {
         let inputs = cells_inputs.inputs();
-        // Entries are only ever added whole.
+        // Entries are only added as a whole.
         let lock = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let mut entries = lock();
         if let Some(at) = entries.iter().position(|(of, _)| *of == inputs) {
@@ -129,7 +132,7 @@ impl<'a> SurfaceCellsInputs<'a> {
     fn inputs(&self) -> SurfaceCellsKey {
         let Self { bounds, stack, cuts, model, thickness_mm, skip_cuts, boxes_only, cell_mm, skipping, .. } = *self;
         let solid = self.implicit.as_ref().map(SolidIdentity::from);
-        // Where no ray is cast nothing else matters.
+        // Without rays nothing else affects the cells.
         let (stack, cuts) = if solid.is_some() { (stack.cloned(), cuts.clone()) } else { Default::default() };
         SurfaceCellsKey { solid, bounds, stack, cuts, model, thickness_mm, skip_cuts, boxes_only, cell_mm, skipping }
     }
@@ -140,9 +143,9 @@ impl<'a> SurfaceCellsInputs<'a> {
             return SurfaceCells { grid: Macrocells::solid(Bounds::EMPTY), slope: vec![1.0] };
         }
         let edge = (deformed.size().max_element() / CELLS).max(self.cell_mm);
-        // Without skipping every cell counts as occupied; their slopes are needed all the same.
+        // Without skipping every cell counts as occupied; its slope is needed nevertheless.
         let visibility = |b: &Bounds| {
-            // Fields have no bound that says that a surface is everywhere.
+            // Fields have no bound that guarantees a surface everywhere.
             if !self.skipping {
                 BoxVisibility::VisibleEverywhere
             } else if self.visible(b) {
@@ -163,7 +166,7 @@ impl<'a> SurfaceCellsInputs<'a> {
         SurfaceCells { grid, slope }
     }
 
-    /// Whether a ray can meet the surface in a box of the deformed scene.
+    /// Whether a ray can hit the surface in a box of the deformed scene.
     fn visible(&self, deformed: &Bounds) -> bool {
         let Some(implicit) = &self.implicit else { return false };
         let Some(stack) = self.stack else { return self.visible_in_source(implicit, deformed, true) };
@@ -182,7 +185,8 @@ impl<'a> SurfaceCellsInputs<'a> {
         visible
     }
 
-    /// Whether a ray can meet it in what a box of the source has become, `whole` if nothing of that is cut away.
+    /// Whether a ray can hit it in the image of a source box; `whole` if nothing of the box is cut
+    /// away.
     fn visible_in_source(&self, implicit: &Implicit, source: &Bounds, mut whole: bool) -> bool {
         if source.intersection(&implicit.bounds()).is_empty() {
             return false;
@@ -190,12 +194,12 @@ impl<'a> SurfaceCellsInputs<'a> {
         if !implicit.is_distance() {
             return true;
         }
-        // Interpolation between the points of a field strays by less than a cell.
+        // Interpolation between the points of a field deviates by less than a cell.
         let (f, r) = (implicit.value(source.center()), source.size().length() * 0.5 + self.cell_mm);
         if f + r < 0.0 {
             return false;
         }
-        // A thin shell has nothing inside whatever cuts it.
+        // A thin shell has no inside, whatever cuts it.
         whole |= self.model == CutModel::Hollow;
         match self.model {
             CutModel::Thick => !(f - r > self.thickness_mm || (whole && f - r > 0.0 && f + r < self.thickness_mm)),
@@ -210,7 +214,8 @@ mod tests {
     use crate::deform::{DisplacementMap, PlacedMap, Placement};
     use glam::Vec3;
 
-    /// The same question gets the same cells; another deformation or thickness gets others; of many deformations a few are kept, and their maps with them.
+    /// Equal inputs get the same cells; another deformation or thickness gets others. The cells of
+    /// a few deformations stay cached, with their maps.
     #[test]
     fn cells_are_kept_while_nothing_changes() {
         let maps: Vec<Arc<DisplacementMap>> = (0..10).map(|_| Arc::new(DisplacementMap::identity([4; 3]))).collect();

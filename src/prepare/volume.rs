@@ -1,4 +1,4 @@
-//! One volume of a prepared scene: what is sampled, how values become colours, and where nothing of it can be seen.
+//! One volume of a prepared scene: its samples, its colours, and where nothing of it is visible.
 
 use super::PrepareOptions;
 use super::assets::Assets;
@@ -14,13 +14,13 @@ use crate::{Error, Result};
 use glam::{Affine3A, Vec3};
 use std::sync::Arc;
 
-/// A volume that a scene shows, or the empty one of a scene without any.
+/// A volume shown by a scene, or the empty one of a scene without any.
 pub struct VolumeObject<'a> {
-    /// What is sampled.
+    /// The voxels to sample.
     pub grid: &'a VoxelGrid,
-    /// The same with what is derived from it.
+    /// The same with the data derived from it.
     pub(super) sampled: &'a SampledVolume,
-    /// The voxels' own colours, which take the place of the table's.
+    /// The voxels' own colours, which replace those of the table.
     pub colors: Option<&'a Colors>,
     /// World to voxel.
     pub voxel_from_world: Affine3A,
@@ -30,21 +30,21 @@ pub struct VolumeObject<'a> {
     pub table: TransferTable,
     /// How samples blend.
     pub blend: Blend,
-    /// Normalised value of the surface that is shown instead of the volume, if one is.
+    /// Normalised value of the iso-surface shown instead of the volume, if there is one.
     pub iso: Option<f32>,
-    /// Normalised values that are black and white on grey cut faces.
+    /// Normalised values shown as black and white on grey cut faces.
     pub grey_window: [f32; 2],
     /// Empty space.
     pub macrocells: Arc<Macrocells>,
-    /// Whether there is a volume, or an empty one stands in its place.
+    /// Whether there is a volume, rather than an empty placeholder.
     pub(super) is_present: bool,
-    /// The lowest and highest value, data units.
+    /// The smallest and largest value, data units.
     pub(super) value_range: [f64; 2],
-    /// No voxel is a finite number.
+    /// Whether no voxel is a finite number.
     pub(super) has_no_values: bool,
 }
 
-/// How the values of a volume become colours.
+/// How the values of a volume are mapped to colours.
 pub(super) struct Classifier<'a> {
     sampled: &'a SampledVolume,
     colors: Option<&'a Colors>,
@@ -56,12 +56,12 @@ impl<'a> Classifier<'a> {
     /// The scene's transfer function over its volume.
     ///
     /// # Errors
-    /// Any setting that cannot be used, by name.
+    /// Any invalid setting, by name.
     pub fn new(scene: &Scene, assets: &'a Assets) -> Result<Self> {
         let (volume, transfer) = (&assets.volume, &scene.transfer);
         let fallback = scene.default_preset(volume);
         let function = transfer.resolve(volume, fallback)?;
-        // Labels in their colours, unless a curve over the labels themselves is wanted.
+        // Labels in their colours, unless a curve over the labels themselves is set.
         let plain = transfer.points.is_empty() && transfer.window.is_none() && transfer.level.is_none() && function.blend == Blend::Composite;
         let by_label = plain
             && transfer.preset.as_deref().unwrap_or(fallback) == "labels"
@@ -80,10 +80,10 @@ impl<'a> Classifier<'a> {
 }
 
 impl<'a> VolumeObject<'a> {
-    /// The scene's volume as its classifier shows it, with empty space under a deformation.
+    /// The scene's volume as mapped by its classifier, with its empty space under a deformation.
     ///
     /// # Errors
-    /// A geometry that cannot be inverted; whatever the accelerator reports.
+    /// A geometry that is not invertible; any error of the accelerator.
     pub(super) fn new(
         classifier: Classifier<'a>,
         scene: &Scene,
@@ -122,7 +122,7 @@ impl<'a> VolumeObject<'a> {
         Ok(object)
     }
 
-    /// Where nothing can be seen of the volume in its deformed box.
+    /// Where nothing of the volume is visible in its deformed box.
     fn empty_space(
         &self,
         scene: &Scene,
@@ -152,7 +152,7 @@ impl<'a> VolumeObject<'a> {
             table: &self.table,
             blend: self.blend,
         };
-        // What looks back a step may lie beyond the box of the scene itself.
+        // Samples that read a step back may lie outside the box of the scene itself.
         self.sampled.macrocells(bounds.grown(contents.reach_mm()), spacing.reference_mm, &contents, options.accelerator)
     }
 }

@@ -1,19 +1,22 @@
-//! The maps of a stack in one texture: a shader binds few textures (16 on WebGL and OpenGL), a scene may have many deformations. A map's texels lie
-//! together; shaders never read beyond them, so that neighbours do not touch.
+//! Texture atlases for the maps of a stack: a shader binds few textures (16 on WebGL and OpenGL),
+//! but a scene may have many deformations. Each map occupies one box of texels; shaders never read
+//! outside it, hence neighbouring maps need no padding.
 //!
-//! There are two: of half precision, and of single precision for all other maps: displacement fields from files, and steps of 8 or 16 bits, which halves
-//! do not have. What is in an atlas stays there until a map of its size needs its place or a larger texture is made; maps have textures of their own, from
-//! which they are copied, so that a hand that goes back and forth between two states uploads nothing.
+//! There are two atlases: one in half precision, and one in single precision for all other maps,
+//! that is, displacement fields from files, and steps of 8 or 16 bits, which half precision cannot
+//! represent. A map stays in its atlas until another one of its size needs its place or a larger
+//! texture is made. Maps also have textures of their own, from which they are copied: switching
+//! back and forth between two states uploads nothing.
 
 use super::target::RenderTexture;
 use crate::deform::DisplacementMap;
 use std::sync::Arc;
 
-/// Where a map lies, texels.
+/// The location of a map, texels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct AtlasSlot {
     pub origin: [u32; 3],
-    /// In the atlas of single precision.
+    /// Whether it is in the single-precision atlas.
     pub single: bool,
 }
 
@@ -33,12 +36,12 @@ impl TexelBox {
         (0..3).all(|a| size[a] <= self.size[a])
     }
 
-    /// What is left of it beside a box of `size` at its origin: up to three boxes.
+    /// The rest of the box without a box of `size` at its origin: up to three boxes.
     fn rest(&self, size: [u32; 3]) -> impl Iterator<Item = Self> + use<> {
         let whole = *self;
         (0..3).map(move |axis| {
             let mut part = whole;
-            // Before this axis only what the box takes up is cut off, behind it all.
+            // Up to this axis limited to the extent of the removed box, beyond it the whole extent.
             part.size = std::array::from_fn(|a| if a < axis { size[a] } else { whole.size[a] });
             part.origin[axis] += size[axis];
             part.size[axis] = whole.size[axis] - size[axis];
@@ -47,7 +50,7 @@ impl TexelBox {
     }
 }
 
-/// Boxes in a box that grows.
+/// Packing of boxes into a growing box.
 #[derive(Default)]
 pub(super) struct AtlasPacking {
     pub(super) size: [u32; 3],
@@ -55,7 +58,7 @@ pub(super) struct AtlasPacking {
 }
 
 impl AtlasPacking {
-    /// Takes a place out of what is free, the one that is filled best.
+    /// Takes the free place with the best fit.
     fn take(&mut self, size: [u32; 3]) -> Option<[u32; 3]> {
         let best = self.free.iter().enumerate().filter(|(_, r)| r.holds(size)).min_by_key(|(_, r)| r.texels()).map(|(n, _)| n)?;
         let region = self.free.swap_remove(best);
@@ -63,14 +66,16 @@ impl AtlasPacking {
         Some(region.origin)
     }
 
-    /// Grows along the axis that costs least, until a box of `size` is free; false if an edge would be longer than `most`.
+    /// Grows along the cheapest axis until a box of `size` is free; false if an edge would exceed
+    /// `most`.
     fn grow_for(&mut self, size: [u32; 3], most: u32) -> bool {
         let grown = |axis: usize| -> [u32; 3] { std::array::from_fn(|a| if a == axis { self.size[a] + size[a] } else { self.size[a].max(size[a]) }) };
         let volume = |s: [u32; 3]| s.iter().map(|n| u64::from(*n)).product::<u64>();
         let fits = |axis: &usize| grown(*axis).iter().all(|n| *n <= most);
         let Some(along) = (0..3).filter(fits).min_by_key(|axis| volume(grown(*axis))) else { return false };
         let to = grown(along);
-        // What is new lies beside what there was, in one slab for each axis: the one that holds the box is the last, and so reaches over all else.
+        // The new space is added as one slab per axis. The slab that holds the box is the last one
+        // and spans all the others.
         for axis in [(along + 1) % 3, (along + 2) % 3, along] {
             let slab = TexelBox {
                 origin: std::array::from_fn(|a| if a == axis { self.size[a] } else { 0 }),
@@ -87,7 +92,7 @@ impl AtlasPacking {
 
 /// A map in an atlas.
 pub(super) struct AtlasEntry {
-    /// Kept, so that nothing else can take its address.
+    /// Retained, so that its address is not reused.
     pub(super) map: Arc<DisplacementMap>,
     pub(super) region: TexelBox,
 }
@@ -110,7 +115,8 @@ impl Atlas {
         self.entries.iter().position(|e| Arc::ptr_eq(&e.map, map))
     }
 
-    /// A place for a map, if there is one without growing: what is free, or that of an unused map of the same size.
+    /// A place for a map without growing, if there is one: free space, or the place of an unused
+    /// map of the same size.
     pub(super) fn place(&mut self, map: &Arc<DisplacementMap>, in_use: &[Arc<DisplacementMap>]) -> Option<TexelBox> {
         let size = texels_of(map);
         let unused = |e: &AtlasEntry| e.region.size == size && !in_use.iter().any(|m| Arc::ptr_eq(m, &e.map));
@@ -120,7 +126,7 @@ impl Atlas {
         self.packing.take(size).map(|origin| TexelBox { origin, size })
     }
 
-    /// A packing of maps alone, and their places by order.
+    /// A packing of these maps alone, and their places in order.
     pub(super) fn packed(maps: &[Arc<DisplacementMap>], most: u32) -> Option<(AtlasPacking, Vec<TexelBox>)> {
         let mut packing = AtlasPacking::default();
         let mut order: Vec<usize> = (0..maps.len()).collect();
@@ -147,7 +153,8 @@ mod tests {
         (0..3).all(|n| a.origin[n] < b.origin[n] + b.size[n] && b.origin[n] < a.origin[n] + a.size[n])
     }
 
-    /// Boxes never lie in each other, nor outside, whatever their sizes, and little is wasted where they are alike.
+    /// Boxes never overlap nor exceed the bounds, whatever their sizes, and little space is wasted
+    /// for equal boxes.
     #[test]
     fn boxes_are_packed_without_touching() {
         let mut random = 12345u32;

@@ -1,5 +1,6 @@
-//! What a renderer keeps from picture to picture: uniform buffers, the table's and the macrocells' textures, displacement maps by identity,
-//! targets by size, and the bind groups of all of these. A picture rewrites what has changed and makes what is not there.
+//! Resources that a renderer caches between pictures: uniform buffers, the textures of the table
+//! and the macrocells, displacement maps by identity, targets by size, and the bind groups of all
+//! of these. A picture rewrites what has changed and creates what is missing.
 
 use super::classify::ValueBoundsCache;
 use super::context::{Context, extent};
@@ -15,13 +16,13 @@ use crate::transfer::{GRADIENT_ENTRIES, PREINTEGRATED_SIZE, Preintegrated, TABLE
 use crate::{Error, Result};
 use wgpu::{BufferUsages, TextureFormat, TextureUsages};
 
-/// What the shaders' shared functions read, with the content that was last written.
+/// The inputs of the shaders' shared functions, with the content last written.
 #[derive(Default)]
 pub(super) struct SceneCache {
     uniforms: Option<[wgpu::Buffer; 3]>,
     table: Option<(RenderTexture, Vec<[f32; 4]>)>,
     cells: Option<(RenderTexture, Vec<u8>)>,
-    /// Made for a curve and a step.
+    /// Made for one transfer function and step.
     preintegrated: Option<(RenderTexture, Vec<[f32; 4]>, f32)>,
     nothing_preintegrated: Option<RenderTexture>,
     pub volume: VolumeCache,
@@ -30,19 +31,19 @@ pub(super) struct SceneCache {
     pub values: ValueBoundsCache,
 }
 
-/// What a picture binds: handles of what is kept.
+/// The bindings of a picture: handles of cached resources.
 pub(super) struct SceneBindings {
     uniforms: [wgpu::Buffer; 3],
     table: wgpu::TextureView,
     cells: wgpu::TextureView,
     preintegrated: wgpu::TextureView,
-    /// The atlases of half and of single precision.
+    /// The half- and single-precision atlases.
     maps: [wgpu::TextureView; 2],
     nothing: Layer,
 }
 
 impl SceneCache {
-    /// Uploads what of the shared shader functions' inputs has changed.
+    /// Uploads the inputs of the shared shader functions that have changed.
     pub(super) fn bindings(&mut self, context: &Context, scene: &Prepared, nothing: Layer) -> Result<SceneBindings> {
         let volume = self.volume.texture.as_ref().ok_or_else(|| Error::Gpu("no volume was uploaded".into()))?;
         let frame = FrameUniform::new(scene, [volume.scale, volume.offset, volume.gradient_scale(scene)], volume.texture_span_voxels);
@@ -95,7 +96,8 @@ impl SceneCache {
         Ok(view)
     }
 
-    /// Row 0: colour and optical depth; row 1: gradient factors; row 2: the optical depth's integral from the first entry.
+    /// Row 0: colour and optical depth; row 1: gradient factors; row 2: the optical depth's
+    /// integral from the first entry.
     fn table(&mut self, context: &Context, table: &TransferTable) -> wgpu::TextureView {
         let mut texels = table.entries.clone();
         texels.resize(3 * TABLE_ENTRIES, [0.0; 4]);
@@ -137,7 +139,7 @@ impl SceneCache {
         view
     }
 
-    /// The table of segments, if the scene wants one.
+    /// The pre-integrated table, if the scene uses one.
     fn preintegrated(&mut self, context: &Context, scene: &Prepared) -> wgpu::TextureView {
         let table_of = |edge: usize| {
             RenderTexture::new(context.texture(&wgpu::TextureDescriptor {
@@ -186,13 +188,13 @@ impl SceneCache {
         view
     }
 
-    /// The shared bindings, with what lies behind.
+    /// The bind group of the shared bindings and the layer behind.
     pub(super) fn group(&mut self, context: &Context, shared: &SceneBindings, behind: Option<&Layer>) -> wgpu::BindGroup {
         let volume = self.volume.texture.as_ref().map_or(&shared.maps[0], |v| &v.view);
         let colors = self.volume.texture.as_ref().and_then(|v| v.colors.as_ref()).unwrap_or(&shared.maps[0]);
         let gradients = self.volume.texture.as_ref().and_then(|v| v.gradients.as_ref()).unwrap_or(&shared.maps[0]);
         let [color, distance] = behind.unwrap_or(&shared.nothing).views();
-        // By number of binding.
+        // By binding number.
         let mut views = vec![(2, volume.clone()), (4, shared.table.clone()), (5, shared.cells.clone())];
         views.extend([
             (15, color.clone()),

@@ -1,4 +1,4 @@
-//! The cells of the empty-space grid, classified on the device.
+//! Classification of the cells of the empty-space grid on the device.
 
 use super::context::Context;
 use super::maps::MapCache;
@@ -16,13 +16,13 @@ use wgpu::BufferUsages;
 
 /// Bounds on the values of a volume, on the device.
 struct ValueBounds {
-    /// Keeps the address that it is found by.
+    /// Retained, so that the address used as key is not reused.
     voxels: VoxelGridValues,
     nodes: wgpu::Buffer,
     levels: Vec<[u32; 4]>,
 }
 
-/// Bounds on the values of the volume that was classified last.
+/// Bounds on the values of the last classified volume.
 #[derive(Default)]
 pub(super) struct ValueBoundsCache(Mutex<Option<ValueBounds>>);
 

@@ -1,4 +1,4 @@
-//! The numbers by which shaders know what Rust knows as enums, as WGSL: written here once, from the enums themselves.
+//! The numbers of Rust enums as WGSL constants, generated from the enums themselves.
 
 use crate::deform::FormulaKind;
 use crate::deform::cut::CutShapeKind;
@@ -30,7 +30,7 @@ const VARIANTS: &[(&str, &str, u32)] = constants! {
     "NORMAL_METHOD" NormalMethod { InverseTranspose, Tangent, Numeric }
 };
 
-/// What a surface is sampled from.
+/// The source of a surface.
 #[derive(Clone, Copy)]
 pub enum ImplicitKind {
     /// A grid of distances.
@@ -75,14 +75,14 @@ pub enum DeformKind {
     Lattice,
 }
 
-/// The same of what has numbers of its own on a GPU.
+/// The same for enums specific to the GPU.
 const KINDS: &[(&str, &str, u32)] = constants! {
     "IMPLICIT" ImplicitKind { Grid, Formula, Depth }
     "SOLID" SolidKind { Sphere, Box, Torus, Cylinder, Gyroid }
     "DEFORM" DeformKind { Twist, Bend, Taper, Shear, Bulge, Wave, Lattice }
 };
 
-/// How the surface of a value is shown: not at all, or lit in one of the ways of [`IsoLight`].
+/// How an iso-surface is shown: not at all, or lit in one of the ways of [`IsoLight`].
 pub fn iso(light: Option<IsoLight>) -> u32 {
     light.map_or(0, |light| 1 + light as u32)
 }

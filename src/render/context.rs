@@ -1,5 +1,5 @@
-//! What a device has once, whatever is drawn: layouts, pipelines by variant, buffers that are overwritten at every use, and the bind groups that bind
-//! what lives longer than a picture.
+//! Resources independent of what is drawn: layouts, pipelines by variant, buffers overwritten at
+//! every use, and the bind groups of resources that outlive a picture.
 
 use super::constants::wgsl_constants;
 use super::strategy::Strategy;
@@ -12,10 +12,11 @@ use std::collections::HashMap;
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 use wgpu::{BufferUsages, TextureFormat};
 
-/// Bind groups that are cached: with nothing behind, with each layer of surfaces, and those of targets.
+/// Maximum number of cached bind groups: without a layer behind, with each layer of surfaces, and
+/// those of targets.
 const MAX_CACHED_BIND_GROUPS: usize = 8;
 
-/// A device with what does not depend on a scene.
+/// A device with the resources that do not depend on a scene.
 pub(super) struct Context {
     pub device: Device,
     pub shared_layout: wgpu::BindGroupLayout,
@@ -25,10 +26,10 @@ pub(super) struct Context {
     pub pipelines: Mutex<HashMap<Variant, wgpu::RenderPipeline>>,
     pub ray_pipelines: Mutex<HashMap<Variant, wgpu::ComputePipeline>>,
     pub map_pipelines: OnceLock<MapPipelines>,
-    /// By the numbers of maps and of shapes, and by who mixes texels.
+    /// By the numbers of maps and shapes, and by whether the shader interpolates texels.
     pub classify_pipelines: Mutex<HashMap<(usize, usize, bool), wgpu::ComputePipeline>>,
     groups: Mutex<Vec<CachedBindGroup>>,
-    /// By purpose: what is written for every use and grows.
+    /// By purpose: buffers that are rewritten for every use and grow.
     scratch: Mutex<Vec<(&'static str, wgpu::Buffer)>>,
 }
 
@@ -39,22 +40,22 @@ struct CachedBindGroup {
     group: wgpu::BindGroup,
 }
 
-/// Entries of a cache are only ever added whole.
+/// Entries of a cache are only added as a whole, hence a poisoned lock is safe to use.
 pub(super) fn lock<T>(m: &Mutex<T>) -> MutexGuard<'_, T> {
     m.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A pipeline with the layout of what it binds.
+/// A pipeline with its bind group layout.
 pub(super) struct ComputeStep {
     pub pipeline: wgpu::ComputePipeline,
     pub layout: wgpu::BindGroupLayout,
 }
 
-/// What samples maps and bounds their texels.
+/// The pipelines that sample maps and bound their texels.
 pub(super) struct MapPipelines {
     pub sample: ComputeStep,
     pub encode: ComputeStep,
-    /// The layout of both.
+    /// The layout of `leaves` and `halve`.
     pub leaves: ComputeStep,
     pub halve: wgpu::ComputePipeline,
 }
@@ -83,39 +84,39 @@ impl Context {
         }
     }
 
-    /// A buffer, counted.
+    /// Creates a counted buffer.
     pub(super) fn buffer(&self, label: &str, size: u64, usage: BufferUsages) -> wgpu::Buffer {
         self.tally.count(ResourceKind::Buffer);
         self.device.device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false })
     }
 
-    /// A buffer with its content, counted.
+    /// Creates a counted buffer with content.
     pub(super) fn buffer_of(&self, label: &str, contents: &[u8], usage: BufferUsages) -> wgpu::Buffer {
         let buffer = self.buffer(label, (contents.len() as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT), usage | BufferUsages::COPY_DST);
         self.device.queue.write_buffer(&buffer, 0, contents);
         buffer
     }
 
-    /// A bind group, counted.
+    /// Creates a counted bind group.
     pub(super) fn bind_group(&self, label: &str, layout: &wgpu::BindGroupLayout, entries: &[wgpu::BindGroupEntry]) -> wgpu::BindGroup {
         self.tally.count(ResourceKind::BindGroup);
         self.device.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some(label), layout, entries })
     }
 
-    /// A texture, counted.
+    /// Creates a counted texture.
     pub(super) fn texture(&self, descriptor: &wgpu::TextureDescriptor) -> wgpu::Texture {
         self.tally.count(ResourceKind::Texture);
         self.device.device.create_texture(descriptor)
     }
 
-    /// A buffer of a purpose with its content, kept and overwritten at the next use.
+    /// A cached buffer for a purpose, with new content; overwritten at the next use.
     pub(super) fn scratch(&self, purpose: &'static str, contents: &[u8], usage: BufferUsages) -> wgpu::Buffer {
         let buffer = self.scratch_of(purpose, contents.len() as u64, usage | BufferUsages::COPY_DST);
         self.device.queue.write_buffer(&buffer, 0, contents);
         buffer
     }
 
-    /// A buffer of a purpose and at least a size, kept; its content is what it was.
+    /// A cached buffer for a purpose, of at least a given size; its content is unchanged.
     pub(super) fn scratch_of(&self, purpose: &'static str, size: u64, usage: BufferUsages) -> wgpu::Buffer {
         let mut cached = lock(&self.scratch);
         if let Some((_, buffer)) = cached.iter().find(|(p, b)| *p == purpose && b.size() >= size) {
@@ -127,7 +128,8 @@ impl Context {
         buffer
     }
 
-    /// A bind group by its purpose and the views that it binds, by number of binding; what else it binds stays the same.
+    /// A cached bind group, by its purpose and the views that it binds (by binding number); its
+    /// other resources must stay the same.
     pub(super) fn cached_bind_group(
         &self,
         purpose: &'static str,
@@ -156,7 +158,7 @@ impl Context {
         self.texture_3d_for(label, size, format, wgpu::TextureUsages::COPY_DST)
     }
 
-    /// The same to be filled otherwise.
+    /// The same with a given usage.
     pub(super) fn texture_3d_for(&self, label: &str, size: [usize; 3], format: TextureFormat, usage: wgpu::TextureUsages) -> Result<wgpu::Texture> {
         let most = self.device.device.limits().max_texture_dimension_3d as usize;
         if size.iter().any(|&n| n > most) {
@@ -178,7 +180,7 @@ impl Context {
         self.device.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
     }
 
-    /// A program with the entry point `main` and what it binds.
+    /// A pipeline for the entry point `main` of a program, with its layouts.
     pub(super) fn compute_pipeline(
         &self,
         program: Program,
@@ -189,7 +191,7 @@ impl Context {
         self.compute_pipeline_at(program, "main", counting, &layouts, constants)
     }
 
-    /// A program from one of its entry points.
+    /// A pipeline for one of a program's entry points.
     pub(super) fn compute_pipeline_at(
         &self,
         program: Program,
@@ -227,7 +229,7 @@ impl Context {
         self.device.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(label), entries: &entries })
     }
 
-    /// A bind group of resources by their order.
+    /// A bind group of resources in order.
     pub(super) fn bind_in_order(&self, label: &str, layout: &wgpu::BindGroupLayout, resources: &[wgpu::BindingResource]) -> wgpu::BindGroup {
         let entries: Vec<_> = resources.iter().enumerate().map(|(n, r)| wgpu::BindGroupEntry { binding: n as u32, resource: r.clone() }).collect();
         self.bind_group(label, layout, &entries)
@@ -245,7 +247,7 @@ impl Context {
         );
     }
 
-    /// Bind groups hold what they bind: those of textures that are replaced must go, or the textures stay.
+    /// Drops the cached bind groups: they would keep replaced textures alive.
     pub(super) fn forget_groups(&self) {
         lock(&self.groups).clear();
     }

@@ -1,4 +1,4 @@
-//! Counts of samples: many counters of one kind each, so that invocations rarely meet at one.
+//! Sample counts: many counters of each kind, so that invocations rarely contend for one.
 
 use super::context::Context;
 use crate::Result;
@@ -6,7 +6,7 @@ use crate::gpu::read_buffer;
 use crate::picture::RenderStats;
 use wgpu::BufferUsages;
 
-/// Counters of `shaders/lib/count.wgsl`.
+/// Number of counters in `shaders/lib/count.wgsl`.
 pub(super) const COUNTERS: usize = 3 * 1024;
 
 /// The sample counters.

@@ -1,4 +1,5 @@
-//! Submissions: bands of rays, slabs of slices. Two are under way at a time, so that the device need not wait for the next one to be recorded.
+//! Submissions: bands of rays, slabs of slices. Two are in flight at a time, so that the device
+//! does not wait for the next one to be recorded.
 
 use super::Renderer;
 use super::context::{Context, lock};
@@ -16,11 +17,12 @@ use crate::{Result, Watch};
 use std::collections::VecDeque;
 use wgpu::{BufferUsages, TextureFormat};
 
-/// Pixels per submission of rays: on hardware, and on a processor, where a band is long enough to be told to stop within.
+/// Pixels per submission of rays: on hardware, and on a software driver, whose shorter bands allow
+/// cancellation.
 const PIXELS_PER_BAND: [u32; 2] = [1 << 18, 1 << 16];
-/// Rays of a workgroup along each axis, as in `shaders/raycast_compute.wgsl`.
+/// Rays per workgroup along each axis, as in `shaders/raycast_compute.wgsl`.
 const RAYS_ACROSS: u32 = 8;
-/// Samples per submission of slices, about.
+/// Approximate number of samples per submission of slices.
 const SAMPLES_PER_BATCH: u64 = 1 << 24;
 
 /// One picture being drawn.
@@ -32,7 +34,7 @@ pub(super) struct Draw<'a> {
     pub counter: Option<&'a Counter>,
     pub target: &'a RenderTexture,
     pub watch: &'a Watch<'a>,
-    /// What times the passes, if anything does.
+    /// The timer of the passes, if they are timed.
     pub clock: Option<&'a PassTimer>,
 }
 
@@ -85,18 +87,19 @@ impl<'a> Canvas<'a> {
     }
 }
 
-/// What tells rays by invocations their place, and where they write.
+/// The row uniform and the output binding of compute rays.
 struct Bands {
     first_row: wgpu::Buffer,
     group: wgpu::BindGroup,
 }
 
-/// Submissions that are under way, the oldest first.
+/// Submissions in flight, the oldest first.
 #[derive(Default)]
 struct PendingSubmissions(VecDeque<(wgpu::SubmissionIndex, f32)>);
 
 impl Context {
-    /// Submits; waits for the submission before it, tells how far that was, and stops if told to.
+    /// Submits; waits for the previous submission, reports its progress, and checks for
+    /// cancellation.
     fn submit(&self, encoder: wgpu::CommandEncoder, share: f32, pending: &mut PendingSubmissions, watch: &Watch) -> Result<()> {
         pending.0.push_back((self.device.queue.submit([encoder.finish()]), share));
         if pending.0.len() > 1
@@ -140,21 +143,21 @@ impl Context {
 }
 
 impl Renderer {
-    /// A ray a pixel, band by band.
+    /// Draws one ray per pixel, band by band.
     pub(super) fn draw_rays(&mut self, draw: &Draw) -> Result<()> {
         let [width, height] = draw.scene.frame.size;
         let program = self.context.strategy.rays();
         let variant = draw.variant(&self.context, program);
         let bands = (program == Program::RaycastCompute).then(|| self.bands(draw));
         let pixels = PIXELS_PER_BAND[usize::from(self.context.device.is_software())];
-        // Whole workgroups: what one band does is not done, and counted, by the next one as well.
+        // Whole workgroups: the next band must not repeat, and count, part of this one.
         let rows = (pixels / width).clamp(1, height).next_multiple_of(RAYS_ACROSS);
         let mut pending = PendingSubmissions::default();
         for top in (0..height).step_by(rows as usize) {
             let count = rows.min(height - top);
             let mut encoder = self.context.encoder();
             if let Some(bands) = &bands {
-                // Written before the submission that reads it, after the one before it.
+                // Written after the previous submission and before the one that reads it.
                 self.context.device.queue.write_buffer(&bands.first_row, 0, bytemuck::bytes_of(&[top, 0, 0, 0]));
                 let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
                     label: Some("rays"),
@@ -178,7 +181,7 @@ impl Renderer {
         wait(&self.context.device.device)
     }
 
-    /// What rays by invocations bind besides the scene.
+    /// The additional bindings of compute rays.
     fn bands(&mut self, draw: &Draw) -> Bands {
         let first_row = self.context.scratch_of("first row", 16, BufferUsages::UNIFORM | BufferUsages::COPY_DST);
         let layout = Context::bands_layout(&self.context.device.device, draw.counter.is_some());
@@ -189,8 +192,8 @@ impl Renderer {
         Bands { first_row, group }
     }
 
-    /// Slabs of slices, front to back: each blended under what is there, and where that is opaque, not drawn. Projections are gathered
-    /// instead, in any order.
+    /// Draws slabs of slices front to back: each is blended under the existing content, and is not
+    /// drawn where that is opaque. Projections are accumulated instead, in any order.
     pub(super) fn draw_slices(&mut self, draw: &Draw) -> Result<()> {
         let scene = draw.scene;
         let [width, height] = scene.frame.size;
@@ -200,7 +203,7 @@ impl Renderer {
         let canvas = projection_values.as_ref().map_or(&draw.target.view, |t| &t.view);
         let empty = match scene.volume().blend {
             Blend::Composite | Blend::Average => wgpu::Color::TRANSPARENT,
-            // Below every value; green stays 0 where nothing was drawn.
+            // Below every value; green stays 0 where nothing is drawn.
             Blend::Mip | Blend::Minip => wgpu::Color { r: -1e4, ..wgpu::Color::TRANSPARENT },
         };
         let polygons = slices::slabs(&scene.frame, &scene.volume().macrocells, scene.proxy_mesh.as_deref());
@@ -213,7 +216,7 @@ impl Renderer {
         Canvas { color: Some((canvas, wgpu::LoadOp::Clear(empty))), depth: depth(wgpu::LoadOp::Clear(1.0)) }.pass(draw.clock, &mut encoder, |_| {});
         let samples_per_slab = u64::from(width) * u64::from(height) * if scene.proxy_mesh.is_some() { 1 } else { SLICES_PER_SLAB as u64 };
         let (count, mut samples) = (polygons.slabs.len(), 0);
-        // Of a mesh, polygons are single slices.
+        // For a mesh, polygons are single slices.
         let slabs_at_once = if scene.proxy_mesh.is_some() { SLICES_PER_SLAB as usize } else { 1 };
         let mut parts = polygons.slabs.chunks(slabs_at_once).map(|p| (p.len() as u64, p[0].start..p[p.len() - 1].end)).enumerate().peekable();
         while let Some((n, (slabs, corners))) = parts.next() {
@@ -223,7 +226,7 @@ impl Renderer {
                 pass.set_vertex_buffer(0, vertices.slice(..));
                 pass.draw(corners, 0..1);
             });
-            // Only where the next slabs come.
+            // Only where the next slabs are.
             if let (Some(seen), Some((_, (_, next)))) = (&seen, parts.peek()) {
                 Canvas { color: None, depth: depth(wgpu::LoadOp::Load) }.pass(draw.clock, &mut encoder, |pass| {
                     pass.set_pipeline(&self.context.pipeline(draw.variant(&self.context, Program::Opaque)));

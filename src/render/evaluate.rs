@@ -1,4 +1,5 @@
-//! The shaders' functions at many points: numbers for tests, and stacks composed on the device.
+//! Evaluates the shaders' functions at many points: numbers for tests, and stacks composed on the
+//! device.
 
 use super::Renderer;
 use super::context::Context;
@@ -15,7 +16,7 @@ use crate::{Error, Result};
 use glam::Vec3;
 use wgpu::util::DeviceExt;
 
-/// Points of one submission: their results stay below the storage that any device binds.
+/// Points per submission: their results stay below the storage size that every device supports.
 const POINTS_AT_ONCE: usize = 1 << 20;
 
 impl Context {
@@ -43,7 +44,7 @@ impl Context {
         self.device.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: None, entries: &[storage(0, true), storage(1, false)] })
     }
 
-    /// Runs a program with one invocation per point; `T` is what it writes for each.
+    /// Runs a program with one invocation per point; `T` is its output per point.
     fn compute<T: bytemuck::AnyBitPattern + bytemuck::NoUninit>(
         &self,
         pipeline: &wgpu::ComputePipeline,
@@ -91,11 +92,11 @@ impl MapCache {
     /// A stack's source points and smallest masks.
     ///
     /// # Errors
-    /// More maps than a pass binds; whatever the device reports.
+    /// More maps than a pass binds; any error of the device.
     pub(super) fn evaluate_stack(&self, context: &Context, stack: &Stack, points: &[Vec3]) -> Result<SourcesAndAlphas> {
         let device = &context.device.device;
         let mut results = points.iter().map(|p| (*p, 1.0f32)).collect::<Vec<_>>();
-        // The last maps act first; a map that is added to the one before it stays with it.
+        // The last maps act first; a map added to the previous one stays with it.
         let mut end = stack.maps().len();
         while end > 0 {
             let mut first = end.saturating_sub(MAX_MAPS);
@@ -125,7 +126,7 @@ impl MapCache {
         Ok(results)
     }
 
-    /// The maps of a stack and shapes that cut, with nothing of the scene.
+    /// Binds the maps of a stack and the cut shapes, without a scene.
     pub(super) fn bind_stack(&self, context: &Context, stack: &Stack, cuts: &CutShapes) -> Result<wgpu::BindGroup> {
         let (views, placed, _) = self.upload_maps(context, stack)?;
         let mut shapes = [bytemuck::Zeroable::zeroed(); MAX_CUTS];
@@ -150,11 +151,11 @@ impl MapCache {
 }
 
 impl Renderer {
-    /// Evaluates the shaders' shared functions at points of the deformed scene, 24 floats each as `Probe` in `shaders/probe.wgsl` has them: numbers to
-    /// compare with the CPU's.
+    /// Evaluates the shaders' shared functions at points of the deformed scene, with 24 floats each
+    /// in the layout of `Probe` in `shaders/probe.wgsl`: numbers to compare with the CPU's.
     ///
     /// # Errors
-    /// Whatever the device reports.
+    /// Any error of the device.
     pub fn probe(&mut self, scene: &Prepared, points: &[[f32; 3]]) -> Result<Vec<[f32; 24]>> {
         let device = self.context.device.device.clone();
         checked(&device, || {

@@ -1,4 +1,5 @@
-//! Displacement maps on the device, by their identity: each in a texture of its own, and those of a scene in atlases.
+//! Displacement maps on the device, by identity: each in its own texture, and those of a scene in
+//! atlases.
 
 use super::atlas::{Atlas, AtlasEntry, AtlasSlot, TexelBox};
 use super::context::{Context, extent, lock};
@@ -11,15 +12,15 @@ use crate::{Error, Result};
 use std::sync::{Arc, Mutex};
 use wgpu::{Features, TextureFormat, TextureUsages};
 
-/// Maps that are kept at most, and their bytes. A stack in use is kept whole.
+/// Maximum number of cached maps, and of their bytes. A stack in use is never evicted.
 const MAX_CACHED_MAPS: usize = 32;
 const MAX_CACHED_MAP_BYTES: usize = 256 << 20;
 
-/// A displacement map on the GPU. The map itself is kept, so that nothing else can take its address.
+/// A displacement map on the GPU. The map itself is retained, so that its address is not reused.
 struct CachedMap {
     map: Arc<DisplacementMap>,
     texture: wgpu::Texture,
-    /// Once something has asked for them.
+    /// Computed on first use.
     bounds: Option<MapBounds>,
 }
 
@@ -28,7 +29,7 @@ struct CachedMap {
 pub(super) struct MapCache {
     /// The most recently used last.
     maps: Mutex<Vec<CachedMap>>,
-    /// What shaders read of them: of half and of single precision.
+    /// The half- and single-precision atlases, which shaders read.
     atlases: Mutex<[Atlas; 2]>,
 }
 
@@ -40,9 +41,9 @@ fn bytes_of(texture: &wgpu::Texture) -> usize {
 }
 
 impl Context {
-    /// The atlas that a map goes into, and its format.
+    /// The atlas for a map, and its format.
     pub(super) fn format_of(&self, map: &DisplacementMap) -> (bool, TextureFormat) {
-        // What cannot be filtered cannot be bound where filtering is.
+        // A format that cannot be filtered cannot be bound to a filtering sampler.
         let single = map.storage != Storage::F16 && self.device.device.features().contains(Features::FLOAT32_FILTERABLE);
         (single, if single { TextureFormat::Rgba32Float } else { TextureFormat::Rgba16Float })
     }
@@ -57,7 +58,8 @@ impl MapCache {
         Ok(texture)
     }
 
-    /// A map by its identity, in a texture of its own: what bounds on its texels are found from, and what goes into an atlas.
+    /// A map by its identity, in its own texture: the source for the bounds on its texels and for
+    /// the atlases.
     pub(super) fn map(&self, context: &Context, map: &Arc<DisplacementMap>) -> Result<wgpu::Texture> {
         let mut cached = lock(&self.maps);
         if let Some(at) = cached.iter().position(|k| Arc::ptr_eq(&k.map, map)) {
@@ -69,7 +71,7 @@ impl MapCache {
         context.tally.count(ResourceKind::Map);
         let made = map.recipe().filter(|_| context.strategy.prepare).and_then(|r| Some((r, r.formula()?)));
         let (texture, bounds) = match made {
-            // Made by a renderer that is gone, or let go of.
+            // Made by another renderer, or evicted.
             Some((recipe, formula)) => context.sampled_map(recipe, &formula).map(|made| (made.texture, Some(made.bounds)))?,
             None => (self.upload_map(context, map)?, None),
         };
@@ -77,7 +79,7 @@ impl MapCache {
         Ok(texture)
     }
 
-    /// Lets go of the maps that were used longest ago, beyond what is kept.
+    /// Evicts the least recently used maps above the limits.
     fn forget_maps(&self, in_use: &Stack) {
         let mut cached = lock(&self.maps);
         let cached_bytes = |k: &CachedMap| bytes_of(&k.texture) + k.bounds.as_ref().map_or(0, MapBounds::bytes);
@@ -93,18 +95,18 @@ impl MapCache {
         });
     }
 
-    /// Maps on the device now.
+    /// Number of maps on the device.
     pub fn count(&self) -> usize {
         lock(&self.maps).len()
     }
 
-    /// Keeps a map that was made here.
+    /// Caches a map made on the device.
     pub(super) fn cache_map(&self, context: &Context, map: &Arc<DisplacementMap>, made: SampledMap) {
         context.tally.count(ResourceKind::Map);
         lock(&self.maps).push(CachedMap { map: map.clone(), texture: made.texture, bounds: Some(made.bounds) });
     }
 
-    /// Bounds on boxes of the texels of a map that is kept.
+    /// Bounds on boxes of the texels of a cached map.
     pub(super) fn bounds_of(&self, context: &Context, map: &Arc<DisplacementMap>) -> Result<MapBounds> {
         let mut cached = lock(&self.maps);
         let found = cached.iter_mut().find(|k| Arc::ptr_eq(&k.map, map)).ok_or_else(|| Error::Gpu("a map was let go of".into()))?;
@@ -117,10 +119,11 @@ impl MapCache {
         }
     }
 
-    /// The atlases with a stack's maps in them, what shaders need to know of each, and whether a texture was replaced.
+    /// The atlases with a stack's maps, the uniforms of each map, and whether a texture was
+    /// replaced.
     ///
     /// # Errors
-    /// More maps than a pass evaluates, or than the device holds.
+    /// More maps than a pass evaluates, or than fit on the device.
     pub(super) fn upload_maps(&self, context: &Context, stack: &Stack) -> Result<([wgpu::TextureView; 2], [PlacedMapUniform; PLACED_MAPS], bool)> {
         let count = stack.maps().len();
         if count > MAX_MAPS {
@@ -137,7 +140,8 @@ impl MapCache {
         Ok((views, uniforms, replaced))
     }
 
-    /// Puts the maps of a stack into their atlases: both textures, the place of each map, and whether a texture was replaced.
+    /// Places the maps of a stack in their atlases; returns both textures, the place of each map,
+    /// and whether a texture was replaced.
     pub(super) fn place_maps(&self, context: &Context, stack: &Stack) -> Result<([wgpu::TextureView; 2], Vec<AtlasSlot>, bool)> {
         let all: Vec<&PlacedMap> = stack.all_maps().collect();
         let mut atlases = lock(&self.atlases);
@@ -165,7 +169,7 @@ impl MapCache {
         Ok(([half, single], places, replaced))
     }
 
-    /// The texture of an atlas; a single texel if nothing is in it.
+    /// The texture of an atlas; a single texel if it is empty.
     fn view_of(&self, context: &Context, atlas: &mut Atlas, format: TextureFormat) -> Result<wgpu::TextureView> {
         if let Some(target) = &atlas.target {
             return Ok(target.view.clone());
@@ -176,10 +180,10 @@ impl MapCache {
         Ok(atlas.target.insert(target).view.clone())
     }
 
-    /// Sees to it that maps are in an atlas; whether its texture was replaced.
+    /// Ensures that maps are in an atlas; returns whether its texture was replaced.
     fn fill(&self, context: &Context, atlas: &mut Atlas, maps: &[Arc<DisplacementMap>], format: TextureFormat) -> Result<bool> {
         let missing: Vec<&Arc<DisplacementMap>> = maps.iter().filter(|m| atlas.find(m).is_none()).collect();
-        // Used last: they go last.
+        // The most recently used are moved to the end.
         for map in maps {
             if let Some(n) = atlas.find(map) {
                 let entry = atlas.entries.remove(n);
@@ -200,7 +204,7 @@ impl MapCache {
         Ok(false)
     }
 
-    /// A new texture for some maps alone.
+    /// Creates a new texture for these maps alone.
     fn rebuild(&self, context: &Context, atlas: &mut Atlas, maps: &[Arc<DisplacementMap>], format: TextureFormat) -> Result<bool> {
         let most = context.device.device.limits().max_texture_dimension_3d;
         let (packing, regions) = Atlas::packed(maps, most).ok_or_else(|| {

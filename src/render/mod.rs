@@ -1,38 +1,48 @@
-//! Renders a scene on a GPU: view-aligned slices (\[DDM06\] section 4), rays, surfaces and triangles, on one library of WGSL functions.
+//! Renders a scene on a GPU: view-aligned slices (\[DDM06\] section 4), rays, surfaces and
+//! triangles, on one library of WGSL functions.
 //!
-//! *Theory*: the shaders in `shaders/lib` have the arithmetic of `src/cpu`, function by function. Slices are drawn in slabs of 32: a polygon covers
-//! 32 planes' sections of the proxy box, a fragment composites their samples in 32 bits, and the hardware blends slabs front to back, under
-//! what is there, into a 16-bit float target, premultiplied. Between slabs the pixels that have become opaque get depth 0, and the depth test
-//! rejects what would be drawn behind them before it is shaded (Krueger and Westermann 2003). Slices of a mesh are drawn one by one. Projections
-//! (MIP and its kin) blend by maximum or sum, in 32 bits, and pass through the transfer function in a second pass.
+//! *Theory*: the shaders in `shaders/lib` contain the arithmetic of `src/cpu`, function by
+//! function. Slices are drawn in slabs of 32: a polygon covers the sections of the proxy box by 32
+//! planes, a fragment composites their samples in 32 bits, and the hardware blends slabs front to
+//! back, under the existing content, into a premultiplied 16-bit float target. Between slabs,
+//! pixels that have become opaque get depth 0, and the depth test rejects everything behind them
+//! before it is shaded (Krueger and Westermann 2003). Slices of a mesh are drawn one by one.
+//! Projections (MIP and the like) blend by maximum or sum, in 32 bits, and a second pass applies
+//! the transfer function.
 //!
-//! *How to call it*: a [`Renderer`] holds resources by their lifetime: `context` what a device has once (pipelines, layouts, bind groups),
-//! `cache` what it has of a scene (the volume's texture, displacement maps by identity, tables, macrocells, surfaces), `target` what
-//! pictures of a size need, and `draw` one picture. What a picture adds is counted ([`Renderer::work`]), and a test (`tests/editing.rs`)
-//! holds it to this table:
+//! *How to call it*: a [`Renderer`] holds resources by lifetime: `context` those of the device
+//! (pipelines, layouts, bind groups), `cache` those of a scene (the volume's texture, displacement
+//! maps by identity, tables, macrocells, surfaces), `target` those of a picture size; `draw` draws
+//! one picture. The additional work of a picture is counted ([`Renderer::work`]), and a test
+//! (`tests/editing.rs`) checks it against this table:
 //!
-//! | edit | uploads besides uniforms | made anew |
+//! | edit | uploads besides uniforms | created |
 //! |---|---|---|
 //! | nothing, light, camera | none (slicing: its polygons) | nothing |
-//! | a surface's look, a solid's place | a solid's cells | nothing |
+//! | a surface's look, a solid's placement | a solid's cells | nothing |
 //! | a surface's mesh, value or labels | its field or triangles, its cells | textures, a bind group |
 //! | a placement | macrocells, surfaces' cells | nothing; their texture if the deformed box needs more or fewer cells |
 //! | a map's parameter | that map, macrocells, surfaces' cells | the map's texture, a bind group |
 //! | transfer function | table, macrocells | nothing |
 //! | volume | the volume, and what depends on it | its texture, a bind group |
-//! | none: the second picture of a volume | its gradients, if it is lit by them | their texture, bind groups |
-//! | size of the picture | none | targets, for the first time; two sizes are kept |
+//! | none: the second picture of a volume | its gradients, if they are used for lighting | their texture, bind groups |
+//! | size of the picture | none | targets, for the first time; two sizes are cached |
 //!
-//! What suits one device does not suit another: whether rays are fragments or invocations, who mixes texels, and who prepares scenes is a [`Strategy`].
-//! Where the device does ([`Accelerator`](crate::prepare::Accelerator)), a map of a formula is not uploaded but sampled there, and empty space is found there by
-//! bounds that are made there: the next picture of an edited map comes several times as fast as with map and cells from the CPU (`benches/HISTORY.md`).
-//! What a device keeps for that is counted as well.
+//! Devices differ in the fastest method: a [`Strategy`] selects whether rays are fragments or
+//! compute invocations, whether shaders interpolate texels, and whether the device prepares scenes.
+//! If it does ([`Accelerator`](crate::prepare::Accelerator)), a map given by a formula is sampled
+//! on the device instead of uploaded, and empty space is found there from bounds computed there:
+//! the next picture of an edited map is several times as fast as with map and cells from the CPU
+//! (`benches/HISTORY.md`). Resources cached for this purpose are counted as well.
 //!
-//! The gradient volume takes the place of six fetches at each sample that is lit by one; without room for it, or a format that holds it, those are
-//! made. It holds values too: behind a visible sample, where the next one is likely to be visible as well, nothing else is fetched. On request passes are timed by the GPU's own clock ([`Renderer::time_passes`]).
+//! The gradient volume replaces six fetches per lit sample; if it does not fit, or no format can
+//! hold it, these are made instead. It contains values too: after a visible sample, when the next
+//! one is likely to be visible as well, nothing else is fetched. On request passes are timed by the
+//! GPU's own clock ([`Renderer::time_passes`]).
 //!
-//! Large pictures are drawn in bands and many slabs in batches, each its own submission: a driver that watches for hung commands must
-//! not take a long one for it. The next submission is recorded while one is under way.
+//! Large pictures are drawn in bands and many slabs in batches, each in its own submission: a
+//! driver that detects hung commands must not mistake a long one for a hang. The next submission is
+//! recorded while one is running.
 
 mod atlas;
 mod cache;
@@ -76,11 +86,11 @@ use wgpu::{Features, TextureFormat};
 
 /// Renders on one device.
 pub struct Renderer {
-    /// What the device has once.
+    /// Resources of the device.
     context: Context,
-    /// What it has of a scene.
+    /// Resources of a scene.
     scene: SceneCache,
-    /// What pictures of a size need.
+    /// Resources of picture sizes.
     targets: Targets,
     clock: Option<Arc<PassTimer>>,
 }
@@ -96,38 +106,41 @@ impl Renderer {
         &self.context.device
     }
 
-    /// How pictures are made.
+    /// The current strategy.
     pub fn strategy(&self) -> Strategy {
         self.context.strategy
     }
 
-    /// How the next pictures are made, and how the last ones were; a renderer begins with what suits its device.
+    /// Sets the strategy of the next pictures and returns the previous one; a renderer starts with
+    /// the one that suits its device.
     pub fn set_strategy(&mut self, strategy: Strategy) -> Strategy {
         std::mem::replace(&mut self.context.strategy, strategy)
     }
 
-    /// Whether pictures tell how long the GPU drew, by its own clock, where it has one: as a stage of its own, taken out of the one that draws.
+    /// Whether pictures report the GPU's drawing time by its own clock, where it has one: as a
+    /// separate stage, subtracted from the drawing stage.
     pub fn time_passes(&mut self, on: bool) {
         self.clock = if on { PassTimer::new(&self.context.device.device, &self.context.tally).map(Arc::new) } else { None };
     }
 
-    /// Holds volumes to smaller limits than the device's: voxels along an axis, and bytes of a texture. What is larger is reduced.
+    /// Limits volumes below the device's limits: voxels along an axis, and bytes of a texture.
+    /// Larger volumes are reduced.
     pub fn limit_volume(&mut self, max_voxels: usize, max_bytes: u64) {
         self.scene.volume.limit(max_voxels, max_bytes);
         self.context.forget_groups();
     }
 
-    /// Bytes of the volume's textures that are on the device: values with colours, and gradients.
+    /// Bytes of the volume's textures on the device: values with colours, and gradients.
     pub fn volume_bytes(&self) -> [u64; 2] {
         self.scene.volume.bytes()
     }
 
-    /// Displacement maps on the device.
+    /// Number of displacement maps on the device.
     pub fn cached_map_count(&self) -> usize {
         self.scene.maps.count()
     }
 
-    /// Writes what of a scene has changed, and what a picture of it binds.
+    /// Writes the changed inputs of a scene, and returns the bindings of its picture.
     fn shared(&mut self, scene: &Prepared) -> Result<SceneBindings> {
         let nothing = self.targets.layer(&self.context, ["nothing: colour", "nothing: distance", "nothing: depth"], 1, 1);
         self.scene.bindings(&self.context, scene, nothing)
@@ -139,20 +152,22 @@ impl Renderer {
         }
     }
 
-    /// What the GPU drew for since [`Self::restart_clock`], by its own clock, milliseconds.
+    /// The GPU's drawing time since [`Self::restart_clock`], by its own clock, milliseconds.
     fn clocked(&self) -> Result<Option<f64>> {
         self.clock.as_ref().map_or(Ok(None), |clock| clock.milliseconds(&self.context))
     }
 
-    /// What was made and uploaded since the renderer was made.
+    /// The work done since the renderer was created.
     pub fn work(&self) -> Work {
         self.context.tally.work()
     }
 
-    /// Renders a prepared scene; `counting` keeps sample counts, which costs a little. It stops between two submissions.
+    /// Renders a prepared scene; `counting` counts samples, at a small cost. Cancellation is
+    /// checked between submissions.
     ///
     /// # Errors
-    /// A volume or picture that the device cannot hold; whatever the device reports; [`Error::Cancelled`].
+    /// A volume or picture that does not fit on the device; any error of the device;
+    /// [`Error::Cancelled`].
     pub fn render(&mut self, scene: &Prepared, counting: bool, watch: &Watch) -> Result<Rendered> {
         let device = self.context.device.device.clone();
         checked(&device, || self.render_unchecked(scene, counting, watch))

@@ -1,4 +1,4 @@
-//! What a device has of a surface.
+//! The device resources of a surface.
 
 use super::context::{Context, extent};
 use super::target::RenderTexture;
@@ -17,11 +17,11 @@ use rayon::prelude::*;
 use std::sync::Arc;
 use wgpu::TextureFormat;
 
-/// What the device has of an object, by its place in the scene.
+/// The device resources of an object, by its index in the scene.
 pub(super) struct CachedObject {
-    /// The object's own, its solids and its deformers.
+    /// Uniforms of the object, its solids and its deformers.
     pub(super) uniforms: [wgpu::Buffer; 3],
-    /// What the field's texture holds; none of formulas.
+    /// The content of the field's texture; none for formulas.
     pub(super) sampled: Option<SolidIdentity>,
     pub(super) field: RenderTexture,
     pub(super) of_cells: Arc<SurfaceCells>,
@@ -41,17 +41,18 @@ pub(super) struct Corners {
     pub(super) count: u32,
 }
 
-/// Bytes of fields that are kept while none is drawn.
+/// Bytes of fields that stay cached while no surface is drawn.
 const MAX_CACHED_FIELD_BYTES: u64 = 256 << 20;
 
-/// Surfaces, by their place in the scene.
+/// Surfaces, by their index in the scene.
 #[derive(Default)]
 pub(super) struct SurfaceCache {
     pub(super) objects: Vec<Option<CachedObject>>,
 }
 
 impl SurfaceCache {
-    /// Field, empty space, formulas, deformers and triangles of one object: what the device has of it is kept, and what has changed is written.
+    /// Field, empty space, formulas, deformers and triangles of one object: cached resources are
+    /// reused, and changed ones are written.
     pub(super) fn bind_object(
         &mut self,
         context: &Context,
@@ -111,7 +112,7 @@ impl SurfaceCache {
         Ok(bound)
     }
 
-    /// Lets go of large fields where no surface is drawn; small ones wait for the next picture that shows them.
+    /// Evicts large fields if no surface is drawn; small ones stay cached.
     pub(super) fn forget_large_fields(&mut self) {
         let bytes: u64 = self.objects.iter().flatten().map(|cached| crate::gpu::texture_bytes(&cached.field.texture)).sum();
         if bytes > MAX_CACHED_FIELD_BYTES {
@@ -136,14 +137,14 @@ impl Context {
         })
     }
 
-    /// Triangles as the vertex shader takes them.
+    /// Uploads triangles in the layout of the vertex shader.
     fn upload_corners(&self, triangles: &Arc<Triangles>) -> Corners {
         let corners: Vec<MeshCorner> = triangles.undeformed.iter().flatten().map(|(p, n)| [p.to_array(), n.to_array()]).collect();
         let buffer = self.buffer_of("triangles", bytemuck::cast_slice(&corners), wgpu::BufferUsages::VERTEX);
         Corners { of: triangles.clone(), buffer, count: corners.len() as u32 }
     }
 
-    /// The cells around an object, into the texture that there is if they fit.
+    /// Uploads the cells around an object, into the existing texture if they fit.
     fn upload_cells(&self, cells: &SurfaceCells, before: Option<&RenderTexture>) -> Result<RenderTexture> {
         let size = cells.grid.size.to_array().map(|n| n as usize);
         let target = match before {
@@ -156,14 +157,14 @@ impl Context {
         Ok(target)
     }
 
-    /// A field in half precision, whose steps are finest where it matters, at the surface.
+    /// Uploads a field in half precision, which is finest near 0, that is, at the surface.
     fn upload_field(&self, implicit: Option<&Implicit>) -> Result<RenderTexture> {
         let (size, values): ([usize; 3], &[f32]) = match implicit {
             Some(Implicit::Grid(g)) => (g.size, flat(&g.distance_mm)),
             Some(Implicit::Depth(d)) => ([d.size, d.size, d.faces.len()], &d.depth_mm),
             _ => ([1; 3], &[0.0]),
         };
-        // Depths are compared with each other: they have no place where they are small.
+        // Depths are compared with each other, hence need uniform precision.
         let format = match implicit {
             Some(Implicit::Depth(_)) if self.device.device.features().contains(wgpu::Features::FLOAT32_FILTERABLE) => TextureFormat::R32Float,
             _ => TextureFormat::R16Float,

@@ -1,4 +1,4 @@
-//! Time by the GPU's own clock: each pass of a picture writes when it began and when it ended.
+//! Timing by the GPU's own clock: each pass of a picture writes its start and end.
 
 use super::context::Context;
 use super::work::{ResourceKind, WorkCounters};
@@ -7,7 +7,7 @@ use crate::gpu::read_buffer;
 use std::sync::atomic::{AtomicU32, Ordering};
 use wgpu::{BufferUsages, Features};
 
-/// Passes of a picture that are timed at most.
+/// Maximum number of timed passes per picture.
 const MAX_TIMED_PASSES: u32 = 1024;
 
 /// Timestamps of one picture's passes.
@@ -19,7 +19,7 @@ pub(super) struct PassTimer {
 }
 
 impl PassTimer {
-    /// None if the device has no timestamps.
+    /// None if the device does not support timestamps.
     pub fn new(device: &wgpu::Device, tally: &WorkCounters) -> Option<Self> {
         if !device.features().contains(Features::TIMESTAMP_QUERY) {
             return None;
@@ -50,7 +50,7 @@ impl PassTimer {
         self.passes.store(0, Ordering::Relaxed);
     }
 
-    /// What the next pass that draws writes; nothing if there have been too many.
+    /// The timestamp writes of the next render pass; none if there are too many passes.
     pub fn next(&self) -> Option<wgpu::RenderPassTimestampWrites<'_>> {
         self.next_pass().map(|[beginning, end]| wgpu::RenderPassTimestampWrites {
             query_set: &self.set,
@@ -59,7 +59,7 @@ impl PassTimer {
         })
     }
 
-    /// The same of a pass that computes.
+    /// The same for a compute pass.
     pub fn next_computing(&self) -> Option<wgpu::ComputePassTimestampWrites<'_>> {
         self.next_pass().map(|[beginning, end]| wgpu::ComputePassTimestampWrites {
             query_set: &self.set,
@@ -73,7 +73,8 @@ impl PassTimer {
         (pass < MAX_TIMED_PASSES).then_some([2 * pass, 2 * pass + 1])
     }
 
-    /// Time of all passes since the restart, milliseconds; none if there were too many, or none.
+    /// Total time of all passes since the restart, milliseconds; none if there were too many, or no
+    /// passes.
     pub fn milliseconds(&self, context: &Context) -> Result<Option<f64>> {
         let passes = self.passes.load(Ordering::Relaxed);
         if !(1..=MAX_TIMED_PASSES).contains(&passes) {

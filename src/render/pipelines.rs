@@ -1,4 +1,4 @@
-//! Pipelines of a picture, compiled once for each variant.
+//! Pipelines of a picture, compiled once per variant.
 
 use super::constants::wgsl_constants;
 use super::context::{Context, lock};
@@ -55,7 +55,7 @@ impl Context {
         }
     }
 
-    /// The pipeline of a variant, compiled if it is not there.
+    /// The pipeline of a variant, compiled on first use.
     pub(super) fn pipeline(&self, variant: Variant) -> wgpu::RenderPipeline {
         lock(&self.pipelines).entry(variant).or_insert_with(|| self.compiled(variant)).clone()
     }
@@ -69,7 +69,7 @@ impl Context {
         });
         let constants = overrides(&variant);
         let options = wgpu::PipelineCompilationOptions { constants: &constants, ..Default::default() };
-        // Front to back: what comes is seen through what is there.
+        // Front to back: new content is blended under the existing content.
         let through = wgpu::BlendComponent {
             src_factor: wgpu::BlendFactor::OneMinusDstAlpha,
             dst_factor: wgpu::BlendFactor::One,

@@ -1,10 +1,12 @@
-//! What the device takes over of preparing a scene: maps sampled from their formulas, with bounds on boxes of their texels, and the cells of the
-//! empty-space grid by those bounds.
+//! Scene preparation on the device: maps sampled from their formulas, bounds on boxes of their
+//! texels, and the cells of the empty-space grid classified by these bounds.
 //!
-//! *Theory*: the shaders `sample`, `encode`, `bounds` and `classify` state what `src/deform/kinds`, `src/deform/map.rs`, `src/math/pyramid.rs` and
-//! `src/prepare/macrocells.rs` state. A map stays on the device: of its texels the CPU gets to know their scale and what all of them lie within, which the
-//! deformed scene's box and the grid's place depend on; and of the grid what each cell shows. Where something asks a map for more (a picker, the CPU
-//! renderer), it is sampled there too.
+//! *Theory*: the shaders `sample`, `encode`, `bounds` and `classify` are counterparts of
+//! `src/deform/kinds`, `src/deform/map.rs`, `src/math/pyramid.rs` and `src/prepare/macrocells.rs`.
+//! A map stays on the device. The CPU reads back only the scale and the range of its texels, which
+//! determine the deformed scene's box and the grid's placement, and the state of each cell of the
+//! grid. Where more is needed (by a picker or the CPU renderer), the map is also sampled on the
+//! CPU.
 
 use super::Renderer;
 use crate::deform::compose::SourcesAndAlphas;

@@ -9,13 +9,13 @@ use crate::gpu::shaders::Program;
 use crate::math::pyramid::ChannelRange;
 use wgpu::{BufferUsages, TextureFormat};
 
-/// Invocations of a workgroup along each axis, as in the shaders.
+/// Invocations per workgroup along each axis, as in the shaders.
 const GROUP: u32 = 4;
 /// Cells of a map's grid along the edge of a finest box, as in `shaders/bounds.wgsl`.
 const CELLS_PER_NODE: usize = 4;
-/// Bytes of samples that are kept room for: those of a map of 128^3 points, and some more.
+/// Largest sample buffer that stays cached, bytes: enough for a map of 128^3 points, and some more.
 const MAX_CACHED_SAMPLE_BYTES: u64 = 64 << 20;
-/// Distance between uniforms that are chosen by an offset.
+/// Alignment of uniforms with a dynamic offset.
 const STRIDE: u64 = 256;
 
 impl NodeBounds {
@@ -32,18 +32,18 @@ impl NodeBounds {
 #[derive(Clone)]
 pub(super) struct MapBounds {
     pub(super) nodes: wgpu::Buffer,
-    /// Nodes along each axis, and the number of the first, of each level, the finest first.
+    /// For each level, the finest first: nodes along each axis, and the index of the first node.
     pub(super) levels: Vec<[u32; 4]>,
 }
 
 impl MapBounds {
-    /// What they take on the device.
+    /// Their size on the device, bytes.
     pub(super) fn bytes(&self) -> usize {
         self.nodes.size() as usize
     }
 }
 
-/// A map that was made here.
+/// A map sampled on the device.
 pub(super) struct SampledMap {
     pub texture: wgpu::Texture,
     pub bounds: MapBounds,
@@ -56,7 +56,7 @@ pub(super) fn storage(read_only: bool) -> wgpu::BindingType {
 }
 
 pub(super) fn uniform(has_dynamic_offset: bool) -> wgpu::BindingType {
-    // What is chosen by an offset must know how much it is.
+    // A binding with a dynamic offset needs an explicit size.
     let size = std::num::NonZeroU64::new(size_of::<LevelUniform>() as u64).filter(|_| has_dynamic_offset);
     wgpu::BindingType::Buffer { ty: wgpu::BufferBindingType::Uniform, has_dynamic_offset, min_binding_size: size }
 }
@@ -65,7 +65,7 @@ pub(super) fn groups(size: [u32; 3]) -> [u32; 3] {
     size.map(|n| n.div_ceil(GROUP))
 }
 
-/// Levels of boxes over a grid of texels, and how many there are in all.
+/// Levels of boxes over a grid of texels, and the total number of boxes.
 fn levels_of(size: [usize; 3]) -> (Vec<[u32; 4]>, u32) {
     let mut nodes = size.map(|n| n.saturating_sub(1).div_ceil(CELLS_PER_NODE).max(1) as u32);
     let (mut levels, mut first) = (Vec::new(), 0);
@@ -107,7 +107,7 @@ impl Context {
         })
     }
 
-    /// Records what bounds the boxes of a map's texels.
+    /// Records the computation of bounds on boxes of a map's texels.
     fn record_bounds(&self, pass: &mut wgpu::ComputePass, size: [usize; 3], view: &wgpu::TextureView) -> MapBounds {
         let pipelines = self.map_pipelines();
         let (levels, count) = levels_of(size);
@@ -132,7 +132,7 @@ impl Context {
         MapBounds { nodes, levels }
     }
 
-    /// Bounds on boxes of the texels of a map that the CPU has made.
+    /// Bounds on boxes of the texels of a map made by the CPU.
     pub(super) fn bound_texels(&self, size: [usize; 3], view: &wgpu::TextureView) -> MapBounds {
         let mut encoder = self.device.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         let bounds = {
@@ -192,7 +192,7 @@ impl Context {
         Ok(SampledMap { texture, bounds, scale: if scale > 0.0 { scale } else { 1.0 }, whole })
     }
 
-    /// Whether the device can hold what sampling a map needs.
+    /// Whether sampling a map fits on the device.
     pub(super) fn samples(&self, recipe: &MapDefinition) -> bool {
         let limits = self.device.device.limits();
         let bytes = recipe.size.iter().product::<usize>() as u64 * 16;

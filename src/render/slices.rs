@@ -1,5 +1,5 @@
-//! Proxy geometry: polygons that cover where view-aligned planes cut the proxy box, several planes at a time, or a mesh (\[RVD01\] section
-//! 2.4).
+//! Proxy geometry: polygons that cover the sections of view-aligned planes with the proxy box,
+//! several planes at a time, or with a mesh (\[RVD01\] section 2.4).
 
 use crate::mesh::Mesh;
 use crate::mesh::contour::{Planes, sections};
@@ -8,10 +8,11 @@ use crate::scene::Projection;
 use glam::{Vec2, Vec3};
 use std::ops::Range;
 
-/// Slices that one fragment composites before the blend unit is asked: so many that what a fragment does before its first sample does not dominate.
+/// Slices composited by one fragment before blending: enough that the setup of a fragment does not
+/// dominate.
 pub const SLICES_PER_SLAB: i64 = 32;
 
-/// A triangle corner: position in world mm and the number of the slab's nearest slice.
+/// A triangle corner: position in world mm, and the index of the slab's nearest slice.
 pub type Corner = [f32; 4];
 
 /// Polygons of slabs, as triangles.
@@ -34,10 +35,12 @@ impl Polygons {
     }
 }
 
-/// What covers the slices that can show anything, front to back: of a box, slabs of [`SLICES_PER_SLAB`] slices; of a mesh, slices one by one.
+/// Polygons that cover the slices that can show anything, front to back: for a box, slabs of
+/// [`SLICES_PER_SLAB`] slices; for a mesh, single slices.
 ///
-/// Slices lie at depths (i + 1/2) Δ from the eye, so that they do not move when the box changes, and slabs start at multiples of their
-/// number. A slab none of whose slices meets an occupied cell is left out.
+/// Slices lie at depths (i + 1/2) Δ from the eye, hence they do not move when the box changes;
+/// slabs start at multiples of their size. A slab is omitted if none of its slices meets an
+/// occupied cell.
 pub fn slabs(frame: &Frame, cells: &Macrocells, mesh: Option<&Mesh>) -> Polygons {
     let view = &frame.view;
     let depth = |p: Vec3| (p - view.eye).dot(view.forward);
@@ -58,7 +61,7 @@ pub fn slabs(frame: &Frame, cells: &Macrocells, mesh: Option<&Mesh>) -> Polygons
         return polygons;
     }
     let shown = occupied_depths(frame, cells);
-    // Shifted samples may belong to the cells of the slices beside.
+    // Shifted samples may belong to the cells of the neighbouring slices.
     let is_shown = |i: i64| shown.is_empty() || shown.get((i - first) as usize).copied().unwrap_or(true);
     for slab in first.div_euclid(SLICES_PER_SLAB)..=last.div_euclid(SLICES_PER_SLAB) {
         let start = slab * SLICES_PER_SLAB;
@@ -66,7 +69,7 @@ pub fn slabs(frame: &Frame, cells: &Macrocells, mesh: Option<&Mesh>) -> Polygons
         if !((low - 1).max(first)..=high + 1).any(is_shown) {
             continue;
         }
-        // Half a step more, for samples that are shifted, and a little, so that rounding leaves no slice out.
+        // Half a step more for shifted samples, and a margin so that rounding omits no slice.
         let depths = [(low as f32 - 0.05).max(0.01) * frame.spacing.step_mm, (high as f32 + 1.05) * frame.spacing.step_mm];
         let outline = silhouette(frame, &corners, depths);
         let fan = (2..outline.len()).flat_map(|n| [outline[0], outline[n - 1], outline[n]]);
@@ -75,7 +78,8 @@ pub fn slabs(frame: &Frame, cells: &Macrocells, mesh: Option<&Mesh>) -> Polygons
     polygons
 }
 
-/// The outline, as the eye sees it, of the part of a box between two depths: a convex polygon across the middle between them.
+/// The outline of the part of a box between two depths, as seen from the eye: a convex polygon at
+/// the mean depth.
 fn silhouette(frame: &Frame, corners: &[Vec3; 8], depths: [f32; 2]) -> Vec<Vec3> {
     let view = &frame.view;
     let depth = |p: Vec3| (p - view.eye).dot(view.forward);
@@ -91,7 +95,8 @@ fn silhouette(frame: &Frame, corners: &[Vec3; 8], depths: [f32; 2]) -> Vec<Vec3>
     let outline = convex_hull(flat);
     let center = outline.iter().sum::<Vec2>() / outline.len().max(1) as f32;
     let size = outline.iter().map(|p| p.distance(center)).fold(0.0, f32::max);
-    // Where a ray grazes the box, the fragment says whether it meets it: the polygon must not be the smaller one.
+    // Where a ray grazes the box, the fragment decides whether it hits: the polygon must not be
+    // smaller.
     let grown = |p: Vec2| p + (p - center).normalize_or_zero() * (1e-4 * size);
     outline.into_iter().map(grown).map(|p| view.eye + view.forward * middle + right * p.x + up * p.y).collect()
 }
@@ -118,7 +123,7 @@ fn convex_hull(mut points: Vec<Vec2>) -> Vec<Vec2> {
     hull
 }
 
-/// For each slice from the nearest on: whether any occupied cell reaches it.
+/// For each slice, the nearest first: whether any occupied cell reaches it.
 fn occupied_depths(frame: &Frame, cells: &Macrocells) -> Vec<bool> {
     let view = &frame.view;
     let depth = |p: Vec3| (p - view.eye).dot(view.forward);
@@ -174,7 +179,8 @@ mod tests {
         }
     }
 
-    /// Every ray that meets a slice inside the box goes through its slab's polygon, and polygons are little more than that.
+    /// Every ray that meets a slice inside the box passes through its slab's polygon, and polygons
+    /// are only slightly larger.
     #[test]
     fn polygons_cover_the_box() {
         let bounds = Bounds::new(Vec3::new(-30.0, -20.0, -25.0), Vec3::new(30.0, 25.0, 40.0));

@@ -1,9 +1,10 @@
-//! Surfaces on a GPU: triangles rasterised with their forward deformers in the vertex shader, fields by a ray per pixel, all into one
-//! layer of colour and distance that a volume is then drawn in front of.
+//! Surfaces on a GPU: triangles rasterised with their forward deformers in the vertex shader, and
+//! fields by one ray per pixel, all into one layer of colour and distance, in front of which a
+//! volume is drawn.
 //!
-//! Each object is a pass of its own, with its own field bound, and the device's depth test between them: the bindings of a shader do not limit
-//! their number.
-//! An object in two stages has its triangles drawn into a layer beside, which its rays read and blend with.
+//! Each object is a separate pass with its own field bound, with the device's depth test between
+//! them: shader bindings do not limit the number of objects. An object in two stages has its
+//! triangles drawn into a separate layer, which its rays read and blend with.
 
 use super::Renderer;
 use super::cache::SceneBindings;
@@ -21,7 +22,7 @@ use crate::prepare::objects::Stage;
 use crate::{Result, Watch};
 use wgpu::TextureFormat;
 
-/// No surface; as in `shaders/bindings.wgsl`.
+/// Distance of a pixel without a surface; as in `shaders/bindings.wgsl`.
 const FAR_AWAY: f64 = 1e30;
 
 /// Rows of a picture per submission of rays.
@@ -66,7 +67,7 @@ impl Context {
         self.device.queue.submit([encoder.finish()]);
     }
 
-    /// The pipeline of a variant, compiled if it is not there.
+    /// The pipeline of a variant, compiled on first use.
     fn surface_pipeline(&self, variant: Variant) -> wgpu::RenderPipeline {
         lock(&self.pipelines).entry(variant).or_insert_with(|| self.compiled_surface(variant)).clone()
     }
@@ -185,10 +186,11 @@ impl Renderer {
         Ok(())
     }
 
-    /// Distance along each pixel's ray to the nearest surface, mm; infinite where there is none. For tests and picking.
+    /// Distance along each pixel's ray to the nearest surface, mm; infinite where there is none.
+    /// For tests and picking.
     ///
     /// # Errors
-    /// Whatever the device reports.
+    /// Any error of the device.
     pub fn surface_distances(&mut self, scene: &Prepared) -> Result<Vec<f32>> {
         let device = self.context.device.device.clone();
         crate::gpu::checked(&device, || {

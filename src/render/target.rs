@@ -1,14 +1,15 @@
-//! What pictures are drawn into.
+//! Render targets.
 
 use super::context::Context;
 use super::counter::{COUNTERS, Counter};
 use wgpu::{BufferUsages, TextureFormat, TextureUsages};
 
-/// What projections by slices are gathered in: sums of hundreds of samples need more than 16 bits.
+/// Format in which projections by slices are accumulated: sums of hundreds of samples need more
+/// than 16 bits.
 pub(super) const PROJECTION_FORMAT: TextureFormat = TextureFormat::Rgba32Float;
-/// Depth of a layer: the test between objects.
+/// Depth format of a layer, for the test between objects.
 pub(super) const DEPTH: TextureFormat = TextureFormat::Depth32Float;
-/// Depth of the mask of opaque pixels.
+/// Depth format of the mask of opaque pixels.
 pub(super) const MASK: TextureFormat = TextureFormat::Depth32Float;
 
 /// A texture with its view.
@@ -25,7 +26,7 @@ impl RenderTexture {
     }
 }
 
-/// What surfaces are drawn into.
+/// The targets of surfaces.
 pub(super) struct Layer {
     /// Colour, premultiplied.
     pub color: wgpu::Texture,
@@ -42,10 +43,11 @@ impl Layer {
     }
 }
 
-/// Targets of one purpose that are kept: a live view changes between a coarse and a fine picture.
+/// Number of cached targets per purpose: a live view alternates between a coarse and a fine
+/// picture.
 const MAX_CACHED_SIZES: usize = 2;
 
-/// What pictures of a size need, and what grows with them.
+/// Resources of picture sizes, and buffers that grow with them.
 #[derive(Default)]
 pub(super) struct Targets {
     /// By purpose, the most recently used last.
@@ -56,7 +58,8 @@ pub(super) struct Targets {
 }
 
 impl Targets {
-    /// A 2D texture to draw into and to read, kept by purpose, size and format. Its content is what it was.
+    /// A 2D texture to draw into and to read, cached by purpose, size and format. Its content is
+    /// unchanged.
     pub(super) fn target(&mut self, context: &Context, purpose: &'static str, width: u32, height: u32, format: TextureFormat) -> RenderTexture {
         let fits = |t: &RenderTexture| (t.texture.width(), t.texture.height(), t.texture.format()) == (width, height, format);
         let targets = &mut self.targets;
@@ -92,7 +95,7 @@ impl Targets {
         target
     }
 
-    /// A buffer to read a picture back through, kept until a picture is larger.
+    /// A readback buffer, cached until a picture is larger.
     pub(super) fn readback(&mut self, context: &Context, size: u64) -> wgpu::Buffer {
         match &self.readback {
             Some(buffer) if buffer.size() >= size => buffer.clone(),
@@ -103,7 +106,7 @@ impl Targets {
         }
     }
 
-    /// Corners of slices, in a buffer that grows.
+    /// Corners of slices, in a growing buffer.
     pub(super) fn slice_vertices(&mut self, context: &Context, contents: &[u8]) -> wgpu::Buffer {
         match &self.vertices {
             Some(buffer) if buffer.size() >= contents.len() as u64 => {
@@ -119,7 +122,7 @@ impl Targets {
         }
     }
 
-    /// The counters, at zero.
+    /// The counters, reset to zero.
     pub(super) fn fresh_counter(&mut self, context: &Context) -> Counter {
         if let Some(counter) = &self.counter {
             context.device.queue.write_buffer(&counter.buffer, 0, &[0; COUNTERS * 4]);
@@ -129,7 +132,7 @@ impl Targets {
         self.counter.insert(counter).clone()
     }
 
-    /// A layer of a purpose: its colour, distance and depth by name. Its content is what it was.
+    /// A layer for a purpose: its colour, distance and depth by name. Its content is unchanged.
     pub(super) fn layer(&mut self, context: &Context, purpose: [&'static str; 3], width: u32, height: u32) -> Layer {
         let color = self.target(context, purpose[0], width, height, TextureFormat::Rgba16Float);
         let distance = self.target(context, purpose[1], width, height, TextureFormat::R32Float);

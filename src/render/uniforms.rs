@@ -1,4 +1,5 @@
-//! What the shaders read besides textures: `shaders/types/frame.wgsl` in Rust. A test compares names, offsets and sizes.
+//! Inputs of the shaders other than textures: `shaders/types/frame.wgsl` in Rust. A test compares
+//! names, offsets and sizes.
 
 use super::constants::{DeformKind, ImplicitKind, SolidKind};
 use crate::deform::cut::CutShape;
@@ -13,9 +14,9 @@ use crate::scene::surface::{CutModel, Steps};
 use bytemuck::{Pod, Zeroable};
 use glam::{Affine3A, Mat3, Mat4, Vec3};
 
-/// Levels of boxes of a map that `shaders/classify.wgsl` takes.
+/// Number of levels of boxes of a map in `shaders/classify.wgsl`.
 pub(super) const MAP_LEVELS: usize = 8;
-/// Levels of boxes of the volume that it takes.
+/// Number of levels of boxes of the volume there.
 pub(super) const VALUE_LEVELS: usize = 12;
 
 /// `Frame` of the shaders.
@@ -95,7 +96,7 @@ impl CutShapeUniform {
     }
 }
 
-/// The placements that a pass binds: of its maps, and of the one that may stand for all of them.
+/// Number of placements that a pass binds: those of its maps, and of a precomposed map.
 pub const PLACED_MAPS: usize = MAX_MAPS + 1;
 
 /// `PlacedMap` of the shaders.
@@ -120,8 +121,8 @@ fn affine(m: &Affine3A) -> [f32; 16] {
 }
 
 impl FrameUniform {
-    /// The constants of a scene; texels become normalised values by `value_scale` and `value_offset`, and gradients by `gradient_scale`; they span
-    /// `texture_size` voxels.
+    /// The constants of a scene; `value_scale` and `value_offset` map texels to normalised values,
+    /// and `gradient_scale` maps them to gradients; the texels span `texture_size` voxels.
     pub fn new(scene: &Prepared, [value_scale, value_offset, gradient_scale]: [f32; 3], texture_size: [f32; 3]) -> Self {
         let frame = &scene.frame;
         let light = &scene.light;
@@ -173,7 +174,8 @@ impl FrameUniform {
 }
 
 impl PlacedMapUniform {
-    /// One map of the stack, whose texels begin at `origin` in an atlas of half or `single` precision of `atlas` texels.
+    /// One map of the stack, whose texels start at `origin` in an atlas of half or `single`
+    /// precision with `atlas` texels.
     pub fn new(placed: &PlacedMap, origin: [u32; 3], single: bool, atlas: [u32; 3]) -> Self {
         let world_from_stored = Mat3::from(placed.placement.world_from_map.matrix3) * placed.map.scale;
         Self {
@@ -241,7 +243,7 @@ impl SurfaceObjectUniform {
             step_mm: object.step_mm,
             cells: grid.size.to_array(),
             thickness_mm: object.thickness_mm,
-            // An empty box has infinite corners, which arithmetic in a shader must not meet.
+            // An empty box has infinite corners, which must not enter shader arithmetic.
             occupied_min: if grid.occupied.is_empty() { [1.0; 3] } else { grid.occupied.min.into() },
             solid: u32::from(object.look.model != CutModel::Hollow),
             occupied_max: if grid.occupied.is_empty() { [-1.0; 3] } else { grid.occupied.max.into() },
@@ -411,7 +413,8 @@ pub struct ClassificationUniform {
 }
 
 impl ClassificationUniform {
-    /// A grid and what decides about its cells; of the bounds on values, nodes along each axis and the first node of each level.
+    /// A grid and the criteria for its cells; `value_levels` has the nodes along each axis and the
+    /// first node of each level of the bounds on values.
     pub fn new(cells: &CellGrid, contents: &VisibilityCriteria, value_levels: &[[u32; 4]]) -> Self {
         let (value_size, value_shift) = contents.value_pyramid.grid();
         let mut values = [[0; 4]; VALUE_LEVELS];
@@ -444,7 +447,7 @@ impl ClassificationUniform {
         }
     }
 
-    /// The bounds of map `k`, whose nodes begin at `first`.
+    /// The bounds of map `k`, whose nodes start at `first`.
     pub fn set_map(&mut self, k: usize, levels: &[[u32; 4]], first: u32, cuts: bool) {
         self.maps[k] = [levels.len() as u32, u32::from(cuts), 0, 0];
         for (to, &[x, y, z, at]) in self.levels[k * MAP_LEVELS..][..MAP_LEVELS].iter_mut().zip(levels) {

@@ -1,4 +1,4 @@
-//! What makes a different pipeline.
+//! The settings that distinguish pipelines.
 
 use super::constants;
 use crate::gpu::shaders::Program;
@@ -6,7 +6,7 @@ use crate::scene::{IsoLight, Normals};
 use crate::transfer::Blend;
 use crate::volume::GradientFilter;
 
-/// What makes a different pipeline.
+/// The settings that distinguish pipelines.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) struct Variant {
     pub(super) program: Program,

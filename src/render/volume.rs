@@ -1,7 +1,9 @@
-//! The volume as a texture: in the type it has, reduced where the device cannot hold it, with its voxels' colours beside it.
+//! The volume as a texture: in its stored type, reduced if it does not fit on the device, with its
+//! voxels' colours in a separate texture.
 //!
-//! A volume beyond the device's limits is reduced by whole factors, each texel being the mean of a block of voxels, and the user is told. The
-//! whole of it stays on the CPU, whose renderer shows every voxel.
+//! A volume beyond the device's limits is reduced by integer factors, each texel being the mean of
+//! a block of voxels, and the user is notified. The full volume stays on the CPU, whose renderer
+//! shows every voxel.
 
 use super::context::Context;
 use super::work::ResourceKind;
@@ -14,38 +16,39 @@ use half::f16;
 use rayon::prelude::*;
 use wgpu::{Features, TextureFormat};
 
-/// Bytes of a gradient volume on a GPU of its own memory, which cannot be asked how much there is: a picture must not fail for what it can do
-/// without.
+/// Maximum size of a gradient volume on a GPU with dedicated memory, whose size cannot be queried:
+/// a picture must not fail because of an optional resource.
 const MAX_GRADIENT_BYTES: u64 = 512 << 20;
-/// Bytes that are copied at once.
+/// Number of bytes copied at once.
 const PIECE: usize = 16 << 20;
 
 /// A volume on the GPU.
 pub(super) struct VolumeTexture {
-    /// Identity of the voxels: the pointer is kept alive by `_voxels`.
+    /// Identity of the voxels: `_voxels` keeps the pointer alive.
     identity: (usize, bool),
     _voxels: VoxelGridValues,
     pub view: wgpu::TextureView,
     pub colors: Option<wgpu::TextureView>,
-    /// Central differences of stored values, as shares of 32767.
+    /// Central differences of stored values, as fractions of 32767.
     pub gradients: Option<wgpu::TextureView>,
     pub scale: f32,
     pub offset: f32,
-    /// Voxels that the texture spans.
+    /// Number of voxels spanned by the texture.
     pub texture_span_voxels: [f32; 3],
-    /// What the user should be told.
+    /// A notice for the user.
     pub notice: Option<String>,
 }
 
 impl VolumeTexture {
-    /// Gradient of the normalised value per voxel by a texel of the gradient volume; 0 if there is none.
+    /// Gradient of the normalised value per voxel, per texel unit of the gradient volume; 0 if
+    /// there is none.
     pub fn gradient_scale(&self, scene: &Prepared) -> f32 {
         if self.gradients.is_some() { 0.5 * f32::from(i16::MAX) * scene.volume().grid.scale } else { 0.0 }
     }
 }
 
 impl VoxelGridValues {
-    /// The address of the voxels, theirs alone as long as they are kept.
+    /// The address of the voxels, unique as long as they are retained.
     pub(super) fn identity(&self) -> usize {
         match self {
             Self::U8(v) => v.as_ptr() as usize,
@@ -56,7 +59,8 @@ impl VoxelGridValues {
     }
 }
 
-/// By how much a grid has to be reduced along each axis to fit: whole factors, the longest axes first.
+/// The factors by which a grid must be reduced along each axis to fit: integers, the longest axes
+/// first.
 fn factors(size: [usize; 3], bytes_per_voxel: u64, max_voxels: usize, max_bytes: u64) -> [usize; 3] {
     let mut factors = size.map(|n| n.div_ceil(max_voxels.max(1)));
     loop {
@@ -64,7 +68,7 @@ fn factors(size: [usize; 3], bytes_per_voxel: u64, max_voxels: usize, max_bytes:
         if bytes <= max_bytes {
             return factors;
         }
-        // The axis that has the most texels left.
+        // The axis with the most remaining texels.
         let axis = (0..3).max_by_key(|&a| size[a].div_ceil(factors[a])).unwrap_or(0);
         if size[axis].div_ceil(factors[axis]) == 1 {
             return factors;
@@ -77,7 +81,8 @@ impl Context {
     fn volume_format(&self, grid: &VoxelGrid) -> TextureFormat {
         let features = self.device.device.features();
         let (unorm16, float32) = (features.contains(Features::TEXTURE_FORMAT_16BIT_NORM), features.contains(Features::FLOAT32_FILTERABLE));
-        // Software drivers filter 8-bit textures in 8-bit arithmetic, which shows as steps: they get 16 bits.
+        // Software drivers filter 8-bit textures in 8-bit arithmetic with visible steps: they get
+        // 16 bits.
         match &grid.voxels {
             VoxelGridValues::U8(_) if !(self.device.is_software() && unorm16) => TextureFormat::R8Unorm,
             VoxelGridValues::F32(_) if float32 => TextureFormat::R32Float,
@@ -102,7 +107,7 @@ impl Context {
         })
     }
 
-    /// Own colours, multiplied by their weights, as a hardware filter has to mix them.
+    /// Uploads the voxels' own colours, multiplied by their weights for correct hardware filtering.
     fn upload_colors(&self, colors: &Colors, size: [usize; 3], factors: [usize; 3]) -> Result<wgpu::TextureView> {
         let software = self.device.is_software() && self.device.device.features().contains(Features::TEXTURE_FORMAT_16BIT_NORM);
         let format = if software { TextureFormat::Rgba16Unorm } else { TextureFormat::Rgba8Unorm };
@@ -123,7 +128,7 @@ impl Context {
             let range = first * layer..(first + layers_at_once).min(size[2]) * layer;
             self.write_layers(texture, first, &bytes(range), size);
             if n % 4 == 3 {
-                // Staging memory is given back only when a submission is done.
+                // Staging memory is freed only when a submission is done.
                 self.device.queue.submit([]);
                 wait(&self.device.device)?;
             }
@@ -136,18 +141,19 @@ impl Context {
 #[derive(Default)]
 pub(super) struct VolumeCache {
     pub texture: Option<VolumeTexture>,
-    /// Smaller limits than the device's: voxels along an axis, and bytes.
+    /// Limits below the device's: voxels along an axis, and bytes.
     limits: Option<(usize, u64)>,
 }
 
 impl VolumeCache {
-    /// Holds volumes to smaller limits than the device's: voxels along an axis, and bytes of a texture. What is larger is reduced.
+    /// Limits volumes below the device's limits: voxels along an axis, and bytes of a texture.
+    /// Larger volumes are reduced.
     pub fn limit(&mut self, max_voxels: usize, max_bytes: u64) {
         self.limits = Some((max_voxels, max_bytes));
         self.texture = None;
     }
 
-    /// Puts the volume on the GPU unless it is there already.
+    /// Uploads the volume to the GPU unless it is already there.
     pub(super) fn upload(&mut self, context: &Context, grid: &VoxelGrid, colors: Option<&Colors>) -> Result<()> {
         let identity = (grid.voxels.identity(), colors.is_some());
         if self.texture.as_ref().is_some_and(|v| v.identity == identity) {
@@ -193,7 +199,7 @@ impl VolumeCache {
         Ok(())
     }
 
-    /// Bytes of the volume's textures that are on the device: values with colours, and gradients.
+    /// Bytes of the volume's textures on the device: values with colours, and gradients.
     pub fn bytes(&self) -> [u64; 2] {
         let bytes = |view: &wgpu::TextureView| {
             let texture = view.texture();
@@ -203,7 +209,8 @@ impl VolumeCache {
         self.texture.as_ref().map_or([0; 2], |v| [bytes(&v.view) + v.colors.as_ref().map_or(0, bytes), v.gradients.as_ref().map_or(0, bytes)])
     }
 
-    /// Puts the scene's gradient volume beside the volume, where there is one, the volume is shown whole, and the device can filter it.
+    /// Uploads the scene's gradient volume, if there is one, the volume is not reduced, and the
+    /// device can filter it.
     pub(super) fn upload_gradients(&mut self, context: &Context, scene: &Prepared) -> Result<()> {
         let size = scene.volume().grid.size;
         let fits = |v: &VolumeTexture| v.gradients.is_none() && v.notice.is_none();

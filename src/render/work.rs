@@ -1,8 +1,9 @@
-//! What a renderer has made and uploaded: a picture that differs little from the one before should add little to it.
+//! Work counters of a renderer: a picture that differs little from the previous one should add
+//! little.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// Work of a [`Renderer`](super::Renderer) since it was made.
+/// Work of a [`Renderer`](super::Renderer) since its creation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Work {
     /// Pipelines compiled.
@@ -13,7 +14,7 @@ pub struct Work {
     pub buffers_created: u32,
     /// Bind groups created.
     pub bind_groups_created: u32,
-    /// Volumes, and gradient volumes, written to a texture.
+    /// Volumes and gradient volumes written to a texture.
     pub volume_uploads: u32,
     /// Displacement maps written to a texture.
     pub map_uploads: u32,
@@ -26,7 +27,7 @@ pub struct Work {
 }
 
 impl Work {
-    /// What was added since an earlier state.
+    /// The work added since an earlier state.
     pub fn since(&self, before: &Self) -> Self {
         Self {
             pipelines_compiled: self.pipelines_compiled.wrapping_sub(before.pipelines_compiled),
@@ -42,7 +43,7 @@ impl Work {
     }
 }
 
-/// One of the things that are counted, by the order of [`Work`]'s fields.
+/// A counted resource, in the order of [`Work`]'s fields.
 #[derive(Clone, Copy)]
 pub(super) enum ResourceKind {
     Pipeline,
@@ -56,7 +57,8 @@ pub(super) enum ResourceKind {
     Field,
 }
 
-/// The counters. Atomic because a device evaluates stacks for those who only borrow the renderer.
+/// The counters. Atomic because a device also evaluates stacks through a shared reference to the
+/// renderer.
 #[derive(Default)]
 pub(super) struct WorkCounters([AtomicU32; 9]);
 

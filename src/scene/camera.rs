@@ -115,7 +115,8 @@ pub struct ViewFrame {
     pub eye: Vec3,
     /// Unit direction of view.
     pub forward: Vec3,
-    /// Half the picture's width, as a vector to the right: mm (orthographic) or per unit of depth (perspective).
+    /// Half the picture's width, as a vector to the right: mm (orthographic) or per unit of depth
+    /// (perspective).
     pub right: Vec3,
     /// Half the picture's height, as a vector upwards.
     pub up: Vec3,
@@ -343,7 +344,8 @@ mod tests {
         assert!(met > 300 && missed > 300, "{met} {missed}");
     }
 
-    /// Patient left (+x) is on the right of an anterior and an axial picture, as radiologists see them.
+    /// Patient left (+x) is on the right of an anterior and an axial picture, as radiologists see
+    /// them.
     #[test]
     fn named_views_have_the_right_sides() {
         let (right, up) =

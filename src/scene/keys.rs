@@ -11,7 +11,8 @@ use toml::Value;
 /// Checks a scene's table.
 ///
 /// # Errors
-/// The first key that is unknown, missing or of a wrong type, as a sentence without the file's name.
+/// The first key that is unknown, missing or of a wrong type, as a sentence without the file's
+/// name.
 pub(super) fn check(root: &Schema, table: &toml::Table) -> Result<(), String> {
     Checker { root }.value(root, &Value::Table(table.clone()), "")
 }

@@ -1,7 +1,8 @@
 //! The contents of a scene file as plain data. The command line overrides it, and tests build it
 //! directly.
 //!
-//! A [`Scene`] names volumes, meshes and fields by path and never holds voxels, threads or devices. [`crate::prepare`] resolves it for rendering.
+//! A [`Scene`] names volumes, meshes and fields by path and never holds voxels, threads or devices.
+//! [`crate::prepare`] resolves it for rendering.
 
 mod camera;
 pub mod command;

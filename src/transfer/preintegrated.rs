@@ -28,7 +28,8 @@ pub const PREINTEGRATED_SIZE: usize = 256;
 /// Parts of a segment within which colour and depth are assumed to be uniformly mixed.
 const PARTS: usize = 16;
 
-/// Colour (not premultiplied) and optical depth per reference length, by the table coordinates of a segment's front and back.
+/// Colour (not premultiplied) and optical depth per reference length, by the table coordinates of a
+/// segment's front and back.
 pub struct Preintegrated {
     /// Red, green, blue and mean τ; the back value varies fastest.
     pub entries: Vec<[f32; 4]>,
@@ -109,7 +110,8 @@ impl Preintegrated {
         (((high - low) + (beyond_high - beyond_low)) / (b - a)).max(0.0)
     }
 
-    /// Colour and optical depth of a segment by the table coordinates of its ends; the colour bilinear.
+    /// Colour and optical depth of a segment by the table coordinates of its ends; the colour
+    /// bilinear.
     pub fn lookup(&self, front: f32, back: f32) -> [f32; 4] {
         let last = PREINTEGRATED_SIZE - 1;
         let split = |x: f32| {

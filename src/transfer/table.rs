@@ -21,7 +21,8 @@ const LEVEL: f32 = 1.0 - 1e-5;
 /// Opacity 1 would be an infinite optical depth; instead, 2^-16 of the light passes.
 const MAX_DEPTH: f32 = 16.0;
 
-/// Colour (not premultiplied) and optical depth by table coordinate, which runs from 0 to 1 over the curve's domain.
+/// Colour (not premultiplied) and optical depth by table coordinate, which runs from 0 to 1 over
+/// the curve's domain.
 pub struct TransferTable {
     /// Red, green, blue and τ = -log₂(1 - opacity) per Δ₀.
     pub entries: Vec<[f32; 4]>,

@@ -1,7 +1,10 @@
-//! Voxels that have a colour of their own: RGB(A) images, several channels as one picture, label maps by a table of colours.
+//! Voxels with their own colours: RGB(A) images, several channels as one picture, label maps with a
+//! colour table.
 //!
-//! Beside its colour a voxel keeps one value, which opacity is asked of as in any scalar volume (\[DDM06\] section 4: O may be a colour
-//! volume): luminance, or opacity where the image has it. Colours are mixed weighted by it, so that what is not there lends none.
+//! In addition to its colour a voxel has one value, from which opacity is looked up as in any
+//! scalar volume (\[DDM06\] section 4: O may be a colour volume): luminance, or opacity if the
+//! image has it. Colours are interpolated weighted by this value, so that absent voxels contribute
+//! no colour.
 
 use super::{StoredValues, Voxels};
 use glam::{Vec3, Vec4};
@@ -9,14 +12,15 @@ use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Colours of channels of which nothing else is known.
+/// Default colours of channels.
 pub const CHANNELS: [[u8; 3]; 4] = [[0, 255, 0], [255, 0, 255], [0, 128, 255], [255, 160, 0]];
-/// Labels that have an entry in a table of colours.
+/// Number of labels in a colour table.
 const MAX_TABLE: usize = 1 << 16;
-/// Share of the circle of hues from one label to the next: the golden section leaves no two near numbers alike.
+/// Fraction of the hue circle from one label to the next: by the golden section, labels with close
+/// numbers differ in hue.
 const HUE_STEP: f32 = 0.618_034;
 
-/// What a file says of one label.
+/// A file's description of one label.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Label {
     /// Its value.
@@ -34,11 +38,11 @@ pub enum Colors {
     Rgb(Arc<Vec<u8>>),
     /// Four bytes each, the first three multiplied by the fourth.
     Rgba(Arc<Vec<u8>>),
-    /// By label; those beyond the table have none.
+    /// By label; labels beyond the table have no entry.
     Labels {
         /// Labels.
         labels: Voxels,
-        /// Red, green, blue, and 0 for what is not there.
+        /// Red, green, blue, and 0 for absent labels.
         table: Arc<Vec<[u8; 4]>>,
     },
 }
@@ -49,7 +53,7 @@ impl Colors {
         Self::Rgb(Arc::new(values))
     }
 
-    /// Bytes that they take in memory.
+    /// Their size in memory, bytes.
     pub fn size_in_bytes(&self) -> usize {
         match self {
             Self::Rgb(values) | Self::Rgba(values) => values.len(),
@@ -57,8 +61,8 @@ impl Colors {
         }
     }
 
-    /// The colours of labels 1 to `highest`: those that are stated, else one that its neighbours in number do not have. Beyond the first
-    /// 65,536 labels what is stated is not looked up.
+    /// The colours of labels 1 to `highest`: the stated ones, else one that differs from those of
+    /// neighbouring labels. Stated colours are used only for the first 65,536 labels.
     pub fn of_labels(labels: Voxels, highest: usize, stated: &[Label]) -> Self {
         let mut table: Vec<[u8; 4]> = (0..=highest.min(MAX_TABLE - 1)).map(|n| if n == 0 { [0; 4] } else { label_color(n) }).collect();
         for label in stated {
@@ -69,7 +73,7 @@ impl Colors {
         Self::Labels { labels, table: Arc::new(table) }
     }
 
-    /// The colour of a label; none without a table, or of one that is not in it.
+    /// The colour of a label; none without a table, or if the table does not contain it.
     pub fn of_label(&self, label: u32) -> Option<[u8; 3]> {
         let Self::Labels { table, .. } = self else { return None };
         let [r, g, b, a] = color_in(table, label as usize);
@@ -100,7 +104,7 @@ impl Colors {
         range.into_par_iter().map(|n| self.bytes(n)).collect()
     }
 
-    /// As [`Self::rgba8`], of blocks of voxels averaged: the blocks of `range`.
+    /// As [`Self::rgba8`], for averaged blocks of voxels: the blocks of `range`.
     pub fn reduced(&self, size: [usize; 3], factors: [usize; 3], range: Range<usize>) -> Vec<[u8; 4]> {
         let mean = |index: usize| {
             let (sum, count) = block(size, factors, index).fold(([0u32; 4], 0u32), |(sum, n), at| {
@@ -139,12 +143,13 @@ fn block(size: [usize; 3], factors: [usize; 3], index: usize) -> impl Iterator<I
     range(2).flat_map(move |k| range(1).flat_map(move |j| range(0).map(move |i| (k * size[1] + j) * size[0] + i)))
 }
 
-/// A colour from one that is multiplied by its weight.
+/// The colour of a premultiplied one.
 pub fn straight(premultiplied: Vec4) -> Vec3 {
     (premultiplied.truncate() / premultiplied.w.max(1.0 / 1024.0)).clamp(Vec3::ZERO, Vec3::ONE)
 }
 
-/// Values and colours of interleaved RGB or RGBA. Opacity is the value where there is any; else luminance (Rec. 709).
+/// Values and colours of interleaved RGB or RGBA. The value is the opacity if there is any; else
+/// the luminance (Rec. 709).
 pub fn of_interleaved(mut rgb: Vec<u8>, components: usize) -> (StoredValues, Colors) {
     let luminance = |v: &[u8]| ((54 * u32::from(v[0]) + 183 * u32::from(v[1]) + 19 * u32::from(v[2])) >> 8) as u8;
     if components == 3 {
@@ -161,7 +166,7 @@ pub fn of_interleaved(mut rgb: Vec<u8>, components: usize) -> (StoredValues, Col
     (values.into(), Colors::Rgba(Arc::new(rgb)))
 }
 
-/// The colour of a label: that of the table, or its own where the table has ended.
+/// The colour of a label: that of the table, or a generated one beyond its end.
 #[inline(always)]
 fn color_in(table: &[[u8; 4]], label: usize) -> [u8; 4] {
     match table.get(label) {
@@ -171,9 +176,9 @@ fn color_in(table: &[[u8; 4]], label: usize) -> [u8; 4] {
     }
 }
 
-/// A colour for a label: hues by the golden section, two brightnesses.
+/// A generated colour for a label: hues by the golden section, two brightnesses.
 fn label_color(label: usize) -> [u8; 4] {
-    // Beyond the table's end single precision would run out of digits.
+    // Beyond the table's end single precision would lose too many digits.
     let label = label % (MAX_TABLE - 1);
     let hue = (label as f32 * HUE_STEP).fract() * 6.0;
     let (saturation, value) = if label.is_multiple_of(2) { (0.5, 0.92) } else { (0.68, 0.82) };

@@ -1,9 +1,11 @@
-//! Gradients of the scalar field, in voxel space; [`crate::cpu`] and the shaders turn them into world millimetres with the inverse
-//! transpose of the voxel axes, which is what makes them right on anisotropic and oblique grids.
+//! Gradients of the scalar field, in voxel space. [`crate::cpu`] and the shaders transform them to
+//! world millimetres with the inverse transpose of the voxel axes, which is correct on anisotropic
+//! and oblique grids.
 //!
-//! Both filters are sums of trilinear samples, so the CPU and the shaders state them alike. A central difference of trilinear samples one
-//! voxel apart equals the trilinear interpolation of the central differences at the voxels: those may be kept ([`GradientVolume`]), and
-//! where there is no room for them they are taken as they are needed.
+//! Both filters are sums of trilinear samples, hence the CPU and the shaders state them alike. A
+//! central difference of trilinear samples one voxel apart equals the trilinear interpolation of
+//! the central differences at the voxels: these may be stored ([`GradientVolume`]); where they do
+//! not fit into memory they are computed when needed.
 
 use super::pages::MappedArray;
 use super::{VoxelGrid, VoxelGridValues};
@@ -22,24 +24,28 @@ pub enum GradientFilter {
     /// (f(x+1) - f(x-1)) / 2 along each axis: 6 samples.
     #[default]
     Central,
-    /// The same, smoothed by [1 2 1]/4 across the other two axes (Sobel): 24 samples, for noisy volumes.
+    /// The same, smoothed by [1 2 1]/4 across the other two axes (Sobel): 24 samples, for noisy
+    /// volumes.
     Sobel,
 }
 
-/// Most bytes that a [`GradientVolume`] may take; and of the free memory one part in so many.
+/// Maximum size of a [`GradientVolume`] in bytes, and its maximum part of the free memory, as a
+/// divisor.
 const MAX_BYTES: usize = 1 << 30;
 const OF_FREE_MEMORY: usize = 4;
 
-/// The central differences of a volume of integers at all voxels, kept beside their values: what would be gathered from 32 voxels for each
-/// sample is then gathered from 8. Exact: 16 bits hold every difference.
+/// The central differences of a volume of integers at all voxels, stored with their values: each
+/// sample gathers from 8 voxels instead of 32. Exact: 16 bits represent every difference.
 pub struct GradientVolume {
-    /// For each voxel, i fastest: its stored value, and f(+1) - f(-1) along i, j, k; at the grid's faces f(0) stands for what lies beyond them.
+    /// For each voxel, i fastest: its stored value, and f(+1) - f(-1) along i, j, k; at the grid's
+    /// faces f(0) replaces the value outside.
     pub texels: MappedArray<[i16; 4]>,
 }
 
 impl GradientVolume {
-    /// Takes the differences; none for floating-point voxels, for integers that 16 bits with a sign do not hold or whose range needs more than 15,
-    /// and where more than 1 GiB or a quarter of the free memory would be needed.
+    /// Computes the differences; none for floating-point voxels, for integers that do not fit into
+    /// signed 16 bits or whose range needs more than 15, and where more than 1 GiB or a quarter of
+    /// the free memory would be needed.
     pub fn new(grid: &VoxelGrid) -> Option<Self> {
         let bytes = grid.size.iter().product::<usize>().saturating_mul(size_of::<[i16; 4]>());
         if bytes > available_bytes().map_or(MAX_BYTES, |free| MAX_BYTES.min(free as usize / OF_FREE_MEMORY)) {
@@ -68,7 +74,7 @@ impl GradientVolume {
     }
 }
 
-/// Integers that 16 bits with a sign hold.
+/// Integers that fit into signed 16 bits.
 trait FitsI16: Copy + Sync {
     fn short(self) -> i16;
 }
@@ -113,7 +119,7 @@ impl<T: FitsI16> SimdKernel for GradientRow<'_, T> {
         let last = own.len() - 1;
         let mut i = 0;
         while i <= last {
-            // Eight that have a voxel to each side.
+            // Eight voxels with a neighbour on each side.
             if i > 0 && i + LANES <= last {
                 let before_and_after = &own[i - 1..][..LANES + 2];
                 let (a, before, after) = (eight(simd, &before_and_after[1..]), eight(simd, before_and_after), eight(simd, &before_and_after[2..]));
@@ -151,7 +157,7 @@ fn words<S: Simd>(shorts: i16x8<S>) -> i32x4<S> {
     shorts.bitcast()
 }
 
-/// The lowest and the highest of integers.
+/// The smallest and largest of some integers.
 fn span<T: Copy + Ord + Send + Sync>(voxels: &[T]) -> Option<(T, T)> {
     voxels
         .par_chunks(1 << 16)
@@ -182,8 +188,9 @@ mod tests {
         }
     }
 
-    /// At every voxel, the faces and axes of one voxel among them, the volume of gradients is what the sampler gives; between voxels and beyond
-    /// the faces, eight samples at once are those of one, and those with a gradient volume are those without, to the bit.
+    /// At every voxel, including the faces and axes of one voxel, the gradient volume equals the
+    /// sampler's gradient. Between voxels and outside the faces, eight samples at once equal single
+    /// ones, and those with a gradient volume equal those without, bit for bit.
     #[test]
     fn gradients_are_the_samplers() {
         struct GradientKernel<'a, T>(&'a VolumeSampler<'a, T>, [Vec3; LANES]);

@@ -1,20 +1,22 @@
-//! What renderers sample: a grid of u8, i16, u16 or f32 and the scale to normalised values.
+//! The sampled form of a volume: a grid of u8, i16, u16 or f32 and the scale to normalised values.
 //!
-//! Normalised: 0 = lowest finite value, 1 = highest. NaN and infinite voxels become [`HOLE`]; every finite voxel is at least 0, so
-//! an interpolated sample below 0 touches a hole and shows nothing. A hole thus reaches one voxel into its neighbours, to within a
-//! ten-thousandth of a voxel, in which values between theirs and 0 remain.
+//! Normalised: 0 = lowest finite value, 1 = highest. NaN and infinite voxels become [`HOLE`]. Every
+//! finite voxel is at least 0, hence an interpolated sample below 0 touches a hole and is not
+//! present. A hole thus extends one voxel into its neighbours, except for the last ten-thousandth
+//! of a voxel, in which values between theirs and 0 remain.
 
 use super::{Colors, Rescale, Volume, Voxels};
 use crate::math::cells::Strides;
 use crate::math::lanes::{LANES, Simd, f32x8};
 use ndarray::{ArcArray3, Array3, Axis, Zip};
 
-/// The normalised value of a voxel that holds nothing.
+/// The normalised value of an empty voxel.
 pub const HOLE: f32 = -1e4;
-/// Padding that lies below the lowest value by this share of the range is a hole as it is stored.
+/// Padding below the lowest value by this fraction of the range is a hole without conversion.
 const PADDING_BELOW: f64 = 1e-3;
 
-/// Typed voxels of shape (k, j, i) in standard layout, shared with the [`Volume`] where the type allows.
+/// Typed voxels of shape (k, j, i) in standard layout, shared with the [`Volume`] where the type
+/// allows.
 #[derive(Clone, Debug)]
 #[allow(missing_docs, reason = "the variants are the Rust types")]
 pub enum VoxelGridValues {
@@ -35,7 +37,7 @@ pub struct VoxelGrid {
     pub scale: f32,
     /// See `scale`.
     pub offset: f32,
-    /// Whether any voxel is a [`HOLE`] or lies below 0 as one.
+    /// Whether any voxel is a [`HOLE`], or lies below 0 as one does.
     pub has_holes: bool,
     /// The voxels' own colours, if they have any.
     pub colors: Option<Colors>,
@@ -46,25 +48,29 @@ pub trait Voxel: Copy + Send + Sync + 'static {
     /// The value as f32, exact for all four types.
     fn to_f32(self) -> f32;
 
-    /// The rows of eight cells by their lowest corners, in the order of [`mix_rows`](crate::math::cells::mix_rows).
+    /// The rows of eight cells, given by their lowest corners, in the order of
+    /// [`mix_rows`](crate::math::cells::mix_rows).
     fn cells<S: Simd>(simd: S, voxels: &[Self], base: &[usize; LANES], strides: Strides) -> [[f32x8<S>; 2]; 4];
 
-    /// The rows of and around eight cells by their lowest corners; all must have a voxel to every side.
+    /// The rows of and around eight cells, given by their lowest corners; every cell must have a
+    /// voxel on every side.
     fn around<S: Simd>(simd: S, voxels: &[Self], base: &[usize; LANES], strides: Strides) -> Neighborhood<S>;
 }
 
-/// Voxels of and around eight cells, whose rows come in the order of [`mix_rows`](crate::math::cells::mix_rows).
+/// Voxels of and around eight cells, with the rows in the order of
+/// [`mix_rows`](crate::math::cells::mix_rows).
 pub struct Neighborhood<S: Simd> {
-    /// The cells' rows, from one voxel before the cell to one behind it.
+    /// The cells' rows, from one voxel before the cell to one after it.
     pub rows: [[f32x8<S>; 4]; 4],
-    /// Along the second axis the rows below and above the near face's, and those of the far face's.
+    /// Along the second axis, the rows below and above the near face, and those of the far face.
     pub neighbors_y: [[f32x8<S>; 2]; 4],
-    /// Along the third axis the low and the high row in front of the cell, and those behind it.
+    /// Along the third axis, the low and the high row in front of the cell, and those behind it.
     pub neighbors_z: [[f32x8<S>; 2]; 4],
 }
 
 impl VoxelGrid {
-    /// The grid of a volume. Shares the voxels of u8, i16, u16 and ordinary f32 volumes; i8 becomes i16, everything else normalised f32.
+    /// The grid of a volume. Shares the voxels of u8, i16, u16 and ordinary f32 volumes; i8 becomes
+    /// i16, everything else normalised f32.
     pub fn new(volume: &Volume) -> Self {
         let Rescale { slope, intercept } = volume.rescale;
         let [low, high] = volume.range;
@@ -73,13 +79,14 @@ impl VoxelGrid {
             let present = stored.is_finite() && !volume.is_padding(stored);
             if present { ((stored * slope + intercept - low) / span) as f32 } else { HOLE }
         };
-        // Padding well below every value is a hole as it stands; any other is made one.
+        // Padding well below every value acts as a hole unchanged; any other is converted to one.
         let padding_below = volume.padding.is_some_and(|p| p.iter().all(|stored| stored * slope + intercept < low - PADDING_BELOW * span));
         let has_holes = volume.non_finite > 0 || volume.padded > 0;
         let colors = volume.colors.clone();
         let direct = |voxels| {
             let (scale, offset) = ((slope / span) as f32, ((intercept - low) / span) as f32);
-            // An f32 volume of extreme magnitude has no usable single-precision scale: it is normalised like an f64 one.
+            // An f32 volume of extreme magnitude has no usable single-precision scale: it is
+            // normalised like an f64 volume.
             let has_holes = padding_below;
             (scale.is_normal() && offset.abs() < 1e6).then(|| Self { voxels, size: volume.size, scale, offset, has_holes, colors: colors.clone() })
         };
@@ -102,8 +109,9 @@ impl VoxelGrid {
         })
     }
 
-    /// The grid of a label map: 1 where there is a label and 0 where there is none, in the labels' colours. Samples between two labels thus
-    /// are as present as either, not a third label of a number in between. None if the volume is no label map.
+    /// The grid of a label map: 1 where there is a label and 0 where there is none, in the labels'
+    /// colours. A sample between two labels is then as present as either, rather than a third label
+    /// numbered in between. None if the volume is not a label map.
     pub fn of_labels(volume: &Volume) -> Option<Self> {
         volume.labels()?;
         let colors = Colors::of_labels(volume.voxels.clone(), volume.range[1] as usize, &volume.label_table);
@@ -118,8 +126,8 @@ impl VoxelGrid {
         })
     }
 
-    /// The grid with blocks of voxels averaged, the last ones of an axis being smaller; a block without any but holes is one. Colours are left
-    /// out: see [`Colors::reduced`].
+    /// The grid with blocks of voxels averaged, the last ones of an axis being smaller; a block
+    /// that contains only holes is a hole. Colours are omitted: see [`Colors::reduced`].
     pub fn reduced(&self, factors: [usize; 3]) -> Self {
         let size: [usize; 3] = std::array::from_fn(|a| self.size[a].div_ceil(factors[a]));
         let hole = |v: f32| v * self.scale + self.offset <= 0.5 * HOLE;
@@ -203,7 +211,7 @@ mod tests {
         let voxels: Vec<f32> = vec![1.0, 3.0, 5.0, f32::NAN, 7.0, f32::NAN];
         let grid = VoxelGrid::new(&Volume::new(Voxels::new([3, 2, 1], voxels), Rescale::NONE, DAffine3::IDENTITY)).reduced([2, 2, 1]);
         assert_eq!(grid.size, [2, 1, 1]);
-        // Means of 1, 3, 7 and of 5 alone, normalised over 1 to 7.
+        // The means of 1, 3, 7 and of 5 alone, normalised over 1 to 7.
         assert!((grid.value(0, 0, 0) - (11.0 / 3.0 - 1.0) / 6.0).abs() < 1e-6 && (grid.value(1, 0, 0) - 4.0 / 6.0).abs() < 1e-6);
     }
 }

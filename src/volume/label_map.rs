@@ -1,20 +1,21 @@
-//! Label maps: volumes whose values are the numbers of regions. A volume is one where somebody says so, the file or the user; where nothing is said,
-//! it is guessed from how the values lie.
+//! Label maps: volumes whose values are the numbers of regions. A volume is a label map if the file
+//! or the user declares it; without a declaration this is guessed from the distribution of the
+//! values.
 
 use super::{Rescale, Volume, Voxels};
 use std::collections::HashSet;
 
-/// How far a scaled value may be from the whole number that it stands for.
+/// Largest relative deviation of a scaled value from the integer it represents.
 const ROUNDING: f64 = 1e-6;
 
-/// What keeps a value from being a label.
+/// Values that cannot be labels.
 #[derive(Clone, Copy, Default)]
 struct Misfits {
-    /// The lowest value that is negative or too large.
+    /// The smallest value that is negative or too large.
     out_of_range: Option<f64>,
-    /// The lowest value that is no whole number.
+    /// The smallest value that is not an integer.
     fraction: Option<f64>,
-    /// Values that are none, and count as no label.
+    /// Number of non-finite values, which count as unlabelled.
     not_finite: usize,
 }
 
@@ -42,10 +43,11 @@ impl Misfits {
 }
 
 impl Volume {
-    /// The volume as the label map that it is said to be: its values as whole numbers, 0 (and what is no number) being no label.
+    /// The volume as a label map, as declared: its values as integers; 0 and non-finite values are
+    /// unlabelled.
     ///
     /// # Errors
-    /// Colours, or a value that is no whole number from 0 on: a sentence that names it.
+    /// Colours, or a value that is not a non-negative integer; a sentence that names it.
     pub fn into_label_map(mut self) -> Result<Self, String> {
         if self.colors.is_some() {
             return Err("is not a label map: it contains colours, not labels".into());
@@ -81,9 +83,10 @@ impl Volume {
         Ok(self)
     }
 
-    /// The number of distinct labels besides 0, if this is a label map: an unscaled integer volume without negative values that is declared to
-    /// be one, or that looks like one (at most 1000 labels; at least 90 % of all voxels, and 75 % of those with a label, equal their neighbour
-    /// along i).
+    /// The number of distinct labels other than 0, if this is a label map: an unscaled integer
+    /// volume without negative values that is declared to be one, or that looks like one (at most
+    /// 1000 labels, or 255 if any of them exceeds 1000; at least 90 % of all voxels, and 75 % of
+    /// those with a label, equal their neighbour along i).
     pub fn labels(&self) -> Option<usize> {
         *self.statistics.labels.get_or_init(|| self.count_labels())
     }
@@ -108,7 +111,7 @@ impl Volume {
         (distinct <= 1000 && (self.range[1] <= 1000.0 || distinct <= 255)).then_some(distinct)
     }
 
-    /// The labels that voxels have, besides 0.
+    /// The labels that occur, without 0.
     fn distinct(&self) -> HashSet<u32> {
         let mut seen = self.voxels.fold(
             HashSet::new,
@@ -140,7 +143,7 @@ impl Volume {
         self.voxels.fold_rows([0; 2], of_row, |a, b| [a[0] + b[0], a[1] + b[1]])
     }
 
-    /// Share of voxels that equal their successor along i.
+    /// Fraction of voxels that equal their successor along i.
     fn flat_share(&self) -> f64 {
         let of_row = |equal: usize, row: &mut dyn Iterator<Item = f64>| {
             let mut last = row.next();
@@ -165,7 +168,7 @@ mod tests {
 
     #[test]
     fn what_is_said_to_be_a_label_map_is_one() {
-        // Two thousand labels, each of one voxel: nothing that looks like a label map.
+        // Two thousand labels of one voxel each: this does not look like a label map.
         let many: Vec<u16> = (0..2000).collect();
         let guessed = volume(many.clone().into(), Rescale::NONE);
         assert_eq!(guessed.labels(), None);

@@ -1,11 +1,13 @@
 //! Eight trilinear samples, or eight gradients, at once.
 //!
-//! *Theory*: what a sample costs is its loads. The two voxels of a row lie beside each other and are loaded as one word; a gradient needs 32
-//! voxels of the 64 around a point, not the 48 of six samples: the differences to both sides are interpolated by the point's one fraction.
-//! Where differences are kept ([`GradientVolume`](super::GradientVolume)) it needs 8 of them. Each lane checks once that its cell lies in the volume, not each
-//! of its rows ([`Strides`]).
+//! *Theory*: the cost of a sample is its loads. The two voxels of a row are adjacent and are loaded
+//! as one word. A gradient needs 32 of the 64 voxels around a point, not the 48 of six samples: the
+//! differences on both sides are interpolated with the point's fraction. Where differences are
+//! stored ([`GradientVolume`](super::GradientVolume)) it needs 8 texels. Each lane checks once that
+//! its cell lies in the volume, not for each of its rows ([`Strides`]).
 //!
-//! *How to call it*: as [`VolumeSampler::sample`] and [`VolumeSampler::gradient`], whose values these are to rounding.
+//! *How to call it*: as [`VolumeSampler::sample`] and [`VolumeSampler::gradient`], whose values
+//! these equal up to rounding.
 
 use super::grid::Neighborhood;
 use super::{GradientFilter, VolumeSampler, Voxel};
@@ -34,8 +36,8 @@ impl<T: Voxel> VolumeSampler<'_, T> {
         mix_rows(T::cells(simd, self.voxels, &base, Strides::of(self.size)), f).mul_add(self.scale, self.offset)
     }
 
-    /// Normalised values at eight positions in voxels, and the differences f(+1) - f(-1) of stored values if those are kept: what
-    /// [`Self::gradient_of`] makes gradients of.
+    /// Normalised values at eight positions in voxels, and the differences f(+1) - f(-1) of stored
+    /// values if those are stored: the input of [`Self::gradient_of`].
     #[inline(always)]
     pub fn sample_with_differences<S: Simd>(&self, simd: S, p: Vec3x8<S>) -> (f32x8<S>, Vec3x8<S>) {
         match self.texels {
@@ -47,8 +49,9 @@ impl<T: Voxel> VolumeSampler<'_, T> {
         }
     }
 
-    /// Has the cache fetch what [`Self::sample_with_differences`] will ask at eight neighbouring positions, four in each of two rows: around those
-    /// at the corners, between which little else lies.
+    /// Prefetches the texels that [`Self::sample_with_differences`] will read at eight neighbouring
+    /// positions, four in each of two rows: those around the positions at the corners, between
+    /// which little else lies.
     #[inline(always)]
     pub fn prefetch<S: Simd>(&self, p: Vec3x8<S>) {
         if let Some(texels) = self.texels
@@ -64,7 +67,8 @@ impl<T: Voxel> VolumeSampler<'_, T> {
         }
     }
 
-    /// Gradients of the normalised value per voxel along i, j, k at eight positions in voxels; those of `lanes` (a bit each) are wanted.
+    /// Gradients of the normalised value per voxel along i, j, k at eight positions in voxels; only
+    /// those in `lanes` (a bit each) are needed.
     #[inline(always)]
     pub fn gradient_lanes<S: Simd>(&self, simd: S, p: Vec3x8<S>, filter: GradientFilter, lanes: u64) -> Vec3x8<S> {
         if filter == GradientFilter::Central && self.is_at_least(4) {
@@ -77,11 +81,12 @@ impl<T: Voxel> VolumeSampler<'_, T> {
         all
     }
 
-    /// Gradients by central differences, as [`Self::gradient_lanes`], of what [`Self::sample_with_differences`] gave.
+    /// Gradients by central differences, as [`Self::gradient_lanes`], from the result of
+    /// [`Self::sample_with_differences`].
     #[inline(always)]
     pub fn gradient_of<S: Simd>(&self, simd: S, p: Vec3x8<S>, differences: Vec3x8<S>, lanes: u64) -> Vec3x8<S> {
         let mut all = differences * f32x8::splat(simd, 0.5 * self.scale);
-        // Beside the grid's faces a difference is taken at the face, as a texture's edge is.
+        // Near the grid's faces a difference is taken at the face, as with a clamped texture.
         let (x, y, z) = (beyond(p.x, self.top.x), beyond(p.y, self.top.y), beyond(p.z, self.top.z));
         for n in lanes_of(lanes & (x | y | z).to_bitmask()) {
             all.set(n, self.gradient(p.lane(n), GradientFilter::Central));
@@ -89,8 +94,9 @@ impl<T: Voxel> VolumeSampler<'_, T> {
         all
     }
 
-    /// Differences f(+1) - f(-1) of stored values in cells that have a voxel to every side. Taken at the corners, where those of integers are
-    /// exact, and then interpolated: by the same operations as differences that are kept.
+    /// Differences f(+1) - f(-1) of stored values in cells with a voxel on every side. They are
+    /// computed at the corners, where those of integers are exact, and then interpolated by the
+    /// same operations as stored differences.
     #[inline(always)]
     fn differences_between<S: Simd>(&self, simd: S, cells: &Cells<S>) -> Vec3x8<S> {
         let Neighborhood { rows: [a, b, c, d], neighbors_y, neighbors_z } = T::around(simd, self.voxels, &cells.base, Strides::of(self.size));
@@ -109,7 +115,7 @@ impl<T: Voxel> VolumeSampler<'_, T> {
     }
 }
 
-/// Of four neighbours along a row, the differences at the two in the middle.
+/// The differences at the two middle ones of four neighbours along a row.
 #[inline(always)]
 fn across<S: Simd>(row: [f32x8<S>; 4]) -> [f32x8<S>; 2] {
     [row[2] - row[0], row[3] - row[1]]
@@ -121,13 +127,13 @@ fn between<S: Simd>(before: [f32x8<S>; 2], after: [f32x8<S>; 2]) -> [f32x8<S>; 2
     [after[0] - before[0], after[1] - before[1]]
 }
 
-/// Whether one of the voxels to both sides of a coordinate's cell lies beyond the grid.
+/// Whether one of the voxels on both sides of a coordinate's cell lies outside the grid.
 #[inline(always)]
 fn beyond<S: Simd>(x: f32x8<S>, top: f32) -> mask32x8<S> {
     x.simd_lt(1.0) | x.simd_ge(top - 1.0)
 }
 
-/// Integers of 16 bits, the lower one first, as the two halves of a word.
+/// The two halves of a word as 16-bit integers, the lower one first.
 #[inline(always)]
 fn halves<S: Simd>(words: i32x8<S>, signed: bool) -> [f32x8<S>; 2] {
     let low = if signed { (words << 16) >> 16 } else { words & 0xffff };
@@ -135,19 +141,19 @@ fn halves<S: Simd>(words: i32x8<S>, signed: bool) -> [f32x8<S>; 2] {
     [low.to_float(), high.to_float()]
 }
 
-/// Integers of which two neighbours are one word.
+/// Integers of which two neighbours form one word.
 trait I16Pairs: Voxel {
     /// Two neighbours.
     fn word(pair: [Self; 2]) -> i32;
 
-    /// The lower and the higher one of each of eight.
+    /// The lower and the higher integer of each of eight words.
     fn halves<S: Simd>(words: i32x8<S>) -> [f32x8<S>; 2];
 }
 
 /// A voxel and the next one.
 #[inline(always)]
 fn word_at<T: I16Pairs>(voxels: &[T], at: usize) -> i32 {
-    // One check, and one load of both.
+    // One bounds check, and one load for both.
     let pair = &voxels[at..at + 2];
     T::word([pair[0], pair[1]])
 }

@@ -1,9 +1,10 @@
-//! Volumes: typed voxels as they are stored, their geometry in world millimetres (LPS), range and histogram; colours and labels; samples and
-//! gradients; phantoms; reading ([`load`]) and writing ([`save`]).
+//! Volumes: typed voxels as stored, their geometry in world millimetres (LPS), range and histogram;
+//! colours and labels; samples and gradients; phantoms; reading ([`load`]) and writing ([`save`]).
 //!
-//! Renderers never see the stored type: they take a [`VoxelGrid`], which shares the voxels of the types that both the CPU and a GPU
-//! sample natively (u8, i16, u16, f32) and converts the rest once. A sample is *normalised*: 0 at the lowest finite value of the
-//! volume, 1 at the highest. A voxel that is NaN or infinite holds nothing and normalises below 0 (see [`VoxelGrid`]).
+//! Renderers never see the stored type: they use a [`VoxelGrid`], which shares the voxels of the
+//! types that both the CPU and a GPU sample natively (u8, i16, u16, f32) and converts the rest
+//! once. A sample is *normalised*: 0 at the lowest finite value of the volume, 1 at the highest. A
+//! NaN or infinite voxel is empty and normalises below 0 (see [`VoxelGrid`]).
 
 mod colors;
 mod gradient;
@@ -38,15 +39,15 @@ pub struct Volume {
     pub rescale: Rescale,
     /// Voxel indices (centres at integers) to world millimetres, LPS.
     pub world_from_voxel: DAffine3,
-    /// Lowest and highest finite value in data units; `[0, 1]` when there is none.
+    /// Smallest and largest finite value in data units; `[0, 1]` if there is none.
     pub range: [f64; 2],
     /// Number of NaN and infinite voxels.
     pub non_finite: usize,
-    /// Lowest and highest stored value that stand for nothing at all (DICOM's pixel padding), if any do.
+    /// Smallest and largest stored value that mean "no value" (DICOM's pixel padding), if any.
     pub padding: Option<[f64; 2]>,
     /// Number of such voxels.
     pub padded: usize,
-    /// High values are dark (DICOM's MONOCHROME1).
+    /// Whether high values are dark (DICOM's MONOCHROME1).
     pub inverted: bool,
     /// The voxels' own colours, if they have any; then `voxels` are their luminance or opacity.
     pub colors: Option<Colors>,
@@ -56,31 +57,31 @@ pub struct Volume {
     pub source_type: &'static str,
     /// Format of the file.
     pub format: &'static str,
-    /// Slices that are shown elsewhere than they were taken.
+    /// The displacement of slices from their scanned positions.
     pub misplaced: Option<SliceDisplacement>,
-    /// Where the volume came from says that it holds labels.
+    /// Whether the source declares the volume a label map.
     pub declared_labels: bool,
-    /// What it says of single labels.
+    /// The source's descriptions of single labels.
     pub label_table: Vec<Label>,
-    /// What else it says of itself.
+    /// Further information from the source.
     pub details: Vec<(&'static str, serde_json::Value)>,
-    /// What was odd about the source, one sentence each.
+    /// Irregularities of the source, one sentence each.
     pub warnings: Vec<String>,
-    /// What has been found out about the voxels.
+    /// Cached statistics of the voxels.
     statistics: VolumeStatistics,
 }
 
-/// Slices of a scan that are shown elsewhere than they were taken.
+/// Slices of a scan that are shown at other positions than scanned.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SliceDisplacement {
-    /// By how much at most, mm.
+    /// Largest displacement, mm.
     pub by_mm: f64,
-    /// Whether interpolating them onto an even grid (`resample`) puts them right.
+    /// Whether interpolating them onto an even grid (`resample`) corrects it.
     pub resampling_helps: bool,
 }
 
-/// What takes a walk through all voxels, kept once it is known: a live view asks for it at every frame. A copy finds it out anew, as it may be
-/// changed before it is asked.
+/// Statistics that need a pass over all voxels, cached once computed: a live view requests them for
+/// every frame. A copy computes them again, because its voxels may change first.
 #[derive(Debug, Default)]
 struct VolumeStatistics {
     histograms: Mutex<Vec<Arc<Histogram>>>,
@@ -128,12 +129,13 @@ pub struct Histogram {
 }
 
 impl Volume {
-    /// Wraps voxels, finding their range: [`Voxels`], or an [`Array3`](ndarray::Array3) of shape (k, j, i).
+    /// Wraps voxels and finds their range: [`Voxels`], or an [`Array3`](ndarray::Array3) of shape
+    /// (k, j, i).
     pub fn new(voxels: impl Into<Voxels>, rescale: Rescale, world_from_voxel: DAffine3) -> Self {
         Self::with_padding(voxels.into(), rescale, world_from_voxel, None)
     }
 
-    /// Wraps voxels of which those within a range of stored values stand for nothing.
+    /// Wraps voxels of which a range of stored values means "no value".
     pub fn with_padding(voxels: Voxels, rescale: Rescale, world_from_voxel: DAffine3, padding: Option<[f64; 2]>) -> Self {
         let size = voxels.size();
         let (stored, [non_finite, padded]) = voxels.finite_range(padding);
@@ -168,12 +170,13 @@ impl Volume {
         }
     }
 
-    /// Whether a stored value stands for nothing.
+    /// Whether a stored value means "no value".
     pub fn is_padding(&self, stored: f64) -> bool {
         self.padding.is_some_and(|[low, high]| (low..=high).contains(&stored))
     }
 
-    /// Sets the distances between voxel centres, mm; the first voxel and the directions stay.
+    /// Sets the distances between voxel centres, mm; the first voxel and the directions are
+    /// unchanged.
     ///
     /// # Errors
     /// A distance that is not positive.
@@ -186,7 +189,8 @@ impl Volume {
         Ok(())
     }
 
-    /// A volume of nothing over a box, 128 voxels along its longest edge: what a scene of meshes alone is measured by.
+    /// An empty volume over a box, 128 voxels along its longest edge, from which a scene of meshes
+    /// takes its lengths.
     pub fn empty_over(bounds: &crate::math::Bounds) -> Self {
         let extent = if bounds.is_empty() { glam::Vec3::ONE } else { bounds.size().max(glam::Vec3::splat(f32::MIN_POSITIVE)) };
         let spacing = extent.max_element() / 128.0;
@@ -197,7 +201,7 @@ impl Volume {
         Self::new(Voxels::new(size, vec![0u8; size.iter().product()]), Rescale::NONE, world_from_voxel)
     }
 
-    /// Where the voxels lie.
+    /// The volume's size and geometry.
     pub fn geometry(&self) -> GridGeometry {
         GridGeometry { size: self.size, world_from_voxel: self.world_from_voxel }
     }
@@ -220,12 +224,13 @@ impl Volume {
         DMat3::from_cols(m.x_axis / s.x, m.y_axis / s.y, m.z_axis / s.z)
     }
 
-    /// The letters of the directions in which i, j, k grow, e.g. `LPS`: each axis by its largest component, no letter twice.
+    /// The letters of the directions in which i, j, k increase, e.g. `LPS`: each axis by its
+    /// largest component, no letter twice.
     pub fn orientation(&self) -> String {
         let direction = self.direction();
         let mut free = [true; 3];
         let mut letters = ['?'; 3];
-        // The most clearly aligned axis chooses first.
+        // The most clearly aligned axis is assigned first.
         let mut order = [0usize, 1, 2];
         order.sort_by(|&a, &b| direction.col(b).abs().max_element().total_cmp(&direction.col(a).abs().max_element()));
         for axis in order {
@@ -237,27 +242,29 @@ impl Volume {
         letters.iter().collect()
     }
 
-    /// What was odd about the source, and which option mends it: for a command line.
+    /// Irregularities of the source, and the option that corrects them, for a command line.
     pub fn warnings_with_options(&self) -> Vec<String> {
         let mends = self.misplaced.is_some_and(|m| m.resampling_helps);
         let option = mends.then(|| "use --resample to interpolate the slices onto a regular grid".to_owned());
         self.warnings.iter().cloned().chain(option).collect()
     }
 
-    /// The angle between the k axis and the normal of the planes of i and j, degrees: a CT gantry's tilt.
+    /// The angle between the k axis and the normal of the planes of i and j, degrees: a CT gantry's
+    /// tilt.
     pub fn tilt_degrees(&self) -> f64 {
         let m = self.world_from_voxel.matrix3;
         let normal = m.x_axis.cross(m.y_axis).normalize_or_zero();
         normal.cross(m.z_axis).length().atan2(normal.dot(m.z_axis).abs()).to_degrees()
     }
 
-    /// A histogram of the finite values that are no padding.
+    /// A histogram of the finite values, without padding.
     pub fn histogram(&self, bins: usize) -> Arc<Histogram> {
         let lock = || self.statistics.histograms.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(statistics) = lock().iter().find(|h| h.counts.len() == bins) {
             return statistics.clone();
         }
-        // Counted outside the lock: a thread of the pool that waits for its share may be given work that asks again.
+        // Computed outside the lock: a pool thread that waits for its part may run another task
+        // that requests a histogram.
         let made = Arc::new(self.count(bins));
         lock().push(made.clone());
         made
@@ -284,8 +291,9 @@ impl Volume {
         Histogram { low, high, counts }
     }
 
-    /// A value between what is around the scanned body and the body itself: -300 where the values are Hounsfield units (their lowest is
-    /// near air's), else an eighth of the way from the lowest value to the robust maximum.
+    /// A value between the surroundings of a scanned body and the body itself: -300 for Hounsfield
+    /// units (with a lowest value near air's), else an eighth of the way from the lowest value to
+    /// the robust maximum.
     pub fn body_threshold(&self) -> f64 {
         let [low, high] = self.range;
         if low <= -900.0 && high >= 200.0 {
@@ -295,8 +303,9 @@ impl Volume {
         low + 0.125 * (top - low)
     }
 
-    /// Values that a grey picture shows as black and white: by a window's width and middle where they are given; else -160 to 240 where the values are
-    /// Hounsfield units, and from a 25th of the way to the robust maximum up to it elsewhere (what is around a body is black).
+    /// Values that a grey picture shows as black and white: from a window's width and level where
+    /// given; else -160 to 240 for Hounsfield units, and from a 25th of the way to the robust
+    /// maximum up to it otherwise (the surroundings of a body are black).
     pub fn window(&self, width: Option<f64>, level: Option<f64>) -> [f64; 2] {
         let [low, high] = self.range;
         let own = if low <= -900.0 && high >= 200.0 {
@@ -312,7 +321,8 @@ impl Volume {
         [level - 0.5 * width, level + 0.5 * width]
     }
 
-    /// The box of the grid's cells (half a voxel around the outermost centres), in world millimetres.
+    /// The box of the grid's cells (half a voxel around the outermost centres), in world
+    /// millimetres.
     pub fn bounds_in_world(&self) -> crate::math::Bounds {
         let s = self.size.map(|n| n as f32);
         crate::math::Bounds::new(glam::Vec3::splat(-0.5), glam::Vec3::from(s) - 0.5).transformed(&crate::math::to_f32(&self.world_from_voxel))
@@ -320,7 +330,8 @@ impl Volume {
 }
 
 impl Histogram {
-    /// The data value below which `fraction` of the counted voxels lie, `skip_lowest` leaving out the first bin (air).
+    /// The data value below which `fraction` of the counted voxels lie; `skip_lowest` excludes the
+    /// first bin (air).
     pub fn percentile(&self, fraction: f64, skip_lowest: bool) -> f64 {
         let counts = &self.counts[usize::from(skip_lowest)..];
         let total: u64 = counts.iter().sum();

@@ -1,23 +1,24 @@
-//! Large arrays in memory of their own, on huge pages where the system has them.
+//! Large arrays in separately mapped memory, on huge pages where the system has them.
 //!
-//! A renderer reads a volume in no order: on pages of 4 KiB the first touch of each costs a fault, and later ones a walk through the page table.
+//! A renderer reads a volume in random order: on 4 KiB pages the first access to each page costs a
+//! fault, and later ones a page-table walk.
 
 use bytemuck::{AnyBitPattern, NoUninit};
 use memmap2::MmapMut;
 use std::marker::PhantomData;
 use std::ops::{Deref, DerefMut};
 
-/// An array of zeros at first.
+/// An array, initially zero.
 pub struct MappedArray<T> {
     memory: MmapMut,
     of: PhantomData<T>,
 }
 
 impl<T: AnyBitPattern + NoUninit> MappedArray<T> {
-    /// None if there is no memory for so many.
+    /// None if there is not enough memory.
     pub fn zeroed(count: usize) -> Option<Self> {
         let memory = MmapMut::map_anon(count.checked_mul(size_of::<T>())?).ok()?;
-        // Systems without huge pages, or that keep them for others, give pages as ever.
+        // Systems without huge pages, or with restricted ones, provide ordinary pages.
         #[cfg(target_os = "linux")]
         let _ = memory.advise(memmap2::Advice::HugePage);
         Some(Self { memory, of: PhantomData })

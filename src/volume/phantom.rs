@@ -1,21 +1,24 @@
-//! Procedural volumes: closed-form test bodies, the objects of \[DDM06\]'s figures, and a head in Hounsfield units.
+//! Procedural volumes: closed-form test bodies, the objects of \[DDM06\]'s figures, and a head in
+//! Hounsfield units.
 //!
-//! Every phantom is a function of a point in millimetres, evaluated at voxel centres of a grid that is centred on the world's
-//! origin with its axes along L, P, S. Surfaces are smooth ramps of the signed distance, two voxels wide, as a scanner makes them. So that the ramp from one material to another does not pass through a third one's values, materials that touch are
-//! neighbours on the value scale (which is why the tomato's air is 255 and the piggy bank's 128).
+//! Every phantom is a function of a point in millimetres, evaluated at the voxel centres of a grid
+//! centred on the world's origin with its axes along L, P, S. Surfaces are smooth ramps of the
+//! signed distance, two voxels wide, as in a scan. Materials that touch are neighbours on the value
+//! scale, so that the ramp between them does not pass through a third one's values (hence the
+//! tomato's air is 255 and the piggy bank's 128).
 
 use super::{Rescale, StoredValues, Volume, Voxels};
 use crate::{Error, Result, error::suggestion};
 use glam::{DAffine3, DMat3, Quat, Vec2, Vec3, Vec3Swizzles};
 use rayon::prelude::*;
 
-/// A phantom's entry.
+/// The definition of a phantom.
 struct Phantom {
     name: &'static str,
     about: &'static str,
     /// Edge of the default grid, voxels.
     size: usize,
-    /// Name of the transfer function preset that shows it.
+    /// Name of the matching transfer function preset.
     preset: &'static str,
     kind: PhantomKind,
 }
@@ -76,16 +79,17 @@ fn find(name: &str) -> Result<&'static Phantom> {
     })
 }
 
-/// The preset that shows a phantom best, for `NAME[:...]`.
+/// The preset that suits a phantom best, for `NAME[:...]`.
 pub fn preset(spec: &str) -> Option<&'static str> {
     find(spec.split(':').next()?).ok().map(|p| p.preset)
 }
 
-/// The phantom of a specification `NAME[:size=N][:spacing=AxBxC]`: N voxels along each edge of a 160 mm cube, or as many as the
-/// spacing in millimetres makes.
+/// The phantom given by `NAME[:size=N][:spacing=AxBxC]`: N voxels along each edge of a 160 mm cube,
+/// or as many as result from the spacing in millimetres.
 ///
 /// # Errors
-/// An unknown name or option, a size outside 2 to 1024, a spacing that makes fewer than 2 or more than 1024 voxels.
+/// An unknown name or option, a size outside 2 to 1024, or a spacing that results in fewer than 2
+/// or more than 1024 voxels.
 pub fn from_spec(spec: &str) -> Result<Volume> {
     let mut parts = spec.split(':');
     let phantom = find(parts.next().unwrap_or_default())?;
@@ -149,13 +153,13 @@ fn octants(p: Vec3) -> u8 {
     if p.length() > 60.0 { 0 } else { 1 + u8::from(p.x > 0.0) + 2 * u8::from(p.y > 0.0) + 4 * u8::from(p.z > 0.0) }
 }
 
-/// Share of matter at signed distance `d` (positive inside): a smooth ramp two voxels wide, about what a scanner's point spread
-/// leaves of an edge, and wide enough for gradients to point straight out of it.
+/// Coverage at signed distance `d` (positive inside): a smooth ramp two voxels wide, similar to the
+/// edge response of a scanner, and wide enough for gradients to point straight outwards.
 fn cover(d: f32, voxel: f32) -> f32 {
     crate::math::smoothstep(-voxel, voxel, d)
 }
 
-/// Paints a material over what is there.
+/// Blends a material over the existing value.
 fn paint(value: &mut f32, material: f32, share: f32) {
     *value += (material - *value) * share;
 }
@@ -224,7 +228,8 @@ fn shell(p: Vec3, voxel: f32) -> f32 {
 }
 
 fn checker(p: Vec3, voxel: f32) -> f32 {
-    // The product of three square waves, each with a smooth edge; the cube of checks fills the whole grid.
+    // The product of three square waves, each with a smooth edge; the cube of checks fills the
+    // whole grid.
     let wave = |x: f32| {
         let phase = (x / 16.0).rem_euclid(2.0);
         let to_edge = 16.0 * if phase < 1.0 { phase.min(1.0 - phase) } else { -(phase - 1.0).min(2.0 - phase) };
@@ -237,7 +242,7 @@ fn piggy_bank(p: Vec3, voxel: f32) -> f32 {
     const AIR: f32 = 128.0;
     const CERAMIC: f32 = 255.0;
     const COIN: f32 = 0.0;
-    // The snout looks towards anterior (-y), the back up (+z).
+    // The snout faces anterior (-y), the back is up (+z).
     let mirrored = Vec3::new(p.x.abs(), p.y, p.z);
     let body = ellipsoid(p, Vec3::ZERO, Vec3::new(46.0, 62.0, 46.0));
     let hollow = ellipsoid(p, Vec3::ZERO, Vec3::new(39.0, 55.0, 39.0));
@@ -260,7 +265,7 @@ fn piggy_bank(p: Vec3, voxel: f32) -> f32 {
         return value;
     }
     for n in 0..26u32 {
-        // A heap of coins: golden-angle spiral, layer by layer, tilted this way and that.
+        // A heap of coins: golden-angle spiral, layer by layer, tilted in different directions.
         let layer = n / 9;
         let turn = n as f32 * 2.399_963;
         let reach = [25.0, 18.0, 11.0][layer as usize % 3] * ((n % 9) as f32 / 8.0).sqrt();

@@ -1,4 +1,5 @@
-//! Trilinear samples of a grid and their gradients, one at a time; [`super::lanes`] takes eight at once.
+//! Trilinear samples of a grid and their gradients, one at a time; [`super::lanes`] computes eight
+//! at once.
 
 use super::{GradientFilter, GradientVolume, Voxel, VoxelGrid};
 use crate::math::flat;
@@ -9,16 +10,16 @@ use ndarray::ArcArray3;
 pub struct VolumeSampler<'a, T> {
     pub(super) voxels: &'a [T],
     pub(super) size: [usize; 3],
-    /// Highest sample coordinate per axis, voxels.
+    /// Largest sample coordinate per axis, voxels.
     pub(super) top: Vec3,
     pub(super) scale: f32,
     pub(super) offset: f32,
-    /// A gradient volume's.
+    /// Texels of a gradient volume.
     pub(super) texels: Option<&'a [[i16; 4]]>,
 }
 
 impl<'a, T: Voxel> VolumeSampler<'a, T> {
-    /// A sampler over the voxels of `grid`, which must be `grid`'s own.
+    /// A sampler over the voxels of `grid`; these must belong to `grid`.
     pub fn new(grid: &VoxelGrid, voxels: &'a ArcArray3<T>) -> Self {
         let voxels = flat(voxels);
         assert_eq!(voxels.len(), grid.size.iter().product::<usize>());
@@ -26,7 +27,8 @@ impl<'a, T: Voxel> VolumeSampler<'a, T> {
         Self { voxels, size: grid.size, top, scale: grid.scale, offset: grid.offset, texels: None }
     }
 
-    /// The sampler with a gradient volume of the same grid, by which eight samples at once come with their differences; the same to the bit.
+    /// The sampler with a gradient volume of the same grid, which supplies differences with eight
+    /// samples at once; the results are the same bit for bit.
     pub fn with_gradients(self, gradients: Option<&'a GradientVolume>) -> Self {
         Self { texels: gradients.map(|g| &*g.texels).filter(|texels| texels.len() == self.voxels.len()), ..self }
     }
@@ -37,11 +39,12 @@ impl<'a, T: Voxel> VolumeSampler<'a, T> {
         self.texels.is_some() && self.size.iter().all(|&n| n >= 4)
     }
 
-    /// Normalised value at a position in voxels, clamped to the outermost voxel centres as a texture is.
+    /// Normalised value at a position in voxels, clamped to the outermost voxel centres like a
+    /// texture.
     #[inline(always)]
     pub fn sample(&self, point_in_voxel: Vec3) -> f32 {
         let p = point_in_voxel.clamp(Vec3::ZERO, self.top);
-        // p is not negative: truncation is floor.
+        // p is not negative: truncation equals floor.
         let (i, j, k) = (p.x as usize, p.y as usize, p.z as usize);
         let f = p - Vec3::new(i as f32, j as f32, k as f32);
         let [nx, ny, nz] = self.size;
@@ -75,7 +78,8 @@ impl<T: Voxel> VolumeSampler<'_, T> {
         }
     }
 
-    /// At a voxel, the mean of two samples half a voxel to either side is (f(-1) + 2 f(0) + f(1)) / 4.
+    /// At a voxel, the mean of two samples half a voxel to either side is (f(-1) + 2 f(0) + f(1)) /
+    /// 4.
     #[inline(never)]
     fn sobel(&self, p: Vec3) -> Vec3 {
         let mut g = Vec3::ZERO;

@@ -1,8 +1,10 @@
-//! Writing volumes, label maps and displacement fields: NIfTI (version 2 where 1 cannot count the voxels), NRRD, MetaImage and VTK XML.
+//! Writing volumes, label maps and displacement fields: NIfTI (version 2 where version 1 cannot
+//! count the voxels), NRRD, MetaImage and VTK XML.
 //!
-//! A file is a header followed by values in the order of the voxels, so that a large one can be made slab by slab ([`Writer`]). Fields are
-//! LPS in NRRD, MetaImage and VTK; in NIfTI they carry the intent 1007 and LPS vectors, as ITK and ANTs write them. NIfTI keeps the components
-//! of vectors one after the other, the others keep them together ([`Format::planar`]).
+//! A file is a header followed by values in voxel order, hence a large one can be written slab by
+//! slab ([`Writer`]). Fields are LPS in NRRD, MetaImage and VTK; in NIfTI they have intent 1007 and
+//! LPS vectors, as written by ITK and ANTs. NIfTI stores the components of vectors one after the
+//! other, the other formats interleave them ([`Format::planar`]).
 
 use super::load::ScalarType;
 use super::{GridGeometry, Rescale};
@@ -14,7 +16,7 @@ use std::fmt::Write as _;
 use std::io::Write;
 use std::path::Path;
 
-/// The formats that are written.
+/// The formats for writing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
     /// `.nii`
@@ -29,7 +31,7 @@ pub enum Format {
     Vti,
 }
 
-/// What the voxels are.
+/// The content of the voxels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Content {
     /// One stored value per voxel.
@@ -43,10 +45,10 @@ pub enum Content {
 }
 
 impl Format {
-    /// The format that a file's name asks for.
+    /// The format with a file name's extension.
     ///
     /// # Errors
-    /// An ending that is not written.
+    /// An extension that cannot be written.
     pub fn of(path: &Path) -> Result<Self> {
         let name = path.file_name().map(|n| n.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
         let endings = [(".nii.gz", Self::NiftiGz), (".nii", Self::Nifti), (".nrrd", Self::Nrrd), (".mha", Self::Mha), (".vti", Self::Vti)];
@@ -58,12 +60,12 @@ impl Format {
         })
     }
 
-    /// Whether a slope and an intercept can be stated.
+    /// Whether the format can store a slope and an intercept.
     pub fn states_rescale(self) -> bool {
         matches!(self, Self::Nifti | Self::NiftiGz)
     }
 
-    /// Whether the components of vectors are written one whole grid after the other.
+    /// Whether the components of vectors are stored as consecutive whole grids.
     pub fn planar(self) -> bool {
         matches!(self, Self::Nifti | Self::NiftiGz)
     }
@@ -86,10 +88,10 @@ impl Content {
     }
 }
 
-/// A file being written: values follow in order, in the machine's little-endian bytes.
+/// A file being written: values are appended in order, as little-endian bytes.
 pub struct Writer<W: Write> {
     sink: Sink<W>,
-    /// What follows the values.
+    /// The bytes after the values.
     end: &'static str,
 }
 
@@ -102,7 +104,7 @@ impl<W: Write> Writer<W> {
     /// Writes the header.
     ///
     /// # Errors
-    /// What the destination reports; a grid that the format cannot state.
+    /// Errors of the destination; a grid that the format cannot represent.
     pub fn new(mut out: W, format: Format, grid: &GridGeometry, content: Content) -> Result<Self, String> {
         let io = |e: std::io::Error| e.to_string();
         let sink = match format {
@@ -134,7 +136,7 @@ impl<W: Write> Writer<W> {
     /// Appends values.
     ///
     /// # Errors
-    /// What the destination reports.
+    /// Errors of the destination.
     pub fn push(&mut self, bytes: &[u8]) -> std::io::Result<()> {
         self.sink.write_all(bytes)
     }
@@ -142,7 +144,7 @@ impl<W: Write> Writer<W> {
     /// Ends the file.
     ///
     /// # Errors
-    /// What the destination reports.
+    /// Errors of the destination.
     pub fn finish(self) -> std::io::Result<W> {
         match self.sink {
             Sink::Plain(mut w) => {
@@ -172,7 +174,7 @@ impl<W: Write> Write for Sink<W> {
 
 const LPS_FROM_RAS: DMat3 = DMat3::from_diagonal(DVec3::new(-1.0, -1.0, 1.0));
 
-/// Where NIfTI-1 and NIfTI-2 keep what both have; offsets of the two, and how wide a number is.
+/// The fields common to NIfTI-1 and NIfTI-2: their offsets and number widths.
 struct NiftiHeader {
     bytes: Vec<u8>,
     two: bool,
@@ -183,7 +185,7 @@ impl NiftiHeader {
         self.bytes[at..at + bytes.len()].copy_from_slice(bytes);
     }
 
-    /// A number of single precision, or of double precision in NIfTI-2: the n-th from an offset on.
+    /// A number in single precision, or in double precision in NIfTI-2: the n-th from an offset.
     fn number(&mut self, one: usize, two: usize, n: usize, value: f64) {
         if self.two {
             self.put(two + 8 * n, &value.to_le_bytes());
@@ -192,7 +194,7 @@ impl NiftiHeader {
         }
     }
 
-    /// A code of 16 bits, or of 32 bits in NIfTI-2.
+    /// A code with 16 bits, or 32 bits in NIfTI-2.
     fn code(&mut self, one: usize, two: usize, value: i16) {
         if self.two {
             self.put(two, &i32::from(value).to_le_bytes());
@@ -304,7 +306,7 @@ fn nrrd_header(grid: &GridGeometry, content: Content) -> Result<String, String> 
     let directions = format!("{} {} {}", v(m.x_axis), v(m.y_axis), v(m.z_axis));
     let (dimension, sizes, kinds, directions) = match content.components() {
         1 => (3, format!("{i} {j} {k}"), "domain domain domain".to_owned(), directions),
-        // An unnamed list of four would be taken for a colour by some programs.
+        // Some programs treat an unnamed list of four as a colour.
         n => {
             (4, format!("{n} {i} {j} {k}"), format!("{} domain domain domain", if n == 3 { "vector" } else { "list" }), format!("none {directions}"))
         }
@@ -398,7 +400,7 @@ fn vti_header(grid: &GridGeometry, content: Content) -> Result<String, String> {
 /// A whole small image of interleaved f32 components as the bytes of its file.
 ///
 /// # Errors
-/// A grid that the format cannot state.
+/// A grid that the format cannot represent.
 pub fn encode(format: Format, grid: &GridGeometry, content: Content, values: &[f32]) -> Result<Vec<u8>> {
     let fail = |e: String| Error::value("output", e);
     let mut writer = Writer::new(Vec::new(), format, grid, content).map_err(fail)?;

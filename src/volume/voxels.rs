@@ -1,10 +1,11 @@
-//! Arrays in the type that a file stores them in.
+//! Arrays in the type in which a file stores them.
 
 use crate::math::flat;
 use ndarray::{ArcArray, Array, ArrayView, Axis, Dimension, IntoDimension, Ix1, Ix3, Zip};
 use rayon::prelude::*;
 
-/// An array of one of the ten scalar types of image files, in standard layout (the last axis is fastest). Copies share the values.
+/// An array of one of the ten scalar types of image files, in standard layout (the last axis is
+/// fastest). Clones share the values.
 #[derive(Clone, Debug)]
 #[allow(missing_docs, reason = "the variants are the Rust types")]
 pub enum TypedArray<D: Dimension> {
@@ -23,7 +24,7 @@ pub enum TypedArray<D: Dimension> {
 /// The voxels of a volume, of shape (k, j, i).
 pub type Voxels = TypedArray<Ix3>;
 
-/// Values one after another, as a file holds them.
+/// Values in the order of a file.
 pub type StoredValues = TypedArray<Ix1>;
 
 /// One expression for the array of each type.
@@ -44,7 +45,7 @@ macro_rules! with_values {
     };
 }
 
-/// As `with_values`, with the result in an array of the same type.
+/// As `with_values`, with a result array of the same type.
 macro_rules! of_same_type {
     ($values:expr, $v:ident => $body:expr) => {
         match $values {
@@ -90,14 +91,14 @@ pub(super) fn standard<T: Copy + Default + Send + Sync, D: Dimension>(view: Arra
     copy.into_shared()
 }
 
-/// Voxels handled at once by one task of a parallel pass.
+/// Number of voxels per task of a parallel pass.
 const CHUNK: usize = 1 << 16;
 
 impl Voxels {
     /// Voxels of a size along i, j, k from their values, i fastest.
     ///
     /// # Panics
-    /// If there are not as many values as voxels.
+    /// If the number of values differs from the number of voxels.
     pub fn new(size: [usize; 3], values: impl Into<StoredValues>) -> Self {
         let [i, j, k] = size;
         values.into().reshaped((k, j, i))
@@ -115,7 +116,8 @@ impl Voxels {
         with_values!(self, v => v[[k, j, i]] as f64)
     }
 
-    /// The trilinear mix, at shares `f` along i, j, k, of the voxel `[i, j, k]` and those after it along each axis.
+    /// The trilinear interpolation, at fractions `f` along i, j, k, of the voxel `[i, j, k]` and
+    /// the next ones along each axis.
     #[inline]
     #[allow(clippy::unnecessary_cast, reason = "one of the ten types is f64 already")]
     pub fn trilinear(&self, [i, j, k]: [usize; 3], f: glam::DVec3) -> f64 {
@@ -132,8 +134,8 @@ impl Voxels {
         })
     }
 
-    /// Layers interpolated each between one and the next, `(lower, share of the upper)`; from the nearer of the two where `takes_nearest` says so of
-    /// their values. Integers are rounded.
+    /// Interpolates each layer between one and the next, `(lower, fraction of the upper)`; uses the
+    /// nearer one where `takes_nearest` returns true for their values. Integers are rounded.
     #[allow(clippy::unnecessary_cast, reason = "one of the ten types is f64 already")]
     pub(super) fn interpolated_layers(&self, between: &[(usize, f64)], takes_nearest: impl Fn(f64, f64) -> bool + Sync) -> Self {
         let round = self.is_integer();
@@ -153,7 +155,7 @@ impl Voxels {
         })
     }
 
-    /// Folds over the rows along i in parallel; every row comes with its values.
+    /// Folds over the rows along i in parallel; each row is passed with its values.
     #[allow(clippy::unnecessary_cast, reason = "one of the ten types is f64 already")]
     pub(super) fn fold_rows<A: Copy + Send + Sync>(
         &self,
@@ -170,9 +172,9 @@ impl Voxels {
 }
 
 impl StoredValues {
-    /// Makes room for more values.
+    /// Reserves memory for more values.
     pub(super) fn reserve(&mut self, more: usize) {
-        // Without room the values move when they are appended.
+        // Without reserved memory the values move when appended.
         let _moves = with_values!(self, v => {
             let mut owned = std::mem::take(v).into_owned();
             let room = owned.reserve(Axis(0), more);
@@ -181,7 +183,7 @@ impl StoredValues {
         });
     }
 
-    /// Appends values of the same type; false if they are of another.
+    /// Appends values of the same type; false if the types differ.
     pub(super) fn append(&mut self, more: &Self) -> bool {
         macro_rules! same {
             ($($variant:ident),*) => {
@@ -207,7 +209,7 @@ impl<D: Dimension> TypedArray<D> {
         with_values!(self, v => v.len())
     }
 
-    /// Whether there are none.
+    /// Whether there are no values.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -220,19 +222,20 @@ impl<D: Dimension> TypedArray<D> {
     /// The same values in another shape.
     ///
     /// # Panics
-    /// If the shape is of another number of values.
+    /// If the new shape has another number of values.
     #[allow(clippy::expect_used, reason = "the caller has counted the values")]
     pub fn reshaped<S: IntoDimension>(self, shape: S) -> TypedArray<S::Dim> {
         let dimension = shape.into_dimension();
         of_same_type!(self, v => v.into_shape_with_order(dimension).expect("the shape has as many places as there are values"))
     }
 
-    /// The same values with their axes in another order.
+    /// The same values with permuted axes.
     pub(super) fn permuted(self, axes: D) -> Self {
         of_same_type!(self, v => standard(v.permuted_axes(axes).view()))
     }
 
-    /// What is made of the first four values of every lane along an axis, 0 where it has fewer, in the order of the other axes.
+    /// Applies `make` to the first four values of every lane along an axis, with 0 for missing
+    /// ones, in the order of the other axes.
     pub(super) fn map_lanes<T: Send>(&self, axis: Axis, make: impl Fn([f64; 4]) -> T + Sync + Send) -> Vec<T>
     where
         D: ndarray::RemoveAxis,
@@ -243,7 +246,7 @@ impl<D: Dimension> TypedArray<D> {
         })
     }
 
-    /// The part at one place of an axis.
+    /// The part at one index of an axis.
     pub(super) fn at_index(&self, axis: Axis, index: usize) -> TypedArray<D::Smaller>
     where
         D: ndarray::RemoveAxis,
@@ -251,7 +254,7 @@ impl<D: Dimension> TypedArray<D> {
         of_same_type!(self, v => standard(v.index_axis(axis, index)))
     }
 
-    /// The name of the type, as `info` prints it.
+    /// The name of the type, as printed by `info`.
     pub fn type_name(&self) -> &'static str {
         match self {
             Self::U8(_) => "u8",
@@ -277,7 +280,7 @@ impl<D: Dimension> TypedArray<D> {
         with_values!(self, v => size_of_val(flat(v)) / v.len().max(1))
     }
 
-    /// The highest value of an integer type; 1 of the others.
+    /// The largest value of an integer type; 1 for the others.
     pub(super) fn top(&self) -> f64 {
         match self {
             Self::U8(_) => f64::from(u8::MAX),
@@ -305,7 +308,8 @@ impl<D: Dimension> TypedArray<D> {
             .reduce(&start, &join))
     }
 
-    /// Lowest and highest value that is finite and no padding (none if there is none), how many are not finite, and how many are padding.
+    /// Smallest and largest value that is finite and not padding (none if there is none), the
+    /// number of non-finite values, and the number of padding values.
     pub fn finite_range(&self, padding: Option<[f64; 2]>) -> (Option<[f64; 2]>, [usize; 2]) {
         let Some([from, to]) = padding else {
             let (low, high, bad) = self.fold(
@@ -331,7 +335,7 @@ impl<D: Dimension> TypedArray<D> {
         ((low <= high).then_some([low, high]), [bad, padded])
     }
 
-    /// All values through `convert`, in parallel.
+    /// Converts all values with `convert`, in parallel.
     pub(super) fn map<T: Send>(&self, convert: impl Fn(f64) -> T + Sync + Send) -> Array<T, D> {
         with_values!(self, v => Zip::from(v).par_map_collect(|&x| convert(x as f64)))
     }

@@ -1,7 +1,9 @@
-//! What is drawn over a picture belongs to that picture, whatever is done while pictures are slow, fail, or are still of another scene.
+//! Everything drawn over a picture belongs to that picture, also while pictures are slow, fail, or
+//! still show another scene.
 //!
-//! The pixels on the screen are what the window hands to its renderer. Every so often they are rendered again from the scene that the view says
-//! they show; everything else on the screen is read from the shapes of the frame and held against the camera of that scene.
+//! The pixels on the screen are those that the window passes to its renderer. At random they are
+//! rendered again from the scene that the view reports; everything else is read from the shapes of
+//! the frame and compared with the camera of that scene.
 
 use super::*;
 use egui::epaint::{ClippedShape, ColorImage, ImageData, Shape, TextureId};
@@ -13,7 +15,7 @@ use incise::scene::{Projection, Size};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
-/// Keeps the newest pixels of every texture that is set as a whole.
+/// Retains the newest pixels of every texture that is set as a whole.
 #[derive(Clone, Default)]
 struct Screen(Arc<Mutex<HashMap<TextureId, Arc<ColorImage>>>>);
 
@@ -32,7 +34,7 @@ impl egui_kittest::TestRenderer for Screen {
     }
 }
 
-/// Shapes of the last frame without their nesting.
+/// Shapes of the last frame, flattened.
 fn shapes(all: &[ClippedShape]) -> Vec<&Shape> {
     fn flat<'a>(shape: &'a Shape, into: &mut Vec<&'a Shape>) {
         match shape {
@@ -49,7 +51,7 @@ fn shapes(all: &[ClippedShape]) -> Vec<&Shape> {
 struct Drawn {
     texts: Vec<(String, Rect)>,
     lines: Vec<[Pos2; 2]>,
-    /// Middles of circles and diamonds.
+    /// Centres of circles and diamonds.
     marks: Vec<Pos2>,
     pictures: Vec<(TextureId, Rect)>,
 }
@@ -79,7 +81,7 @@ impl Drawn {
     }
 }
 
-/// What a check found, for counting.
+/// Counts of the checks performed.
 #[derive(Default, Debug)]
 struct Seen {
     checked: usize,
@@ -91,7 +93,8 @@ struct Seen {
     measures: usize,
 }
 
-/// Holds what a frame has drawn over the 3D view against the picture in it; `failed` says whether rendering had failed before that frame.
+/// Compares the overlays of a frame in the 3D view with its picture; `failed` states whether
+/// rendering had failed before that frame.
 fn check(harness: &Harness<'static, Workstation>, screen: &Screen, exact: bool, failed: bool, seen: &mut Seen) -> Result<(), String> {
     let app = harness.state();
     let is_there = harness.query_by_label("3D view").is_some();
@@ -106,7 +109,7 @@ fn check(harness: &Harness<'static, Workstation>, screen: &Screen, exact: bool, 
     seen.checked += 1;
     let id = picture.texture.id();
     let Some((_, place)) = drawn.pictures.iter().find(|(t, _)| *t == id) else { return Err("the view's own picture is not drawn".into()) };
-    // The camera of the scene that the picture shows, worked out anew.
+    // The camera of the displayed scene, computed independently.
     let pixels = screen.0.lock().unwrap()[&id].clone();
     let DisplayedPicture { of, .. } = picture;
     let camera = of.scene.camera.frame(&of.assets.scene_box(), [pixels.size[0] as u32, pixels.size[1] as u32]).map_err(|e| e.to_string())?;
@@ -139,7 +142,7 @@ fn check(harness: &Harness<'static, Workstation>, screen: &Screen, exact: bool, 
             return Err(format!("{name}: the letters are {letters_there:?}, the picture shows {expected}"));
         }
     }
-    // The cube's letters are on the faces that the picture's camera sees.
+    // The cube's letters are on the faces visible to the picture's camera.
     let cube = Rect::from_center_size(pos2(view.right() - 46.0, view.top() + 46.0), vec2(70.0, 70.0));
     for (letter, normal) in
         [("L", glam::Vec3::X), ("R", -glam::Vec3::X), ("P", glam::Vec3::Y), ("A", -glam::Vec3::Y), ("S", glam::Vec3::Z), ("I", -glam::Vec3::Z)]
@@ -151,7 +154,7 @@ fn check(harness: &Harness<'static, Workstation>, screen: &Screen, exact: bool, 
             return Err(format!("cube: {letter} faces the viewer by {faces}, drawn: {there}"));
         }
     }
-    // The bar is as long as it says.
+    // The scale bar has the length it states.
     let target = of.scene.camera.target.map_or_else(|| of.assets.scene_box().center(), glam::Vec3::from);
     if let Some(mm) = drawn
         .texts
@@ -165,7 +168,7 @@ fn check(harness: &Harness<'static, Workstation>, screen: &Screen, exact: bool, 
             return Err(format!("the bar says {mm} mm and is {length} mm long"));
         }
     }
-    // Handles are those of the deformation as the picture shows it.
+    // Handles are those of the deformation in the displayed picture.
     if let Some(n) = doc.deformation_index().filter(|_| !app.shows_undeformed() && app.tool == Tool::Navigate) {
         let kinds = |scene: &Scene| scene.deformation.iter().map(|d| d.kind.clone()).collect::<Vec<_>>();
         let d = of.scene.deformation.get(n).filter(|_| kinds(&of.scene) == kinds(&doc.scene));
@@ -180,7 +183,7 @@ fn check(harness: &Harness<'static, Workstation>, screen: &Screen, exact: bool, 
             }
         }
     }
-    // Measurements lie where the picture's own deformation takes them.
+    // Measurements are displayed at the positions given by the picture's own deformation.
     if exact && !of.scene.measure.is_empty() {
         let deformed = Deformed::new(&of.scene, &of.assets).map_err(|e| e.to_string())?;
         for point in of.scene.measure.iter().flat_map(|m| &m.points) {
@@ -196,14 +199,14 @@ fn check(harness: &Harness<'static, Workstation>, screen: &Screen, exact: bool, 
     let fails = app.view.failure().is_some();
     seen.failed += usize::from(fails);
     seen.outdated += usize::from(!app.view.is_current());
-    // A frame that mends the scene has drawn the old picture already.
+    // A frame that repairs the scene has already drawn the old picture.
     if (failed && fails && !says) || (!failed && says && app.view.is_current()) {
         return Err(format!("fails: {failed}, then {fails}; said over the picture: {says}"));
     }
     Ok(())
 }
 
-/// The picture that the view says it shows, rendered by the library.
+/// The picture that the view reports, rendered by the library.
 fn rendered(picture: &DisplayedPicture, facts: &incise::gui::state::view::Facts, size: [usize; 2]) -> ColorImage {
     let mut scene: Scene = (*picture.of.scene).clone();
     let coarse = scene.render.size != size.map(|n| n as u32);
@@ -257,7 +260,7 @@ pub fn what_is_drawn_over_a_picture_belongs_to_it() {
             failed = fails(&harness);
             harness.step();
         }
-        // Each picture that was not looked at before, now and then.
+        // New pictures are checked exactly, at random.
         let serial = harness.state().view.picture().map_or(0, |p| p.serial);
         let exact = serial != last_picture && below(4) == 0;
         last_picture = serial;
@@ -265,11 +268,11 @@ pub fn what_is_drawn_over_a_picture_belongs_to_it() {
     }
     println!("{count} actions in {:.0} s: {seen:?}", start.elapsed().as_secs_f64());
     assert!(seen.checked > count / 2 && seen.outdated > count / 20 && seen.failed > count / 50, "{seen:?}");
-    // How much of each there is depends on how fast pictures come.
+    // The numbers depend on how fast pictures arrive.
     assert!(seen.rendered > count / 100 && seen.handles > count / 100 && seen.measures > 0, "{seen:?}");
 }
 
-/// Does something at random.
+/// Performs a random action.
 fn act(app: &mut Workstation, ctx: &egui::Context, below: &mut impl FnMut(usize) -> usize, size: (f32, f32)) -> String {
     if app.doc.is_none() || app.dialog.is_some() {
         app.dialog = None;
@@ -309,7 +312,7 @@ fn act(app: &mut Workstation, ctx: &egui::Context, below: &mut impl FnMut(usize)
         }
         13 => {
             let files = ["phantom:head-ct:size=24", "phantom:ball:size=16", "phantom:head-ct:size=20"];
-            // A scene that is opened takes a while to come.
+            // Opening a scene takes a while.
             if below(4) == 0 {
                 app.doc.as_mut().unwrap().saved = Some(app.doc.as_ref().unwrap().scene.clone());
                 app.open(ctx, Path::new(files[below(3)]));
@@ -324,7 +327,7 @@ fn act(app: &mut Workstation, ctx: &egui::Context, below: &mut impl FnMut(usize)
     }
 }
 
-/// Edits the scene at random: also so that it cannot be rendered any more, and so that it takes long.
+/// Edits the scene at random, also into scenes that cannot be rendered or that are slow.
 fn edit(doc: &mut incise::gui::state::document::Document, n: usize, below: &mut impl FnMut(usize) -> usize) -> String {
     let scene = &mut doc.scene;
     match n {
@@ -353,7 +356,7 @@ fn edit(doc: &mut incise::gui::state::document::Document, n: usize, below: &mut 
             "move".into()
         }
         18 | 19 => {
-            // What cannot be used, as a scene file may hold it.
+            // Invalid settings, as a scene file may contain them.
             match scene.deformation.last_mut() {
                 Some(d) if d.parameters.0.contains_key("spare") => {
                     d.parameters.0.remove("spare");
@@ -401,7 +404,8 @@ fn edit(doc: &mut incise::gui::state::document::Document, n: usize, below: &mut 
     }
 }
 
-/// The steps of a mishap: a setting that fails, then another side. The picture stays, its letters too, and it says that it is out of date.
+/// An invalid setting, then another view direction: the picture and its letters stay, and it is
+/// marked as out of date.
 pub fn a_picture_that_fails_keeps_its_letters() {
     let mut bench = Bench::open(HEAD);
     let mut peel = Deformation::new("peel");
@@ -436,7 +440,7 @@ pub fn a_picture_that_fails_keeps_its_letters() {
     assert_eq!(said(&mut bench), None);
 }
 
-/// Without a deformation a point comes from where it is seen, to the last digit, in every view.
+/// Without a deformation the source position equals the displayed one exactly, in every view.
 pub fn where_matter_came_from_is_exact() {
     let mut bench = Bench::open("phantom:head-ct:size=48");
     bench.until("no slices", |app| app.slices.are_there());

@@ -1,4 +1,4 @@
-//! What is done in the views and panels, one kind of work after the other.
+//! Actions in the views and panels, one task after the other.
 
 use super::*;
 use egui::accesskit::Role;
@@ -13,7 +13,7 @@ pub fn slices_show_deformed_and_source() {
     bench.settle();
     let holes = |values: &[f32]| values.iter().filter(|v| v.is_nan()).count();
     let cut = bench.app().slices.picture(0).unwrap();
-    // The hole is as large as the box is, in pixels.
+    // The hole has the size of the box, in pixels.
     let mm = cut.plane.mm_per_pixel;
     let expected = (60.0 / mm).powi(2);
     let lost = (holes(&cut.section.values) - holes(&plain)) as f32;
@@ -22,7 +22,7 @@ pub fn slices_show_deformed_and_source() {
     bench.settle();
     let source = bench.app().slices.picture(3).unwrap().section.values.clone();
     assert_eq!(holes(&source), holes(&plain));
-    // Linked: the crosshair in the source is on the same matter.
+    // Linked: the crosshair in the source is at the corresponding point.
     let mut twist = Deformation::new("twist");
     twist.parameters.insert("angle", 60.0);
     let doc = bench.app().doc.as_mut().unwrap();
@@ -41,7 +41,7 @@ pub fn slices_show_deformed_and_source() {
         bench.app().slices.overlay = overlay;
         bench.settle();
     }
-    // A drag in a slice moves the crosshair, with W held window and level.
+    // A drag in a slice moves the crosshair; with W held it changes window and level.
     bench.app().slices.space = Space::Deformed;
     bench.settle();
     let axial = bench.rect("Axial view");
@@ -70,14 +70,14 @@ pub fn a_brush_paints_and_a_map_is_used_again() {
     assert_eq!(scene.deformation.last().map(|d| d.kind.as_str()), Some("brush"), "{}", bench.app().log.text());
     let strokes = |scene: &Scene| scene.deformation[0].parameters.texts("strokes").unwrap().unwrap_or_default();
     assert!(strokes(&scene).len() == 1 && strokes(&scene)[0].starts_with("push "));
-    // Matter went along: to the patient's left on an axial slice.
+    // The volume moved along: towards the patient's left on an axial slice.
     let assets = bench.app().doc.as_ref().unwrap().assets.clone();
     let deformed = incise::prepare::Deformed::new(&scene, &assets).unwrap();
     let numbers: Vec<f32> = strokes(&scene)[0].split_whitespace().skip(1).map(|w| w.parse().unwrap()).collect();
     let end = glam::Vec3::from_slice(&numbers[numbers.len() - 3..]);
     let moved = end - deformed.stack.source_and_alpha(end).0;
     assert!(moved.x > 5.0 && moved.x > 2.0 * moved.y.abs() && moved.z.abs() < 0.5, "{moved}");
-    // One stroke is one step of undo.
+    // One stroke is one undo step.
     bench.perform(Action::Arm(Tool::BrushCut));
     bench.drag(PointerButton::Primary, Modifiers::NONE, &[axial.center() - vec2(30.0, 0.0), axial.center() - vec2(30.0, 30.0)]);
     bench.settle();
@@ -106,7 +106,7 @@ pub fn a_brush_paints_and_a_map_is_used_again() {
     let points = (0..32_768).map(|n| bounds.min + bounds.size() * glam::Vec3::new((n % 32) as f32, (n / 32 % 32) as f32, (n / 1024) as f32) / 31.0);
     let largest = points.map(|p| p.distance(other.stack.source_and_alpha(p).0)).fold(0.0, f32::max);
     assert!(largest > 2.0, "the map moves the other volume by {largest} mm");
-    // All of a stack becomes one map.
+    // A whole stack becomes one map.
     bench.app().doc.as_mut().unwrap().add(Deformation::new("twist"));
     bench.app().save_map(&ctx, "both", true);
     bench.settle();
@@ -117,7 +117,7 @@ pub fn a_brush_paints_and_a_map_is_used_again() {
 pub fn the_transfer_function_is_edited() {
     let mut bench = Bench::open(HEAD);
     let curve = bench.rect("Transfer function curve");
-    // A double-click adds a point, a drag moves it, undo takes it back.
+    // A double-click adds a point, a drag moves it, undo reverts it.
     let at = curve.left_top() + vec2(curve.width() * 0.2, curve.height() * 0.3);
     for _ in 0..2 {
         bench.click_at(at);
@@ -159,7 +159,7 @@ pub fn measures_ride_along() {
     let [a, b] = [scene.measure[0].points[0], scene.measure[0].points[1]].map(glam::Vec3::from);
     let quantity = |bench: &mut Bench, n: usize| bench.app().measured[0].quantities.as_ref().unwrap()[n].value.unwrap();
     assert!((quantity(&mut bench, 0) - f64::from(a.distance(b))).abs() < 0.01);
-    // Tapered, the patient's distance stays and that of the picture does not.
+    // After a taper, the distance in the patient is unchanged and that in the picture is not.
     let mut taper = Deformation::new("taper");
     taper.parameters.insert("factor", 0.5);
     bench.app().doc.as_mut().unwrap().add(taper);
@@ -198,14 +198,14 @@ pub fn exports_are_written() {
     assert_eq!(baked.size, bench.app().doc.as_ref().unwrap().assets.volume.size);
     bench.chosen(&folder.join("field.nrrd"), FilePurpose::Bake { field: true });
     assert!(folder.join("field.nrrd").exists());
-    // The command line of a saved scene names it.
+    // The command line of a saved scene refers to it.
     let file = folder.join("scene.toml");
     bench.chosen(&file, FilePurpose::Save(None));
     bench.perform(Action::CopyCommand);
     let commands = bench.harness.output().platform_output.commands.clone();
     let copied = commands.iter().find_map(|c| if let egui::OutputCommand::CopyText(t) = c { Some(t.clone()) } else { None });
     assert!(copied.is_some_and(|t| t.starts_with("incise render ") && t.contains("scene.toml")), "{commands:?}");
-    // Nothing that is read is written over.
+    // No input is overwritten.
     bench.chosen(&file, FilePurpose::Bake { field: false });
     assert!(bench.has_error("scene.toml") || bench.has_error("output"), "{}", bench.app().log.text());
     assert!(Scene::load(&file).is_ok());
@@ -228,7 +228,7 @@ pub fn unsaved_work_is_asked_about() {
     bench.click("Discard");
     bench.settle();
     assert_eq!(bench.scene().volume_name(), "phantom:ball:size=16");
-    // Turning the camera is no change.
+    // Turning the camera does not count as a change.
     bench.app().orbit(30.0, 0.0);
     bench.step();
     assert!(!bench.app().doc.as_ref().unwrap().is_changed());
@@ -273,7 +273,7 @@ pub fn the_palette_finds_commands() {
     let all = bench.app().entries.len();
     assert!(shown >= all / 2, "{shown} of {all}");
     bench.key(Modifiers::NONE, Key::Escape);
-    // A key can be changed, and is told from then on.
+    // A key can be changed, and the new one is shown from then on.
     bench.perform(Action::Keys);
     bench.step();
     bench.step();
@@ -308,7 +308,7 @@ pub fn views_turn_pan_and_zoom() {
     assert!(camera(&mut bench).roll.abs() > 40.0, "the camera's own way back");
     bench.key(Modifiers::ALT, Key::ArrowRight);
     assert_eq!(camera(&mut bench), Default::default());
-    // A double-click centres what is there; a click on the cube looks from there.
+    // A double-click centres the point under the pointer; a click on the cube selects that view.
     bench.settle();
     for _ in 0..2 {
         bench.click_at(view.center() - vec2(30.0, 40.0));
@@ -317,7 +317,7 @@ pub fn views_turn_pan_and_zoom() {
     let target = glam::Vec3::from(camera(&mut bench).target.unwrap());
     let at = bench.app().projector().unwrap().screen(target).unwrap();
     assert!(at.distance(view.center()) < 1.0, "{at:?}");
-    // What lies under the pointer is told, deformed and in the source.
+    // The point under the pointer is shown in deformed and source coordinates.
     bench.app().doc.as_mut().unwrap().add(Deformation::new("twist"));
     bench.app().select(Selection::Nothing);
     bench.settle();
@@ -328,7 +328,7 @@ pub fn views_turn_pan_and_zoom() {
     let (scene, assets) = (bench.scene(), bench.app().doc.as_ref().unwrap().assets.clone());
     let expected = incise::prepare::Deformed::new(&scene, &assets).unwrap().stack.source_and_alpha(hover.deformed.unwrap()).0;
     assert!(hover.source.distance(expected) < 0.1 && hover.value.is_some());
-    // Held, Space shows what was before.
+    // Space, while held, shows the undeformed scene.
     bench.harness.key_down(Key::Space);
     bench.step();
     assert!(bench.app().shows_undeformed() && bench.app().scene_of_view().unwrap().deformation.is_empty());
@@ -348,7 +348,7 @@ pub fn views_turn_pan_and_zoom() {
     bench.drag(PointerButton::Primary, Modifiers::NONE, &[center, center + vec2(30.0, 10.0)]);
     let moved = bench.handle(Handle::Center);
     assert!(moved.distance(center + vec2(30.0, 10.0)) < 2.0, "the handle is not under the pointer: {moved:?}");
-    // Esc calls off a drag.
+    // Esc cancels a drag.
     let place = bench.scene().deformation[0].center;
     let press = |pos, pressed| egui::Event::PointerButton { pos, button: PointerButton::Primary, pressed, modifiers: Modifiers::NONE };
     for event in [egui::Event::PointerMoved(moved), press(moved, true), egui::Event::PointerMoved(moved + vec2(40.0, 0.0))] {
@@ -363,7 +363,8 @@ pub fn views_turn_pan_and_zoom() {
     bench.no_errors();
 }
 
-/// Slices that are not where they were taken: a bar that stays says so, and its button puts them right; what was measured before is marked.
+/// Slices at positions other than the true ones: a permanent bar reports it, and its button
+/// resamples them; earlier measurements are marked.
 pub fn uneven_slices_are_told_and_mended() {
     let folder = tempfile::tempdir().unwrap();
     let series = folder.path().join("series");
@@ -371,7 +372,7 @@ pub fn uneven_slices_are_told_and_mended() {
     let grid = incise::volume::GridGeometry { size, world_from_voxel: glam::DAffine3::from_scale(glam::DVec3::new(2.0, 2.0, 3.0)) };
     let values: Vec<i16> = (0..16 * 14 * 12).map(|n: i32| (n % 97 * 10) as i16).collect();
     crate::readers::dicom::write(&series, &grid, &values);
-    // Two slices of the middle are lost.
+    // Two slices in the middle are missing.
     for k in [5, 6] {
         std::fs::remove_file(series.join(format!("{}.dcm", 12 - k))).unwrap();
     }
@@ -400,7 +401,7 @@ pub fn uneven_slices_are_told_and_mended() {
     bench.until("not resampled", |app| app.doc.as_ref().unwrap().assets.volume.size[2] == 12);
     bench.settle();
     assert!(!bar(&bench) && bench.harness.query_by_label_contains("made before resampling").is_some());
-    // The mark is saved, and a table of the measurements has it too.
+    // The mark is saved, and also appears in an exported table of the measurements.
     let file = bench.folder.path().join("m.csv");
     bench.chosen(&file, FilePurpose::Measures);
     assert!(std::fs::read_to_string(&file).unwrap().contains("made before resampling"));
@@ -417,7 +418,7 @@ pub fn uneven_slices_are_told_and_mended() {
     bench.no_errors();
 }
 
-/// A field refuses what it cannot use, says why beside it, and changes nothing.
+/// A field rejects invalid input, shows the reason next to it, and changes nothing.
 pub fn a_field_refuses_what_it_cannot_use() {
     let mut bench = Bench::open(HEAD);
     let mut lift = Deformation::new("lift");

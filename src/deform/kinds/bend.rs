@@ -1,8 +1,10 @@
-//! Barr's bend: the box's axis becomes an arc about a line along y, the lower face staying where it is (\[GG42\], \[DS07\] section 4).
+//! Barr's bend: the box's axis becomes an arc about a line along y, and the lower face stays in
+//! place (\[GG42\], \[DS07\] section 4).
 //!
-//! With the curvature k = angle / height, a point (x, z) at height s above the lower face goes to (1/k - (1/k - x) cos ks, (1/k - x)
-//! sin ks). Angle and radius about the centre of the arc give x and s back exactly. Above the upper face the bend goes on straight. Matter
-//! beyond the centre of the arc would pass through itself; it is cut away.
+//! With the curvature k = angle / height, a point (x, z) at height s above the lower face goes to
+//! (1/k - (1/k - x) cos ks, (1/k - x) sin ks). Angle and radius about the centre of the arc give x
+//! and s back exactly. Above the upper face the bend continues straight. Material beyond the centre
+//! of the arc would pass through itself; it is cut away.
 
 use super::{Backward, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter};
 use glam::{Vec2, Vec3};
@@ -42,7 +44,8 @@ impl Field for Bend {
         let v = Vec2::new(radius - self.sense * q.x, q.z + self.half_z);
         let last = self.height * self.curvature;
         let turn = v.y.atan2(v.x).clamp(0.0, last);
-        // What is left after turning back lies along the axis: nothing within the arc, the straight part beyond it.
+        // The remainder after turning back lies along the axis: zero within the arc, the straight
+        // part beyond it.
         let back = Vec2::from_angle(-turn).rotate(v);
         let (x, s) = (radius - back.x, turn * radius + back.y);
         Backward { source: Vec3::new(self.sense * x, q.y, s - self.half_z), cut_distance_mm: 0.98 * radius - x }

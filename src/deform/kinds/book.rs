@@ -1,8 +1,10 @@
-//! Book-open: matter is split along the plane x = 0 and its halves swing open as rigid covers about a spine along y.
+//! Book-open: the volume is split along the plane x = 0, and its halves swing open as rigid covers
+//! about a spine along y.
 //!
-//! In the polar coordinates (r, β) about the spine, β from +z to either side, β in [0, 90°] goes to [φ, 90° + φ] without changing shape, and what
-//! lies behind the spine, [90°, 180°], is compressed into what is left. Radius and y stay; the inverse is exact. Unlike `seam` nothing
-//! fades: the box should enclose the matter with room for the covers.
+//! In the polar coordinates (r, β) about the spine, β from +z to either side, β in [0, 90°] goes to
+//! [φ, 90° + φ] rigidly, and the part behind the spine, [90°, 180°], is compressed into the
+//! remaining range. Radius and y are preserved; the inverse is exact. Unlike in `seam` nothing
+//! fades: the box should enclose the object with room for the covers.
 
 use super::{Backward, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, GapResolution, Kind, Parameter};
 use glam::{Vec2, Vec3};

@@ -1,21 +1,24 @@
-//! Brush: what an editor's strokes make (`deform::stroke`). Lines push matter along, smooth, cut and restore it; outlines cut out, or put
-//! back, what lies behind and before them.
+//! Brush: an editor's strokes (`deform::stroke`). Lines push, smooth, cut and restore the volume;
+//! outlines cut out, or restore, what lies behind and in front of them.
 //!
-//! The strokes work one after the other on D and on C, the signed distance to the cuts, at the points that the map is sampled at. A push is
-//! a chain of small steps. With s(p) = strength · w(|p - b| / radius) · (b - a), the step from a to b makes
+//! The strokes act one after the other on D and on C, the signed distance to the cuts, at the grid
+//! points of the map. A push is a chain of small steps. With s(p) = strength · w(|p - b| / radius)
+//! · (b - a), the step from a to b makes
 //!
 //! ```text
 //!   D'(p) = D(p - s(p)) - s(p)        C'(p) = C(p - s(p))
 //! ```
 //!
-//! so that matter takes its cuts along. With w(t) = (1 - t²)² and steps of a quarter of the radius, |∇w · (b - a)| stays below 1: every step, and so
-//! the whole, can be inverted. (The brushes of picture editors do the same in a plane, with one step per dab; a long one folds.)
+//! so that cuts move with the material. With w(t) = (1 - t²)² and steps of a quarter of the radius,
+//! |∇w · (b - a)| stays below 1: every step, and hence the whole, is invertible. (Brushes of image
+//! editors do the same in a plane, with one step per dab; a long one folds.)
 //!
-//! What is put back over its own cut leaves C = 0 on the surface of the cut, and what is pushed stretches C; both are made distances
-//! again at the end (`math::redistance`), or shading would take them for cuts.
+//! Restoring over the same cut leaves C = 0 on the cut's surface, and pushing stretches C. Both are
+//! converted back to distances at the end (`math::redistance`); otherwise shading would treat them
+//! as cuts.
 //!
-//! `progress` weakens the pushes, so that every state on the way can be inverted as well; it narrows what is cut, and puts back all that the whole
-//! puts back.
+//! `progress` weakens the pushes, so that every intermediate state is invertible as well. It
+//! narrows the cuts; restoring strokes always act in full.
 
 use super::outline::Outline;
 use super::{
@@ -33,11 +36,11 @@ pub use crate::deform::stroke::{Lasso, Stroke, StrokeTool, parse};
 
 const MAX_STROKES: usize = 4096;
 const MAX_POINTS: usize = 200_000;
-/// Longest step of a push, as a share of the brush's radius.
+/// Longest step of a push, as a fraction of the brush's radius.
 const STEP: f32 = 0.25;
-/// So many grid points are worth a thread.
+/// Number of grid points that justify a thread.
 const WORTH_A_THREAD: usize = 8192;
-/// Most points of a silhouette along an axis.
+/// Maximum number of points of a silhouette along an axis.
 const MAX_OUTLINE_POINTS: usize = 512;
 
 pub(super) const KIND: Kind = Kind {
@@ -45,7 +48,7 @@ pub(super) const KIND: Kind = Kind {
     about: "painted with brush strokes (push, smooth, cut, restore) and lasso outlines",
     parameters: &[],
     progressive: true,
-    // What is pushed outwards needs room.
+    // Room for outward pushes.
     size: DefaultSize::Share([1.2; 3]),
     cube_scale: 1.0,
     varies: [true; 3],
@@ -65,7 +68,7 @@ pub(super) const KIND: Kind = Kind {
     },
 };
 
-/// A bump is drawn out and smoothed, and a groove cut beside it.
+/// Draws out and smooths a bump, and cuts a groove next to it.
 fn example(bounds: &Bounds) -> Vec<(&'static str, Argument)> {
     let (center, size) = (bounds.center(), bounds.size());
     let thickness = size.min_element();
@@ -117,7 +120,7 @@ fn strokes(settings: &Arguments) -> Result<Vec<Stroke>> {
     Ok(strokes)
 }
 
-/// The points of a grid over the box, on its faces too, in the box's own millimetres.
+/// The points of a grid over the box, including its faces, in the box's local millimetres.
 #[derive(Clone, Copy)]
 struct BrushGrid {
     size: [usize; 3],
@@ -134,33 +137,33 @@ impl BrushGrid {
         Vec3::from(at.map(|i| i as f32)) * self.spacing - self.half
     }
 
-    /// Indices of the points within `reach` of the box that two places span.
+    /// Indices of the points within `reach` of the box spanned by two points.
     fn around(&self, a: Vec3, b: Vec3, reach: f32) -> [Range<usize>; 3] {
         let low = ((a.min(b) - reach + self.half) / self.spacing).ceil();
         let high = ((a.max(b) + reach + self.half) / self.spacing).floor() + 1.0;
-        // A cast makes 0 of what is negative.
+        // The cast converts negative values to 0.
         std::array::from_fn(|x| (low[x] as usize).min(self.size[x])..(high[x] as usize).min(self.size[x]))
     }
 }
 
-/// D and C at the points of the grid, as far as the strokes have been applied.
+/// D and C at the points of the grid after the strokes applied so far.
 struct Painting {
     grid: BrushGrid,
     world_from_local: Affine3A,
     local_from_world: Affine3A,
     texel_mm: f32,
     gaps: GapResolution,
-    /// Where the mask is full, texels beyond its ramp: C is not kept further.
+    /// Largest |C| that is stored: two texels beyond the mask's ramp, where the mask is constant.
     far: f32,
     /// (D, C), mm.
     texels: Vec<Vec4>,
-    /// Whether anything has been cut.
+    /// Whether any stroke has cut.
     has_cuts: bool,
-    /// Whether C may be no distance any more.
+    /// Whether C may no longer be a distance.
     worn: bool,
 }
 
-/// One place of a brush on its way, and the step that led there.
+/// One position of a brush along its path, and the step that led to it.
 #[derive(Clone, Copy)]
 struct Dab {
     place: Vec3,
@@ -208,7 +211,8 @@ impl Painting {
         if radius < 0.5 * self.texel_mm {
             return;
         }
-        // Towards the box's faces the push fades, where there is room no steeper than at the brush's own rim.
+        // Towards the box's faces the push fades, no more steeply than at the brush's rim where
+        // there is room.
         let half = self.grid.half;
         let fade = (0.5 * half).min(Vec3::splat(radius));
         let longest = STEP * fade.min_element();
@@ -246,8 +250,8 @@ impl Painting {
         }
     }
 
-    /// Gives the grid points around a place new values, which may follow from all the old ones; the weight falls from 1 at the place to 0 at
-    /// `radius`.
+    /// Updates the grid points around a position; each new value may depend on all the old ones.
+    /// The weight falls from 1 at the position to 0 at `radius`.
     fn repaint(&mut self, place: Vec3, radius: f32, fresh: impl Fn(&Self, [usize; 3], Vec3, f32) -> Vec4 + Sync) {
         let [xs, ys, zs] = self.grid.around(place, place, radius);
         let painting = &*self;
@@ -272,7 +276,7 @@ impl Painting {
         }
     }
 
-    /// Cuts away, or puts back, what lies within `radius` of a line.
+    /// Cuts away, or restores, everything within `radius` of a line.
     fn tube(&mut self, line: &[Vec3], radius: f32, restores: bool) {
         let line = thinned(line, 0.25 * self.texel_mm);
         let ends: Vec<(Vec3, Vec3)> = if let [p] = line[..] { vec![(p, p)] } else { line.windows(2).map(|w| (w[0], w[1])).collect() };
@@ -296,11 +300,12 @@ impl Painting {
         self.carved(restores);
     }
 
-    /// Cuts away, or puts back, what lies behind and before an outline.
+    /// Cuts away, or restores, everything behind and in front of an outline.
     fn lasso(&mut self, lasso: &Lasso, progress: f32) {
         let outline_from_local = lasso.world_from_outline().inverse() * self.world_from_local;
         let eye = lasso.eye_mm;
-        // Where a point is seen in the outline's plane, and how much wider the outline is at its depth.
+        // The projection of a point onto the outline's plane, and the widening of the outline at
+        // its depth.
         let seen = |p: Vec3| {
             let q = outline_from_local.transform_point3(p);
             let widening = lasso::widening(eye, q.z);
@@ -318,7 +323,7 @@ impl Painting {
         }
         let (mut low, mut high) = box_of(outline.iter().copied(), far / narrowest.max(0.05) + 2.0 * step);
         if narrowest > 0.01 {
-            // The whole box lies before the eye: nothing outside its own outline matters.
+            // The whole box lies in front of the eye: nothing outside its silhouette has an effect.
             let (first, last) = box_of(corners.iter().map(|c| c.0), step);
             (low, high) = (low.max(first), high.min(last));
         }
@@ -350,7 +355,7 @@ impl Painting {
         }
     }
 
-    /// Makes C a distance again.
+    /// Converts C back to a distance.
     fn renew(&mut self) {
         if self.worn {
             let mut c: Vec<f32> = self.texels.iter().map(|t| t.w).collect();
@@ -360,7 +365,8 @@ impl Painting {
     }
 }
 
-/// Takes a shape out of what is kept, or adds it, by the distance to it (positive outside).
+/// Removes a shape from the retained part, or adds it, given the distance to the shape (positive
+/// outside).
 fn carve(texel: &mut Vec4, outside: f32, restores: bool, far: f32) {
     let c = if restores { texel.w.max(-outside) } else { texel.w.min(outside) };
     texel.w = c.clamp(-far, far);
@@ -374,7 +380,7 @@ fn to_segment(p: Vec3, a: Vec3, b: Vec3) -> f32 {
     ap.distance(ab * t)
 }
 
-/// A line without points that lie closer together than `least`; its ends stay.
+/// A line without points closer together than `least`; its end points remain.
 fn thinned(line: &[Vec3], least: f32) -> Vec<Vec3> {
     let mut decimated = line.to_vec();
     decimated.dedup_by(|next, before| next.distance(*before) < least);
@@ -386,7 +392,8 @@ fn thinned(line: &[Vec3], least: f32) -> Vec<Vec3> {
     decimated
 }
 
-/// A brush's places along a line: its first point, then steps of at most `longest`, as far as they lie within ±`room`.
+/// A brush's positions along a line: its first point, then steps of at most `longest`, limited to
+/// ±`room`.
 fn dabs(line: &[Vec3], longest: f32, room: Vec3) -> impl Iterator<Item = Dab> {
     let first = line.first().map(|p| Dab { place: *p, step: Vec3::ZERO });
     let further = line.windows(2).flat_map(move |w| {
@@ -399,7 +406,8 @@ fn dabs(line: &[Vec3], longest: f32, room: Vec3) -> impl Iterator<Item = Dab> {
     first.into_iter().chain(further)
 }
 
-/// From which share of the way from a to b to which it lies within ±`room`; from 0 to 0 if nowhere.
+/// The fractions of the segment from a to b at which it enters and leaves ±`room`; both 0 if it
+/// misses.
 fn share_within(a: Vec3, b: Vec3, room: Vec3) -> (f32, f32) {
     let (mut enters, mut leaves) = (0.0f32, 1.0f32);
     for axis in 0..3 {
@@ -414,13 +422,14 @@ fn share_within(a: Vec3, b: Vec3, room: Vec3) -> (f32, f32) {
     if enters <= leaves { (enters, leaves) } else { (0.0, 0.0) }
 }
 
-/// The rectangle around points, and `margin` more.
+/// The bounding rectangle of points, enlarged by `margin`.
 fn box_of(points: impl Iterator<Item = Vec2>, margin: f32) -> (Vec2, Vec2) {
     let (low, high) = points.fold((Vec2::INFINITY, Vec2::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)));
     (low - margin, high + margin)
 }
 
-/// Distances to an outline on a grid of its plane: the outline may have thousands of points, and the box millions.
+/// Distances to an outline on a grid of its plane: the outline may have thousands of points, and
+/// the box millions.
 struct Silhouette {
     low: Vec2,
     step: f32,
@@ -440,7 +449,7 @@ impl Silhouette {
         Self { low, step, size, values }
     }
 
-    /// The distance at a place; none beyond the grid.
+    /// The distance at a point; none outside the grid.
     fn sample(&self, at: Vec2) -> Option<f32> {
         let p = (at - self.low) / self.step;
         let top = Vec2::new((self.size[0] - 1) as f32, (self.size[1] - 1) as f32);
@@ -528,7 +537,7 @@ mod tests {
     fn pushes_do_not_fold() {
         for stroke in [
             "push 15 1 -10 0 0 0 0 0 10 0 0",
-            // To and fro, around a corner, out through a face, and a brush as large as the box.
+            // Back and forth, around a corner, out through a face, and a brush as large as the box.
             "push 12 1 -10 0 0 15 0 0 -10 3 0 -10 20 5",
             "push 20 1 0 0 0 60 10 5",
             "push 100 1 -10 0 0 20 5 0",
@@ -581,7 +590,7 @@ mod tests {
         }
         let in_part = field(&["cut 10 1 -15 0 0 15 0 0", "restore 5 1 0 0 0"]);
         let at = |x| cut(in_part.as_ref(), x, 0.0, 0.0);
-        // In the middle of a small ball the sweeps of first order come up short: by h ln(R/h), 1.7 mm here.
+        // At the centre of a small ball, first-order sweeps are too low: by h ln(R/h), 1.7 mm here.
         assert!((3.0..5.5).contains(&at(0.0)) && at(4.0) > 0.0 && at(6.0) < 0.0 && at(10.0) < -3.0, "{} {} {}", at(0.0), at(6.0), at(10.0));
     }
 
@@ -594,14 +603,14 @@ mod tests {
             assert!((cut(parallel.as_ref(), 12.0, 0.0, z) - 2.0).abs() < 0.3, "{z}");
             assert_eq!(cut(parallel.as_ref(), 25.0, 0.0, z), NO_CUT_DISTANCE_MM, "{z}");
         }
-        // The eye is on the side of +z: what lies behind is wider.
+        // The eye is on the side of +z: the outline is wider behind its plane.
         let conical = field(&["lasso-cut 100 0 0 0 1 0 0 0 1 0 -10 -10 10 -10 10 10 -10 10"]);
         for (x, z, want) in [(12.0, -30.0, -1.0), (14.0, -30.0, 1.0), (8.0, 30.0, 1.0), (6.0, 30.0, -1.0)] {
             assert!((cut(conical.as_ref(), x, 0.0, z) - want).abs() < 0.3, "{x} {z}: {}", cut(conical.as_ref(), x, 0.0, z));
         }
         let back = field(&[&format!("lasso-cut 0 {square}"), &format!("lasso-restore 0 {square}")]);
         assert!(points().all(|p| back.backward(p).cut_distance_mm == NO_CUT_DISTANCE_MM));
-        // Partly there, it is narrower.
+        // Half applied, it is narrower.
         let halfway = field_in(&[&format!("lasso-cut 0 {square}")], 0.5, Affine3A::IDENTITY).unwrap();
         assert!(cut(halfway.as_ref(), 4.0, 0.0, 0.0) < 0.0 && cut(halfway.as_ref(), 6.0, 0.0, 0.0) > 0.0);
     }

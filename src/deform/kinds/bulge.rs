@@ -1,7 +1,9 @@
-//! Bulge: magnifies (or, negative, shrinks) what is around the box's centre, within the ellipsoid that fits the box.
+//! Bulge: magnifies (or, if negative, shrinks) the region around the box's centre, within the
+//! ellipsoid that fits the box.
 //!
-//! With u the position over the half sizes and ρ = |u|, the source of u is u (1 - a (1 - ρ²)²): at the centre matter is 1 / (1 - a) times as
-//! large. ρ (1 - a (1 - ρ²)²) rises for -1.25 < a < 1, so along each ray from the centre the inverse is one monotone equation.
+//! With u the position over the half sizes and ρ = |u|, the source of u is u (1 - a (1 - ρ²)²): the
+//! magnification at the centre is 1 / (1 - a). ρ (1 - a (1 - ρ²)²) rises for -1.25 < a < 1, hence
+//! along each ray from the centre the inverse is one monotone equation.
 
 use super::{Backward, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter, solve_rising};
 use glam::Vec3;

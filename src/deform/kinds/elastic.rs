@@ -1,8 +1,10 @@
-//! Elastic: matter is grabbed and dragged, and what surrounds it follows (`deform::elastic`); cut, it parts.
+//! Elastic: regions are grabbed and dragged, and their surroundings follow (`deform::elastic`);
+//! incisions open.
 //!
-//! The simulation gives a forward displacement on a coarse lattice. Its inverse is found numerically per texel. Across an incision the
-//! lattice's interpolation stretches one cell over the gap; there the cell is taken apart again into two rigid halves and the gap between them, which is
-//! what is cut away.
+//! The simulation gives a forward displacement on a coarse lattice. Its inverse is found
+//! numerically per texel. Across an incision the lattice's interpolation stretches one cell over
+//! the gap; there the cell is split again into two rigid halves and the gap between them, which is
+//! cut away.
 
 use super::{
     Backward, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, Kind, NO_CUT_DISTANCE_MM, Parameter, Setting, SettingFormat,
@@ -15,9 +17,9 @@ use crate::math::Bounds;
 use crate::{Error, Result};
 use glam::{DVec3, Mat3, Vec3};
 
-/// Most steps of the simulation.
+/// Maximum number of steps of the simulation.
 const MAX_STEPS: usize = 500;
-/// It has come to rest when the unbalanced forces are this share of those at the start.
+/// The simulation has converged when the unbalanced forces are this fraction of those at the start.
 const RESIDUAL: f64 = 1e-5;
 
 pub(super) const KIND: Kind = Kind {
@@ -56,7 +58,7 @@ pub(super) const KIND: Kind = Kind {
     },
 };
 
-/// One side of a cut is drawn aside and up.
+/// Draws one side of a cut aside and up.
 fn example(bounds: &Bounds) -> Vec<(&'static str, Argument)> {
     let (c, s) = (bounds.center(), bounds.size());
     let grab = c + s * Vec3::new(0.13, 0.0, 0.12);
@@ -147,7 +149,7 @@ impl Field for Elastic {
             return Backward { source: q, cut_distance_mm: -NO_CUT_DISTANCE_MM };
         }
         let mut source = s.source.as_vec3();
-        // Where the lattice is folded no single source exists.
+        // Where the lattice folds, no single source exists.
         let mut cut_distance_mm = if s.residual < 0.05 && s.determinant > 0.0 { NO_CUT_DISTANCE_MM } else { -NO_CUT_DISTANCE_MM };
         for i in self.solver.incisions() {
             let off = source - i.center;
@@ -157,7 +159,7 @@ impl Field for Elastic {
             if radial > i.radius + cell {
                 continue;
             }
-            // How far the two sides of the cut have parted here.
+            // Opening of the cut at this point.
             let on_cut = (source - i.normal * offset).as_dvec3();
             let side = (i.normal * (0.5 * cell)).as_dvec3();
             let parted = (self.solver.displacement(on_cut + side) - self.solver.displacement(on_cut - side)).as_vec3().dot(i.normal);
@@ -165,7 +167,7 @@ impl Field for Elastic {
             if gap < 0.5 * self.texel {
                 continue;
             }
-            // Within the stretched cell: two halves as they were, and the gap.
+            // Within the stretched cell: its two original halves, and the gap.
             let across = offset * (cell + gap) / cell;
             let source_offset = if offset.abs() >= 0.5 * cell { offset } else { across.signum() * (across.abs() - 0.5 * gap).max(0.0) };
             let cut = if offset.abs() >= 0.5 * cell { offset.abs() } else { across.abs() - 0.5 * gap };

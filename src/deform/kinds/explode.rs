@@ -1,7 +1,9 @@
-//! Explode: matter is cut into equal pieces along the box's axes (two along each: octants) which move apart.
+//! Explode: the box is cut into equal pieces along its axes (two along each: octants), which move
+//! apart.
 //!
-//! Each axis is independent: with n pieces and a gap g, the box holds n pieces of (L - (n-1) g) / n and the gaps between them, so that everything
-//! in it is seen; a piece keeps its shape, and in a gap D goes on from one piece's end, which is the next one's beginning.
+//! The axes are independent. With n pieces and a gap g, the box holds n pieces of (L - (n-1) g) / n
+//! and the gaps between them, hence its whole content is visible. A piece keeps its shape; in a gap
+//! D continues from the end of one piece, which is the start of the next.
 
 use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, GapResolution, Kind, Parameter};
 use glam::Vec3;
@@ -30,7 +32,7 @@ pub(super) const KIND: Kind = Kind {
     build: FieldBuilder::Formula(|c| {
         let axis = |a: usize| {
             let count = c.value(["pieces-x", "pieces-y", "pieces-z"][a]).round().max(1.0);
-            // Gaps may take at most two thirds of the box.
+            // Gaps take at most two thirds of the box.
             let most = if count > 1.0 { c.size_mm[a] * 0.66 / (count - 1.0) } else { 0.0 };
             let gap = (c.value("gap") * c.progress).min(most);
             ExplodeAxis { count, gap, piece: (c.size_mm[a] - gap * (count - 1.0)) / count }
@@ -62,7 +64,7 @@ impl ExplodeAxis {
         let source = n * self.piece + if last { within } else { within.min(self.piece) } - 0.5 * self.piece * self.count;
         let below = if first { f32::INFINITY } else { within };
         let above = if last { f32::INFINITY } else { self.piece - within };
-        // In the gap above the piece the nearer end counts.
+        // In the gap above the piece, the nearer end determines the distance.
         let cut = if above < 0.0 { -(-above).min(self.gap + above) } else { below.min(above) };
         (source, cut)
     }

@@ -1,8 +1,9 @@
-//! Explode by label: named labels of a label map move apart, each keeping its shape.
+//! Explode by label: given labels of a label map move apart, each keeping its shape.
 //!
-//! A label's way is the line from the middle of all of them to its own middle. At a deformed point every label is asked, through its
-//! distance field, how far inside it the point would be had it not moved; the one that it is inside of is seen, the nearest one
-//! lends its displacement to the space between. Displacements are blended by distance there, so that D stays continuous.
+//! A label moves along the line from the centre of all the labels to its own centre. At a deformed
+//! point the distance field of every label is evaluated at the point's position before that label
+//! moved. The label that contains it is visible; the space in between takes the displacement of the
+//! nearest label. There displacements are blended by distance, so that D stays continuous.
 
 use super::{
     Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, Kind, NO_CUT_DISTANCE_MM, Parameter, Setting, SettingFormat,
@@ -16,7 +17,7 @@ use glam::{Affine3A, DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// Each label keeps a distance field of the whole volume.
+/// Every label needs a distance field of the whole volume.
 const MAX_LABELS: usize = 24;
 
 pub(super) const KIND: Kind = Kind {
@@ -46,7 +47,7 @@ pub(super) const KIND: Kind = Kind {
     },
 };
 
-/// The eight octants of a ball, by the label map of that phantom.
+/// The eight octants of a ball, from that phantom's label map.
 fn example(_: &Bounds) -> Vec<(&'static str, Argument)> {
     vec![("label", Argument::Numbers((1..=8).map(|l| l as f32).collect())), ("labels", Argument::Text("phantom:octants:size=64".into()))]
 }
@@ -77,7 +78,7 @@ fn build(c: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
     Ok(Box::new(ExplodeLabels { pieces, keeps_unlabeled, world_from_local: inputs.world_from_local, acts, margin: 2.0 * c.texel_mm }))
 }
 
-/// Middles of the voxels of labels, mm.
+/// Centres of the voxels of each label, mm.
 fn middles(volume: &Volume, labels: &[usize]) -> Vec<DVec3> {
     let [nx, ny, nz] = volume.size;
     let none = || vec![(DVec3::ZERO, 0.0f64); labels.len()];
@@ -103,7 +104,7 @@ fn middles(volume: &Volume, labels: &[usize]) -> Vec<DVec3> {
 
 struct LabelPiece {
     distance: Arc<DistanceGrid>,
-    /// In the box's own millimetres.
+    /// In the box's local millimetres.
     way: Vec3,
 }
 
@@ -112,7 +113,7 @@ struct ExplodeLabels {
     keeps_unlabeled: bool,
     world_from_local: Affine3A,
     acts: bool,
-    /// Width around a piece in which its displacement rules alone.
+    /// Width around a piece in which only its displacement applies.
     margin: f32,
 }
 
@@ -139,7 +140,8 @@ impl Field for ExplodeLabels {
         let mut source = q + sum / total;
         let mut cut_distance_mm = deepest;
         if self.keeps_unlabeled {
-            // Where the pieces have been, nothing is left; elsewhere what has no label stays.
+            // The original positions of the pieces are empty; elsewhere everything unlabelled
+            // remains.
             let left = self.pieces.iter().map(|p| self.inside(p, q)).fold(f32::NEG_INFINITY, f32::max);
             let rest = (-left).min(-deepest - 2.0 * self.margin);
             if rest > 0.0 {

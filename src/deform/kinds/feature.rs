@@ -1,13 +1,17 @@
-//! Deformations that follow a surface instead of a box: what \[DDM06\] named as future work. The surface is that of labels, of a mask, or of an
-//! iso-value of the scan, known by its distance field (`deform::distance`); heights are distances from it.
+//! Deformations that follow a surface instead of a box, which \[DDM06\] names as future work. The
+//! surface is that of labels, of a mask, or of an iso-value of the scan, given by its distance
+//! field (`deform::distance`); heights are distances from it.
 //!
 //! - `strip` removes everything down to a depth below the surface, within the box.
-//! - `lift` takes the layer above a depth off along the surface's normals, and leaves a gap.
-//! - `offset` pushes the surface and what is near it outwards or inwards.
-//! - `surface-peel` is `peel` with the height above the surface for its z: the flap is cut at a depth below a curved surface.
+//! - `lift` lifts the layer above a depth off along the surface's normals, and leaves a gap.
+//! - `offset` pushes the surface and its neighbourhood outwards or inwards.
+//! - `surface-peel` is `peel` with the height above the surface as z: the flap is cut at a depth
+//!   below a curved surface.
 //!
-//! Along a normal the distance field is linear, so moving a point by h along it changes its height by h: `lift` and `offset` are exact on the
-//! surface's own lines. Heights are continued smoothly where the field has none (its medial axis), where nothing of the layer is.
+//! Along a normal the distance field is linear, hence moving a point by h along it changes its
+//! height by h: `lift` and `offset` are exact along the surface's normals. Where the field has no
+//! gradient (on its medial axis) heights are continued smoothly; the layer does not extend that
+//! far.
 
 use super::peel::Peel;
 use super::{
@@ -126,14 +130,15 @@ pub(super) const PEEL: Kind = Kind {
         ],
         |c, inputs| {
             let surface = Surface::new(inputs)?;
-            // Where the box's axis leaves the body: the flap is on that side, and what is far below it is left alone.
+            // Where the box's axis leaves the body: the flap is on that side, and everything far
+            // below it is unaffected.
             let top = surface.top(c.half().z);
             Ok(Box::new(SurfacePeel { peel: Peel::new(c), surface, lowest: top - 0.5 * c.size_mm.z, acts: c.progress > 0.0 }))
         },
     )
 };
 
-/// A surface in the box's own millimetres.
+/// A surface in the box's local millimetres.
 struct Surface {
     distance: Arc<DistanceGrid>,
     world_from_local: Affine3A,
@@ -151,21 +156,21 @@ impl Surface {
         -self.distance.sample(self.world_from_local.transform_point3(q))
     }
 
-    /// Unit normal out of the body.
+    /// Unit normal pointing out of the body.
     fn outward(&self, q: Vec3) -> Vec3 {
         let g = self.distance.gradient(self.world_from_local.transform_point3(q), 1.0);
         normalize_or(self.local_from_world * -g, Vec3::Z)
     }
 
-    /// The highest z on the box's axis that is inside the body; the box's middle if none is.
+    /// The highest z on the box's axis that is inside the body; the box's centre if there is none.
     fn top(&self, half_z: f32) -> f32 {
         let steps = 512;
         let z = |n: usize| half_z * (1.0 - 2.0 * n as f32 / steps as f32);
         (0..=steps).map(z).find(|z| self.height(Vec3::new(0.0, 0.0, *z)) < 0.0).unwrap_or(0.0)
     }
 
-    /// The point above (x, y) at a height, searched along z within `reach` of a first guess, and how far off its height is. Where the surface
-    /// stands upright no point of the line has the height.
+    /// The point above (x, y) at a height, searched along z within `reach` of a first guess, and
+    /// its error in height. Where the surface is vertical, no point of the line has that height.
     fn at_height(&self, x: f32, y: f32, height: f32, guess: f32, reach: f32) -> (Vec3, f32) {
         let mut z = guess;
         let mut off = self.height(Vec3::new(x, y, z)) - height;
@@ -181,7 +186,7 @@ impl Surface {
     }
 }
 
-/// Falls from 1 in the middle of the ellipsoid that fits the box to 0 at its rim.
+/// Falls from 1 at the centre of the ellipsoid that fits the box to 0 at its rim.
 fn lens(q: Vec3, half: Vec3) -> f32 {
     1.0 - smoothstep(0.55, 1.0, (q / half).length())
 }
@@ -226,7 +231,8 @@ impl Field for Lift {
                 cut_distance_mm: if height > 0.0 { self.gaps.distance(-above_cut, height / 2.0) } else { NO_CUT_DISTANCE_MM },
             };
         }
-        // In the gap the source stays at the cut, so that D goes on from one side to the other.
+        // In the gap the source stays at the cut, so that D is continuous from one side to the
+        // other.
         let down = above_cut.min(height);
         let cut = if above_cut < height { -above_cut.min(height - above_cut) } else { above_cut - height };
         Backward { source: q - self.surface.outward(q) * down, cut_distance_mm: self.gaps.distance(cut, height / 2.0) }
@@ -250,7 +256,7 @@ impl Field for Offset {
         if strength == 0.0 {
             return Backward { source: q, cut_distance_mm: NO_CUT_DISTANCE_MM };
         }
-        // The band lies around the surface where it has gone to.
+        // The band lies around the displaced surface.
         let fall = 1.0 - smoothstep(0.0, self.band, (self.surface.height(q) - strength).abs());
         Backward { source: q - self.surface.outward(q) * (strength * fall), cut_distance_mm: NO_CUT_DISTANCE_MM }
     }
@@ -263,18 +269,18 @@ impl Field for Offset {
 struct SurfacePeel {
     peel: Peel,
     surface: Surface,
-    /// z below which nothing is touched.
+    /// z below which nothing is changed.
     lowest: f32,
     acts: bool,
 }
 
 impl SurfacePeel {
-    /// The peel's own coordinates: its layer's upper side lies on the surface.
+    /// Coordinates of the peel: the upper side of its layer lies on the surface.
     fn flattened(&self, q: Vec3) -> Vec3 {
         Vec3::new(q.x, q.y, self.surface.height(q) + self.peel.top())
     }
 
-    /// The point of flattened coordinates, and how far off its height is.
+    /// The point with given flattened coordinates, and its error in height.
     fn raised(&self, flat: Vec3, guess: f32) -> (Vec3, f32) {
         self.surface.at_height(flat.x, flat.y, flat.z - self.peel.top(), guess, self.peel.reach())
     }
@@ -301,7 +307,8 @@ impl Field for SurfacePeel {
         let flat = self.flattened(q);
         let to = self.peel.forward(flat)?;
         let there = if to == flat { q } else { self.raised(to, q.z + to.z - flat.z).0 };
-        // Where the search along z did not end on the height asked for, the surface has no such point.
+        // Where the search along z did not reach the requested height, the surface has no such
+        // point.
         (self.backward(there).source.distance_squared(q) < 1e-6).then_some(there)
     }
 }

@@ -1,7 +1,9 @@
-//! Knife incision with retraction: a straight cut along y from above, its lips drawn apart along x.
+//! Knife incision with retraction: a straight cut along y from above, with its lips drawn apart
+//! along x.
 //!
-//! The half opening o(y, z) is a lens along the cut, widest in the middle, growing from nothing at the cut's floor to `opening`/2 at
-//! the box's upper part. Matter from the plane x = 0 to the box's side is compressed linearly into what is left: x = X (|x'| - o)/(X - o).
+//! The half opening o(y, z) is a lens along the cut, widest in the middle, growing from zero at the
+//! cut's floor to `opening`/2 at the box's upper part. The range from the plane x = 0 to the box's
+//! side is compressed linearly into the remaining width: x = X (|x'| - o)/(X - o).
 
 use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, GapResolution, Kind, Parameter};
 use glam::Vec3;
@@ -48,7 +50,7 @@ impl Knife {
     fn opening(&self, y: f32, z: f32) -> f32 {
         let along = (1.0 - (y / self.half_length).powi(2)).max(0.0);
         let above_floor = ((z - self.top) / self.depth + 1.0).clamp(0.0, 1.0);
-        // A rounded floor: lips part quickly, then stand nearly upright.
+        // A rounded floor: the lips part quickly, then become nearly vertical.
         self.half_opening * along * (1.0 - (1.0 - above_floor).powi(2)).max(0.0).sqrt() * above_floor.min(1.0)
     }
 }

@@ -1,7 +1,9 @@
-//! Lasso: what lies behind a closed outline is removed, extruded along the box's z axis. Drawn in the view, the axis is the direction of view.
+//! Lasso: removes everything inside a closed outline extruded along the box's z axis. When drawn in
+//! the view, this axis is the direction of view.
 //!
-//! The distance to the outline is exact (to the nearest of its edges, inside by the even-odd rule). With an eye at a finite distance the
-//! outline widens away from it, as the picture's perspective does.
+//! The distance to the outline is exact (to the nearest edge; inside by the even-odd rule). With an
+//! eye at a finite distance the outline widens with its distance from the eye, as in the picture's
+//! perspective.
 
 use super::outline::Outline;
 use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, Kind, Parameter, Setting, SettingFormat};
@@ -73,7 +75,8 @@ fn build(c: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
     Ok(Box::new(LassoCut { outline, eye: c.value("eye"), side, progress: c.progress, reach: c.size_mm.length() }))
 }
 
-/// How much wider than in its own plane an outline is at a height `z` towards the viewer, by the distance of the eye (0: parallel).
+/// Factor by which an outline widens at a height `z` towards the viewer, for an eye at this
+/// distance (0: parallel).
 pub(super) fn widening(eye: f32, z: f32) -> f32 {
     if eye > 0.0 { ((eye - z) / eye).max(1e-3) } else { 1.0 }
 }
@@ -81,14 +84,14 @@ pub(super) fn widening(eye: f32, z: f32) -> f32 {
 struct LassoCut {
     outline: Outline,
     eye: f32,
-    /// 1: what is outside stays; -1: what is inside.
+    /// 1: the outside is retained; -1: the inside is.
     side: f32,
     progress: f32,
     reach: f32,
 }
 
 impl LassoCut {
-    /// Distance from what is removed, positive where matter stays.
+    /// Signed distance to the removed region, positive where the volume is retained.
     fn distance(&self, q: Vec3) -> f32 {
         if self.progress <= 0.0 {
             return super::NO_CUT_DISTANCE_MM;

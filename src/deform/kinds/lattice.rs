@@ -1,9 +1,11 @@
-//! Free-form deformation by a lattice of control points (Sederberg and Parry 1986; \[GG42\]): moving a point drags the matter around it.
+//! Free-form deformation by a lattice of control points (Sederberg and Parry 1986; \[GG42\]):
+//! moving a point drags its surroundings.
 //!
-//! With the *Bernstein* basis the lattice spans the box and a point's influence reaches everywhere; faces stay where their own control points
-//! do. With cubic *B-splines* a point's influence ends two spacings away; the lattice is set so far inside the box that the
-//! displacement and its first two derivatives vanish on all faces. Both are forward maps; the inverse is found numerically (`deform::invert`)
-//! for every texel, and what folds is cut away.
+//! With the *Bernstein* basis the lattice spans the box and every point influences the whole box; a
+//! face stays in place if its own control points do. With cubic *B-splines* a point's influence
+//! ends two spacings away; the lattice lies far enough inside the box that the displacement and its
+//! first two derivatives vanish on all faces. Both are forward maps; the inverse is found
+//! numerically (`deform::invert`) for every texel, and folds are cut away.
 
 use super::{Backward, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, Kind, NO_CUT_DISTANCE_MM, Setting, SettingFormat};
 use crate::deform::{Argument, invert};
@@ -11,7 +13,8 @@ use crate::math::Bounds;
 use crate::{Error, Result};
 use glam::{DVec3, Vec3};
 
-/// Most control points along an axis: Bernstein polynomials of a higher degree lose their digits.
+/// Maximum number of control points along an axis: Bernstein polynomials of a higher degree lose
+/// precision.
 const MAX_SIZE: [usize; 2] = [16, 64];
 
 pub(super) const KIND: Kind = Kind {
@@ -41,7 +44,7 @@ pub(super) const KIND: Kind = Kind {
     },
 };
 
-/// The upper inner points of a 4 x 4 x 4 lattice are drawn up and aside.
+/// Draws the upper inner points of a 4 x 4 x 4 lattice up and aside.
 fn example(bounds: &Bounds) -> Vec<(&'static str, Argument)> {
     let size = bounds.size();
     let offsets = [[1.0, 1.0], [2.0, 1.0], [1.0, 2.0], [2.0, 2.0]]
@@ -94,7 +97,8 @@ struct LatticeField {
 }
 
 impl LatticeField {
-    /// Weights of the control points along an axis at `x` in 0..1, and the first of them that is not zero.
+    /// Weights of the control points along an axis at `x` in 0..1, and the index of the first
+    /// non-zero one.
     fn weights(&self, x: f64, n: usize, out: &mut [f64; MAX_SIZE[0]]) -> (usize, usize) {
         if self.bernstein {
             // Bernstein polynomials by de Casteljau's recurrence.
@@ -108,7 +112,8 @@ impl LatticeField {
             }
             return (0, n);
         }
-        // Control point i lies at u = i; the supports, two spacings to each side, just fill the box.
+        // Control point i lies at u = i; the supports, two spacings to each side, exactly fill the
+        // box.
         let u = x * (n + 3) as f64 - 2.0;
         let cell = u.floor();
         let w = crate::deform::transform::cubic_weights(u - cell);

@@ -1,12 +1,15 @@
-//! The kinds of deformation, a file for each or for a few that share their formula.
+//! The kinds of deformation, one file for each or for a few with a common formula.
 //!
-//! A kind is a formula (some also read points, labels or files) in its own *local* space: millimetres from the centre of its cube, axes along
-//! the cube's. Given the resolved parameters it makes a [`Field`], which answers, for a deformed point, where its matter came from and how far
-//! the nearest cut is, and for a source point where it goes. [`Kind::map`] samples the field into a [`DisplacementMap`].
+//! A kind is a formula (some also read points, labels or files) in its own *local* space:
+//! millimetres from the centre of its cube, along the cube's axes. From the resolved parameters it
+//! makes a [`Field`]. This maps a deformed point to its source and its distance to the nearest cut,
+//! and a source point to its deformed position. [`Kind::map`] samples the field into a
+//! [`DisplacementMap`].
 //!
-//! *Contract* (held by `tests/contract.rs` for every kind): no strength is the identity; Jacobians agree with central differences;
-//! forward then backward is the identity; D vanishes on every face that the kind does not list in `nonzero_faces`; D is continuous; odd
-//! input gives finite values.
+//! *Contract* (tested by `tests/contract.rs` for every kind): strength 0 is the identity; Jacobians
+//! agree with central differences; forward then backward is the identity; D vanishes on every face
+//! that the kind does not list in `nonzero_faces`; D is continuous; unusual input gives finite
+//! values.
 
 mod bend;
 mod book;
@@ -59,15 +62,15 @@ pub enum Unit {
 /// A length that may depend on the size of the deformation's box.
 #[derive(Clone, Copy, Debug)]
 pub enum BoxLength {
-    /// As it stands.
+    /// A length in mm, whatever the box.
     Fixed(f32),
-    /// A share of the box along x.
+    /// A fraction of the box along x.
     OfX(f32),
-    /// A share of the box along y.
+    /// A fraction of the box along y.
     OfY(f32),
-    /// A share of the box along z.
+    /// A fraction of the box along z.
     OfZ(f32),
-    /// A share of the box's smaller extent across its z axis.
+    /// A fraction of the box's smaller extent across its z axis.
     OfRadius(f32),
 }
 
@@ -98,15 +101,15 @@ impl BoxLength {
 
 /// A named parameter.
 pub struct Parameter {
-    /// What people type.
+    /// Name as typed.
     pub name: &'static str,
     /// Its unit.
     pub unit: Unit,
-    /// Used when none is given.
+    /// Default value.
     pub default: BoxLength,
-    /// Lowest value allowed.
+    /// Smallest allowed value.
     pub min: BoxLength,
-    /// Highest value allowed.
+    /// Largest allowed value.
     pub max: BoxLength,
     /// One line for lists.
     pub about: &'static str,
@@ -129,60 +132,63 @@ impl Parameter {
     }
 }
 
-/// Size of the box when none is given.
+/// Default size of the box.
 #[derive(Clone, Copy, Debug)]
 pub enum DefaultSize {
-    /// Shares of the scene's extent along the world's axes.
+    /// Fractions of the scene's extent along the world's axes.
     Share([f32; 3]),
-    /// A cube as long as this share of the scene's diagonal: for cuts that must reach across everything at any angle.
+    /// A cube whose edge is this fraction of the scene's diagonal: for cuts that must span the
+    /// scene at any angle.
     Across(f32),
 }
 
 /// A kind of deformation.
 pub struct Kind {
-    /// What people type.
+    /// Name as typed.
     pub name: &'static str,
     /// One line for lists.
     pub about: &'static str,
-    /// Its parameters, in the order that `build` takes them.
+    /// Its parameters, in the order in which `build` takes them.
     pub parameters: &'static [Parameter],
-    /// Whether `progress` scales it from nothing (0) to full (1).
+    /// Whether `progress` scales it from no effect (0) to full effect (1).
     pub progressive: bool,
-    /// Size when none is given.
+    /// Default size.
     pub size: DefaultSize,
-    /// The map's cube is this much larger than the box that the user sizes, so that a cut along the box's faces lies inside the map.
+    /// Ratio of the map's cube to the box that the user sizes; a cut along the box's faces must lie
+    /// inside the map.
     pub cube_scale: f32,
-    /// Along which local axes the map varies; the others need a single texel.
+    /// Local axes along which the map varies; the others need a single texel.
     pub varies: [bool; 3],
-    /// Texels along the longest axis, by default.
+    /// Default number of texels along the longest axis.
     pub resolution: usize,
-    /// Faces (-x, +x, -y, +y, -z, +z) on which D does not vanish: there the box should end in empty space.
+    /// Faces (-x, +x, -y, +y, -z, +z) on which D does not vanish: there the box should end in empty
+    /// space.
     pub nonzero_faces: [bool; 6],
-    /// Its box turns with the camera: x right, y up, z towards the viewer.
+    /// The box turns with the camera: x right, y up, z towards the viewer.
     pub locked_to_view: bool,
-    /// The shape it removes, if it only removes and a formula can say it.
+    /// The shape it removes, if the kind only removes and the shape is analytic.
     pub shape: Option<CutShapeKind>,
-    /// What makes its field.
+    /// The builder of its field.
     pub build: FieldBuilder,
 }
 
-/// What makes a kind's field.
+/// How a kind's field is built.
 #[derive(Clone, Copy)]
 pub enum FieldBuilder {
     /// A formula of the kind's numbers.
     Formula(fn(&FieldContext) -> Box<dyn Field>),
-    /// Something that also needs settings that are no numbers: files, points, labels.
+    /// A builder that also needs non-numeric settings: files, points, labels.
     Sourced {
         /// The settings.
         settings: &'static [Setting],
-        /// Settings that show the kind at work in a box of the given bounds (mm, world).
+        /// Settings that demonstrate the kind in a box with the given bounds (mm, world).
         example: fn(&Bounds) -> Vec<(&'static str, Argument)>,
-        /// Makes the field.
+        /// Builds the field.
         build: fn(&FieldContext, &FieldInputs) -> Result<Box<dyn Field>>,
     },
 }
 
-/// What a kind's constructor gets.
+/// The input of a kind's builder.
 pub struct FieldContext<'a> {
     parameters: &'static [Parameter],
     values: &'a [f32],
@@ -198,18 +204,18 @@ pub struct FieldContext<'a> {
     pub ramp_mm: f32,
 }
 
-/// What sourced kinds get besides.
+/// Additional input of sourced kinds.
 pub struct FieldInputs<'a> {
-    /// The settings that were given.
+    /// The given settings.
     pub settings: &'a Arguments,
-    /// The box's own millimetres to the world's.
+    /// From the box's local millimetres to world millimetres.
     pub world_from_local: Affine3A,
     /// Files and volumes.
     pub library: &'a Library,
 }
 
 impl FieldContext<'_> {
-    /// The value of one of the kind's parameters; not a number if it has none of that name.
+    /// The value of one of the kind's parameters; NaN if it has none of that name.
     fn value(&self, name: &str) -> f32 {
         self.parameters.iter().zip(self.values).find(|(p, _)| p.name == name).map_or(f32::NAN, |(_, v)| *v)
     }
@@ -223,7 +229,8 @@ impl FieldContext<'_> {
     }
 }
 
-/// Gaps that a map can show: one that narrows below a texel closes, and what has closed is far from any cut.
+/// Gaps that the map can resolve: one that narrows below a texel closes, and a closed gap is far
+/// from any cut.
 #[derive(Clone, Copy)]
 struct GapResolution {
     ramp_mm: f32,
@@ -237,10 +244,10 @@ impl GapResolution {
     }
 }
 
-/// Nothing is cut anywhere.
+/// Distance where there is no cut.
 const NO_CUT_DISTANCE_MM: f32 = 1e6;
 
-/// Settings of removals that a formula can say.
+/// Settings of analytic removals.
 pub const CUT_SETTINGS: &[Setting] = &[
     Setting { name: "invert", form: SettingFormat::Flag, about: "true removes what is outside instead" },
     Setting { name: "group", form: SettingFormat::Words, about: "name of a group; cuts in a group are combined" },
@@ -292,34 +299,35 @@ pub fn list() -> impl Iterator<Item = &'static Kind> {
     KINDS.iter().copied()
 }
 
-/// The kind of a name.
+/// The kind with a given name.
 ///
 /// # Errors
-/// An unknown name, with the closest known one.
+/// An unknown name (the message names the closest known one).
 pub fn kind(name: &str) -> Result<&'static Kind> {
     list().find(|k| k.name == name).ok_or_else(|| {
         Error::value(format!("deformation \"{name}\""), format!("there is no such kind; {}", suggestion(name, list().map(|k| k.name))))
     })
 }
 
-/// How finely and in what format a map is made.
+/// Resolution and format of a map.
 #[derive(Clone, Copy, Debug)]
 pub struct Sampling {
-    /// Texels along the longest axis; the kind's own if none.
+    /// Texels along the longest axis; the kind's default if none.
     pub resolution: Option<usize>,
     /// Texel format.
     pub storage: Storage,
-    /// The mask's ramp is at least this wide to either side, mm: a few voxels, so that shading has room to blend.
+    /// Minimum half width of the mask's ramp, mm: a few voxels, so that shading has room to blend.
     pub min_ramp_mm: f32,
 }
 
 impl Kind {
-    /// Whether its map depends on nothing but its numbers and its size: not on where the box lies, nor on what lies there.
+    /// Whether the map depends only on its numbers and its size, not on the position of the box or
+    /// the content there.
     pub fn is_the_same_anywhere(&self, settings: &Arguments) -> bool {
         matches!(self.build, FieldBuilder::Formula(_)) && !settings.0.contains_key("spare")
     }
 
-    /// The size of the box in a scene of the given bounds when the user gives none, mm.
+    /// The default size of the box in a scene with the given bounds, mm.
     pub fn default_size(&self, scene: &Bounds) -> Vec3 {
         match self.size {
             DefaultSize::Share(s) => scene.size() * Vec3::from(s),
@@ -327,10 +335,11 @@ impl Kind {
         }
     }
 
-    /// Fills in defaults and checks ranges; `given` by name.
+    /// Fills in defaults and checks ranges of parameters given by name.
     ///
     /// # Errors
-    /// A parameter that the kind does not have (with the closest one), or a value outside its range.
+    /// A parameter that the kind does not have (the message names the closest one), or a value
+    /// outside its range.
     pub fn values<'a>(&self, given: impl IntoIterator<Item = (&'a str, f32)>, size_mm: Vec3) -> Result<Vec<f32>> {
         let mut values: Vec<f32> = self.parameters.iter().map(|p| p.default.resolve(size_mm)).collect();
         for (name, value) in given {
@@ -341,7 +350,7 @@ impl Kind {
             };
             let p = &self.parameters[n];
             let (min, max) = (p.min.resolve(size_mm), p.max.resolve(size_mm));
-            // A share of a size rounds; the range's own end is inside it.
+            // A fraction of a size rounds; the end of the range itself is allowed.
             let slack = 1e-5 * (max - min);
             if !(min - slack..=max + slack).contains(&value) {
                 let unit = match p.unit {
@@ -363,7 +372,7 @@ impl Kind {
         std::array::from_fn(|a| if self.varies[a] { ((texels * size_mm[a] / longest).round() as usize).clamp(8, 512) } else { 1 })
     }
 
-    /// What its values are sampled with: grid and context.
+    /// Grid and context for sampling the kind with these values.
     fn context<'a>(&self, values: &'a [f32], progress: f32, size_mm: Vec3, sampling: &Sampling) -> ([usize; 3], FieldContext<'a>) {
         let grid = self.grid(size_mm, sampling.resolution);
         let cube_mm = size_mm * self.cube_scale;
@@ -372,16 +381,16 @@ impl Kind {
         (grid, FieldContext { parameters: self.parameters, values, progress, size_mm, grid, texel_mm, ramp_mm })
     }
 
-    /// The field itself, for tests and for tools that need the formula rather than its samples.
+    /// The field itself, for tests and tools that need the formula rather than its samples.
     ///
     /// # Errors
-    /// A setting that cannot be used, a file that cannot be read.
+    /// An invalid setting, or a file that cannot be read.
     pub fn field(&self, values: &[f32], progress: f32, size_mm: Vec3, sampling: &Sampling, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
         let (_, context) = self.context(values, progress, size_mm, sampling);
         self.modified(&context, inputs)
     }
 
-    /// The kind's field behind the modifiers that the settings ask for.
+    /// The kind's field with the modifiers requested by the settings.
     fn modified(&self, context: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
         let field = match &self.build {
             FieldBuilder::Formula(build) => build(context),
@@ -392,7 +401,7 @@ impl Kind {
 
     /// Samples the kind into a map over a cube `cube_scale` times the box.
     ///
-    /// `values` as [`Self::values`] returns them.
+    /// `values` are those returned by [`Self::values`].
     ///
     /// # Errors
     /// As [`Self::field`].
@@ -400,14 +409,14 @@ impl Kind {
         Ok(DisplacementMap::of(&self.recipe(values, progress, size_mm, sampling, inputs)?))
     }
 
-    /// What [`Self::map`] samples.
+    /// The definition that [`Self::map`] samples.
     ///
     /// # Errors
     /// As [`Self::field`].
     pub fn recipe(&self, values: &[f32], progress: f32, size_mm: Vec3, sampling: &Sampling, inputs: &FieldInputs) -> Result<MapDefinition> {
         let (mut grid, mut context) = self.context(values, progress, size_mm, sampling);
         if modifiers::vary_everywhere(inputs.settings) && self.varies != [true; 3] {
-            // Round cuts and spared labels vary along all axes, whatever the kind does.
+            // Round cuts and spared labels vary along all axes, whatever the kind is.
             let all = Kind { varies: [true; 3], resolution: self.resolution.min(128), ..*self };
             (grid, context) = all.context(values, progress, size_mm, sampling);
         }
@@ -415,7 +424,7 @@ impl Kind {
         Ok(MapDefinition { size: grid, storage: sampling.storage, cube_mm: size_mm * self.cube_scale, ramp_mm: context.ramp_mm, field })
     }
 
-    /// The kind's own settings that are no numbers.
+    /// The kind's own non-numeric settings.
     pub fn own_settings(&self) -> &'static [Setting] {
         match self.build {
             FieldBuilder::Formula(_) => &[],
@@ -423,13 +432,13 @@ impl Kind {
         }
     }
 
-    /// All settings that are no numbers: the kind's own and those of every kind.
+    /// All non-numeric settings: the kind's own and those common to every kind.
     pub fn settings(&self) -> impl Iterator<Item = &'static Setting> {
         let of_cuts: &[Setting] = if self.shape.is_some() { CUT_SETTINGS } else { &[] };
         self.own_settings().iter().chain(of_cuts).chain(modifiers::SETTINGS)
     }
 
-    /// Settings that show the kind at work in a box of the given bounds (mm, world).
+    /// Settings that demonstrate the kind in a box with the given bounds (mm, world).
     pub fn example(&self, bounds: &Bounds) -> Arguments {
         let mut arguments = Arguments::default();
         if let FieldBuilder::Sourced { example, .. } = self.build {
@@ -440,10 +449,11 @@ impl Kind {
         arguments
     }
 
-    /// Tells numbers from settings, fills in defaults and checks ranges.
+    /// Separates numbers from settings, fills in defaults and checks ranges.
     ///
     /// # Errors
-    /// A name that the kind does not have (with the closest one), or a value outside its range.
+    /// A name that the kind does not have (the message names the closest one), or a value outside
+    /// its range.
     pub fn resolve(&self, arguments: &Arguments, size_mm: Vec3) -> Result<(Vec<f32>, Arguments)> {
         let mut settings = Arguments::default();
         let mut numbers = Vec::new();
@@ -455,7 +465,7 @@ impl Kind {
             } else if self.parameters.iter().any(|p| p.name == name) {
                 return Err(Error::value(format!("{}: {name}", self.name), "must be a single number"));
             } else {
-                // Refused below, with the closest name.
+                // Rejected below, with the closest name.
                 numbers.push((name.as_str(), 0.0));
             }
         }
@@ -463,14 +473,16 @@ impl Kind {
     }
 }
 
-/// The shape that a kind removes, its lengths (mm) and half its angle (radians); none if it is not said by a formula, or not yet there.
+/// The shape that a kind removes, its lengths (mm) and half its angle (radians); none if it is not
+/// analytic, or at progress 0.
 pub fn shape_of(kind: &Kind, values: &[f32], progress: f32, size_mm: Vec3) -> Option<(CutShapeKind, Vec3, f32)> {
     let shape = kind.shape.filter(|_| progress > 0.0)?;
     let (half, half_angle) = removal::shape_of(shape, values, progress, size_mm);
     Some((shape, half, half_angle))
 }
 
-/// Where a source point goes, by inverting the backward map; none where that does not succeed or the point is cut away.
+/// The deformed position of a source point, by inverting the backward map; none where the inversion
+/// fails or the point is cut away.
 fn forward_numerically(field: &dyn Field, q: Vec3) -> Option<Vec3> {
     let backward = |p: glam::DVec3| field.backward(p.as_vec3()).source.as_dvec3();
     let y = q.as_dvec3();
@@ -478,12 +490,14 @@ fn forward_numerically(field: &dyn Field, q: Vec3) -> Option<Vec3> {
     (s.found && field.backward(s.source.as_vec3()).cut_distance_mm >= 0.0).then(|| s.source.as_vec3())
 }
 
-/// A smooth window that is 1 in the middle and 0 at ±`half`, falling over the outer `share` of the way.
+/// A smooth window that is 1 in the middle and 0 at ±`half`, falling over the outer fraction
+/// `share`.
 fn window(x: f32, half: f32, share: f32) -> f32 {
     crate::math::smoothstep(0.0, share, 1.0 - x.abs() / half)
 }
 
-/// Solves `g(x) = target` for a rising function on `[low, high]` by bisection, to single precision.
+/// Solves `g(x) = target` for an increasing function on `[low, high]` by bisection, to single
+/// precision.
 fn solve_rising(target: f32, low: f32, high: f32, g: impl Fn(f32) -> f32) -> f32 {
     let (mut low, mut high) = (low, high);
     for _ in 0..48 {

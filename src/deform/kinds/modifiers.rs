@@ -1,4 +1,4 @@
-//! What every kind can be asked to do besides: leave labels alone, or work in cylindrical coordinates.
+//! Modifiers available to every kind: spared labels and cylindrical coordinates.
 
 use super::{Backward, Field, FieldContext, FieldInputs, Setting, SettingFormat};
 use crate::Result;
@@ -9,7 +9,7 @@ use glam::{Affine3A, Vec3, Vec3Swizzles};
 use std::f32::consts::TAU;
 use std::sync::Arc;
 
-/// Settings of every kind.
+/// Settings common to every kind.
 pub(super) const SETTINGS: &[Setting] = &[
     Setting { name: "spare", form: SettingFormat::Whole, about: "labels to protect from cutting and moving" },
     Setting { name: "labels", form: SettingFormat::File, about: "file of the label map; by default the volume itself" },
@@ -25,7 +25,7 @@ pub fn vary_everywhere(settings: &Arguments) -> bool {
     settings.0.contains_key("spare") || settings.0.contains_key("mapping")
 }
 
-/// The field behind the modifiers that the settings ask for.
+/// The field with the modifiers requested by the settings.
 pub(super) fn apply(field: Box<dyn Field>, context: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
     let mut field = field;
     if inputs.settings.choice("mapping", &["none", "cylindrical"])? == "cylindrical" {
@@ -39,11 +39,12 @@ pub(super) fn apply(field: Box<dyn Field>, context: &FieldContext, inputs: &Fiel
     Ok(field)
 }
 
-/// Cylindrical coordinate mapping (\[DS07\] section 3.2): the inner field's box is unrolled around the axis. What it moves along its own x turns
-/// about the axis, what it lifts along its z goes outwards, and its flat cuts become round ones.
+/// Cylindrical coordinate mapping (\[DS07\] section 3.2): the inner field's box is unrolled around
+/// the axis. A displacement along its x becomes a rotation about the axis, one along its z becomes
+/// radial, and its flat cuts become round.
 ///
-/// \[DS07\] stores the unrolled map and converts coordinates at every sample; here the map is sampled in Cartesian coordinates, so that
-/// renderers need not know.
+/// \[DS07\] stores the unrolled map and converts coordinates at every sample; here the map is
+/// sampled in Cartesian coordinates, so that renderers need no special case.
 struct Cylindrical {
     inner: Box<dyn Field>,
     size_mm: Vec3,
@@ -63,7 +64,7 @@ impl Cylindrical {
         Vec3::new(r * angle.sin(), r * angle.cos(), u.y / self.size_mm.y * self.size_mm.z)
     }
 
-    /// Smallest ratio of a length in the world to the unrolled one.
+    /// Smallest ratio of a length in the world to the unrolled length.
     fn shrinks(&self, q: Vec3) -> f32 {
         let around = TAU * q.xy().length() / self.size_mm.x;
         (self.radius / self.size_mm.z).min(self.size_mm.z / self.size_mm.y).min(around).min(1.0)
@@ -74,7 +75,7 @@ impl Field for Cylindrical {
     fn backward(&self, q: Vec3) -> Backward {
         let u = self.unrolled(q);
         let inner = self.inner.backward(u);
-        // Where nothing moves, keep the point itself rather than its way there and back.
+        // Where nothing moves, the point itself avoids the rounding of the conversion.
         let source = if inner.source == u { q } else { self.rolled(inner.source) };
         Backward { source, cut_distance_mm: inner.cut_distance_mm * self.shrinks(q).max(0.05) }
     }
@@ -84,7 +85,7 @@ impl Field for Cylindrical {
     }
 }
 
-/// Labels that are left alone: neither cut nor moved, and not shown a second time by matter that was moved from them.
+/// Labels left alone: neither cut nor moved, and not shown a second time at a displaced position.
 struct Spared {
     inner: Box<dyn Field>,
     distance: Arc<DistanceGrid>,
@@ -111,7 +112,7 @@ impl Field for Spared {
         if spared {
             return Some(q);
         }
-        // Beside a spared label the displacement fades, and the kind's own forward map no longer holds.
+        // Near a spared label the displacement fades, and the kind's own forward map does not hold.
         self.inner.forward(q).filter(|to| self.backward(*to).source.distance_squared(q) < 1e-6)
     }
 }

@@ -1,9 +1,10 @@
-//! A closed outline in the plane: the distance to it, and whether its edges cross. Its edges lie in order, so that a hierarchy of boxes over runs of
-//! them (a segment tree) finds the nearest one in logarithmic time: an outline drawn by hand may have ten thousand, and is asked at millions of points.
+//! A closed outline in the plane: the distance to it, and whether its edges cross. A hierarchy of
+//! boxes over runs of consecutive edges (a segment tree) finds the nearest edge in logarithmic
+//! time: a hand-drawn outline may have ten thousand edges and is evaluated at millions of points.
 
 use glam::Vec2;
 
-/// Edges of a leaf.
+/// Number of edges of a leaf.
 const LEAF: usize = 8;
 
 /// A closed outline.
@@ -30,7 +31,7 @@ impl OutlineNode {
 }
 
 impl Outline {
-    /// The outline through points, the last joined to the first; three at least.
+    /// The closed outline through at least three points.
     pub fn new(points: Vec<Vec2>) -> Self {
         let mut outline = Self { nodes: Vec::with_capacity(points.len() / 2 + 1), points };
         outline.node(0, outline.points.len());
@@ -85,7 +86,7 @@ impl Outline {
             return false;
         }
         if low.x > p.x {
-            // All of the run lies on the ray's side: only where it begins and ends counts.
+            // The whole run lies on the ray's side: only its start and end count.
             return (self.points[first].y > p.y) != (self.edge(end - 1).1.y > p.y);
         }
         match halves {
@@ -102,7 +103,7 @@ impl Outline {
         (0..self.points.len()).find_map(|n| self.crossed(0, n).map(|m| (n, m)))
     }
 
-    /// The first edge behind edge `n` and its neighbour that crosses it.
+    /// The first edge after edge `n` and its neighbour that crosses it.
     fn crossed(&self, node: usize, n: usize) -> Option<usize> {
         let OutlineNode { low, high, first, end, halves } = self.nodes[node];
         let (a, b) = self.edge(n);
@@ -126,7 +127,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// By the definition: every edge is asked.
+    /// By definition: evaluates every edge.
     fn plain(points: &[Vec2], p: Vec2) -> f32 {
         let (mut nearest, mut inside) = (f32::INFINITY, false);
         for n in 0..points.len() {

@@ -1,22 +1,26 @@
-//! Peel: a layer of the box is cut free on three sides and rolled back about a hinge ([`crate::model`], "Kinds of deformation"; \[DDM06\] fig 1).
+//! Peel: a layer of the box is cut free on three sides and rolled back about a hinge
+//! ([`crate::model`], "Kinds of deformation"; \[DDM06\] fig 1).
 //!
-//! In local x, z: the layer z in [z0, z0+h] from the hinge x_h on is rolled into an arc of outer radius R about c = (x_h, z0+R),
-//! its outer side facing inwards; `progress` moves the hinge from the flap's free end inwards. The flap is narrower than the box, so
-//! that the whole cut lies inside the map and D vanishes on every face.
+//! In local x, z: the layer z in [z0, z0+h], from the hinge x_h on, is rolled into an arc of outer
+//! radius R about c = (x_h, z0+R), with its outer side facing inwards; `progress` moves the hinge
+//! inwards from the flap's free end. The flap is narrower than the box, so that the whole cut lies
+//! inside the map and D vanishes on every face.
 //!
-//! The mask is a distance: matter is where the *strip* (the roll, and the layer up to the hinge that it grows out of) is, or what is
-//! neither in the *slot* (where the layer used to lie) nor within a thin band around the roll above the layer. The band keeps rolled
-//! and undisplaced matter from touching: between them D must run from the roll's value to zero, and that may only happen unseen.
+//! The mask is a distance. Retained are the *strip* (the roll, and the layer up to the hinge from
+//! which it continues), and everything that is neither in the *slot* (the layer's original
+//! position) nor within a thin band around the roll above the layer. The band separates the roll
+//! from undisplaced material: between them D must run from the roll's value to zero, and that must
+//! happen where nothing is visible.
 
 use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter};
 use glam::{Vec2, Vec3};
 use std::f32::consts::{FRAC_PI_2, TAU};
 
-/// The layer's lower side above the box's lower face, share of the box.
+/// The layer's lower side above the box's lower face, as a fraction of the box.
 const FLOOR: f32 = 0.1;
-/// Share of the box between the flap's free end, or its sides, and the box's faces.
+/// Distance from the flap's free end and sides to the box's faces, as a fraction of the box.
 const MARGIN: f32 = 0.06;
-/// The roll never turns further than this, so that its end stays clear of the hinge.
+/// Maximum turn of the roll, so that its end stays clear of the hinge.
 const MAX_TURN_RAD: f32 = 4.8;
 
 pub(super) const KIND: Kind = Kind {
@@ -61,7 +65,8 @@ pub(super) struct Peel {
     clearance: f32,
 }
 
-/// A point in the roll's coordinates: arc length from the hinge, height in the layer, and signed distance to the roll.
+/// A point in the roll's coordinates: arc length from the hinge, height in the layer, and signed
+/// distance to the roll.
 struct Rolled {
     along: f32,
     height: f32,
@@ -91,7 +96,7 @@ impl Peel {
         }
     }
 
-    /// How far anything is moved, mm.
+    /// Bound on the displacement, mm.
     pub(super) fn reach(&self) -> f32 {
         2.0 * (self.radius + self.depth)
     }
@@ -113,7 +118,7 @@ impl Peel {
         if theta < 0.0 {
             theta += TAU;
         }
-        // Angles beyond the roll count from whichever of its ends is nearer.
+        // Angles beyond the roll are measured from the nearer of its ends.
         if theta > (last + TAU) / 2.0 {
             theta -= TAU;
         }
@@ -123,7 +128,8 @@ impl Peel {
         Rolled { along: (theta * self.radius).clamp(0.0, self.flap), height: height.clamp(0.0, self.depth), distance }
     }
 
-    /// Half width of the flap: narrower than its slot, so that the flap's sides do not touch the slot's walls.
+    /// Half width of the flap: narrower than its slot, so that the flap's sides do not touch the
+    /// slot's walls.
     fn flap_half_y(&self) -> f32 {
         self.slot_half_y - 2.5 * self.texel
     }
@@ -138,15 +144,16 @@ impl Field for Peel {
         let above_floor = q.z - self.floor;
         let inside_flap_y = self.flap_half_y() - q.y.abs();
         let in_roll = roll.distance.min(inside_flap_y);
-        // The layer behind the hinge, which the roll grows out of.
+        // The layer behind the hinge, from which the roll continues.
         let in_layer = if q.x <= self.hinge { above_floor.min(self.depth - above_floor) } else { -NO_CUT_DISTANCE_MM };
         let in_strip = in_roll.max(in_layer);
         let over_slot = (q.x - self.hinge).min(self.end - q.x).min(self.slot_half_y - q.y.abs()).min(above_floor);
         let in_slot = over_slot.min(self.depth - above_floor);
-        // Over the slot the band reaches down into it: where the two only met, a sheet of matter would hang between them.
+        // Over the slot the band extends down into it: if the two only touched, a thin sheet would
+        // remain between them.
         let in_band = (in_roll + self.clearance).min(over_slot.max(above_floor - self.depth));
         let undisplaced = -in_slot.max(in_band);
-        // D of the roll, continued; it fades to zero between the roll and what is not displaced.
+        // D of the roll, continued; it fades to zero between the roll and the undisplaced part.
         let continued = Vec3::new(self.hinge + roll.along, q.y, self.floor + roll.height) - q;
         let (to_roll, to_undisplaced) = ((-in_roll).max(0.0), (-undisplaced).max(0.0));
         let between = to_roll + to_undisplaced;
@@ -155,7 +162,8 @@ impl Field for Peel {
         } else if undisplaced >= 0.0 {
             0.0
         } else {
-            // A texel beside either side already mixes into what is seen: the fade keeps away from both.
+            // A texel next to either side already affects the visible result: the fade stays away
+            // from both.
             let margin = (self.texel * 1.5 / between).min(0.45);
             ((to_undisplaced / between - margin) / (1.0 - 2.0 * margin)).clamp(0.0, 1.0)
         };

@@ -1,4 +1,5 @@
-//! Control points: matter goes from given places to given places, and in between smoothly (`deform::points`).
+//! Control points: given points move to given points, with smooth interpolation between them
+//! (`deform::points`).
 
 use super::{
     Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, Kind, NO_CUT_DISTANCE_MM, Parameter, Setting, SettingFormat,
@@ -50,7 +51,7 @@ pub(super) const KIND: Kind = Kind {
     },
 };
 
-/// The corners stay and the middle rises.
+/// The corners stay in place and the centre rises.
 fn example(bounds: &Bounds) -> Vec<(&'static str, Argument)> {
     let (center, size) = (bounds.center(), bounds.size());
     let mut pairs = Vec::new();
@@ -94,7 +95,7 @@ fn build(c: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
         "rbf" => Method::Gaussian,
         _ => Method::InverseDistance,
     };
-    // In the box's own millimetres.
+    // In the box's local millimetres.
     let local_from_world = inputs.world_from_local.inverse();
     let local = |p: DVec3| local_from_world.transform_point3(p.as_vec3()).as_dvec3();
     let own: Vec<PointPair> = pairs(inputs)?.into_iter().map(|p| PointPair { from: local(p.from), to: local(p.to) }).collect();

@@ -1,7 +1,9 @@
-//! Gaussian pull, \[DDM06\] eq 8: D = (0, 0, -z exp(-((x-1/2)² + (y-1/2)²)/σ²)) with z counted from the box's lower face.
+//! Gaussian pull, \[DDM06\] eq 8: D = (0, 0, -z exp(-((x-1/2)² + (y-1/2)²)/σ²)) with z measured
+//! from the box's lower face.
 //!
-//! The paper's amplitude (the whole box on the axis) maps the axis to one point; here it is the length `amount` by which matter at
-//! the upper face has been pulled, so that the pull stays invertible while `amount` is less than the box is high. σ is a length.
+//! The paper's amplitude (the whole box on the axis) maps the axis to one point; here it is the
+//! length `amount` of the pull at the upper face. The pull is invertible while `amount` is less
+//! than the height of the box. σ is a length.
 
 use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter};
 use glam::{Vec3, Vec3Swizzles};
@@ -29,7 +31,7 @@ pub(super) const KIND: Kind = Kind {
 
 struct Pull {
     half_z: f32,
-    /// Pull at the upper face as a share of the box's height.
+    /// Pull at the upper face as a fraction of the box's height.
     strength: f32,
     sigma: f32,
 }

@@ -1,14 +1,17 @@
-//! Removal of a box, sphere, cylinder, wedge, half-space or, locked to the view, a sphere or a cone: mask only, no displacement.
+//! Removal of a box, sphere, cylinder, wedge, half-space or, locked to the view, a sphere or a
+//! cone: mask only, no displacement.
 //!
-//! The map's cube is larger than the shape (`cube_scale`), so that the cut lies inside the map; the half-space's is as large as the scene
-//! at any angle. The distances are those of `deform::cut`, which takes over where nothing moves afterwards. `progress` grows the shape from nothing (for the half-space: moves the plane down from the box's top).
+//! The map's cube is larger than the shape (`cube_scale`), so that the cut lies inside the map;
+//! that of the half-space spans the scene at any angle. The distances are those of `deform::cut`,
+//! which replaces the map where no later deformation moves anything. `progress` grows the shape
+//! from nothing (for the half-space: moves the plane down from the box's top).
 
 use super::{Backward, DefaultSize, Field, FieldBuilder, FieldContext, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter};
 use crate::deform::cut::{CutShape, CutShapeKind};
 use glam::{Affine3A, Vec3};
 
 struct Removal {
-    /// None while it has no strength.
+    /// None at strength 0.
     shape: Option<CutShape>,
 }
 
@@ -32,7 +35,7 @@ impl Field for Removal {
     }
 
     fn formula(&self) -> Option<Formula> {
-        // A shape without strength removes nothing.
+        // A shape at strength 0 removes nothing.
         let numbers = self.shape.map_or([-1.0, 0.0, 0.0, 0.0, 0.0], |s| [s.shape as u32 as f32, s.half.x, s.half.y, s.half.z, s.half_angle]);
         Some(Formula::new(FormulaKind::Removal, &numbers))
     }
@@ -92,7 +95,7 @@ pub(super) const VIEW_SPHERE: Kind =
 pub(super) const VIEW_CONE: Kind = Kind {
     locked_to_view: true,
     parameters: &[angle(40.0, 5.0, 150.0, "opening angle of the cone")],
-    // From the middle of the scene out to beyond it.
+    // From the centre of the scene to beyond its edge.
     size: DefaultSize::Across(1.1),
     cube_scale: 1.0,
     nonzero_faces: [true; 6],
@@ -101,7 +104,8 @@ pub(super) const VIEW_CONE: Kind = Kind {
     })
 };
 
-/// The shape that a kind removes, its lengths (mm) and half its angle (radians) at a strength above 0.
+/// The shape that a kind removes, its lengths (mm) and half its angle (radians) at a strength above
+/// 0.
 pub(super) fn shape_of(shape: CutShapeKind, values: &[f32], progress: f32, size_mm: Vec3) -> (Vec3, f32) {
     let half = size_mm / 2.0;
     let half_angle = values.first().map_or(0.0, |a| (a * progress).to_radians() / 2.0);

@@ -1,8 +1,10 @@
 //! Retractor: an incision along x held open to an ellipse.
 //!
-//! In the elliptic coordinates of the cut's two ends, x = f cosh μ cos ν and y = f sinh μ sin ν, the cut is μ = 0 and every ellipse around it is a
-//! μ of its own. Matter from μ = 0 to the ellipse that just fits the box is compressed linearly into μ0 to there: the lips stay smooth, the
-//! ends tear nowhere, and the inverse is exact. The opening narrows with depth to nothing at the cut's floor.
+//! In the elliptic coordinates of the cut's two ends, x = f cosh μ cos ν and y = f sinh μ sin ν,
+//! the cut is μ = 0 and every ellipse around it is one value of μ. The range from μ = 0 to the
+//! largest ellipse that fits the box is compressed linearly into μ0 up to that ellipse: the lips
+//! stay smooth, the ends do not tear, and the inverse is exact. The opening narrows with depth to
+//! zero at the cut's floor.
 
 use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, GapResolution, Kind, NO_CUT_DISTANCE_MM, Parameter};
 use crate::math::smoothstep;
@@ -54,12 +56,13 @@ impl Retractor {
     /// μ and ν of a point: arcosh of (x + iy) / f.
     fn elliptic(&self, q: Vec3) -> Vec2 {
         let (x, y) = (q.x / self.focus, q.y / self.focus);
-        // sinh² μ = (b + √(b² + 4y²)) / 2 with b = x² + y² - 1; the other form of the same keeps its digits where b is negative.
+        // sinh² μ = (b + √(b² + 4y²)) / 2 with b = x² + y² - 1; the equivalent other form keeps its
+        // precision where b is negative.
         let b = x * x + y * y - 1.0;
         let root = (b * b + 4.0 * y * y).sqrt();
         let sinh = if b < 0.0 { (2.0 * y * y / (root - b)).sqrt() } else { (0.5 * (b + root)).sqrt() };
         let mu = sinh.asinh();
-        // The angle from both coordinates; on the cut itself only x tells it.
+        // The angle from both coordinates; on the cut itself only x determines it.
         let nu = if sinh > 1e-6 { (y.abs() / sinh).atan2(x / mu.cosh()) } else { x.clamp(-1.0, 1.0).acos() };
         Vec2::new(mu, nu.copysign(y))
     }
@@ -76,7 +79,7 @@ impl Field for Retractor {
             return Backward { source: q, cut_distance_mm: NO_CUT_DISTANCE_MM };
         }
         let e = self.elliptic(q);
-        // Length of a unit of μ here, for the distance to the lip.
+        // Length of a unit of μ at this point, for the distance to the lip.
         let scale = self.focus * (e.x.sinh().powi(2) + e.y.sin().powi(2)).sqrt().max(0.05);
         let cut_distance_mm = self.gaps.distance((e.x - open) * scale, self.focus * open.sinh());
         if e.x >= self.last {

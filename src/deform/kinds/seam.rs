@@ -1,19 +1,20 @@
-//! Seam opening: matter is split along the plane x = 0 from above and its halves swing open about a hinge line along y
-//! (\[DDM06\] fig 7).
+//! Seam opening: the volume is split along the plane x = 0 from above, and its halves swing open
+//! about a hinge line along y (\[DDM06\] fig 7).
 //!
-//! In the polar coordinates (r, β) about the hinge, β from +z, the opening by φ to each side maps β in [0, β_e] to [φ, β_e]
-//! linearly: matter swings aside and is compressed towards β_e, below which nothing moves. φ fades with the radius and towards the
-//! ends of the seam; r and y stay, so the inverse is exact.
+//! In the polar coordinates (r, β) about the hinge, β from +z, the opening by φ to each side maps β
+//! in [0, β_e] to [φ, β_e] linearly: the halves swing aside and are compressed towards β_e, below
+//! which nothing moves. φ fades with the radius and towards the ends of the seam; r and y are
+//! preserved, hence the inverse is exact.
 
 use super::{Backward, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, GapResolution, Kind, Parameter, window};
 use crate::math::smoothstep;
 use glam::{Vec2, Vec3};
 
-/// Angle from +z below which matter stays, if the box is high enough, radians.
+/// Angle from +z below which nothing moves, if the box is high enough, radians.
 const LAST_ANGLE: f32 = 1.9;
-/// Height of the hinge above the lower face, share of the box.
+/// Height of the hinge above the lower face, as a fraction of the box.
 const HINGE: f32 = 0.15;
-/// Share of the radius inside which the opening does not fade.
+/// Fraction of the radius within which the opening does not fade.
 const RIGID: f32 = 0.75;
 
 pub(super) const KIND: Kind = Kind {
@@ -31,7 +32,7 @@ pub(super) const KIND: Kind = Kind {
     build: FieldBuilder::Formula(|c| {
         let half = c.half();
         let radius = half.x.min((1.0 - HINGE) * c.size_mm.z);
-        // What swings must not reach below the box's lower face.
+        // The swinging part must not reach below the box's lower face.
         let to_floor = (HINGE * c.size_mm.z / radius).min(1.0);
         Box::new(Seam {
             last_angle: LAST_ANGLE.min((-to_floor).acos()),
@@ -45,7 +46,7 @@ pub(super) const KIND: Kind = Kind {
 };
 
 struct Seam {
-    /// Angle from +z below which matter stays, radians.
+    /// Angle from +z below which nothing moves, radians.
     last_angle: f32,
     angle: f32,
     half_y: f32,
@@ -55,7 +56,7 @@ struct Seam {
 }
 
 impl Seam {
-    /// Opening to each side at a radius and a place along the seam, radians.
+    /// Opening to each side at a radius and a position along the seam, radians.
     fn opening(&self, r: f32, y: f32) -> f32 {
         self.angle * (1.0 - smoothstep(RIGID * self.radius, self.radius, r)) * window(y, self.half_y, 0.8)
     }

@@ -1,32 +1,32 @@
-//! Settings of kinds that are not sliders: how each is written, and what cannot be one.
+//! Settings of kinds that are not sliders: their format, and their validation.
 
 use crate::deform::Argument;
 use crate::deform::argument::whole;
 
-/// A named setting that is no number of the kind.
+/// A named non-numeric setting of a kind.
 pub struct Setting {
-    /// What people type.
+    /// Name as typed.
     pub name: &'static str,
-    /// How it is written.
+    /// Its format.
     pub form: SettingFormat,
-    /// What it is and what it is by default, one line for lists.
+    /// Its meaning and default, one line for lists.
     pub about: &'static str,
 }
 
-/// How a setting is written.
+/// The format of a setting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SettingFormat {
-    /// `true` or `false`, which is the default.
+    /// `true` or `false`; the default is `false`.
     Flag,
-    /// One of some words, of which the first is the default.
+    /// One of these words; the first is the default.
     Choice(&'static [&'static str]),
-    /// One of some words, or nothing.
+    /// One of these words, or nothing.
     OneOf(&'static [&'static str]),
     /// One number.
     Number,
-    /// Whole numbers from 0 on.
+    /// Non-negative integers.
     Whole,
-    /// Rows of so many numbers.
+    /// Rows of this many numbers.
     Rows(usize),
     /// The same, or a `.csv` file of them.
     RowsOrFile(usize),
@@ -34,15 +34,15 @@ pub enum SettingFormat {
     File,
     /// A file, or several.
     Files,
-    /// Any words.
+    /// Any text.
     Words,
 }
 
 impl Setting {
-    /// What a text that was typed for it comes to; none of an empty one, which is the default.
+    /// Parses a typed text; none for an empty one, which means the default.
     ///
     /// # Errors
-    /// What is wrong with the text and what to write instead, in one line.
+    /// The problem with the text and what to write instead, in one line.
     pub fn parse(&self, text: &str) -> Result<Option<Argument>, String> {
         let text = text.trim();
         if text.is_empty() {
@@ -89,7 +89,7 @@ impl Setting {
         Ok(Some(argument))
     }
 
-    /// The files that a value of it names.
+    /// The files named by a value.
     pub fn files<'a>(&self, argument: &'a Argument) -> Vec<&'a str> {
         match (self.form, argument) {
             (SettingFormat::File | SettingFormat::Files | SettingFormat::RowsOrFile(_), Argument::Text(file)) => vec![file],
@@ -129,7 +129,7 @@ mod tests {
         assert_eq!(of(SettingFormat::Files).files(&files), ["a.mat", "b.nii"]);
     }
 
-    /// Every word that a kind's list offers is one that the kind takes.
+    /// Every word that a kind offers is accepted by it.
     #[test]
     fn every_choice_is_taken() {
         for kind in crate::deform::kinds::list() {

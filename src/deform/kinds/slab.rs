@@ -1,8 +1,10 @@
-//! Slab separation: matter is cut across z into slabs of equal thickness that spread apart, periodically (\[DDM06\] fig 6).
+//! Slab separation: the volume is cut across z into slabs of equal thickness that spread apart
+//! periodically (\[DDM06\] fig 6).
 //!
-//! The slabs keep their shape; in a gap, D continues from the slab below to the one above without a jump (both end at the same
-//! source plane), so the map is continuous and the mask alone says where the gaps are. What lies beyond the last gap moves with it:
-//! the box should enclose the matter, with room for the spread.
+//! The slabs keep their shape. In a gap, D continues from the slab below to the one above without a
+//! jump (both end at the same source plane); the map is continuous, and only the mask marks the
+//! gaps. Everything beyond the last gap moves with it: the box should enclose the object, with room
+//! for the spread.
 
 use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, GapResolution, Kind, Parameter};
 use glam::Vec3;
@@ -43,7 +45,7 @@ struct Slab {
 impl Field for Slab {
     fn backward(&self, q: Vec3) -> Backward {
         let (t, g) = (self.thickness, self.gap);
-        // The anchor is in the middle of a slab; gaps lie above and below it alternately.
+        // The anchor is in the middle of a slab; gaps alternate above and below it.
         let z = q.z - self.fixed_z + t / 2.0;
         let n = (z / (t + g)).floor();
         let within = z - n * (t + g);

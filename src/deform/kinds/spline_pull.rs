@@ -1,8 +1,10 @@
-//! The pull of \[RVD01\] section 3.2: a displacement along z that is a tensor product of quadratic B-splines over the box.
+//! The pull of \[RVD01\] section 3.2: a displacement along z that is a tensor product of quadratic
+//! B-splines over the box.
 //!
-//! Across, the splines' support is the box. Along z the peak lies a third of the way up: the lower side is a spline whose support ends
-//! at the lower face, the upper side has twice that support, as of elastic matter that is squeezed ahead of the pull. The product vanishes
-//! on all six faces. Along z the inverse is one monotone equation.
+//! Across z, the splines' support is the box. Along z the peak lies a third of the way up: the
+//! lower side is a spline whose support ends at the lower face, and the upper side has twice that
+//! support, like elastic material squeezed ahead of the pull. The product vanishes on all six
+//! faces. Along z the inverse is one monotone equation.
 
 use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter, solve_rising};
 use glam::Vec3;
@@ -22,7 +24,7 @@ pub(super) const KIND: Kind = Kind {
     build: FieldBuilder::Formula(|c| Box::new(SplinePull { amount: c.value("amount") * c.progress, half: c.half() })),
 };
 
-/// A uniform quadratic B-spline scaled to the support (-1, 1) and to 1 at its peak.
+/// A uniform quadratic B-spline scaled to the support (-1, 1) and a peak of 1.
 fn spline(x: f32) -> f32 {
     let t = 1.5 * x.abs();
     if t < 0.5 {

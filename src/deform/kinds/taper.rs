@@ -1,4 +1,5 @@
-//! Taper and shear: linear in x and y, by the height above the box's lower face (Barr 1984; \[GG42\]). Both inverses are exact.
+//! Taper and shear: linear in x and y, depending on the height above the box's lower face (Barr
+//! 1984; \[GG42\]). Both inverses are exact.
 
 use super::{Backward, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter};
 use glam::Vec3;

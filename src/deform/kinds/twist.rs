@@ -1,7 +1,8 @@
-//! Twist about the box's z axis: nothing at the lower face, the full angle at the upper one, fading out towards the rim.
+//! Twist about the box's z axis: zero at the lower face, the full angle at the upper one, fading
+//! towards the rim.
 //!
-//! Height and radius do not change, so the inverse is the twist by the opposite angle, exactly (not the negated displacement that
-//! \[DS07\] prints), and volume is preserved: det J = 1.
+//! Height and radius are preserved, hence the inverse is exactly the twist by the opposite angle
+//! (not the negated displacement that \[DS07\] prints), and volume is preserved: det J = 1.
 
 use super::{Backward, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter, window};
 use glam::{Vec2, Vec3, Vec3Swizzles};

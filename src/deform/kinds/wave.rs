@@ -1,7 +1,8 @@
-//! Waves: matter rises and falls along z with the distance from the box's axis (\[GG42\]'s radial wave as a volume map) or with x (planar).
+//! Waves: the volume rises and falls along z with the distance from the box's axis (\[GG42\]'s
+//! radial wave as a volume map) or with x (planar).
 //!
-//! The displacement fades to nothing at the box's faces; along z the fade makes the map z' = z + a(r) w(z'), whose inverse is a
-//! monotone equation in one unknown.
+//! The displacement fades to zero at the box's faces; along z the fade makes the map z' = z + a(r)
+//! w(z'), whose inverse is a monotone equation in one unknown.
 
 use super::{
     Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter, solve_rising,
@@ -9,9 +10,9 @@ use super::{
 };
 use glam::{Vec3, Vec3Swizzles};
 
-/// Share of the half height over which the displacement fades at both ends.
+/// Fraction of the half height over which the displacement fades at both ends.
 const FADE_Z: f32 = 0.5;
-/// Share of the radius over which it fades at the rim.
+/// Fraction of the radius over which it fades at the rim.
 const FADE_R: f32 = 0.3;
 
 const PARAMETERS: &[Parameter] = &[
@@ -57,7 +58,7 @@ struct Wave {
     wave_number: f32,
     phase: f32,
     half: Vec3,
-    /// By the distance from the axis, else by x.
+    /// Depends on the distance from the axis, else on x.
     radial: bool,
 }
 
@@ -83,7 +84,8 @@ impl Field for Wave {
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
-        // The fade's steepest slope is 1.5/(half_z/2); the amplitude's range keeps 1 - rise·slope positive.
+        // The fade's steepest slope is 1.5/(half_z/2); the amplitude's range keeps 1 - rise·slope
+        // positive.
         let rise = self.rise(q);
         let reach = rise.abs() + 1.0;
         Some(Vec3::new(q.x, q.y, solve_rising(q.z, q.z - reach, q.z + reach, |z| self.source_z(rise, z))))

@@ -7,7 +7,7 @@ use std::path::Path;
 
 const LPS_FROM_RAS: DMat3 = DMat3::from_diagonal(DVec3::new(-1.0, -1.0, 1.0));
 
-/// Tells the formats apart by name, then by content.
+/// Recognises the format by name, then by content.
 pub(super) fn read(path: &Path, name: &str, text: &str, context: &TransformContext) -> Result<Transform> {
     if name.ends_with(".lta") || text.lines().any(|l| l.trim_start().starts_with("nxforms")) {
         return lta(path, text);
@@ -98,7 +98,7 @@ fn lta(path: &Path, text: &str) -> Result<Transform> {
         };
         let spacing = get("voxelsize")?;
         let linear = DMat3::from_cols(get("xras")? * spacing.x, get("yras")? * spacing.y, get("zras")? * spacing.z);
-        // cras is the place of the voxel (n/2, n/2, n/2).
+        // cras is the position of the voxel (n/2, n/2, n/2).
         Ok(DAffine3 { matrix3: linear, translation: get("cras")? - linear * (get("volume")? / 2.0) })
     };
     let dst_from_src = match kind {

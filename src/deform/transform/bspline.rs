@@ -1,18 +1,21 @@
-//! ITK's B-spline transform: a displacement made of cubic B-splines on a coarse grid of coefficients (Rueckert et al. 1999).
+//! ITK's B-spline transform: a displacement made of cubic B-splines on a coarse grid of
+//! coefficients (Rueckert et al. 1999).
 
 use crate::volume::GridGeometry;
 use glam::{DAffine3, DVec3, Vec3};
 
-/// Coefficients on their grid. Where the 4x4x4 coefficients around a point are not all there, nothing moves, as ITK has it.
+/// Coefficients on their grid. As in ITK, nothing moves where the 4x4x4 coefficients around a point
+/// are incomplete.
 pub struct BSplineGrid {
-    /// The coefficients' grid.
+    /// The grid of the coefficients.
     pub grid: GridGeometry,
     /// Displacement coefficients, LPS mm, i fastest.
     pub coefficients: Vec<Vec3>,
     voxel_from_world: DAffine3,
 }
 
-/// Cubic B-spline weights of the four coefficients around a point at fraction `t` behind the second.
+/// Cubic B-spline weights of the four coefficients around a point at fraction `t` after the second
+/// one.
 pub(crate) fn cubic_weights(t: f64) -> [f64; 4] {
     let u = 1.0 - t;
     [u * u * u / 6.0, (4.0 - 6.0 * t * t + 3.0 * t * t * t) / 6.0, (4.0 - 6.0 * u * u + 3.0 * u * u * u) / 6.0, t * t * t / 6.0]
@@ -30,7 +33,7 @@ impl BSplineGrid {
         let v = self.voxel_from_world.transform_point3(p);
         let [nx, ny, nz] = self.grid.size;
         let top = DVec3::new(nx as f64 - 2.0, ny as f64 - 2.0, nz as f64 - 2.0);
-        // Points on the region's faces stay inside whatever the transform rounds.
+        // Points on the region's faces stay inside despite the rounding of the transform.
         if v.cmplt(DVec3::splat(1.0 - 1e-9)).any() || v.cmpgt(top + 1e-9).any() {
             return p;
         }
@@ -50,7 +53,8 @@ impl BSplineGrid {
         p + sum
     }
 
-    /// A grid fine enough to sample the splines on, over the region where all their coefficients are there.
+    /// A grid fine enough to sample the splines, over the region where all their coefficients
+    /// exist.
     pub fn fine_grid(&self) -> GridGeometry {
         let spans = self.grid.size.map(|n| n.saturating_sub(3).max(1));
         let refine = spans.map(|n| (192.0 / n as f64).clamp(4.0, 32.0).floor());

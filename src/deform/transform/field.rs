@@ -1,4 +1,5 @@
-//! A displacement on a grid of points in the world: what registration writes, and what baking and inversion work on.
+//! A displacement on a grid of points in the world: the output of registration, and the data of
+//! baking and inversion.
 
 use super::{TransformContext, fsl_from_voxel, world_from_fsl};
 use crate::math::arrays::{flat, shaped, size};
@@ -19,7 +20,7 @@ const FSL_DISPLACEMENT: i16 = 2006;
 /// Displacement vectors, source minus deformed point, LPS mm.
 #[derive(Clone)]
 pub struct VectorField {
-    /// Where the vectors lie.
+    /// Positions of the vectors.
     pub grid: GridGeometry,
     /// Vectors, of shape (k, j, i).
     pub vectors: Array3<Vec3>,
@@ -48,10 +49,11 @@ impl VectorField {
         Self::of_array(grid.world_from_voxel, vectors)
     }
 
-    /// The displacement field that an image of three components holds.
+    /// The displacement field in an image of three components.
     ///
     /// # Errors
-    /// Another number of components, vectors that are not finite, a meaning that the file does not state.
+    /// Another number of components, vectors that are not finite, or a convention that the file
+    /// does not state.
     pub fn of_image(path: &Path, image: &Image, context: &TransformContext) -> Result<Self> {
         let fail = |problem: String| Error::file(path, problem);
         if image.components != 3 {
@@ -90,7 +92,8 @@ impl VectorField {
                 if convention == "fsl" && context.moving.is_none() {
                     turned(own.matrix3)
                 } else {
-                    // The vectors lead from the reference's millimetres to the moving image's.
+                    // The vectors lead from the reference's millimetres to those of the moving
+                    // image.
                     let moving = world_from_fsl(context.moving.as_ref().unwrap_or(&grid));
                     let fsl_from_voxel = fsl_from_voxel(&grid);
                     Zip::indexed(&stated).par_map_collect(|(k, j, i), v| {
@@ -115,7 +118,8 @@ impl VectorField {
         trilinear(flat(&self.vectors), self.grid.size, voxel.as_vec3())
     }
 
-    /// The displacement at a world point. The outermost vectors hold to the faces of their voxels; nothing moves beyond, as ITK has it.
+    /// The displacement at a world point. As in ITK, the outermost vectors apply up to the faces of
+    /// their voxels, and nothing moves outside.
     pub fn displacement(&self, p: DVec3) -> Vec3 {
         let v = self.voxel_from_world(p);
         let top = DVec3::from_array(self.grid.size.map(|n| n as f64 - 0.5));
@@ -130,7 +134,8 @@ impl VectorField {
         p + self.displacement(p).as_dvec3()
     }
 
-    /// d source / d deformed at a voxel, by central differences of the grid (one-sided at its faces).
+    /// d source / d deformed at a voxel, by central differences of the grid (one-sided at its
+    /// faces).
     pub fn jacobian(&self, i: usize, j: usize, k: usize) -> DMat3 {
         let [nx, ny, nz] = self.grid.size;
         let at = |c: [usize; 3]| self.vectors[[c[2], c[1], c[0]]].as_dvec3();

@@ -1,6 +1,8 @@
-//! ITK's transform files: text (`.tfm`, `.txt`), MATLAB level 4 (`.mat`, what ANTs writes for affines) and, as a feature, HDF5 (`.h5`).
+//! ITK's transform files: text (`.tfm`, `.txt`), MATLAB level 4 (`.mat`, as ANTs writes affines)
+//! and, as a feature, HDF5 (`.h5`).
 //!
-//! A composite's transforms are applied last first (itk::CompositeTransform); in our order the file's last is the first step.
+//! A composite's transforms are applied last first (itk::CompositeTransform); here the last one in
+//! the file is the first step.
 
 use super::{BSplineGrid, Transform, TransformStep, VectorField};
 use crate::volume::GridGeometry;
@@ -76,7 +78,7 @@ fn about(m: DMat3, center: DVec3, translation: DVec3) -> TransformStep {
     TransformStep::Affine(DAffine3 { matrix3: m, translation: translation + center - m * center })
 }
 
-/// Size, origin, spacing and direction as ITK's fixed parameters of grids have them.
+/// Size, origin, spacing and direction from ITK's fixed parameters of grids.
 fn grid(path: &Path, fixed: &[f64]) -> Result<GridGeometry> {
     let bad = || Error::file(path, "has a grid whose fixed parameters cannot be used; it is damaged");
     if fixed.len() < 18 || fixed.iter().any(|v| !v.is_finite()) {
@@ -123,7 +125,7 @@ fn step(path: &Path, entry: &ItkTransform) -> Result<TransformStep> {
         "Euler3DTransform" => {
             needs(6, 3)?;
             let [x, y, z] = [DMat3::from_rotation_x(p[0]), DMat3::from_rotation_y(p[1]), DMat3::from_rotation_z(p[2])];
-            // The fourth fixed parameter asks for the order ZYX instead of ZXY.
+            // The fourth fixed parameter selects the order ZYX instead of ZXY.
             let rotation = if f.get(3).is_some_and(|&v| v != 0.0) { z * y * x } else { z * x * y };
             about(rotation, vec3(f), vec3(&p[3..]))
         }
@@ -203,11 +205,11 @@ pub(super) fn read_matlab(path: &Path, bytes: &[u8]) -> Result<Option<Transform>
     }
 }
 
-/// Reads an HDF5 transform, composite or not.
+/// Reads an HDF5 transform, composite or single.
 #[cfg(feature = "hdf5")]
 pub(super) fn read_hdf5(path: &Path) -> Result<Transform> {
     let fail = |what: &str, e: String| Error::file(path, format!("{what} could not be read: {e}"));
-    // An ordinary file, and noted as read.
+    // Checks that it is a regular file, and records it as an input.
     crate::files::input::open(path)?;
     let file = hdf5_pure::File::open(path).map_err(|e| fail("the file", e.to_string()))?;
     let mut entries = Vec::new();

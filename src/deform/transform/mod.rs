@@ -1,18 +1,19 @@
-//! Spatial transforms as registration programs write them: affine matrices, displacement fields, B-spline grids, and chains of them.
+//! Spatial transforms as written by registration programs: affine matrices, displacement fields,
+//! B-spline grids, and chains of them.
 //!
-//! A registration's transform maps a point of the *fixed* image (the picture that comes out) to the point of the *moving* image that is
-//! seen there: exactly a source from a deformed point. Everything is turned to patient LPS millimetres on reading; vectors turn
-//! with the axes.
+//! A registration's transform maps a point of the *fixed* image (the output) to the point of the
+//! *moving* image shown there, that is, a deformed point to its source. Everything is converted to
+//! patient LPS millimetres on reading; vectors are rotated with the axes.
 //!
 //! | format | direction in the file | space | read as |
 //! |---|---|---|---|
-//! | ITK `.tfm`, `.txt`, `.mat` (MATLAB 4, as ANTs writes) | fixed to moving | LPS | as it is |
-//! | AFNI `.1D`, `.aff12.1D`, `.afni` | base to source | LPS ("DICOM order") | as it is |
+//! | ITK `.tfm`, `.txt`, `.mat` (MATLAB 4, as ANTs writes) | fixed to moving | LPS | unchanged |
+//! | AFNI `.1D`, `.aff12.1D`, `.afni` | base to source | LPS ("DICOM order") | unchanged |
 //! | FreeSurfer `.lta` | `src` to `dst`, `src` being the moving image | RAS, or voxels | inverted |
 //! | FSL `.mat`, `.fsl` | moving to reference | millimetres from the first voxel, x flipped where the axes are right-handed | inverted; needs both grids |
-//! | NIfTI vectors, intent 1007 (ITK, ANTs) / 1006 | fixed to moving | LPS / RAS | as it is |
+//! | NIfTI vectors, intent 1007 (ITK, ANTs) / 1006 | fixed to moving | LPS / RAS | unchanged |
 //! | NIfTI, intent 2006 (FSL) | reference to moving, relative or absolute | as FSL's matrices | vectors along the grid's axes, or exactly with the moving grid |
-//! | NRRD, MetaImage vectors | fixed to moving | the file's | as it is |
+//! | NRRD, MetaImage vectors | fixed to moving | the file's | unchanged |
 
 mod affine_files;
 mod bspline;
@@ -32,34 +33,36 @@ use std::path::Path;
 
 /// One step of a chain.
 pub enum TransformStep {
-    /// Everywhere the same.
+    /// The same everywhere.
     Affine(DAffine3),
-    /// A displacement on a grid; nothing moves beyond it.
+    /// A displacement on a grid; nothing moves outside it.
     Field(VectorField),
     /// Cubic B-splines on a coarse grid.
     BSpline(BSplineGrid),
 }
 
-/// Steps that carry a deformed point to its source, first step first.
+/// Steps that carry a deformed point to its source, in order.
 pub struct Transform {
     /// The steps.
     pub steps: Vec<TransformStep>,
-    /// What was odd about the files, one sentence each.
+    /// Irregularities of the files, one sentence each.
     pub warnings: Vec<String>,
 }
 
-/// What a file does not say about itself.
+/// Information that a file lacks.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct TransformContext<'a> {
-    /// The image that is deformed: FSL's moving image.
+    /// The deformed image: FSL's moving image.
     pub moving: Option<GridGeometry>,
-    /// The grid of the picture that comes out: FSL's reference image.
+    /// The grid of the output: FSL's reference image.
     pub reference: Option<GridGeometry>,
-    /// How vectors are meant, where the file does not say or says it wrong: `lps`, `ras`, `fsl`, `fsl-absolute`.
+    /// The convention of the vectors, where the file does not state it or states it wrongly: `lps`,
+    /// `ras`, `fsl`, `fsl-absolute`.
     pub convention: Option<&'a str>,
 }
 
-/// FSL's millimetres from voxels: spacing, and x counted from the other end where the voxel axes are right-handed.
+/// FSL's millimetres from voxels: spacing, with x measured from the other end where the voxel axes
+/// are right-handed.
 fn fsl_from_voxel(grid: &GridGeometry) -> DAffine3 {
     let m = grid.world_from_voxel.matrix3;
     let spacing = DVec3::new(m.x_axis.length(), m.y_axis.length(), m.z_axis.length());
@@ -83,10 +86,11 @@ impl Transform {
         Self { steps: vec![TransformStep::Affine(source_from_deformed)], warnings: Vec::new() }
     }
 
-    /// Reads a transform of any of the formats above.
+    /// Reads a transform in any of the formats above.
     ///
     /// # Errors
-    /// A file that cannot be read, is of another type, or lacks what it needs to be understood; each named with what to do.
+    /// A file that cannot be read, has another format, or lacks required information; the message
+    /// states the remedy.
     pub fn load(path: &Path, context: &TransformContext) -> Result<Self> {
         let name = path.file_name().map(|n| n.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
         let ends = |endings: &[&str]| endings.iter().any(|e| name.ends_with(e));
@@ -123,7 +127,7 @@ impl Transform {
         })
     }
 
-    /// The transform that goes through `self` first and then through `next`.
+    /// The transform that applies `self` first and then `next`.
     pub fn then(mut self, next: Self) -> Self {
         self.steps.extend(next.steps);
         self.warnings.extend(next.warnings);
@@ -149,7 +153,7 @@ impl Transform {
         grids.max_by_key(|g| g.size.iter().product::<usize>())
     }
 
-    /// Whether every step is affine; then the whole is.
+    /// The whole transform as one affine, if every step is affine.
     pub fn as_affine(&self) -> Option<DAffine3> {
         self.steps.iter().try_fold(DAffine3::IDENTITY, |all, s| match s {
             TransformStep::Affine(m) => Some(*m * all),

@@ -574,7 +574,7 @@ mod tests {
         let drag = gizmo.grab(Handle::Ring(2), center + vec2(70.0, 0.0));
         let moved = gizmo.dragged(&drag, center + vec2(0.0, -70.0)).unwrap();
         // Superior view, with the front of the patient at the top: right on the screen is -x, up is
-        // -y. Counter-clockwise on the screen is from -x to -y: +90 about z.
+        // -y. Counter-clockwise on the screen turns -x towards -y: +90 about z.
         let z = moved.rotate.unwrap()[2];
         assert!((z - 90.0).abs() < 1.0, "{:?}", moved.rotate);
     }

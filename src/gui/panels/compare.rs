@@ -1,4 +1,5 @@
-//! Two renderers of the same scene from the same camera: side by side, under a wiper, or as their difference; with numbers.
+//! Two renderers of the same scene from the same camera: side by side, with a wipe, or as their
+//! difference; with metrics.
 
 use crate::compare::{difference, difference_picture};
 use crate::engine::Quality;
@@ -16,10 +17,10 @@ use eframe::egui::{self, Align2, Color32, ColorImage, Context, PointerButton, Re
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Pictures are asked for when nothing has changed for this long, seconds.
+/// Pictures are requested after this time without a change, seconds.
 const REST: f64 = 0.2;
 
-/// A difference is enlarged so much to be seen.
+/// Amplification of the displayed difference.
 const AMPLIFY: f32 = 8.0;
 
 impl Workstation {
@@ -40,7 +41,7 @@ impl Workstation {
         self.compare_numbers(ctx);
     }
 
-    /// Works out how far the pair is apart, elsewhere: it takes as long as a frame.
+    /// Computes the difference of the pair on another thread: it takes about as long as a frame.
     fn compare_numbers(&mut self, ctx: &Context) {
         let panel = &mut self.compare;
         let pair = (panel.results[0].serial, panel.results[1].serial);
@@ -73,7 +74,7 @@ impl Workstation {
         });
     }
 
-    /// Asks for the pair once the scene rests.
+    /// Requests the pair once the scene is at rest.
     pub(in crate::gui) fn refresh_compare(&mut self) {
         if !std::mem::take(&mut self.compare.was_drawn) || self.compare.pane[0] < 16 {
             return;
@@ -92,7 +93,7 @@ impl Workstation {
             return;
         }
         let pending: Vec<usize> = (0..2).filter(|n| !same_assets || panel.requested[*n].as_deref().is_none_or(|a| *a != wanted[*n])).collect();
-        // While something is dragged the last pair stays.
+        // During a drag the last pair is kept.
         if self.gesture.is_some() {
             self.compare.changed_at = Instant::now();
             return;
@@ -146,7 +147,8 @@ impl Workstation {
         }
     }
 
-    /// Both sides' settings, the arrangement and the numbers; says whether the report is to be exported.
+    /// Shows both sides' settings, the arrangement and the metrics; returns whether to export the
+    /// report.
     fn show_compare_settings(&mut self, ui: &mut Ui) -> bool {
         let mut export = false;
         egui::Frame::NONE.inner_margin(egui::Margin::symmetric(8, 4)).show(ui, |ui| {
@@ -241,7 +243,8 @@ fn show_side_settings(ui: &mut Ui, n: usize, label: &str, side: &mut ComparisonS
 }
 
 impl ComparePanel {
-    /// Takes note of where the pictures are shown and how large they have to be; gives the place of the first.
+    /// Records the position and the required size of the pictures; returns the rectangle of the
+    /// first.
     fn place_panes(&mut self, rect: Rect, pixels_per_point: f32) -> Rect {
         let pane = if self.arrangement == Arrangement::Split {
             Rect::from_min_size(rect.min, vec2((rect.width() / 2.0 - 1.0).max(16.0), rect.height()))
@@ -257,7 +260,7 @@ impl ComparePanel {
         pane
     }
 
-    /// Takes note of which pictures are behind the scene.
+    /// Updates which pictures are out of date.
     fn note_delays(&mut self) {
         for n in 0..2 {
             let current = self.is_current(n) && self.results[n].delay.failure.is_none();
@@ -265,7 +268,7 @@ impl ComparePanel {
         }
     }
 
-    /// One side's picture. The title and the veil are those of the picture that is there.
+    /// Draws one side's picture. Title and dimming are those of the displayed picture.
     fn draw_side(&self, n: usize, painter: &egui::Painter, place: Rect, at: egui::Pos2, align: Align2) {
         let result = &self.results[n];
         let there = result.texture.as_ref().zip(result.side);
@@ -278,7 +281,7 @@ impl ComparePanel {
         }
     }
 
-    /// Both pictures beside each other.
+    /// Draws the pictures side by side.
     fn draw_split(&self, painter: &egui::Painter, pane: Rect) {
         for n in 0..2 {
             let place = pane.translate(vec2(n as f32 * (pane.width() + 2.0), 0.0));
@@ -286,7 +289,7 @@ impl ComparePanel {
         }
     }
 
-    /// One picture left of the wiper, the other right of it.
+    /// Draws one picture left of the wipe line, the other right of it.
     fn draw_swipe(&self, painter: &egui::Painter, rect: Rect) {
         let x = rect.left() + self.swipe * rect.width();
         let left = painter.with_clip_rect(Rect::from_min_max(rect.min, pos2(x, rect.bottom())));
@@ -297,7 +300,7 @@ impl ComparePanel {
         painter.circle(pos2(x, rect.center().y), 7.0, theme::SELECTED, Stroke::new(2.0, Color32::from_black_alpha(200)));
     }
 
-    /// The difference, enlarged, under the veil of a side that failed or is behind.
+    /// Draws the amplified difference, dimmed if a side failed or is out of date.
     fn draw_difference(&self, painter: &egui::Painter, rect: Rect) {
         if let Some(texture) = &self.difference_texture {
             shown::image(painter, texture, rect);

@@ -4,17 +4,17 @@ use crate::gui::state::Workstation;
 use crate::gui::state::files::{ClipForm, ClipMotion, Dialog, LARGEST_PICTURE, NextStep, PictureForm};
 use eframe::egui::{self, Context, DragValue, Id, Modal, RichText, Slider, Ui};
 
-/// What a dialog decided.
+/// The decision made in a dialog.
 enum Decision {
-    /// It stays open.
+    /// The dialog stays open.
     Open,
-    /// It is closed.
+    /// The dialog closes.
     Close,
-    /// It is closed, and this is done.
+    /// The dialog closes, and an action follows.
     Do(DialogAction),
 }
 
-/// What is done after a dialog.
+/// An action after a dialog.
 type DialogAction = Box<dyn FnOnce(&mut Workstation, &Context)>;
 
 fn then(f: impl FnOnce(&mut Workstation, &Context) + 'static) -> Decision {
@@ -22,7 +22,7 @@ fn then(f: impl FnOnce(&mut Workstation, &Context) + 'static) -> Decision {
 }
 
 impl Workstation {
-    /// The open dialog, and the file dialog over it.
+    /// Shows the open dialog, and the file dialog over it.
     pub(in crate::gui) fn show_dialogs(&mut self, ctx: &Context) {
         self.show_files(ctx);
         let Some(mut dialog) = self.dialog.take() else { return };
@@ -39,7 +39,7 @@ impl Workstation {
                 Dialog::SaveMap { name, stack } => save_map(ui, name, *stack),
             }
         });
-        // A question about lost work is answered, not clicked away.
+        // A question about possible loss of work must be answered and cannot be dismissed.
         let must = matches!(dialog, Dialog::Unsaved(_) | Dialog::Recover(_));
         match modal.inner {
             Decision::Open if modal.should_close() && !must => {}
@@ -176,7 +176,8 @@ fn recover(ui: &mut Ui, left: &[crate::gui::state::session::Recovered]) -> Decis
             if ui.button("Recover").clicked() {
                 let one = one.clone();
                 decision = then(move |app, ctx| {
-                    // Its file stays until the recovered scene has an automatic save of its own.
+                    // Its file is retained until the recovered scene has an automatic save of its
+                    // own.
                     app.after(ctx, NextStep::Recover(one.file, one.original));
                 });
             }

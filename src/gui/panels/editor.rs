@@ -1,5 +1,5 @@
-//! The editor of displacement maps: paint, place primitives, set control points, save to the library and use again (what \[DDM06\] section 9 left
-//! to do).
+//! The editor of displacement maps: paint, place primitives, set control points, save to the
+//! library and reuse (future work in \[DDM06\] section 9).
 
 use super::{heading, tool_button};
 use crate::deform::{Argument, compose};
@@ -88,11 +88,11 @@ impl Workstation {
         }
     }
 
-    /// An empty set of control points over all of the scene.
+    /// Adds an empty set of control points over the whole scene.
     fn add_control_points(&mut self) {
         let Some(doc) = &mut self.doc else { return };
         let mut d = Deformation::new("points");
-        // Something that stays in place, so that the first point to be dragged has a neighbour.
+        // A point that stays in place, so that the first point to be dragged has a neighbour.
         let c = tidy(doc.bounds().center());
         d.parameters.insert("pairs", Argument::Numbers([c, c].concat()));
         doc.add(d);
@@ -118,7 +118,7 @@ impl Workstation {
             });
         }
         if let Some(path) = remove {
-            // A scene may still name it: it is kept aside, not destroyed.
+            // A scene may still refer to it, so it is renamed rather than deleted.
             let aside = path.with_extension("nrrd.removed");
             if let Err(e) = std::fs::rename(&path, &aside) {
                 self.report_error(&crate::Error::io(&path, "removing", e));
@@ -126,7 +126,7 @@ impl Workstation {
         }
     }
 
-    /// Adds a map of the library, as large against this scene as it was against its own.
+    /// Adds a map from the library, centred and rescaled if its placement does not suit this scene.
     pub fn use_map(&mut self, ctx: &Context, path: &Path) {
         let path = path.to_owned();
         self.start(ctx, "Reading a map", move |watch| {
@@ -138,7 +138,8 @@ impl Workstation {
                 let mut d = Deformation::new("map");
                 d.name = path.file_stem().map(|s| s.to_string_lossy().into_owned());
                 d.parameters.insert("path", text_of(&path).as_str());
-                // Where it lies inside the scene it stays; else it is centred and made to fit.
+                // A map whose centre lies in the scene and whose size is comparable keeps its
+                // placement; otherwise it is centred and scaled to fit.
                 let own = placement.world_from_map.transform_point3(glam::Vec3::splat(0.5));
                 let inside = own.cmpge(bounds.min).all() && own.cmple(bounds.max).all();
                 let size = placement.size_mm();

@@ -1,4 +1,5 @@
-//! Everything about what is selected, as numbers with their units. A double-click on a name takes its value back to the default.
+//! All properties of the selection, as numbers with their units. A double-click on a name resets
+//! its value to the default.
 
 use super::{heading, icon_button};
 use crate::deform::kinds::{DefaultSize, Kind, Setting, SettingFormat, Unit};
@@ -18,7 +19,7 @@ use eframe::egui::{self, DragValue, RichText, Slider, Ui};
 use egui_phosphor::regular as icon;
 use std::path::Path;
 
-/// Whether a field folds, and its figures in words.
+/// Whether a field folds, and its metrics as text.
 pub fn health_words(health: &FieldQuality) -> (bool, String) {
     let folds = health.folds_percent > 0.0;
     let verdict = if folds { format!("folds at {:.2} % of points", health.folds_percent) } else { "no folds".into() };
@@ -26,13 +27,13 @@ pub fn health_words(health: &FieldQuality) -> (bool, String) {
     (folds, text)
 }
 
-/// A name that takes its value back to the default by a double-click.
+/// A name whose double-click resets its value to the default.
 fn label(ui: &mut Ui, text: &str, about: &str) -> egui::Response {
     let label = ui.add(egui::Label::new(text).sense(egui::Sense::click()));
     label.on_hover_text(format!("{about}\nDouble-click: back to the default"))
 }
 
-/// The same; whether it was asked to.
+/// The same; returns whether the reset was requested.
 fn name(ui: &mut Ui, text: &str, about: &str) -> bool {
     label(ui, text, about).double_clicked()
 }
@@ -52,7 +53,7 @@ fn three(ui: &mut Ui, values: &mut [f32; 3], speed: f32, suffix: &str, label: &s
 }
 
 impl Workstation {
-    /// What is selected.
+    /// Shows the selection.
     pub(in crate::gui) fn show_inspector(&mut self, ui: &mut Ui) {
         let selection = match &self.doc {
             Some(doc) => doc.selected,
@@ -365,7 +366,7 @@ fn show_numbers(ui: &mut Ui, d: &mut Deformation, kind: &Kind, scene_box: &crate
     }
 }
 
-/// A setting as text, and back: numbers, several of them, words.
+/// A setting as text: numbers, lists or words.
 fn setting_text(argument: Option<&Argument>) -> String {
     let joined = |v: &[f32]| v.iter().map(f32::to_string).collect::<Vec<_>>().join(", ");
     match argument {
@@ -379,16 +380,17 @@ fn setting_text(argument: Option<&Argument>) -> String {
     }
 }
 
-/// What was typed into a field and cannot be used.
+/// Invalid text typed into a field.
 #[derive(Clone)]
 struct RejectedInput {
     text: String,
     problem: String,
-    /// What the setting was then: a change of it by other means ends the matter.
+    /// The setting's value at that time: the rejection is cleared if the setting changes by other
+    /// means.
     current_text: String,
 }
 
-/// What a text comes to as a setting; files are looked for in the scene's folder.
+/// Parses the text of a setting; files are looked for in the scene's folder.
 fn typed(setting: &Setting, text: &str, folder: &Path) -> Result<Option<Argument>, String> {
     let argument = setting.parse(text)?;
     for file in argument.iter().flat_map(|a| setting.files(a)).filter(|f| !f.starts_with("phantom:")) {
@@ -402,7 +404,8 @@ fn typed(setting: &Setting, text: &str, folder: &Path) -> Result<Option<Argument
     Ok(argument)
 }
 
-/// A setting: a box to tick, a list, or a text field that is taken over when it is left. What cannot be used is refused beside it.
+/// A setting: a checkbox, a list, or a text field that is applied when it loses focus. Invalid text
+/// is rejected with the reason next to it.
 fn setting(ui: &mut Ui, d: &mut Deformation, place: usize, setting: &Setting, folder: &Path) {
     let key = setting.name;
     match setting.form {
@@ -591,7 +594,7 @@ fn show_map(ui: &mut Ui, d: &mut Deformation) {
 mod tests {
     use super::*;
 
-    /// What a field shows is what it takes.
+    /// The text that a field shows can be parsed back.
     #[test]
     fn settings_survive_their_text() {
         for (form, argument) in [

@@ -1,4 +1,4 @@
-//! Measurements: tools, the list with its numbers, labels.
+//! Measurements: tools, the list with its values, labels.
 
 use super::{heading, tool_button};
 use crate::gui::state::Workstation;
@@ -61,7 +61,8 @@ impl Workstation {
                 ui.label(RichText::new(mark).color(caution))
                     .on_hover_text("Resampling moved the slices; its points may no longer mark the same anatomy");
             }
-            // Numbers belong to the measurement they were made of, which may have changed since.
+            // Values belong to the measurement for which they were computed, which may have changed
+            // since.
             match self
                 .measured
                 .get(n)

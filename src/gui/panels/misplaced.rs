@@ -1,11 +1,12 @@
-//! A bar over the views that stays while slices are shown elsewhere than they were taken, and offers to put them right.
+//! A bar over the views, shown while slices are displayed at positions other than their true ones;
+//! it offers to resample them.
 
 use crate::gui::state::Workstation;
 use eframe::egui::{self, RichText, Ui};
 use egui_phosphor::regular as icon;
 
 impl Workstation {
-    /// The bar, where there is reason for it.
+    /// Shows the bar if it applies.
     pub(in crate::gui) fn show_misplaced(&mut self, ui: &mut Ui) {
         let Some(misplaced) = self.doc.as_ref().and_then(|d| d.assets.volume.misplaced) else { return };
         let by = misplaced.by_mm;
@@ -33,13 +34,14 @@ impl Workstation {
         }
     }
 
-    /// Has the slices interpolated onto a regular grid; what was measured before lies elsewhere in the patient then.
+    /// Resamples the slices onto a regular grid; earlier measurements may then refer to other
+    /// anatomy.
     pub fn resample(&mut self) {
         let Some(doc) = &mut self.doc else { return };
         let Some(volume) = &mut doc.scene.volume else { return };
         volume.choice.resample = true;
         for measure in &mut doc.scene.measure {
-            // What has no points is found anew in the voxels.
+            // A measurement without points is recomputed from the voxels.
             measure.before_resampling = !measure.points.is_empty();
         }
     }

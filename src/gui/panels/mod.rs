@@ -1,4 +1,5 @@
-//! Everything beside the pictures: the toolbar, the panels, the status bar, the empty window.
+//! All interface elements other than the pictures: the toolbar, the panels, the status bar, the
+//! empty window.
 
 pub mod compare;
 pub mod dialogs;
@@ -31,7 +32,7 @@ use std::sync::Arc;
 /// Edge of a thumbnail, pixels.
 const THUMBNAIL: u32 = 112;
 
-/// A button with an icon and a word, told to assistive technology by its word alone.
+/// A button with an icon and a word; assistive technology receives the word alone.
 pub fn tool_button(ui: &mut Ui, symbol: &str, word: &str, selected: bool, tip: &str) -> Response {
     let text = if symbol.is_empty() { word.to_owned() } else { format!("{symbol} {word}") };
     let response = ui.add(egui::Button::selectable(selected, text));
@@ -51,19 +52,19 @@ fn labelled(response: &Response, word: &str, selected: bool) {
     response.widget_info(|| WidgetInfo::selected(WidgetType::Button, enabled, selected, word));
 }
 
-/// A heading of a panel's part.
+/// A heading within a panel.
 pub fn heading(ui: &mut Ui, text: &str) {
     ui.add_space(4.0);
     ui.label(RichText::new(text).strong());
 }
 
 impl Workstation {
-    /// Where pictures are computed, as it was chosen.
+    /// The selected backend.
     pub fn backend(&self) -> Backend {
         self.forced_backend.unwrap_or(self.session.settings.backend)
     }
 
-    /// Asks for thumbnails once the view is at rest.
+    /// Requests thumbnails once the view is at rest.
     pub(super) fn refresh_thumbnails(&mut self) {
         let Some(doc) = &self.doc else { return };
         if !self.view.is_fine || !doc.assets.has_volume {
@@ -119,7 +120,7 @@ impl Workstation {
         }
     }
 
-    /// The bar at the top.
+    /// Shows the bar at the top.
     pub(super) fn show_toolbar(&mut self, ui: &mut Ui) {
         let ctx = ui.ctx().clone();
         egui::Panel::top("toolbar").frame(egui::Frame::NONE.fill(ui.visuals().panel_fill).inner_margin(egui::Margin::symmetric(8, 5))).show(
@@ -199,7 +200,7 @@ impl Workstation {
         );
     }
 
-    /// A kind that is armed by a click, or dragged onto the view.
+    /// A button for a kind: a click arms it, and it can be dragged onto the view.
     fn kind_button(&mut self, ui: &mut Ui, kind: &str, word: &str, wanted: &mut Vec<Action>) {
         let Ok(kind) = kinds::kind(kind) else { return };
         let tool = Tool::Place(Placed(kind));
@@ -211,7 +212,7 @@ impl Workstation {
         response.dnd_set_drag_payload(Placed(kind));
     }
 
-    /// All kinds with their pictures.
+    /// Shows all kinds with their pictures.
     fn show_kinds(&mut self, ui: &mut Ui) {
         self.thumbnails.shows_kinds = true;
         ui.set_max_width(560.0);
@@ -241,7 +242,7 @@ impl Workstation {
         }
     }
 
-    /// The menu: all groups of actions but Tool, Deform and Transfer.
+    /// Shows the menu: all groups of actions except Tool, Deform and Transfer.
     fn show_menu(&mut self, ui: &mut Ui) {
         let mut wanted = None;
         let has_scene = self.doc.is_some();
@@ -275,7 +276,7 @@ impl Workstation {
         }
     }
 
-    /// The bar at the bottom: what lies under the pointer, what is reduced, what is under way.
+    /// Shows the bar at the bottom: the point under the pointer, reductions, work in progress.
     pub(super) fn show_status(&mut self, ui: &mut Ui) {
         let ctx = ui.ctx().clone();
         egui::Panel::bottom("status").frame(egui::Frame::NONE.fill(ui.visuals().panel_fill).inner_margin(egui::Margin::symmetric(10, 4))).show(
@@ -354,7 +355,7 @@ impl Workstation {
         ui.separator();
     }
 
-    /// Chooses where pictures are computed.
+    /// Selects the backend.
     pub fn set_backend(&mut self, backend: Backend) {
         self.forced_backend = None;
         self.session.settings.backend = backend;
@@ -412,7 +413,7 @@ impl Workstation {
         ui.separator();
     }
 
-    /// The window without a scene.
+    /// Shows the window without a scene.
     pub(super) fn show_empty(&mut self, ui: &mut Ui) {
         let ctx = ui.ctx().clone();
         if let Some(loading) = &self.loading {
@@ -496,7 +497,7 @@ impl Workstation {
         }
     }
 
-    /// Messages.
+    /// Shows the messages.
     pub(super) fn show_log(&mut self, ui: &mut Ui) {
         ui.horizontal(|ui| {
             if ui.button("Copy all").clicked() {
@@ -526,7 +527,7 @@ impl Workstation {
         }
     }
 
-    /// The selected thing, in words.
+    /// The name of the selection.
     pub fn selection_words(&self) -> String {
         let Some(doc) = &self.doc else { return String::new() };
         match doc.selected {
@@ -564,7 +565,7 @@ pub fn gallery_item(ui: &mut Ui, texture: Option<&TextureHandle>, symbol: &str, 
     response
 }
 
-/// A word that fits a width.
+/// A word truncated to a width.
 fn shortened(ui: &Ui, word: &str, width: f32) -> String {
     let mut chars: Vec<char> = word.chars().collect();
     while chars.len() > 1 {

@@ -4,13 +4,13 @@ use crate::gui::state::Workstation;
 use crate::gui::state::action::{self, Action};
 use eframe::egui::{self, Align2, Context, Key, RichText, vec2};
 
-/// How well a label answers a query: all its words must be found; lower is better.
+/// How well a label matches a query: all its words must occur; lower is better.
 fn rank(label: &str, query: &str) -> Option<usize> {
     let label = label.to_lowercase();
     let mut sum = 0;
     for word in query.to_lowercase().split_whitespace() {
         let at = label.find(word)?;
-        // Beginnings of words count more.
+        // A match at the beginning of a word ranks higher.
         let start = at == 0 || !label.as_bytes()[at - 1].is_ascii_alphanumeric();
         sum += at + if start { 0 } else { 50 };
     }
@@ -18,7 +18,7 @@ fn rank(label: &str, query: &str) -> Option<usize> {
 }
 
 impl Workstation {
-    /// The palette, if it is open.
+    /// Shows the palette, if it is open.
     pub(in crate::gui) fn show_palette(&mut self, ctx: &Context) {
         let Some(mut palette) = self.palette.take() else { return };
         let mut found: Vec<(usize, usize)> = self
@@ -100,7 +100,8 @@ impl Workstation {
         }
     }
 
-    /// The list of keys, if it is open: the word of the action that waits for its new key, or none.
+    /// Shows the list of keys, if it is open. `keys_open` holds the label of the action that waits
+    /// for its new key, or is empty.
     pub(in crate::gui) fn show_keys(&mut self, ctx: &Context) {
         let Some(mut waiting) = self.keys_open.take() else { return };
         let mut open = true;
@@ -122,7 +123,7 @@ impl Workstation {
                     pressed.shift = modifiers.shift;
                     let shortcut = egui::KeyboardShortcut::new(pressed, key);
                     let text = action::key_text(&shortcut);
-                    // A key does one thing: whoever had it has none now.
+                    // A key has one action: the previous owner loses it.
                     for entry in &self.entries {
                         if entry.label != waiting && entry.key == Some(shortcut) {
                             self.session.settings.keys.insert(entry.label.clone(), String::new());

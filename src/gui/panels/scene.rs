@@ -14,11 +14,11 @@ pub fn title_of(d: &Deformation) -> String {
     d.name.clone().filter(|n| !n.is_empty()).unwrap_or_else(|| words(&d.kind))
 }
 
-/// The place of a deformation that is dragged.
+/// The index of a dragged deformation.
 #[derive(Clone, Copy)]
 struct Dragged(usize);
 
-/// A row of the tree: a name to select, and room for buttons at its right end.
+/// A row of the tree: a name to select, with buttons at its right end.
 fn row(ui: &mut Ui, selected: bool, text: RichText, label: &str, buttons: impl FnOnce(&mut Ui)) -> egui::Response {
     let height = 24.0;
     let (rect, response) = ui.allocate_exact_size(vec2(ui.available_width(), height), Sense::click_and_drag());
@@ -36,17 +36,17 @@ fn row(ui: &mut Ui, selected: bool, text: RichText, label: &str, buttons: impl F
     response
 }
 
-/// What was clicked in the tree.
+/// The clicked item of the tree.
 #[derive(Default)]
 struct Clicked {
-    /// What is to be selected.
+    /// The item to select.
     selection: Option<Selection>,
-    /// What is to be done, and to which row.
+    /// The action, and the row it applies to.
     action: Option<(Selection, Action)>,
 }
 
 impl Workstation {
-    /// The tree.
+    /// Shows the tree.
     pub(in crate::gui) fn show_scene(&mut self, ui: &mut Ui) {
         let Some(doc) = &mut self.doc else { return };
         let mut clicked = Clicked::default();
@@ -97,7 +97,7 @@ fn show_volume(ui: &mut Ui, doc: &mut Document, clicked: &mut Clicked) {
     }
 }
 
-/// The stack's rows, which can be dragged to other places.
+/// The rows of the stack, which can be reordered by dragging.
 fn show_deformations(ui: &mut Ui, doc: &mut Document, clicked: &mut Clicked) {
     let count = doc.scene.deformation.len();
     let mut moved = None;
@@ -146,7 +146,8 @@ fn deformation_row(ui: &mut Ui, doc: &Document, n: usize, clicked: &mut Clicked)
     })
 }
 
-/// Lets a deformation's row be dragged and others be dropped on it; gives the place of one that was.
+/// Makes a deformation's row a drag source and a drop target; returns the index of a row dropped on
+/// it.
 fn dropped_on(ui: &Ui, response: &egui::Response, n: usize) -> Option<usize> {
     response.dnd_set_drag_payload(Dragged(n));
     if let Some(dragged) = response.dnd_hover_payload::<Dragged>() {
@@ -156,7 +157,7 @@ fn dropped_on(ui: &Ui, response: &egui::Response, n: usize) -> Option<usize> {
     response.dnd_release_payload::<Dragged>().map(|dragged| dragged.0)
 }
 
-/// What a right click on a deformation's row offers.
+/// The context menu of a deformation's row.
 fn deformation_menu(response: &egui::Response, n: usize, clicked: &mut Clicked) {
     response.context_menu(|ui| {
         for (action, word) in [

@@ -1,4 +1,5 @@
-//! The transfer function under the histogram: points to drag, window and level, presets as pictures.
+//! The transfer function over the histogram: draggable points, window and level, presets as
+//! pictures.
 
 use super::{gallery_item, heading};
 use crate::gui::state::Workstation;
@@ -12,7 +13,7 @@ use egui_phosphor::regular as icon;
 
 const HEIGHT: f32 = 118.0;
 
-/// The function written out as points: what is edited.
+/// The function as explicit points, for editing.
 fn explicit(function: &TransferFunction, settings: &TransferSettings) -> TransferSettings {
     TransferSettings {
         preset: settings.preset.clone(),
@@ -24,49 +25,49 @@ fn explicit(function: &TransferFunction, settings: &TransferSettings) -> Transfe
     }
 }
 
-/// Opacity is drawn with its square root: what is thin matters most.
+/// The plotted height of an opacity: its square root, which emphasises low opacities.
 fn lifted(opacity: f32) -> f32 {
     opacity.clamp(0.0, 1.0).sqrt()
 }
 
-/// Where values and opacities lie in the plot.
+/// The axes of the plot.
 #[derive(Clone, Copy)]
 struct PlotAxes {
-    /// The plot.
+    /// The plot's rectangle.
     plot: Rect,
     /// The value at its left edge.
     low: f64,
-    /// The values from there to its right edge.
+    /// The range of values over the plot's width.
     span: f64,
 }
 
 impl PlotAxes {
-    /// Where a value lies across the plot.
+    /// The horizontal position of a value.
     fn x_of(&self, value: f64) -> f32 {
         self.plot.left() + ((value - self.low) / self.span) as f32 * self.plot.width()
     }
 
-    /// The value at a place across the plot.
+    /// The value at a horizontal position.
     fn value_of(&self, x: f32) -> f64 {
         self.low + f64::from((x - self.plot.left()) / self.plot.width()) * self.span
     }
 
-    /// How high an opacity lies in the plot.
+    /// The vertical position of an opacity.
     fn y_of(&self, opacity: f32) -> f32 {
         self.plot.bottom() - lifted(opacity) * self.plot.height()
     }
 
-    /// The opacity at a height in the plot.
+    /// The opacity at a vertical position.
     fn opacity_of(&self, y: f32) -> f32 {
         ((self.plot.bottom() - y) / self.plot.height()).clamp(0.0, 1.0).powi(2)
     }
 }
 
-/// The function as it is plotted.
+/// The plotted function.
 struct Curve<'a> {
     function: &'a TransferFunction,
     axes: PlotAxes,
-    /// Where its points are.
+    /// The positions of its points.
     places: Vec<Pos2>,
 }
 
@@ -77,7 +78,7 @@ impl<'a> Curve<'a> {
         Self { function, axes, places: function.points.iter().map(place).collect() }
     }
 
-    /// The point at a place.
+    /// The point at a position.
     fn point_under(&self, pos: Pos2) -> Option<usize> {
         let near = self.places.iter().enumerate().map(|(n, p)| (n, p.distance(pos))).min_by(|a, b| a.1.total_cmp(&b.1));
         near.filter(|(_, d)| *d < 11.0).map(|(n, _)| n)
@@ -85,7 +86,7 @@ impl<'a> Curve<'a> {
 }
 
 impl Workstation {
-    /// The panel.
+    /// Shows the panel.
     pub(in crate::gui) fn show_transfer(&mut self, ui: &mut Ui) {
         let ctx = ui.ctx().clone();
         let Some(doc) = &mut self.doc else { return };
@@ -143,7 +144,7 @@ impl Workstation {
     }
 }
 
-/// The curve over the histogram, with points to drag; gives the values that it spans.
+/// The curve over the histogram, with points to drag; returns the range of values it spans.
 fn show_curve(ui: &mut Ui, panel: &mut TransferPanel, volume: &Volume, function: &TransferFunction, settings: &mut TransferSettings) -> f64 {
     let heights = panel.heights(volume);
     let (rect, response) = ui.allocate_exact_size(vec2(ui.available_width().max(48.0), HEIGHT), Sense::click_and_drag());
@@ -162,12 +163,12 @@ fn show_curve(ui: &mut Ui, panel: &mut TransferPanel, volume: &Volume, function:
     axes.span
 }
 
-/// Where the pointer is that does something to the curve, or could.
+/// The position of the pointer while it interacts with the curve or hovers over it.
 fn pointer_on(response: &Response) -> Option<Pos2> {
     response.interact_pointer_pos().or_else(|| response.hover_pos())
 }
 
-/// Moves the point that is dragged.
+/// Moves the dragged point.
 fn drag_point(ui: &Ui, response: &Response, curve: &Curve, panel: &mut TransferPanel, settings: &mut TransferSettings) {
     if response.drag_started()
         && let Some(origin) = ui.input(|i| i.pointer.press_origin())
@@ -190,14 +191,14 @@ fn drag_point(ui: &Ui, response: &Response, curve: &Curve, panel: &mut TransferP
     }
 }
 
-/// The values of a point's neighbours, between which it stays.
+/// The values of a point's neighbours, which limit its movement.
 fn limits(points: &[ControlPoint], n: usize) -> [f64; 2] {
     let before = n.checked_sub(1).map_or(f64::NEG_INFINITY, |m| points[m].value);
     let after = points.get(n + 1).map_or(f64::INFINITY, |p| p.value);
     [before, after]
 }
 
-/// Selects the point that is clicked; adds one by a double click, removes one by a right click.
+/// Selects the clicked point; adds one on a double-click, removes one on a right-click.
 fn click_point(response: &Response, curve: &Curve, panel: &mut TransferPanel, settings: &mut TransferSettings) {
     let pointer = pointer_on(response);
     if response.clicked()
@@ -227,7 +228,7 @@ fn click_point(response: &Response, curve: &Curve, panel: &mut TransferPanel, se
     }
 }
 
-/// The points of the curve.
+/// Draws the points of the curve.
 fn draw_points(ui: &Ui, curve: &Curve, selected: Option<usize>) {
     for (n, at) in curve.places.iter().enumerate() {
         let selected = selected == Some(n);
@@ -282,7 +283,7 @@ fn show_window_and_level(ui: &mut Ui, function: &TransferFunction, span: f64, se
     });
 }
 
-/// The slider of the density.
+/// The density slider.
 fn show_density(ui: &mut Ui, settings: &mut TransferSettings) {
     ui.horizontal(|ui| {
         ui.spacing_mut().slider_width = (ui.available_width() - 130.0).max(50.0);
@@ -296,7 +297,7 @@ fn show_density(ui: &mut Ui, settings: &mut TransferSettings) {
     });
 }
 
-/// The choice of how samples blend.
+/// The selector of the blend mode.
 fn show_blend(ui: &mut Ui, now: Blend, settings: &mut TransferSettings) {
     ui.horizontal(|ui| {
         ui.label("Blend");
@@ -308,7 +309,7 @@ fn show_blend(ui: &mut Ui, now: Blend, settings: &mut TransferSettings) {
     });
 }
 
-/// Buttons to import, export and reset the function; gives what is to be done with a file.
+/// Buttons to import, export and reset the function; returns the file action, if any.
 fn show_file_buttons(ui: &mut Ui, settings: &mut TransferSettings) -> Option<Action> {
     let mut act = None;
     ui.horizontal(|ui| {
@@ -326,7 +327,7 @@ fn show_file_buttons(ui: &mut Ui, settings: &mut TransferSettings) -> Option<Act
     act
 }
 
-/// The histogram and the curve over it.
+/// Draws the histogram and the curve over it.
 fn draw_plot(ui: &Ui, rect: Rect, heights: &[f32], curve: &Curve) {
     let plot = curve.axes.plot;
     let painter = ui.painter().with_clip_rect(rect);
@@ -347,7 +348,7 @@ fn draw_plot(ui: &Ui, rect: Rect, heights: &[f32], curve: &Curve) {
     if let (Some(first), Some(last)) = (p.first(), p.last()) {
         line.push(pos2(plot.left().min(at(first).x), at(first).y));
         for pair in p.windows(2) {
-            // The square root bends a straight rise of opacity.
+            // The square root bends a linear rise of opacity into a curve.
             const PIECES: usize = 12;
             for n in 0..PIECES {
                 let t = n as f32 / PIECES as f32;
@@ -380,7 +381,7 @@ mod tests {
     use super::*;
     use crate::volume::phantom;
 
-    /// Written out as points, a preset is the same function.
+    /// Written as explicit points, a preset gives the same function.
     #[test]
     fn editing_begins_where_the_preset_was() {
         let volume = phantom::from_spec("head-ct:size=24").unwrap();

@@ -1,4 +1,4 @@
-//! Everything that can be done without pointing at something: one list for menus, keys, the command palette and tests.
+//! All actions that need no pointing: one list for menus, keys, the command palette and tests.
 
 use super::tool::{Placed, Tool};
 use crate::deform::kinds;
@@ -7,7 +7,7 @@ use crate::scene::measure::MeasureKind;
 use crate::transfer;
 use eframe::egui::{Key, KeyboardShortcut, Modifiers};
 
-/// One thing to do.
+/// An action.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[allow(missing_docs, reason = "each is described by its label in the list")]
 pub enum Action {
@@ -69,15 +69,15 @@ pub enum Action {
     ResetGpu,
 }
 
-/// An action as people find it.
+/// An action with its label, group and key.
 pub struct ActionEntry {
-    /// What it is.
+    /// The action.
     pub action: Action,
-    /// Its words.
+    /// Its label.
     pub label: String,
-    /// Where it belongs.
+    /// The group it belongs to.
     pub group: &'static str,
-    /// Its key by default.
+    /// Its default key.
     pub key: Option<KeyboardShortcut>,
 }
 
@@ -86,18 +86,18 @@ const CTRL_SHIFT: Modifiers = Modifiers::COMMAND.plus(Modifiers::SHIFT);
 const SHIFT: Modifiers = Modifiers::SHIFT;
 const NONE: Modifiers = Modifiers::NONE;
 
-/// Actions, being listed one after the other.
+/// Builds the list of actions.
 #[derive(Default)]
 struct ActionList(Vec<ActionEntry>);
 
 impl ActionList {
-    /// Puts an action at the end.
+    /// Appends an action.
     fn add(&mut self, group: &'static str, action: Action, label: &str, key: Option<(Modifiers, Key)>) {
         self.0.push(ActionEntry { action, label: label.into(), group, key: key.map(|(m, k)| KeyboardShortcut::new(m, k)) });
     }
 }
 
-/// All of them, in the order of menus.
+/// All actions, in menu order.
 pub fn list() -> Vec<ActionEntry> {
     let mut all = ActionList::default();
     add_file_actions(&mut all);
@@ -123,7 +123,7 @@ fn add_file_actions(all: &mut ActionList) {
     all.add("File", Action::Quit, "Quit", Some((CTRL, Key::Q)));
 }
 
-/// What goes to files and comes from them beside scenes.
+/// Import and export of files other than scenes.
 fn add_export_actions(all: &mut ActionList) {
     all.add("Export", Action::ExportPicture, "Export picture…", Some((CTRL, Key::E)));
     all.add("Export", Action::ExportClip, "Export clip…", None);
@@ -233,7 +233,7 @@ fn add_deform_actions(all: &mut ActionList) {
     }
 }
 
-/// Maps, painted or made of the stack.
+/// Painted maps, and maps computed from the stack.
 fn add_map_actions(all: &mut ActionList) {
     all.add("Map", Action::NewMap, "New painted map", None);
     all.add("Map", Action::StackToMap, "Combine the stack into one map", None);
@@ -249,7 +249,7 @@ fn add_transfer_actions(all: &mut ActionList) {
     all.add("Transfer", Action::ResetWindow, "Reset window and level", None);
 }
 
-/// A key as people read it.
+/// The display text of a key.
 pub fn key_text(key: &KeyboardShortcut) -> String {
     let mut text = String::new();
     let m = key.modifiers;
@@ -272,7 +272,7 @@ pub fn key_text(key: &KeyboardShortcut) -> String {
     text + name
 }
 
-/// A key from its text; none if it names no key.
+/// The key of a text; none if it does not name a key.
 pub fn key_from_text(text: &str) -> Option<KeyboardShortcut> {
     let mut modifiers = Modifiers::NONE;
     let mut rest = text;
@@ -300,7 +300,7 @@ pub fn key_from_text(text: &str) -> Option<KeyboardShortcut> {
     Some(KeyboardShortcut::new(modifiers, key))
 }
 
-/// Labels that actions had before, with what they are called now: the user's keys are saved by label.
+/// Former labels of actions with the current ones: the user's keys are saved by label.
 pub const FORMER_LABELS: [(&str, &str); 13] = [
     ("Less progress", "Decrease progress"),
     ("More progress", "Increase progress"),

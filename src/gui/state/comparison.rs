@@ -9,7 +9,7 @@ use eframe::egui::{Rect, TextureHandle};
 use std::sync::Arc;
 use std::time::Instant;
 
-/// One side.
+/// One side of the comparison.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ComparisonSide {
     /// The renderer.
@@ -28,7 +28,7 @@ impl ComparisonSide {
         scene
     }
 
-    /// Its name.
+    /// Its label.
     pub fn words(&self) -> String {
         format!("{} step {}", word(self.mode), (self.step * 100.0).round() / 100.0)
     }
@@ -42,22 +42,22 @@ pub(in crate::gui) fn word(mode: Mode) -> &'static str {
     }
 }
 
-/// How the two are shown.
+/// How the two sides are arranged.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Arrangement {
-    /// Beside each other.
+    /// Side by side.
     #[default]
     Split,
-    /// One over the other, up to a line.
+    /// One over the other, divided by a movable line.
     Swipe,
-    /// How far they are apart.
+    /// The difference of the two pictures.
     Difference,
 }
 
 #[derive(Default)]
 pub(in crate::gui) struct PaneResult {
     pub(in crate::gui) texture: Option<TextureHandle>,
-    /// What it shows.
+    /// The side that was rendered.
     pub(in crate::gui) side: Option<ComparisonSide>,
     pub(in crate::gui) delay: OutdatedNotice,
     pub(in crate::gui) picture: Option<Arc<Picture>>,
@@ -67,22 +67,22 @@ pub(in crate::gui) struct PaneResult {
     pub(in crate::gui) serial: u64,
 }
 
-/// What the panel keeps.
+/// State of the comparison panel.
 pub struct ComparePanel {
     /// The two sides.
     pub sides: [ComparisonSide; 2],
-    /// How they are shown.
+    /// Their arrangement.
     pub arrangement: Arrangement,
     pub(in crate::gui) swipe: f32,
     pub(in crate::gui) results: [PaneResult; 2],
     pub(in crate::gui) requested: [Option<Arc<Scene>>; 2],
     pub(in crate::gui) requested_sides: [Option<ComparisonSide>; 2],
     pub(in crate::gui) assets: Option<Arc<Assets>>,
-    /// The scene has changed since the pair was asked for.
+    /// The scene has changed since the pair was requested.
     pub(in crate::gui) behind: bool,
     pub(in crate::gui) changed_at: Instant,
     pub(in crate::gui) serials: [u64; 2],
-    /// Numbers of the present pair.
+    /// Difference of the current pair.
     pub difference: Option<Difference>,
     pub(in crate::gui) difference_of: (u64, u64),
     pub(in crate::gui) difference_open: bool,
@@ -119,12 +119,12 @@ impl Default for ComparePanel {
 }
 
 impl ComparePanel {
-    /// Everything is to be asked for again.
+    /// Discards all results, so that they are requested again.
     pub fn forget(&mut self) {
         *self = Self { sides: self.sides, arrangement: self.arrangement, swipe: self.swipe, ..Self::default() };
     }
 
-    /// A side could not be rendered.
+    /// Handles a side that could not be rendered.
     pub fn failed(&mut self, side: usize, serial: u64, problem: &str) {
         if self.serials.get(side) == Some(&serial) {
             self.results[side].delay.failure = Some(problem.to_owned());
@@ -135,7 +135,7 @@ impl ComparePanel {
         !self.behind && self.serials[side] > 0 && self.results[side].serial == self.serials[side]
     }
 
-    /// Whether both pictures and their numbers are there.
+    /// Whether both pictures and their difference are up to date.
     pub fn is_done(&self) -> bool {
         self.difference.is_some() && !self.difference_open && (0..2).all(|n| self.is_current(n))
     }

@@ -1,4 +1,4 @@
-//! The open scene, what is loaded for it, and the edits that people make to it.
+//! The open scene, its loaded assets, and edits of it.
 
 use crate::deform::kinds::brush::Stroke;
 use crate::deform::{Argument, Arguments};
@@ -8,10 +8,10 @@ use crate::scene::{Deformation, Scene};
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// What the inspector is about.
+/// The selection, which the inspector shows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Selection {
-    /// The picture's own settings.
+    /// Nothing; the inspector shows the render settings.
     #[default]
     Nothing,
     /// The volume.
@@ -30,28 +30,28 @@ pub struct Document {
     pub scene: Scene,
     /// The scene file that it is saved in.
     pub path: Option<PathBuf>,
-    /// What the user calls it: the file that was opened.
+    /// Its display name: the file that was opened.
     pub name: String,
-    /// As it was last saved or opened; none if it never was.
+    /// The scene as last saved or opened; none if never saved.
     pub saved: Option<Scene>,
-    /// What is loaded.
+    /// The loaded assets.
     pub assets: Arc<Assets>,
-    /// What it was loaded for.
+    /// The key for which they were loaded.
     pub loaded: AssetKey,
-    /// What is selected.
+    /// The selection.
     pub selected: Selection,
-    /// The only deformation that is applied, if one is.
+    /// The only deformation that is applied, if one is soloed.
     pub solo: Option<usize>,
 }
 
 impl Document {
-    /// A scene that was just loaded.
+    /// A document for a scene that was just loaded.
     pub fn new(scene: Scene, path: Option<PathBuf>, name: String, assets: Arc<Assets>) -> Self {
         let loaded = AssetKey::of(&scene);
         Self { saved: Some(scene.clone()), scene, path, name, assets, loaded, selected: Selection::Nothing, solo: None }
     }
 
-    /// Whether there is something to lose: edits since the last save. Turning the camera is none.
+    /// Whether there are unsaved edits. Turning the camera does not count.
     pub fn is_changed(&self) -> bool {
         self.saved.as_ref().is_none_or(|saved| !super::history::same(saved, &self.scene))
     }
@@ -69,7 +69,7 @@ impl Document {
         }
     }
 
-    /// The selected deformation's place in the stack.
+    /// The index of the selected deformation.
     pub fn deformation_index(&self) -> Option<usize> {
         match self.selected {
             Selection::Deformation(n) if n < self.scene.deformation.len() => Some(n),
@@ -77,7 +77,7 @@ impl Document {
         }
     }
 
-    /// Selections that no longer exist are given up.
+    /// Clears a selection that no longer exists.
     pub fn check_selection(&mut self) {
         let gone = match self.selected {
             Selection::Deformation(n) => n >= self.scene.deformation.len(),
@@ -102,7 +102,7 @@ impl Document {
         at
     }
 
-    /// Removes what is selected.
+    /// Removes the selected item.
     pub fn delete(&mut self) -> bool {
         match self.selected {
             Selection::Deformation(n) if n < self.scene.deformation.len() => {
@@ -113,7 +113,7 @@ impl Document {
                     len => Selection::Deformation(n.min(len - 1)),
                 };
             }
-            // A scene shows something: the last of volume and meshes stays.
+            // The last of the volume and the meshes cannot be removed.
             Selection::Mesh(n) if n < self.scene.mesh.len() && (self.scene.mesh.len() > 1 || self.scene.volume.is_some()) => {
                 self.scene.mesh.remove(n);
                 self.selected = Selection::Nothing;
@@ -131,7 +131,7 @@ impl Document {
         true
     }
 
-    /// Copies the selected deformation behind itself.
+    /// Inserts a copy of the selected deformation after it.
     pub fn duplicate(&mut self) -> bool {
         let Some(n) = self.deformation_index() else { return false };
         let mut copy = self.scene.deformation[n].clone();
@@ -142,7 +142,7 @@ impl Document {
         true
     }
 
-    /// Moves a deformation to another place in the stack.
+    /// Moves a deformation to another index in the stack.
     pub fn reorder(&mut self, from: usize, to: usize) -> bool {
         let len = self.scene.deformation.len();
         if from >= len || to >= len || from == to {
@@ -155,7 +155,7 @@ impl Document {
         true
     }
 
-    /// The scene as it is shown: with one deformation alone, or without any.
+    /// The scene as displayed: with a soloed deformation alone, or without any.
     pub fn shown(&self, undeformed: bool) -> Scene {
         let mut scene = self.scene.clone();
         if undeformed {
@@ -168,7 +168,8 @@ impl Document {
         scene
     }
 
-    /// The painted map that strokes go into: the last deformation if it is one, else a new one at the end.
+    /// The index of the painted map that receives strokes: the last deformation if it is a painted
+    /// map, else a new one at the end.
     pub fn painted(&mut self) -> usize {
         let last = self.scene.deformation.len();
         if let Some(n) = last.checked_sub(1).filter(|n| self.scene.deformation[*n].kind == "brush" && self.scene.deformation[*n].enabled) {

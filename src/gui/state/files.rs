@@ -1,4 +1,4 @@
-//! What is opened, saved and asked about.
+//! State of opening, saving and the related dialogs.
 
 use super::session::Recovered;
 use crate::prepare::{AssetKey, Assets};
@@ -11,15 +11,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Largest edge of an exported picture that is offered, pixels.
+/// Largest edge of an exported picture, pixels.
 pub const LARGEST_PICTURE: u32 = 16_384;
 
-/// What is done after a question.
+/// The step to take after a question.
 #[derive(Clone, Debug, PartialEq)]
 pub enum NextStep {
     /// Open a file.
     Open(PathBuf),
-    /// Open an automatic save that a crash left behind.
+    /// Open an automatic save left behind by a crash.
     Recover(PathBuf, Option<PathBuf>),
     /// Close the scene.
     Close,
@@ -30,36 +30,36 @@ pub enum NextStep {
 /// A question or a form.
 #[derive(Clone, Debug)]
 pub enum Dialog {
-    /// The scene has edits that are not saved.
+    /// The scene has unsaved edits.
     Unsaved(NextStep),
-    /// Scenes that crashed windows left behind.
+    /// Scenes left behind by crashes.
     Recover(Vec<Recovered>),
     /// A picture to export.
     Picture(PictureForm),
     /// A clip to export.
     Clip(ClipForm),
-    /// A file of the scene is not where it was.
+    /// A file of the scene is missing.
     Locate {
-        /// The file that is missing.
+        /// The missing file.
         missing: PathBuf,
-        /// The scene that names it.
+        /// The scene that refers to it.
         scene: Box<Scene>,
         /// Its file.
         path: Option<PathBuf>,
         /// Its name.
         name: String,
-        /// What went wrong.
+        /// The error.
         problem: String,
     },
     /// A second volume was dropped.
     Second(PathBuf),
-    /// The window is to be closed while exports run.
+    /// A request to close the window while exports run.
     Running,
-    /// A name for a map.
+    /// The name of a map to save.
     SaveMap {
         /// The name.
         name: String,
-        /// Of the whole stack instead of the selected deformation.
+        /// Save the whole stack instead of the selected deformation.
         stack: bool,
     },
 }
@@ -77,27 +77,27 @@ pub struct PictureForm {
     pub transparent: bool,
 }
 
-/// What moves in a clip.
+/// What is animated in a clip.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ClipMotion {
-    /// The camera, once around.
+    /// The camera, one full turn.
     Orbit,
     /// The progress of the selected deformation.
     Progress(usize),
-    /// A number of the selected deformation: which deformation, its name.
+    /// A parameter of a deformation: its index, and the parameter's name.
     Parameter(usize, String),
 }
 
 /// How a clip is exported.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ClipForm {
-    /// What moves.
+    /// What is animated.
     pub travel: ClipMotion,
-    /// From and to, for what is no orbit.
+    /// Start and end value, except for an orbit.
     pub range: [f32; 2],
-    /// There and back again.
+    /// Plays forwards, then backwards.
     pub back: bool,
-    /// Frames.
+    /// Number of frames.
     pub frames: usize,
     /// Frames per second.
     pub rate: f32,
@@ -105,23 +105,23 @@ pub struct ClipForm {
     pub size: [u32; 2],
 }
 
-/// What a file is wanted for.
+/// The purpose of the file dialog.
 #[derive(Clone, Debug)]
 pub enum FilePurpose {
     /// To open.
     Open,
-    /// To save the scene, and then go on.
+    /// To save the scene, and then take a step.
     Save(Option<NextStep>),
     /// To export a picture.
     Picture(PictureForm),
     /// To export a clip.
     Clip(ClipForm),
-    /// To bake: the field instead of the volume.
+    /// To bake the volume or the field.
     Bake {
-        /// The field.
+        /// The field instead of the volume.
         field: bool,
     },
-    /// The folder of a report.
+    /// The folder for a report.
     Report,
     /// A table of measurements.
     Measures,
@@ -129,14 +129,14 @@ pub enum FilePurpose {
     ImportTransfer,
     /// A transfer function to write.
     ExportTransfer,
-    /// The place of a missing file.
+    /// The location of a missing file.
     Locate(Box<Dialog>),
-    /// A label map over the volume.
+    /// A label map for the volume.
     Labels,
 }
 
 impl FilePurpose {
-    /// The ending of what is saved, where there is one alone, and its name.
+    /// The extension of a saved file, if there is exactly one, and its name.
     pub(in crate::gui) fn ending(&self) -> Option<(&'static str, &'static str)> {
         match self {
             Self::Save(_) => Some(("toml", "Scene")),
@@ -148,7 +148,7 @@ impl FilePurpose {
     }
 }
 
-/// The file dialog and what it is open for.
+/// The file dialog and its purpose.
 pub struct Files {
     pub(in crate::gui) dialog: FileDialog,
     pub(in crate::gui) purpose: Option<FilePurpose>,
@@ -156,17 +156,17 @@ pub struct Files {
 }
 
 impl Files {
-    /// None open.
+    /// No open dialog.
     pub fn new() -> Self {
         Self { dialog: FileDialog::new(), purpose: None, folder: None }
     }
 
-    /// Whether it is open.
+    /// Whether the dialog is open.
     pub fn is_open(&self) -> bool {
         self.purpose.is_some()
     }
 
-    /// Opens it.
+    /// Opens the dialog.
     pub(in crate::gui) fn open_dialog(&mut self, purpose: FilePurpose, title: &str, name: Option<&str>, filters: &[(&str, &'static [&'static str])]) {
         let mut dialog =
             FileDialog::new().title(title).default_size([760.0, 460.0]).as_modal(true).anchor(egui::Align2::CENTER_CENTER, [0.0, 0.0]).movable(false);
@@ -179,7 +179,7 @@ impl Files {
         for (label, endings) in filters {
             dialog = dialog.add_file_filter_extensions(label, endings.to_vec());
         }
-        // What the dialog asks about is the file that will be written.
+        // With the extension added, the dialog checks the file that will actually be written.
         if let Some(ending) = purpose.ending() {
             dialog = dialog.add_save_extension(ending.1, ending.0).default_save_extension(ending.1);
         }
@@ -212,29 +212,29 @@ pub struct Loading {
     pub(in crate::gui) stage: Arc<Mutex<(&'static str, f32)>>,
     pub(in crate::gui) cancel: Arc<AtomicBool>,
     pub(in crate::gui) result: Receiver<Result<Loaded>>,
-    /// What it was asked for.
+    /// The key for which it was requested, if any.
     pub(in crate::gui) key: Option<AssetKey>,
     pub(in crate::gui) path: Option<PathBuf>,
-    /// It replaces only what is loaded for the open scene.
+    /// It replaces only the assets of the open scene.
     pub(in crate::gui) same: bool,
-    /// The automatic save that it comes from: it was never saved as it is.
+    /// The automatic save it is recovered from; the scene counts as never saved.
     pub(in crate::gui) recovered: Option<Recovered>,
 }
 
 pub(in crate::gui) struct Loaded {
     pub(in crate::gui) scene: Scene,
     pub(in crate::gui) assets: Assets,
-    /// Why it cannot be shown as it is.
+    /// Why the scene cannot be shown as it is.
     pub(in crate::gui) problem: Option<Error>,
 }
 
 impl Loading {
-    /// What it does, and the share that is done.
+    /// The current stage, and the fraction done.
     pub fn stage(&self) -> (&'static str, f32) {
         *self.stage.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Tells it to stop.
+    /// Cancels the load.
     pub fn cancel(&self) {
         self.cancel.store(true, Ordering::Relaxed);
     }

@@ -1,17 +1,18 @@
-//! Undo and redo: the scene without its camera as a snapshot after every gesture; and the camera's own way back.
+//! Undo and redo: a snapshot of the scene without its camera after every gesture; and a separate
+//! history of the camera.
 
 use crate::scene::{Camera, Scene};
 use eframe::egui::util::undoer::{Settings, Undoer};
 
-/// Steps that are kept.
+/// Most undo steps.
 const STEPS: usize = 200;
-/// Cameras that are kept.
+/// Most camera positions.
 const CAMERAS: usize = 100;
 
 /// Snapshots of the scene.
 pub struct History {
     undoer: Undoer<Scene>,
-    /// The scene as last kept.
+    /// The last snapshot.
     last_snapshot: Option<Scene>,
 }
 
@@ -21,59 +22,59 @@ impl Default for History {
     }
 }
 
-/// What undo is about: the scene from a camera that does not matter.
+/// The scene without its camera, which undo ignores.
 pub fn without_camera(scene: &Scene) -> Scene {
     Scene { camera: Camera::default(), ..scene.clone() }
 }
 
 impl History {
-    /// Begins anew at a scene.
+    /// Starts a new history at a scene.
     pub fn start(&mut self, scene: &Scene) {
         *self = Self::default();
         self.take_snapshot(scene);
     }
 
-    /// Keeps a scene if it differs from the last one kept: one step.
+    /// Takes a snapshot of a scene if it differs from the last one: one step.
     pub fn take_snapshot(&mut self, scene: &Scene) {
         if self.last_snapshot.as_ref().is_some_and(|k| same(k, scene)) {
             return;
         }
         let state = without_camera(scene);
-        // Asked for a redo of something new, the undoer forgets what was undone before it: that branch is given up.
+        // A redo with a new state makes the undoer discard its redo steps.
         let _none = self.undoer.redo(&state);
         self.undoer.add_undo(&state);
         self.last_snapshot = Some(state);
     }
 
-    /// Whether the scene differs from the one last kept.
+    /// Whether the scene differs from the last snapshot.
     pub fn changed(&self, scene: &Scene) -> bool {
         self.last_snapshot.as_ref().is_none_or(|k| !same(k, scene))
     }
 
-    /// Whether there is a step back.
+    /// Whether undo is possible.
     pub fn has_undo(&self, scene: &Scene) -> bool {
         self.undoer.has_undo(&without_camera(scene))
     }
 
-    /// Whether there is a step forward.
+    /// Whether redo is possible.
     pub fn has_redo(&self, scene: &Scene) -> bool {
         self.undoer.has_redo(&without_camera(scene))
     }
 
-    /// One step back.
+    /// Undoes one step.
     pub fn undo(&mut self, scene: &mut Scene) -> bool {
         self.take_snapshot(scene);
         let to = self.undoer.undo(&without_camera(scene)).cloned();
         self.restore(scene, to)
     }
 
-    /// One step forward.
+    /// Redoes one step.
     pub fn redo(&mut self, scene: &mut Scene) -> bool {
         let to = self.undoer.redo(&without_camera(scene)).cloned();
         self.restore(scene, to)
     }
 
-    /// Back to the last kept scene: a drag that was called off.
+    /// Restores the last snapshot, after a cancelled drag.
     pub fn revert(&mut self, scene: &mut Scene) -> bool {
         let to = self.last_snapshot.clone();
         self.restore(scene, to)
@@ -88,7 +89,7 @@ impl History {
     }
 }
 
-/// Equal but for the camera.
+/// Whether two scenes are equal except for the camera.
 pub fn same(last_snapshot: &Scene, scene: &Scene) -> bool {
     last_snapshot.deformation == scene.deformation
         && last_snapshot.transfer == scene.transfer
@@ -101,7 +102,7 @@ pub fn same(last_snapshot: &Scene, scene: &Scene) -> bool {
         && last_snapshot.folder == scene.folder
 }
 
-/// Where the camera has been.
+/// The history of the camera.
 #[derive(Default)]
 pub struct CameraHistory {
     before: Vec<Camera>,
@@ -111,7 +112,7 @@ pub struct CameraHistory {
 }
 
 impl CameraHistory {
-    /// Notes a camera at rest.
+    /// Records a camera at rest.
     pub fn settle(&mut self, camera: &Camera) {
         match &self.rest {
             Some(rest) if rest == camera => {}
@@ -127,12 +128,12 @@ impl CameraHistory {
         }
     }
 
-    /// The camera at rest, before the drag that is under way.
+    /// The camera at rest, before the drag in progress.
     pub fn rest(&self) -> Option<&Camera> {
         self.rest.as_ref()
     }
 
-    /// The camera before.
+    /// Returns to the previous camera.
     pub fn back(&mut self, camera: &mut Camera) -> bool {
         self.settle(camera);
         let Some(to) = self.before.pop() else { return false };
@@ -141,7 +142,7 @@ impl CameraHistory {
         true
     }
 
-    /// The camera after.
+    /// Returns to the next camera.
     pub fn forward(&mut self, camera: &mut Camera) -> bool {
         let Some(to) = self.after.pop() else { return false };
         self.before.push(std::mem::replace(camera, to));

@@ -21,7 +21,7 @@ pub enum Panel {
 }
 
 impl Panel {
-    /// All of them.
+    /// All panels.
     pub const ALL: [Self; 11] = [
         Self::View3d,
         Self::Axial,
@@ -57,16 +57,16 @@ impl Panel {
 /// An arrangement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum LayoutPreset {
-    /// The 3D view, large, with the panels beside it.
+    /// The 3D view, large, next to the panels.
     Only3d,
-    /// The 3D view over three slices, with the panels beside them.
+    /// The 3D view above three slices, next to the panels.
     FourUp,
-    /// The comparison, large; the 3D view is a tab beside the scene.
+    /// The comparison, large; the 3D view is a tab next to the scene.
     Compare,
 }
 
 impl LayoutPreset {
-    /// The panels in their places.
+    /// The dock with the panels in their places.
     pub fn dock(self) -> DockState<Panel> {
         use Panel as P;
         match self {

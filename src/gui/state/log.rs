@@ -1,28 +1,28 @@
-//! What the program had to say: a list that stays, and toasts for what is new.
+//! Messages of the program: a persistent list, and toasts for new messages.
 
 use std::time::SystemTime;
 
-/// How much it matters.
+/// Severity of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LogLevel {
-    /// Good to know.
+    /// Information.
     Info,
-    /// Something was done otherwise than asked.
+    /// A request was carried out differently than requested.
     Warning,
-    /// Something was not done.
+    /// A request failed.
     Error,
 }
 
 /// One message.
 #[derive(Clone, Debug)]
 pub struct LogEntry {
-    /// How much it matters.
+    /// Severity.
     pub level: LogLevel,
-    /// What it says.
+    /// Text.
     pub text: String,
-    /// When.
+    /// Time.
     pub at: SystemTime,
-    /// How often in a row.
+    /// Number of consecutive occurrences.
     pub times: usize,
 }
 
@@ -32,11 +32,11 @@ pub struct Log {
     entries: Vec<LogEntry>,
 }
 
-/// Messages that are kept.
+/// Most messages retained.
 const MAX_MESSAGES: usize = 500;
 
 impl Log {
-    /// Adds one; false if it is the last one over again.
+    /// Adds a message; false if it repeats the last one.
     pub fn add(&mut self, level: LogLevel, text: impl Into<String>) -> bool {
         let text = text.into();
         if let Some(last) = self.entries.last_mut().filter(|e| e.text == text && e.level == level) {
@@ -51,17 +51,17 @@ impl Log {
         true
     }
 
-    /// All of them.
+    /// All messages.
     pub fn entries(&self) -> &[LogEntry] {
         &self.entries
     }
 
-    /// Forgets them.
+    /// Removes all messages.
     pub fn clear(&mut self) {
         self.entries.clear();
     }
 
-    /// All as text, oldest first.
+    /// All messages as text, oldest first.
     pub fn text(&self) -> String {
         self.entries.iter().map(|e| format!("{:?}: {}\n", e.level, e.text)).collect()
     }

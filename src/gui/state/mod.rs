@@ -1,5 +1,6 @@
-//! The state of the workstation: the open scene, what has been asked for and has arrived, what is selected, armed and dragged. It names no panel and
-//! no view; those read it, and the application changes it.
+//! The state of the workstation: the open scene, requests and their results, the selection, the
+//! armed tool and the current drag. It depends on no panel and no view; those read it, and the
+//! application changes it.
 
 pub mod action;
 pub mod comparison;
@@ -46,14 +47,14 @@ use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// How a workstation is started.
+/// Start options of a workstation.
 #[derive(Clone, Debug, Default)]
 pub struct Options {
-    /// What to open.
+    /// The file to open.
     pub file: Option<PathBuf>,
-    /// Where settings, automatic saves and maps are kept; the user's own folder by default.
+    /// Folder for settings, automatic saves and maps; the user's own folder by default.
     pub folder: Option<PathBuf>,
-    /// Where pictures are computed, whatever the settings say.
+    /// The backend, overriding the settings.
     pub backend: Option<Backend>,
 }
 
@@ -76,12 +77,12 @@ pub enum Gesture {
     SliceBrush,
 }
 
-/// What lies under the pointer.
+/// The point under the pointer.
 #[derive(Clone, Debug)]
 pub struct Hover {
-    /// Where it is seen, mm; none in a view of the source.
+    /// Its deformed position, mm; none in a view of the source.
     pub deformed: Option<Vec3>,
-    /// Where it came from, mm.
+    /// Its source position, mm.
     pub source: Vec3,
     /// The volume's value there.
     pub value: Option<f64>,
@@ -90,14 +91,15 @@ pub struct Hover {
 }
 
 impl Hover {
-    /// A point of what is shown; its value is the picture's own, or else the nearest voxel's.
+    /// A point of a picture; its value is taken from the picture if available, else from the
+    /// nearest voxel.
     pub fn new(assets: &Assets, deformed: Option<Vec3>, source: Vec3, value: Option<f64>) -> Self {
         let value = value.or_else(|| assets.has_volume.then(|| nearest_value(&assets.volume, source.as_dvec3())).flatten());
         let region = Regions::new(assets).and_then(|r| r.label(source).filter(|l| *l > 0).map(|l| r.name(l)));
         Self { deformed, source, value, region }
     }
 
-    /// For the status line.
+    /// The text for the status bar.
     pub fn words(&self) -> String {
         let place = |p: Vec3| {
             let side = |v: f32, high: char, low: char| format!("{:.1} {}", v.abs(), if v > -0.05 { high } else { low });
@@ -119,12 +121,12 @@ impl Hover {
     }
 }
 
-/// A point that was clicked.
+/// A clicked point.
 #[derive(Clone, Copy, Debug)]
 pub struct PickedPoint {
-    /// Where it is seen, mm.
+    /// Its deformed position, mm.
     pub deformed: Vec3,
-    /// Where it came from, mm.
+    /// Its source position, mm.
     pub source: Vec3,
 }
 
@@ -138,12 +140,12 @@ pub struct Workstation {
     pub(in crate::gui) prober: Prober,
     /// The user's settings and automatic saves.
     pub session: Session,
-    /// What was said.
+    /// The messages.
     pub log: Log,
     pub(in crate::gui) toasts: egui_notify::Toasts,
     pub(in crate::gui) dock: DockState<Panel>,
     pub(in crate::gui) layout: LayoutPreset,
-    /// Panels to bring to the front, and whether to open those that are not there.
+    /// Panels to bring to the front, and whether to open closed ones.
     pub(in crate::gui) panels_to_show: Vec<(Panel, bool)>,
     /// The armed tool.
     pub tool: Tool,
@@ -159,21 +161,21 @@ pub struct Workstation {
     pub(in crate::gui) inspector: Inspector,
     pub(in crate::gui) editor: Editor,
     pub(in crate::gui) thumbnails: Thumbnails,
-    /// What is measured, with its numbers.
+    /// The measurements, with their values.
     pub measured: Vec<MeasureResult>,
     pub(in crate::gui) measured_of: Option<(Vec<Measure>, Arc<Scene>, usize)>,
     pub(in crate::gui) pending_points: Vec<PickedPoint>,
     pub(in crate::gui) stroke_points: Vec<Vec3>,
     pub(in crate::gui) stroke_before: Option<Vec<String>>,
-    /// The scene that a stroke is drawn on.
+    /// The scene on which the current stroke is drawn.
     pub(in crate::gui) stroke_scene: Option<Arc<Scene>>,
-    /// Files that were dropped together, to be opened one after the other.
+    /// Files dropped together, waiting to be opened one after the other.
     pub(in crate::gui) dropped: Vec<PathBuf>,
-    /// What lies under the pointer.
+    /// The point under the pointer.
     pub hover: Option<Hover>,
-    /// A file that is being loaded.
+    /// The file being loaded.
     pub loading: Option<Loading>,
-    /// What runs in the background.
+    /// Background tasks.
     pub tasks: Vec<Task>,
     /// The open dialog.
     pub dialog: Option<Dialog>,
@@ -188,12 +190,12 @@ pub struct Workstation {
     /// Counts changes of the scene.
     pub edits: u64,
     pub(in crate::gui) last_scene: Option<Arc<Scene>>,
-    /// Assets that could not be loaded are not asked for again until the scene changes.
+    /// Assets that failed to load; they are not requested again until the scene changes.
     pub(in crate::gui) failed_assets: Option<AssetKey>,
-    /// Times of the last frames, ms.
+    /// Times of the most recent frames, ms.
     pub frame_ms: VecDeque<f32>,
     pub(in crate::gui) quitting: bool,
-    /// The last failure of a picture, so that it is told once.
+    /// The last failure of a picture, so that it is reported once.
     pub(in crate::gui) failure: Option<String>,
     pub(in crate::gui) forced_backend: Option<Backend>,
     /// The window's title.
@@ -206,19 +208,19 @@ impl Workstation {
         self.before != self.space
     }
 
-    /// Whether something is still under way: loading, tasks, pictures.
+    /// Whether work is in progress: loading, tasks, pictures.
     pub fn is_busy(&self) -> bool {
         let waits = !self.view.is_fine && self.view.failure().is_none();
         let views = self.doc.is_some() && self.view.rect.width() > 8.0 && waits && self.dock.find_tab(&Panel::View3d).is_some();
         self.loading.is_some() || !self.tasks.is_empty() || !self.worker.is_idle() || self.prober.open > 0 || views
     }
 
-    /// Whether every question about what lies under the pointer has been answered.
+    /// Whether no request for the point under the pointer is pending.
     pub fn prober_is_idle(&self) -> bool {
         self.prober.open == 0
     }
 
-    /// The selected deformation's number, or none.
+    /// The index of the selected deformation, if any.
     pub fn selected_deformation(&self) -> Option<usize> {
         self.doc.as_ref().and_then(Document::deformation_index)
     }

@@ -1,4 +1,4 @@
-//! What panels remember from frame to frame.
+//! State of the panels that persists between frames.
 
 use super::worker::JobTarget;
 use crate::transfer::TransferSettings;
@@ -6,13 +6,13 @@ use crate::volume::Volume;
 use eframe::egui::{self, ColorImage, Context, TextureHandle};
 use std::collections::HashMap;
 
-/// What the editor keeps.
+/// State of the map editor.
 pub struct Editor {
-    /// Reach of a brush, mm.
+    /// Radius of the brush, mm.
     pub radius: f32,
-    /// Its strength.
+    /// Strength of the brush.
     pub strength: f32,
-    /// The label that is measured.
+    /// The label to measure.
     pub label: u32,
 }
 
@@ -25,28 +25,28 @@ impl Default for Editor {
 /// Bars of the histogram.
 pub const BINS: usize = 256;
 
-/// What the panel keeps.
+/// State of the transfer function panel.
 #[derive(Default)]
 pub struct TransferPanel {
     pub(in crate::gui) histogram: Option<Vec<f32>>,
-    /// The point that is dragged, or was last.
+    /// The point being dragged, or last dragged.
     pub(in crate::gui) point: Option<usize>,
     pub(in crate::gui) dragging: bool,
 }
 
 impl TransferPanel {
-    /// Another volume.
+    /// Resets the state for another volume.
     pub fn forget(&mut self) {
         *self = Self::default();
     }
 
-    /// Takes a preset and nothing else.
+    /// Selects a preset and resets all other settings.
     pub fn choose(&mut self, settings: &mut TransferSettings, name: &str) {
         *settings = TransferSettings { preset: Some(name.to_owned()), ..TransferSettings::default() };
         self.point = None;
     }
 
-    /// Heights of the histogram, 0..1, logarithmic.
+    /// Heights of the histogram bars, 0..1, logarithmic.
     pub(in crate::gui) fn heights(&mut self, volume: &Volume) -> &[f32] {
         self.histogram.get_or_insert_with(|| {
             let histogram = volume.histogram(BINS);
@@ -57,57 +57,57 @@ impl TransferPanel {
     }
 }
 
-/// What the inspector keeps.
+/// State of the inspector.
 #[derive(Default)]
 pub struct Inspector {
-    /// The last report on a field.
+    /// The last report on the quality of a field.
     pub health: Option<String>,
 }
 
-/// What the palette keeps.
+/// State of the command palette.
 #[derive(Default)]
 pub struct Palette {
     pub(in crate::gui) query: String,
     pub(in crate::gui) row: usize,
-    /// It has been shown once.
+    /// It has been shown at least once.
     pub(in crate::gui) shown: bool,
 }
 
-/// Pictures of presets and kinds.
+/// Thumbnails of presets and kinds.
 #[derive(Default)]
 pub struct Thumbnails {
     pub(in crate::gui) presets: HashMap<usize, TextureHandle>,
     pub(in crate::gui) kinds: HashMap<usize, TextureHandle>,
     pub(in crate::gui) requested_key: Option<(usize, String)>,
-    /// The gallery of presets or kinds has been shown.
+    /// The gallery of presets is being shown.
     pub shows_presets: bool,
-    /// See above.
+    /// The gallery of kinds is being shown.
     pub shows_kinds: bool,
     pub(in crate::gui) open: Vec<JobTarget>,
 }
 
 impl Thumbnails {
-    /// Nothing of them is true any more.
+    /// Discards all thumbnails.
     pub fn forget(&mut self) {
         *self = Self::default();
     }
 
-    /// Takes a preset's.
+    /// Stores a preset's thumbnail.
     pub fn preset_arrived(&mut self, ctx: &Context, n: usize, image: ColorImage) {
         self.presets.insert(n, ctx.load_texture(format!("preset {n}"), image, egui::TextureOptions::LINEAR));
     }
 
-    /// Takes a kind's.
+    /// Stores a kind's thumbnail.
     pub fn kind_arrived(&mut self, ctx: &Context, n: usize, image: ColorImage) {
         self.kinds.insert(n, ctx.load_texture(format!("kind {n}"), image, egui::TextureOptions::LINEAR));
     }
 
-    /// A preset's.
+    /// A preset's thumbnail.
     pub fn preset(&self, n: usize) -> Option<&TextureHandle> {
         self.presets.get(&n)
     }
 
-    /// A kind's.
+    /// A kind's thumbnail.
     pub fn kind(&self, n: usize) -> Option<&TextureHandle> {
         self.kinds.get(&n)
     }

@@ -1,8 +1,10 @@
-//! What outlives a window: settings, recent files, the library of maps, and the scene as it was a minute ago.
+//! Persistent data of the workstation: settings, recent files, the library of maps, and automatic
+//! saves.
 //!
-//! Every running window keeps its unsaved scene in `autosave/NAME.toml` and holds a lock on `NAME.lock` as long as it lives. A scene whose lock nobody
-//! holds was left behind by a crash, and the next window offers it. Every file is written beside its place and renamed: whatever moment the
-//! program ends at, the last complete one is there.
+//! Every running window writes its unsaved scene to `autosave/NAME.toml` and holds a lock on
+//! `NAME.lock` while it runs. A scene without a held lock was left behind by a crash, and the next
+//! window offers to recover it. Every file is written under a temporary name and renamed: whenever
+//! the program ends, the last complete file is in place.
 
 use crate::files::{OutputFile, input};
 use crate::scene::Scene;
@@ -13,9 +15,9 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Time between two automatic saves.
+/// Interval of automatic saves.
 pub const AUTOSAVE: Duration = Duration::from_secs(60);
-/// Recent files that are kept.
+/// Most recent files listed.
 const RECENT: usize = 12;
 
 /// The bundled files: the head and its labels, a mesh, and the scenes of the examples.
@@ -31,7 +33,7 @@ const BUNDLED: [(&str, &[u8]); 9] = [
     ("piggy-bank-2.toml", include_bytes!("../../../volumes/piggy-bank-2.toml")),
 ];
 
-/// Worked examples: file and what it shows.
+/// Worked examples: file and description.
 pub const EXAMPLES: [(&str, &str); 6] = [
     ("head-peel.toml", "Scalp and skull peeled back"),
     ("head-quadrant.toml", "A quadrant removed"),
@@ -41,21 +43,21 @@ pub const EXAMPLES: [(&str, &str); 6] = [
     ("piggy-bank-2.toml", "A phantom peeled"),
 ];
 
-/// What people choose once.
+/// The user's settings.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Settings {
-    /// The light theme.
+    /// Whether the light theme is used.
     pub light: bool,
-    /// Size of the interface.
+    /// Scale of the interface.
     pub scale: f32,
-    /// Where pictures are computed.
+    /// The backend for pictures.
     pub backend: crate::engine::Backend,
     /// Navigation as in Blender instead of 3D Slicer.
     pub blender: bool,
-    /// Keys by the words of their actions; empty for none.
+    /// Keys by the labels of their actions; empty for none.
     pub keys: BTreeMap<String, String>,
-    /// Files last opened, the newest first.
+    /// Recently opened files, the newest first.
     pub recent: Vec<PathBuf>,
 }
 
@@ -65,7 +67,7 @@ impl Default for Settings {
     }
 }
 
-/// A scene that was left behind.
+/// A scene left behind by a crash.
 #[derive(Clone, Debug)]
 pub struct Recovered {
     /// Its automatic save.
@@ -76,21 +78,21 @@ pub struct Recovered {
     pub saved: Option<std::time::SystemTime>,
 }
 
-/// The folder of one user, and this window's part of it.
+/// The user's folder, and this window's files in it.
 pub struct Session {
     folder: PathBuf,
     name: String,
-    /// Held as long as the window lives.
+    /// Held while the window runs.
     lock: Option<File>,
     /// Settings.
     pub settings: Settings,
     written: Settings,
     last: Instant,
-    /// What was saved last, as text.
+    /// The last automatic save, as text.
     saved: Option<String>,
 }
 
-/// The folder that programs of this kind keep things in.
+/// The standard folder for application data.
 fn default_folder() -> PathBuf {
     match directories::ProjectDirs::from("", "", "incise") {
         Some(dirs) => dirs.data_dir().to_owned(),
@@ -99,7 +101,8 @@ fn default_folder() -> PathBuf {
 }
 
 impl Session {
-    /// Opens the user's folder, or another one. Problems are told, and the program works without what is missing.
+    /// Opens the user's folder, or another one. Problems are added to `problems`, and the program
+    /// runs without the affected parts.
     pub fn open(folder: Option<PathBuf>, problems: &mut Vec<Error>) -> Self {
         let folder = folder.unwrap_or_else(default_folder);
         let mut note = |r: std::io::Result<()>, path: &Path| {
@@ -148,7 +151,7 @@ impl Session {
         OutputFile::replacing(&self.folder.join("settings.toml"))?.finish(text.as_bytes())
     }
 
-    /// Notes a file that was opened.
+    /// Adds an opened file to the recent files.
     pub fn opened(&mut self, path: &Path) {
         let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
         let recent = &mut self.settings.recent;
@@ -157,12 +160,12 @@ impl Session {
         recent.truncate(RECENT);
     }
 
-    /// Whether it is time for an automatic save.
+    /// Whether an automatic save is due.
     pub fn is_due(&self) -> bool {
         self.last.elapsed() >= AUTOSAVE
     }
 
-    /// Saves the scene where a later window finds it, unless it is as it was.
+    /// Saves the scene for recovery by a later window, unless it is unchanged.
     ///
     /// # Errors
     /// A folder that cannot be written.
@@ -182,14 +185,14 @@ impl Session {
         Ok(())
     }
 
-    /// There is nothing to recover any more: the scene was saved, or given up.
+    /// Removes the automatic save: the scene was saved or discarded.
     pub fn forget(&mut self) {
         self.saved = None;
         self.last = Instant::now();
         let _was_none = std::fs::remove_file(self.autosave_path());
     }
 
-    /// Scenes that crashed windows left behind, the newest first.
+    /// Scenes left behind by crashes, the newest first.
     pub fn left_behind(&self) -> Vec<Recovered> {
         let Ok(entries) = std::fs::read_dir(self.folder.join("autosave")) else { return Vec::new() };
         let mut found = Vec::new();
@@ -209,22 +212,22 @@ impl Session {
         found
     }
 
-    /// Gives up a scene that was left behind.
+    /// Discards a scene left behind by a crash.
     pub fn discard(&self, recovered: &Recovered) {
         for path in [recovered.file.clone(), recovered.file.with_extension("lock")] {
             let _was_gone = std::fs::remove_file(path);
         }
     }
 
-    /// The bundled file of a name, written into the user's folder.
+    /// Writes a bundled file into the user's folder and returns its path.
     ///
     /// # Errors
-    /// No such file; a folder that cannot be written.
+    /// There is no bundled file of this name; a folder that cannot be written.
     pub fn bundled(&self, name: &str) -> Result<PathBuf> {
         let folder = self.folder.join("examples");
         for (file, bytes) in BUNDLED {
             let path = folder.join(file);
-            // A scene reads the files beside it.
+            // A scene reads the files next to it.
             let same = std::fs::metadata(&path).is_ok_and(|m| m.len() == bytes.len() as u64);
             if !same {
                 OutputFile::replacing(&path)?.finish(bytes)?;
@@ -242,7 +245,7 @@ impl Session {
         maps
     }
 
-    /// A file for a map of a name, which no other map has.
+    /// An unused path for a map with a name.
     pub fn map_path(&self, name: &str) -> PathBuf {
         let plain: String = name.trim().chars().map(|c| if c.is_alphanumeric() || " -_".contains(c) { c } else { '-' }).collect();
         let plain = if plain.trim_matches('-').is_empty() { "map".to_owned() } else { plain };
@@ -252,10 +255,10 @@ impl Session {
     }
 }
 
-/// First line of an automatic save: a comment to TOML.
+/// Prefix of the first line of an automatic save: a comment in TOML.
 const ORIGINAL: &str = "# original: ";
 
-/// Whether a living window holds a lock.
+/// Whether a running window holds a lock.
 fn is_held(path: &Path) -> bool {
     match File::open(path) {
         Ok(file) => file.try_lock().is_err(),

@@ -1,4 +1,4 @@
-//! What is on the screen, as opposed to what the scene has become since.
+//! The displayed picture, as opposed to the current state of the scene.
 
 use super::worker::MeasureResult;
 use crate::gui::projector::Projector;
@@ -8,45 +8,46 @@ use eframe::egui::{Rect, TextureHandle, vec2};
 use std::sync::Arc;
 use std::time::Instant;
 
-/// A picture may be behind the scene for this long before it is veiled, seconds.
+/// A picture may be out of date for this long before it is dimmed, seconds.
 const PATIENCE: f32 = 0.4;
-/// The veil thickens over this time, seconds.
+/// The dimming increases over this time, seconds.
 const THICKENING: f32 = 0.6;
 
-/// What a view is to show.
+/// The content requested for a view.
 #[derive(Clone)]
 pub struct PictureRequest {
     /// The scene, at the view's size.
     pub scene: Arc<Scene>,
-    /// What it shows.
+    /// Its assets.
     pub assets: Arc<Assets>,
     /// Without its deformations, for comparison.
     pub undeformed: bool,
 }
 
 impl PictureRequest {
-    /// Whether a picture of one is a picture of the other.
+    /// Whether both requests give the same picture.
     pub fn is(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.assets, &other.assets) && (Arc::ptr_eq(&self.scene, &other.scene) || self.scene == other.scene)
     }
 }
 
-/// A picture of the 3D view, with what it is a picture of.
+/// A picture of the 3D view, with the request it shows.
 pub struct DisplayedPicture {
     /// Its pixels.
     pub texture: TextureHandle,
-    /// What it shows.
+    /// The request it shows.
     pub of: PictureRequest,
     /// Its camera.
     pub frame: ViewFrame,
-    /// Measurements of its scene that have points, by their place in the list.
+    /// The measurements of its scene that have points, by index.
     pub measured: Vec<Option<MeasureResult>>,
-    /// The job it came from.
+    /// Number of the job that rendered it.
     pub serial: u64,
 }
 
 impl DisplayedPicture {
-    /// Where it lies in a view: all of it, unless it was made for another shape; it is never stretched.
+    /// Its rectangle in a view: the whole view, unless it was rendered for another aspect ratio; it
+    /// is never stretched.
     pub fn place(&self, view: Rect, size: [u32; 2]) -> Rect {
         let own = self.of.scene.render.size;
         if own == size {
@@ -56,22 +57,22 @@ impl DisplayedPicture {
         Rect::from_center_size(view.center(), own * (view.width() / own.x).min(view.height() / own.y))
     }
 
-    /// Its camera on the screen.
+    /// The projector of its camera.
     pub fn projector(&self, view: Rect, size: [u32; 2]) -> Projector {
         Projector { frame: self.frame, rect: self.place(view, size) }
     }
 }
 
-/// How far a view's picture is behind what it should show.
+/// How long a view's picture has been out of date.
 #[derive(Clone, Debug, Default)]
 pub struct OutdatedNotice {
     pub(in crate::gui) since: Option<Instant>,
-    /// Why there is no picture of what should be shown.
+    /// Why the requested content has no picture.
     pub failure: Option<String>,
 }
 
 impl OutdatedNotice {
-    /// The picture is of what should be shown, or is not.
+    /// Records whether the picture is up to date.
     pub fn note(&mut self, current: bool) {
         if current {
             *self = Self::default();
@@ -80,12 +81,12 @@ impl OutdatedNotice {
         }
     }
 
-    /// Another picture has arrived.
+    /// Restarts the delay when a new picture arrives.
     pub fn restart(&mut self) {
         self.since = None;
     }
 
-    /// How thick the veil is, 0 to 1.
+    /// Strength of the dimming, 0 to 1.
     pub(in crate::gui) fn thickness(&self) -> f32 {
         if self.failure.is_some() {
             return 1.0;
@@ -93,7 +94,7 @@ impl OutdatedNotice {
         self.since.map_or(0.0, |since| ((since.elapsed().as_secs_f32() - PATIENCE) / THICKENING).clamp(0.0, 1.0))
     }
 
-    /// What is said over the picture, if anything: `there` says whether there is one.
+    /// The text over the picture, if any; `there` states whether there is a picture.
     pub fn words(&self, there: bool) -> Option<String> {
         match (&self.failure, there) {
             (Some(problem), true) => Some(format!("This picture is out of date. The scene cannot be shown as it is now:\n{problem}")),

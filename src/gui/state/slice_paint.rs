@@ -1,4 +1,5 @@
-//! What was found on a plane as a picture: grey values by window and level, and over them labels, a grid, masks, det J.
+//! Paints a section as a picture: grey values by window and level, with overlays of labels, a grid,
+//! masks, or det J.
 
 use crate::cpu::section::Section;
 use crate::prepare::Assets;
@@ -7,7 +8,7 @@ use eframe::egui::{Color32, ColorImage};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-/// What a slice shows over its grey values.
+/// The overlay on the grey values of a slice.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Overlay {
     /// Nothing.
@@ -15,28 +16,28 @@ pub enum Overlay {
     None,
     /// Regions of the label map, in their colours.
     Labels,
-    /// A grid that is straight in the patient.
+    /// A grid that is straight in the source.
     Grid,
-    /// Arrows from where matter was to where it is.
+    /// Arrows from source to deformed positions.
     Glyphs,
-    /// What the masks cut away.
+    /// The regions that the masks cut away.
     Mask,
-    /// det J of the map that is looked up: folds, compression, stretching.
+    /// det J of the backward map: folds, compression, stretching.
     Jacobian,
 }
 
 /// How a slice is shown.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SliceStyle {
-    /// Values that are black and white, data units.
+    /// Data values shown as black and as white.
     pub window: [f64; 2],
-    /// Over it.
+    /// The overlay.
     pub overlay: Overlay,
-    /// Of the source instead of the deformed scene.
+    /// Show the source instead of the deformed scene.
     pub source: bool,
 }
 
-/// Distance of the grid's lines in the patient, mm.
+/// Spacing of the grid's lines in the source, mm.
 const GRID_MM: f32 = 10.0;
 
 /// Paints a section.
@@ -46,7 +47,7 @@ pub fn paint(section: &Section, assets: &Assets, style: SliceStyle) -> ColorImag
     let span = (high - low).max(f32::MIN_POSITIVE);
     let inverted = assets.volume.inverted;
     let labels = Regions::new(assets);
-    // A volume of labels has no grey values worth seeing.
+    // Grey values are meaningless for a volume of labels.
     let own_labels = assets.separate_labels.is_none() && labels.is_some();
     let grey = |n: usize| -> Color32 {
         let value = section.values[n];
@@ -95,15 +96,16 @@ pub fn paint(section: &Section, assets: &Assets, style: SliceStyle) -> ColorImag
     ColorImage::new([width, height], pixels)
 }
 
-/// Whether a line of the patient's grid runs between two source points.
+/// Whether a line of the source grid passes between two source points.
 fn crosses(a: Vec3, b: Vec3) -> bool {
     let (i, j) = ((a / GRID_MM).floor(), (b / GRID_MM).floor());
-    // A jump (a cut) is no line.
+    // A jump (a cut) is not a line.
     i != j && (a - b).length_squared() < GRID_MM * GRID_MM
 }
 
-/// Colour and strength for det d source / d deformed: above 1 matter is compressed into view (blue), below 1 stretched (yellow), and where it
-/// is not positive the field folds (magenta). Nobody confuses these three.
+/// Colour and strength for det d source / d deformed: above 1 the volume is compressed (blue),
+/// below 1 stretched (yellow), and where it is not positive the field folds (magenta). The three
+/// are distinguishable with any colour vision.
 pub fn determinant_color(det: f32) -> (Color32, f32) {
     if det <= 0.0 {
         return (Color32::from_rgb(255, 40, 220), 0.85);
@@ -117,7 +119,7 @@ fn mix(a: Color32, b: Color32, share: f32) -> Color32 {
     a.lerp_to_gamma(b, share)
 }
 
-/// The label map of assets and its colours.
+/// The label map of the assets and its colours.
 pub struct Regions<'a> {
     map: &'a crate::volume::Volume,
     voxel_from_world: glam::DAffine3,
@@ -125,7 +127,7 @@ pub struct Regions<'a> {
 }
 
 impl<'a> Regions<'a> {
-    /// Of the assets, if they have a label map.
+    /// The regions of the assets, if they have a label map.
     pub fn new(assets: &'a Assets) -> Option<Self> {
         let map = assets.label_map().ok()?;
         let colors = Colors::of_labels(map.voxels.clone(), map.range[1] as usize, &map.label_table);
@@ -139,7 +141,7 @@ impl<'a> Regions<'a> {
         inside.then(|| self.map.value(v.x as usize, v.y as usize, v.z as usize) as u32)
     }
 
-    /// Its colour; none where there is no label.
+    /// The colour at a world point; none outside all labels.
     pub fn color(&self, world: Vec3) -> Option<[u8; 3]> {
         let label = self.label(world).filter(|l| *l > 0)?;
         self.colors.of_label(label)

@@ -10,19 +10,19 @@ use eframe::egui::{self, Rect};
 use glam::Vec3;
 use std::sync::Arc;
 
-/// Which anatomy slices show.
+/// The space that slices show.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Space {
     /// The deformed scene.
     #[default]
     Deformed,
-    /// The volume as it was.
+    /// The undeformed volume.
     Source,
-    /// Both, their crosshairs on the same matter.
+    /// Both, with crosshairs at corresponding points.
     Linked,
 }
 
-/// What a slice view was asked for.
+/// The content requested for a slice view.
 #[derive(Clone)]
 pub(in crate::gui) struct SliceRequest {
     pub(in crate::gui) scene: Arc<Scene>,
@@ -40,15 +40,15 @@ impl SliceRequest {
     }
 }
 
-/// One of the three, deformed or source.
+/// One slice view, deformed or source.
 #[derive(Default)]
 pub(in crate::gui) struct Pane {
     pub(in crate::gui) rect: Option<Rect>,
     pub(in crate::gui) texture: Option<egui::TextureHandle>,
-    /// What is shown, and what it was asked for.
+    /// The displayed slice, and the request it shows.
     pub(in crate::gui) picture: Option<(SlicePicture, SliceRequest)>,
     pub(in crate::gui) requested: Option<SliceRequest>,
-    /// What jobs that are not done yet were asked for.
+    /// The requests of pending jobs.
     pub(in crate::gui) open: Vec<(u64, SliceRequest)>,
     pub(in crate::gui) delay: OutdatedNotice,
 }
@@ -69,18 +69,18 @@ impl Pane {
 pub struct Slices {
     /// The crosshair in the deformed scene, mm.
     pub cursor: Option<Vec3>,
-    /// Magnification beyond fitting.
+    /// Magnification relative to fitting the view.
     pub zoom: f32,
-    /// Shift of each view, mm along its right and down.
+    /// Pan of each view, mm along its right and down.
     pub(in crate::gui) pan: [egui::Vec2; 3],
-    /// What is shown over them.
+    /// The overlay.
     pub overlay: Overlay,
-    /// Which anatomy.
+    /// The space that is shown.
     pub space: Space,
     pub(in crate::gui) panes: [Pane; 6],
-    /// The scene without what slices do not depend on.
+    /// The scene reduced to what slices depend on.
     pub(in crate::gui) scene: Option<Arc<Scene>>,
-    /// Turns of the wheel that are no whole slice yet, points.
+    /// Wheel movement that does not add up to a whole slice yet, points.
     pub(in crate::gui) wheel: f32,
 }
 
@@ -100,15 +100,15 @@ impl Default for Slices {
 }
 
 impl Slices {
-    /// Forgets a scene.
+    /// Resets the state for another scene.
     pub fn forget(&mut self) {
         *self = Self { overlay: self.overlay, space: self.space, ..Self::default() };
     }
 
-    /// Takes a slice that has arrived.
+    /// Stores a slice that has arrived.
     pub fn arrived(&mut self, ctx: &egui::Context, n: usize, serial: u64, picture: SlicePicture) {
         let Some(pane) = self.panes.get_mut(n) else { return };
-        // Of a scene that is gone.
+        // Without a matching request, it belongs to a scene that has been closed.
         let Some(of) = pane.take_request(serial) else { return };
         let options = egui::TextureOptions::LINEAR;
         let image = picture.image.clone();
@@ -120,7 +120,7 @@ impl Slices {
         pane.delay.restart();
     }
 
-    /// A slice could not be made.
+    /// Handles a slice that could not be rendered.
     pub fn failed(&mut self, n: usize, serial: u64, problem: &str) {
         let Some(pane) = self.panes.get_mut(n) else { return };
         let of = pane.take_request(serial);
@@ -129,12 +129,13 @@ impl Slices {
         }
     }
 
-    /// Whether every shown slice has its picture.
+    /// Whether every visible slice view has a picture.
     pub fn are_there(&self) -> bool {
         self.panes.iter().filter(|p| p.rect.is_some()).all(|p| p.picture.is_some())
     }
 
-    /// Where the matter at a point of a deformed slice came from; none off the slice that is shown.
+    /// The source point of a point on a deformed slice; none if the point is not on the displayed
+    /// slice.
     pub(in crate::gui) fn source_of(&self, n: usize, world: Vec3) -> Option<Vec3> {
         let picture = self.picture(n)?;
         let (x, y, away) = picture.plane.pixel(world);
@@ -143,13 +144,13 @@ impl Slices {
         inside.then(|| picture.source(world))
     }
 
-    /// The crosshair in the source, from whichever slice shows it.
+    /// The source point of the crosshair, from any slice that shows it.
     pub fn source_cursor(&self) -> Option<Vec3> {
         let cursor = self.cursor?;
         (0..3).find_map(|n| self.source_of(n, cursor))
     }
 
-    /// What a view shows: axial, coronal, sagittal; from 3 on the same of the source.
+    /// The slice of a view: axial, coronal, sagittal; from 3 on, the same of the source.
     pub fn picture(&self, n: usize) -> Option<&SlicePicture> {
         self.panes.get(n)?.picture.as_ref().map(|(picture, _)| picture)
     }

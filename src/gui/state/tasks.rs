@@ -1,4 +1,4 @@
-//! Work in the background.
+//! Background tasks.
 
 use super::Workstation;
 use crate::Result;
@@ -7,12 +7,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::mpsc::Receiver;
 
-/// What to do with the workstation once the work is done.
+/// Runs on the workstation when the task is done.
 pub type Finish = Box<dyn FnOnce(&mut Workstation, &Context) + Send>;
 
-/// One piece of work.
+/// A background task.
 pub struct Task {
-    /// What it does, in words.
+    /// Its name for display.
     pub name: String,
     pub(in crate::gui) progress: Arc<AtomicU32>,
     pub(in crate::gui) cancel: Arc<AtomicBool>,
@@ -20,12 +20,12 @@ pub struct Task {
 }
 
 impl Task {
-    /// Share that is done.
+    /// The fraction done.
     pub fn progress(&self) -> f32 {
         self.progress.load(Ordering::Relaxed) as f32 / 1000.0
     }
 
-    /// Tells it to stop.
+    /// Cancels the task.
     pub fn cancel(&self) {
         self.cancel.store(true, Ordering::Relaxed);
     }

@@ -1,4 +1,4 @@
-//! What a click or a drag in a view does, and how templates of deformations lie on a surface.
+//! The tools for clicks and drags in a view, and templates for placing deformations on a surface.
 
 use crate::deform::kinds::{DefaultSize, Kind};
 use crate::math::Bounds;
@@ -7,7 +7,7 @@ use crate::scene::{Deformation, Size};
 use egui_phosphor::regular as icon;
 use glam::{EulerRot, Mat3, Quat, Vec3};
 
-/// A kind to be placed.
+/// A kind to place.
 #[derive(Clone, Copy)]
 pub struct Placed(pub &'static Kind);
 
@@ -26,31 +26,31 @@ impl std::fmt::Debug for Placed {
 /// The armed tool.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub enum Tool {
-    /// Turns the camera, moves the crosshair, grabs handles.
+    /// Orbits the camera, moves the crosshair, drags handles.
     #[default]
     Navigate,
-    /// Notes the value where it is clicked.
+    /// Records the value at a click.
     Probe,
-    /// Takes points.
+    /// Takes the points of a measurement.
     Measure(MeasureKind),
-    /// Drops a deformation.
+    /// Places a deformation.
     Place(Placed),
     /// Cuts out an outline.
     LassoCut,
-    /// Puts an outline back.
+    /// Restores the inside of an outline.
     LassoRestore,
-    /// Drags matter along.
+    /// Drags the volume along.
     BrushPush,
-    /// Relaxes what was dragged.
+    /// Smooths the displacement.
     BrushSmooth,
-    /// Removes matter.
+    /// Cuts away.
     BrushCut,
-    /// Puts matter back.
+    /// Restores what was cut away.
     BrushRestore,
 }
 
 impl Tool {
-    /// What to do with it, one sentence.
+    /// Instructions, one sentence.
     pub fn hint(self) -> String {
         match self {
             Self::Navigate => String::new(),
@@ -66,7 +66,7 @@ impl Tool {
         }
     }
 
-    /// Whether it paints.
+    /// The brush of a painting tool.
     pub fn brush(self) -> Option<&'static str> {
         match self {
             Self::BrushPush => Some("push"),
@@ -77,13 +77,13 @@ impl Tool {
         }
     }
 
-    /// Whether it draws outlines.
+    /// Whether it is a lasso tool.
     pub fn is_lasso(self) -> bool {
         matches!(self, Self::LassoCut | Self::LassoRestore)
     }
 }
 
-/// A kind's name as people say it.
+/// The display name of a kind.
 pub fn words(kind: &str) -> String {
     let mut text = match kind {
         "half-space" => "clip plane".to_owned(),
@@ -104,7 +104,7 @@ pub fn words(kind: &str) -> String {
     text
 }
 
-/// A kind's icon.
+/// The icon of a kind.
 pub fn symbol(kind: &str) -> &'static str {
     match kind {
         "peel" | "surface-peel" | "strip" => icon::ORANGE_SLICE,
@@ -128,20 +128,21 @@ pub fn symbol(kind: &str) -> &'static str {
     }
 }
 
-/// How a kind lies on a surface: which of its axes points out, and how deep its middle lies, in shares of its extent along that axis.
+/// How a kind is placed on a surface: orientation and depth relative to its extents.
 struct Template {
-    /// Shares of the scene's extents, if another size than the kind's own suits a place on a surface.
+    /// Fractions of the scene's extents, if a size other than the kind's default suits placement on
+    /// a surface.
     share: Option<[f32; 3]>,
-    /// Depth of the middle below the surface, share of the extent along z.
+    /// Depth of the centre below the surface, as a fraction of the extent along z.
     depth: f32,
-    /// z follows the normal.
+    /// Whether z is aligned with the normal.
     turns: bool,
 }
 
 fn template(kind: &Kind) -> Template {
     let on = |share: [f32; 3], depth: f32| Template { share: Some(share), depth, turns: true };
     match kind.name {
-        // The layer that is peeled lies low in the box, and its skin is the surface.
+        // The peeled layer lies low in the box, with its outer side on the surface.
         "peel" => on([0.62, 0.55, 0.45], -0.07),
         "surface-peel" | "strip" => on([0.5, 0.42, 0.6], 0.15),
         "knife" | "retractor" => on([0.45, 0.45, 0.4], 0.32),
@@ -153,30 +154,31 @@ fn template(kind: &Kind) -> Template {
         "half-space" => Template { share: None, depth: 0.0, turns: true },
         "wave" | "planar-wave" => on([0.5, 0.5, 0.4], 0.2),
         "elastic" => on([0.6, 0.6, 0.6], 0.25),
-        // What acts on all of the scene stays about its middle.
+        // Kinds that affect the whole scene stay about its centre.
         _ => Template { share: None, depth: 0.0, turns: false },
     }
 }
 
-/// Turns about x, then y, then z, degrees, whose matrix is `m`.
+/// Rotation angles about x, then y, then z, degrees, of the matrix `m`.
 pub fn angles_of(m: Mat3) -> Vec3 {
     let (z, y, x) = Quat::from_mat3(&m).to_euler(EulerRot::ZYX);
     Vec3::new(x.to_degrees(), y.to_degrees(), z.to_degrees())
 }
 
-/// The matrix of turns about x, then y, then z, degrees.
+/// The matrix of rotations about x, then y, then z, degrees.
 pub fn matrix_of(degrees: Vec3) -> Mat3 {
     let r = degrees * (std::f32::consts::PI / 180.0);
     Mat3::from_rotation_z(r.z) * Mat3::from_rotation_y(r.y) * Mat3::from_rotation_x(r.x)
 }
 
-/// A number with no more digits than a length in mm or an angle needs.
+/// Rounded to a precision that suffices for a length in mm or an angle.
 pub fn tidy(v: Vec3) -> [f32; 3] {
     v.to_array().map(|x| (x * 100.0).round() / 100.0)
 }
 
-/// A deformation of a kind where it was dropped: on a surface point with its normal, or (with none) about the middle of the scene. What opens,
-/// opens towards `viewer`, a direction in the world.
+/// A deformation of a kind placed at a drop: on a surface point with its normal, or (if `None`)
+/// about the centre of the scene. A kind that opens does so towards `viewer`, a direction in the
+/// world.
 pub fn dropped(kind: &'static Kind, scene_box: &Bounds, at: Option<(Vec3, Vec3)>, viewer: Vec3) -> Deformation {
     let template = template(kind);
     let mut deformation = Deformation::new(kind.name);
@@ -197,7 +199,7 @@ pub fn dropped(kind: &'static Kind, scene_box: &Bounds, at: Option<(Vec3, Vec3)>
     }
     deformation.center = Some(tidy(center));
     if matches!(kind.name, "peel" | "surface-peel" | "strip" | "knife" | "retractor" | "seam" | "book") {
-        // Begun, to be opened by its handle.
+        // Half open, to be adjusted with its handle.
         deformation.progress = Some(0.5);
     }
     if !across {
@@ -206,7 +208,7 @@ pub fn dropped(kind: &'static Kind, scene_box: &Bounds, at: Option<(Vec3, Vec3)>
     let bounds = Bounds::new(center - size / 2.0, center + size / 2.0);
     deformation.parameters = kind.example(&bounds);
     if kind.name == "peel" {
-        // As thick as the box allows: the surface is curved, and what is peeled is a cap of it.
+        // As thick as the box allows: the surface is curved, and the peeled part is a cap of it.
         deformation.parameters.insert("depth", tidy(Vec3::splat(0.35 * size.z))[0]);
         deformation.parameters.insert("radius", tidy(Vec3::splat(0.43 * size.z))[0]);
     }
@@ -226,7 +228,7 @@ mod tests {
         }
     }
 
-    /// The box's z axis is the surface's normal, and the point lies inside the box.
+    /// The box's z axis is the surface normal, and the point lies inside the box.
     #[test]
     fn templates_lie_on_the_surface() {
         let scene_box = Bounds::new(Vec3::splat(-100.0), Vec3::splat(100.0));

@@ -9,39 +9,39 @@ use crate::scene::Deformation;
 use eframe::egui::{self, Pos2, Rect};
 use std::time::Instant;
 
-/// A coarse picture should not take longer than this, ms.
+/// Target time of a coarse picture, ms.
 pub(in crate::gui) const COARSE_MS: f64 = 70.0;
-/// What the 3D view keeps.
+/// State of the 3D view.
 pub struct View3d {
-    /// Where it was last shown, points.
+    /// Its last rectangle, points.
     pub rect: Rect,
     pub(in crate::gui) picture: Option<DisplayedPicture>,
-    /// What was last asked for.
+    /// The last request.
     pub(in crate::gui) requested: Option<PictureRequest>,
-    /// What jobs that are not done yet were asked for.
+    /// The requests of pending jobs.
     pub(in crate::gui) open: Vec<(u64, PictureRequest)>,
     pub(in crate::gui) delay: OutdatedNotice,
     pub(in crate::gui) changed_at: Instant,
     pub(in crate::gui) coarse_open: bool,
     pub(in crate::gui) fine_serial: Option<u64>,
-    /// A fine picture of the last scene is there.
+    /// Whether a fine picture of the last request has arrived.
     pub is_fine: bool,
     /// Pixels of the view per pixel of a coarse picture.
     pub(in crate::gui) scale: f32,
     pub(in crate::gui) fine_ms: f64,
-    /// The last picture's facts, for the status bar.
+    /// Facts about the last picture, for the status bar.
     pub facts: Facts,
-    /// Which handles.
+    /// The set of handles.
     pub gizmo: GizmoMode,
-    /// An outline that is being drawn, points.
+    /// The outline being drawn, points.
     pub lasso: Vec<Pos2>,
-    /// The camera of the picture that it is drawn on.
+    /// The projector of the picture on which it is drawn.
     pub(in crate::gui) lasso_on: Option<Projector>,
-    /// What the last drag of a handle made of its deformation.
+    /// The deformation as left by the last drag of a handle.
     pub(in crate::gui) dragged: Option<Deformation>,
     pub(in crate::gui) hover_requested: Option<([f32; 2], u64)>,
     pub(in crate::gui) pixels_per_point: f32,
-    /// Pictures that have arrived.
+    /// Number of pictures that have arrived.
     pub pictures: u64,
 }
 
@@ -50,15 +50,15 @@ pub struct View3d {
 pub struct Facts {
     /// Time, ms.
     pub ms: f64,
-    /// What computed it.
+    /// The device that rendered it.
     pub device: Option<DeviceInfo>,
-    /// Its pixels.
+    /// Its size, pixels.
     pub size: [usize; 2],
     /// Sampling distance, voxels.
     pub step: f32,
-    /// What a user should be told of it, one sentence each.
+    /// Notices for the user, one sentence each.
     pub notices: Vec<String>,
-    /// Why nothing is to be seen, if nothing is.
+    /// Why the picture is empty, if it is.
     pub blank: Option<String>,
 }
 
@@ -89,7 +89,7 @@ impl Default for View3d {
 }
 
 impl View3d {
-    /// Everything is to be asked for again.
+    /// Discards the requests, so that pictures are requested again.
     pub fn forget(&mut self) {
         self.requested = None;
         self.is_fine = false;
@@ -104,7 +104,7 @@ impl View3d {
         [(size.x as u32).clamp(16, 8192), (size.y as u32).clamp(16, 8192)]
     }
 
-    /// Shows nothing any more: its picture is of another scene.
+    /// Clears the view: its picture shows another scene.
     pub fn clear(&mut self) {
         self.forget();
         self.picture = None;
@@ -113,12 +113,12 @@ impl View3d {
         self.facts = Facts::default();
     }
 
-    /// What is on the screen.
+    /// The displayed picture.
     pub fn picture(&self) -> Option<&DisplayedPicture> {
         self.picture.as_ref()
     }
 
-    /// Whether what is on the screen is what was asked for last.
+    /// Whether the displayed picture matches the last request.
     pub fn is_current(&self) -> bool {
         self.picture.as_ref().zip(self.requested.as_ref()).is_some_and(|(p, a)| p.of.is(a))
     }
@@ -128,14 +128,14 @@ impl View3d {
         self.delay.failure.as_deref()
     }
 
-    /// What a job was asked for; older ones are not waited for any longer.
+    /// Takes the request of a job; requests of older jobs are dropped.
     pub(in crate::gui) fn take_request(&mut self, serial: u64) -> Option<PictureRequest> {
         let found = self.open.iter().position(|(n, _)| *n == serial).map(|at| self.open.remove(at).1);
         self.open.retain(|(n, _)| *n > serial);
         found
     }
 
-    /// Takes a picture that has arrived.
+    /// Stores a picture that has arrived.
     pub fn arrived(&mut self, ctx: &egui::Context, target: JobTarget, serial: u64, ms: f64, shown: RenderedView) {
         let of = self.take_request(serial);
         if target == JobTarget::Coarse {
@@ -143,7 +143,7 @@ impl View3d {
             let wanted = self.scale * ((ms / COARSE_MS) as f32).sqrt().clamp(0.6, 1.7);
             self.scale = wanted.clamp(1.0, 8.0);
             if self.is_fine {
-                // Late: a fine one is there already.
+                // A fine picture has already arrived.
                 return;
             }
         } else {
@@ -153,7 +153,7 @@ impl View3d {
             self.is_fine = true;
             self.fine_ms = ms;
         }
-        // Of a scene that is gone.
+        // Without a matching request, it belongs to a scene that has been closed.
         let Some(of) = of else { return };
         self.pictures += 1;
         self.facts = Facts { ms, device: Some(shown.device), size: shown.image.size, step: shown.step, notices: shown.notices, blank: shown.blank };
@@ -171,7 +171,7 @@ impl View3d {
         self.delay.note(current);
     }
 
-    /// A job of this view failed: it is not waited for any longer.
+    /// Handles a failed job of this view.
     pub fn failed(&mut self, target: JobTarget, serial: u64, problem: &str) {
         if target == JobTarget::Coarse {
             self.coarse_open = false;

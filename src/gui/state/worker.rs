@@ -1,8 +1,9 @@
-//! Rendering in the background: the interface asks and goes on.
+//! Background rendering: the interface submits jobs and continues.
 //!
-//! One thread renders, the most urgent job first; a newer job of the same target takes the place of one that waits, and stops one that runs if it
-//! is of full quality (a coarse one is let finish: it is what keeps a drag moving). A second thread answers what lies under the pointer, so
-//! that it never waits for a picture. Coarse pictures and slices leave one core to the interface.
+//! One thread renders, the most urgent job first. A newer job replaces a waiting one of the same
+//! target and cancels a running one, except for coarse pictures and slices: those finish, so that a
+//! drag keeps receiving pictures. A second thread picks the point under the pointer, so that
+//! picking never waits for a picture. Coarse pictures and slices leave one core to the interface.
 
 use super::log::LogLevel;
 use super::slice_paint::{self, Overlay, SliceStyle};
@@ -22,14 +23,14 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
-/// What a picture is for.
+/// The target of a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum JobTarget {
-    /// The 3D view while it moves.
+    /// The 3D view during interaction.
     Coarse,
     /// The 3D view at rest.
     Fine,
-    /// A slice: axial, coronal, sagittal; from 3 on the same of the source.
+    /// A slice: axial, coronal, sagittal; from 3 on, the same of the source.
     Slice(usize),
     /// A side of the comparison.
     Compare(usize),
@@ -37,12 +38,12 @@ pub enum JobTarget {
     Preset(usize),
     /// A kind's thumbnail.
     Kind(usize),
-    /// Numbers of the measurements.
+    /// The values of the measurements.
     Measures,
 }
 
 impl JobTarget {
-    /// Lower goes first.
+    /// Lower values run first.
     fn urgency(self) -> u8 {
         match self {
             Self::Coarse => 0,
@@ -55,70 +56,70 @@ impl JobTarget {
         }
     }
 
-    /// Whether a newer job stops it while it runs.
+    /// Whether a newer or more urgent job cancels it while it runs.
     fn stops(self) -> bool {
         !matches!(self, Self::Coarse | Self::Slice(_))
     }
 }
 
-/// What to do.
+/// The work of a job.
 pub enum JobKind {
     /// A picture of the scene.
     Picture {
         /// Count samples.
         counting: bool,
-        /// Give back the picture's own numbers.
+        /// Also return the floating-point picture.
         with_pixels: bool,
-        /// How good it is to be.
+        /// Its quality.
         quality: Quality,
     },
     /// A slice.
     Slice(SectionPlane, SliceStyle),
-    /// The measurements.
+    /// The values of the measurements.
     Measures(Vec<Measure>),
 }
 
 /// A job.
 pub struct Job {
-    /// What it is for.
+    /// Its target.
     pub target: JobTarget,
-    /// Told back with the result.
+    /// Number, returned with the result.
     pub serial: u64,
     /// The scene.
     pub scene: Arc<Scene>,
     /// Its assets.
     pub assets: Arc<Assets>,
-    /// What to do.
+    /// The work.
     pub what: JobKind,
 }
 
-/// A measurement with what it comes to, and where its points are seen.
+/// A measurement with its values, and the displayed positions of its points.
 #[derive(Clone)]
 pub struct MeasureResult {
     /// The measurement.
     pub measure: Measure,
-    /// Numbers, or why there are none.
+    /// Its values, or why there are none.
     pub quantities: Result<Vec<Quantity>, String>,
     /// Its points in the deformed scene.
     pub seen: Vec<Option<Vec3>>,
 }
 
-/// A slice with everything that is asked of it afterwards.
+/// A slice with the data for later queries.
 pub struct SlicePicture {
     /// Pixels.
     pub image: ColorImage,
     /// Its plane.
     pub plane: SectionPlane,
-    /// What was found.
+    /// The sampled section.
     pub section: Section,
-    /// How it is shown.
+    /// Its style.
     pub style: SliceStyle,
-    /// The deformation it was made with; none of the source, or if there is none.
+    /// The deformation with which it was made; none for the source or without deformations.
     deformed: Option<Deformed>,
 }
 
 impl SlicePicture {
-    /// Where the matter at a point of it came from, mm.
+    /// The source position of a point on it, mm.
     pub fn source(&self, point: Vec3) -> Vec3 {
         self.deformed.as_ref().map_or(point, |d| d.stack.source_and_alpha(point).0)
     }
@@ -128,27 +129,27 @@ impl SlicePicture {
 pub struct RenderedView {
     /// Pixels over the scene's background.
     pub image: ColorImage,
-    /// The picture's own numbers, if they were asked for.
+    /// The floating-point picture, if requested.
     pub picture: Option<Picture>,
-    /// Counts.
+    /// Sample counts.
     pub stats: Option<RenderStats>,
     /// Time by stage, ms.
     pub stages: Vec<(String, f64)>,
     /// Notices.
     pub notices: Vec<String>,
-    /// Why nothing is to be seen, if nothing is.
+    /// Why the picture is empty, if it is.
     pub blank: Option<String>,
-    /// What computed it.
+    /// The device that rendered it.
     pub device: DeviceInfo,
     /// Its sampling distance, voxels.
     pub step: f32,
-    /// The camera it was made with.
+    /// Its camera.
     pub frame: ViewFrame,
-    /// Of a picture of the 3D view: the scene's measurements that have points, by their place in the list.
+    /// For a picture of the 3D view: the scene's measurements that have points, by index.
     pub measured: Vec<Option<MeasureResult>>,
 }
 
-/// What came out.
+/// The result of a job.
 pub enum JobOutput {
     /// A picture.
     Picture(Box<RenderedView>),
@@ -160,20 +161,20 @@ pub enum JobOutput {
 
 /// A job that is done.
 pub struct FinishedJob {
-    /// What it was for.
+    /// Its target.
     pub target: JobTarget,
-    /// The job's own number.
+    /// Its number.
     pub serial: u64,
     /// The result.
     pub outcome: Result<JobOutput>,
-    /// How long it took.
+    /// Time taken, ms.
     pub ms: f64,
 }
 
 struct Running {
     target: JobTarget,
     cancel: Arc<AtomicBool>,
-    /// Not to be taken up again.
+    /// Dropped while running, so it is not queued again.
     dropped: bool,
 }
 
@@ -183,7 +184,7 @@ struct Queue {
     running: Option<Running>,
     closed: bool,
     backend: Backend,
-    /// The device is to be given up before the next picture.
+    /// The device must be given up before the next picture.
     lose: bool,
 }
 
@@ -191,12 +192,12 @@ struct Queue {
 struct WorkerState {
     queue: Mutex<Queue>,
     wake: Condvar,
-    /// Share of the running job that is done, in thousandths.
+    /// Fraction of the running job that is done, in thousandths.
     progress: AtomicU32,
 }
 
 fn lock<T>(m: &Mutex<T>) -> MutexGuard<'_, T> {
-    // Jobs are only ever added or taken whole.
+    // A panic cannot leave the data inconsistent: jobs are only added or taken as a whole.
     m.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -209,7 +210,7 @@ pub struct Worker {
 }
 
 impl Worker {
-    /// Starts it.
+    /// Starts the thread.
     pub fn new(ctx: &egui::Context, backend: Backend) -> Self {
         let shared = Arc::new(WorkerState::default());
         lock(&shared.queue).backend = backend;
@@ -220,7 +221,7 @@ impl Worker {
         Self { shared, done, messages, thread }
     }
 
-    /// Asks for something; a job of the same target that still waits is dropped.
+    /// Submits a job; a waiting job of the same target is dropped.
     pub fn submit(&self, job: Job) {
         let mut queue = lock(&self.shared.queue);
         let target = job.target;
@@ -236,7 +237,7 @@ impl Worker {
         self.shared.wake.notify_one();
     }
 
-    /// Drops what waits, and stops what runs, of the targets.
+    /// Drops waiting jobs of the targets, and cancels a running one.
     pub fn drop_jobs(&self, which: impl Fn(JobTarget) -> bool) {
         let mut queue = lock(&self.shared.queue);
         queue.jobs.retain(|j| !which(j.target));
@@ -246,34 +247,34 @@ impl Worker {
         }
     }
 
-    /// What is done by now.
+    /// The next finished job, if any.
     pub fn poll(&self) -> Option<FinishedJob> {
         self.done.try_recv().ok()
     }
 
-    /// What it has to say.
+    /// The next message, if any.
     pub fn poll_message(&self) -> Option<(LogLevel, String)> {
         self.messages.try_recv().ok()
     }
 
-    /// The running job's target, and the share that is done.
+    /// The running job's target, and the fraction done.
     pub fn progress(&self) -> Option<(JobTarget, f32)> {
         let target = lock(&self.shared.queue).running.as_ref().map(|r| r.target)?;
         Some((target, self.shared.progress.load(Ordering::Relaxed) as f32 / 1000.0))
     }
 
-    /// Whether nothing runs or waits.
+    /// Whether no job is running or waiting.
     pub fn is_idle(&self) -> bool {
         let queue = lock(&self.shared.queue);
         queue.running.is_none() && queue.jobs.is_empty()
     }
 
-    /// Chooses where pictures are computed from now on.
+    /// Selects the backend for subsequent pictures.
     pub fn set_backend(&self, backend: Backend) {
         lock(&self.shared.queue).backend = backend;
     }
 
-    /// Gives up the GPU: the next picture finds its device lost, and opens it anew.
+    /// Gives up the GPU: the next picture finds its device lost, and reopens it.
     pub fn lose_device(&self) {
         lock(&self.shared.queue).lose = true;
     }
@@ -291,13 +292,13 @@ impl Drop for Worker {
         }
         self.shared.wake.notify_all();
         if let Some(thread) = self.thread.take() {
-            // A panic in it was a bug of a picture, and is no reason for another one here.
+            // If the thread panicked while rendering, the panic is not propagated.
             let _ended = thread.join();
         }
     }
 }
 
-/// Threads for what must not disturb the interface: all cores but one.
+/// A thread pool for work that must not slow down the interface: all cores but one.
 pub fn quiet_pool() -> Option<rayon::ThreadPool> {
     let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     rayon::ThreadPoolBuilder::new().num_threads(cores.saturating_sub(1).max(1)).build().ok()
@@ -338,7 +339,7 @@ fn run(shared: &WorkerState, send: &Sender<FinishedJob>, log: &Sender<(LogLevel,
         let watch = Watch { progress: &report, cancel: &cancel };
         let quiet = !matches!(job.target, JobTarget::Fine | JobTarget::Compare(_));
         let mut work = || renderer.work(&job, backend, &watch);
-        // A fault in one picture is told, and the next one is made.
+        // A panic in one picture is reported, and the next one is rendered.
         let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| match &pool {
             Some(pool) if quiet => pool.install(work),
             _ => work(),
@@ -348,7 +349,7 @@ fn run(shared: &WorkerState, send: &Sender<FinishedJob>, log: &Sender<(LogLevel,
         let dropped = queue.running.take().is_some_and(|r| r.dropped);
         let stopped = dropped || matches!(outcome, Err(Error::Cancelled));
         if stopped && !dropped && !queue.closed && !queue.jobs.iter().any(|j| j.target == job.target) && !matches!(job.target, JobTarget::Fine) {
-            // It only made room for something more urgent.
+            // The job was cancelled only in favour of a more urgent one, so it is queued again.
             queue.jobs.push(job);
             continue;
         }
@@ -363,14 +364,14 @@ fn run(shared: &WorkerState, send: &Sender<FinishedJob>, log: &Sender<(LogLevel,
     }
 }
 
-/// What computes pictures, and what it has to say.
+/// The engine, and the channel for its messages.
 struct Renderer {
     engine: Option<Engine>,
     log: Sender<(LogLevel, String)>,
 }
 
 impl Renderer {
-    /// The engine of a backend; another one if another is asked for.
+    /// The engine of a backend; reopened if the backend changes.
     fn engine(&mut self, backend: Backend) -> Result<&mut Engine> {
         if self.engine.as_ref().is_none_or(|engine| engine.backend() != backend) {
             let engine = Engine::open(EngineOptions { backend, ..EngineOptions::default() })?;
@@ -383,7 +384,7 @@ impl Renderer {
     }
 
     fn warn(&self, text: String) {
-        // Nobody listens once the window has closed.
+        // There is no receiver once the window has closed.
         let _gone = self.log.send((LogLevel::Warning, text));
     }
 
@@ -443,7 +444,7 @@ fn measured(job: &Job, measures: &[Measure], watch: &Watch) -> Result<Vec<Measur
     measures.iter().map(|m| watch.check().map(|()| measured_in(m, &job.assets, &deformed))).collect()
 }
 
-/// The measurements of a picture that lie in it.
+/// The measurements of a picture that have points.
 fn measured_points(job: &Job, watch: &Watch) -> Result<Vec<Option<MeasureResult>>> {
     let measures = &job.scene.measure;
     if measures.iter().all(|m| m.points.is_empty()) {
@@ -465,23 +466,23 @@ fn measured_in(measure: &Measure, assets: &Assets, deformed: &Deformed) -> Measu
     }
 }
 
-/// Why something under the pointer is asked for.
+/// The purpose of picking the point under the pointer.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ProbePurpose {
-    /// To tell it in the status bar.
+    /// To show it in the status bar.
     Hover,
-    /// To put it in the middle of the view.
+    /// To centre the view on it.
     Center,
-    /// A tool was used there.
+    /// To apply a tool there.
     Tool,
-    /// A point of a brush's stroke; the last one ends it.
+    /// To add a point to a brush stroke.
     Brush {
-        /// The stroke ends here.
+        /// The stroke ends with this point.
         last: bool,
     },
 }
 
-/// A question about a point of the 3D view.
+/// A request to pick a point of the 3D view.
 pub struct ProbeRequest {
     /// The scene at the view's size.
     pub scene: Arc<Scene>,
@@ -489,33 +490,33 @@ pub struct ProbeRequest {
     pub assets: Arc<Assets>,
     /// Picture coordinates in -1..1, v upwards.
     pub at: [f32; 2],
-    /// What for.
+    /// The purpose.
     pub purpose: ProbePurpose,
 }
 
-/// The answer.
+/// The result of picking.
 pub struct ProbeResult {
-    /// Where.
+    /// The position.
     pub at: [f32; 2],
-    /// What for.
+    /// The purpose.
     pub purpose: ProbePurpose,
-    /// What was found.
+    /// The picked point.
     pub pick: Result<Option<Pick>>,
-    /// The assets that it was found in.
+    /// The assets in which it was picked.
     pub assets: Arc<Assets>,
 }
 
-/// The thread that answers what lies under the pointer.
+/// The thread that picks the point under the pointer.
 pub struct Prober {
     ask: Option<Sender<ProbeRequest>>,
     answers: Receiver<ProbeResult>,
     thread: Option<std::thread::JoinHandle<()>>,
-    /// Questions without an answer yet.
+    /// Number of pending requests.
     pub open: usize,
 }
 
 impl Prober {
-    /// Starts it.
+    /// Starts the thread.
     pub fn new(ctx: &egui::Context) -> Self {
         let (ask, questions) = channel::<ProbeRequest>();
         let (answer, answers) = channel();
@@ -524,14 +525,14 @@ impl Prober {
         Self { ask: Some(ask), answers, thread, open: 0 }
     }
 
-    /// Asks.
+    /// Submits a request.
     pub fn ask(&mut self, question: ProbeRequest) {
         if self.ask.as_ref().is_some_and(|a| a.send(question).is_ok()) {
             self.open += 1;
         }
     }
 
-    /// What has been answered by now.
+    /// The next result, if any.
     pub fn poll(&mut self) -> Option<ProbeResult> {
         let answer = self.answers.try_recv().ok()?;
         self.open = self.open.saturating_sub(1);

@@ -1,5 +1,5 @@
-//! GIfTI surfaces (`.gii`): XML with one array of points and one of triangles, by quick-xml, base64 and flate2. RAS as all of
-//! the NIfTI family: x and y are negated on reading.
+//! GIfTI surfaces (`.gii`): XML with one array of points and one of triangles, by quick-xml, base64
+//! and flate2. RAS, as in the whole NIfTI family: x and y are negated on reading.
 
 use super::MeshFileContents;
 use base64::Engine;
@@ -7,7 +7,7 @@ use glam::Vec3;
 use quick_xml::events::Event;
 use std::io::Read;
 
-/// Most bytes of one array: a file can pack a thousandfold.
+/// Maximum number of bytes of one array: a compressed file can expand a thousandfold.
 const MAX_BYTES: u64 = 2 << 30;
 
 #[derive(Default)]
@@ -98,7 +98,7 @@ fn arrays(text: &str) -> Result<Vec<GiftiArray>, String> {
 }
 
 impl GiftiArray {
-    /// The values, row after row.
+    /// The values, row by row.
     fn values(&self) -> Result<Vec<f64>, String> {
         let [rows, columns] = self.dims;
         let count = rows.checked_mul(columns).filter(|n| *n <= MAX_BYTES / 4).ok_or("declares an array too large to be read")? as usize;

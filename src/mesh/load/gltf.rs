@@ -1,5 +1,6 @@
-//! glTF 2 (`.gltf`, `.glb`), by the gltf library: the triangles of every mesh, placed by its nodes. glTF is in metres and y-up; an
-//! illustrator's model has no scale of its own, so numbers are taken as millimetres and axes as they are.
+//! glTF 2 (`.gltf`, `.glb`), by the gltf library: the triangles of every mesh, placed by its nodes.
+//! glTF uses metres and a y-up frame; illustrated models have no scale of their own, hence numbers
+//! are taken as millimetres and axes are unchanged.
 
 use super::MeshFileContents;
 use crate::Error;
@@ -11,19 +12,20 @@ use gltf::mesh::Mode;
 use serde_json::Value;
 use std::path::Path;
 
-/// Deepest tree of nodes: files can name a node as its own child.
+/// Maximum depth of the node tree: a file can list a node as its own child.
 const DEEPEST: usize = 64;
 
-/// Most visits of nodes: files can name a node as the child of many.
+/// Maximum number of node visits: a file can list a node as the child of many.
 const MAX_NODE_VISITS: usize = 1_000_000;
 
 pub fn read(bytes: &[u8], path: Option<&Path>) -> Result<MeshFileContents, String> {
     sound(bytes)?;
-    // The library was not written for files that mean harm: what was not foreseen above ends here.
+    // The library is not hardened against malicious files: panics not prevented above are caught
+    // here.
     catch_panic(|| read_sound(bytes, path)).unwrap_or_else(|| Err("is not a valid glTF: its content is inconsistent; export it again".into()))
 }
 
-/// Checks what the library takes for granted: numbers of accessors, types of indices, sizes, encodings.
+/// Checks the assumptions of the library: accessor counts, index types, sizes, encodings.
 fn sound(bytes: &[u8]) -> Result<(), String> {
     let json = if bytes.starts_with(b"glTF") {
         gltf::Glb::from_slice(bytes).map_err(|e| format!("is not a readable glTF: {e}"))?.json.into_owned()
@@ -53,7 +55,7 @@ fn sound(bytes: &[u8]) -> Result<(), String> {
     Ok(())
 }
 
-/// A file's name without escapes (%41); none if they are no UTF-8.
+/// A file name without percent escapes (%41); none if it is not UTF-8.
 fn unescaped(uri: &str) -> Option<String> {
     let mut bytes = uri.bytes();
     let mut plain = Vec::new();
@@ -70,7 +72,8 @@ fn unescaped(uri: &str) -> Option<String> {
     String::from_utf8(plain).ok()
 }
 
-/// The bytes of a buffer: those behind the header of a .glb, those in its address, or those of a file beside.
+/// The bytes of a buffer: those after the header of a .glb, those of a data URI, or those of a file
+/// in the same folder.
 fn buffer(buffer: &gltf::Buffer, blob: &mut Option<Vec<u8>>, path: Option<&Path>) -> Result<Vec<u8>, String> {
     let mut bytes = match buffer.source() {
         gltf::buffer::Source::Bin => blob.take().ok_or("refers to a binary chunk that is missing; export it again")?,
@@ -82,7 +85,7 @@ fn buffer(buffer: &gltf::Buffer, blob: &mut Option<Vec<u8>>, path: Option<&Path>
             (None, Some(path)) if !uri.contains("://") => {
                 let file = reference::sibling_file(path, &unescaped(uri).ok_or("refers to a buffer file whose percent-encoded name is invalid")?);
                 let read = file.and_then(|file| input::bytes(&file, super::MAX_BYTES, "buffer of a glTF"));
-                // Both name the mesh's file.
+                // Both messages name the mesh's file.
                 read.map_err(|e| match e {
                     Error::File { path: of, problem } if of == path => problem,
                     other => format!("refers to a buffer that cannot be read: {other}"),

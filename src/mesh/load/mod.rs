@@ -1,4 +1,4 @@
-//! Mesh files: one module per format. A format that a library reads well is left to the library.
+//! Mesh files: one module per format. Formats that a library reads well are left to that library.
 
 mod gifti;
 mod gltf;
@@ -13,26 +13,26 @@ use crate::{Error, Result};
 use glam::Vec3;
 use std::path::Path;
 
-/// Endings of mesh files; any of them may be followed by `.gz`.
+/// Extensions of mesh files; any of them may be followed by `.gz`.
 pub const ENDINGS: [&str; 7] = ["stl", "obj", "ply", "off", "gltf", "glb", "gii"];
 
-/// Largest file that is read whole, bytes.
+/// Maximum size of a file, bytes; files are read as a whole.
 const MAX_BYTES: u64 = 4 << 30;
-/// Most triangles: indices are 32 bits wide, and distances to more would take hours.
+/// Maximum number of triangles: indices have 32 bits, and distances to more would take hours.
 const MAX_TRIANGLES: usize = 200_000_000;
 
-/// What a reader finds in a file.
+/// The content of a file.
 #[derive(Default)]
 struct MeshFileContents {
     positions: Vec<Vec3>,
     triangles: Vec<[u32; 3]>,
     warnings: Vec<String>,
-    /// Faces that could not be used.
+    /// Number of unusable faces.
     unusable: usize,
 }
 
 impl MeshFileContents {
-    /// A face of any number of corners, as a fan.
+    /// A face with any number of corners, as a triangle fan.
     fn face(&mut self, corners: &[u32]) {
         if corners.len() < 3 {
             self.unusable += 1;
@@ -44,7 +44,7 @@ impl MeshFileContents {
     }
 }
 
-/// Whether a path looks like a mesh file.
+/// Whether a path has the extension of a mesh file.
 pub fn is_mesh(path: &Path) -> bool {
     ending(path).is_some()
 }
@@ -58,7 +58,7 @@ fn ending(path: &Path) -> Option<&'static str> {
 /// Reads a mesh.
 ///
 /// # Errors
-/// A file that cannot be read or holds no triangle, by name, with what is wrong.
+/// A file that cannot be read or contains no triangle; the message names it and the problem.
 pub fn mesh(path: &Path) -> Result<Mesh> {
     let ending =
         ending(path).ok_or_else(|| Error::file(path, format!("does not have a mesh file extension; known extensions: {}", ENDINGS.join(", "))))?;
@@ -66,10 +66,11 @@ pub fn mesh(path: &Path) -> Result<Mesh> {
     parse(&bytes, ending, Some(path)).map_err(|problem| Error::file(path, problem))
 }
 
-/// Reads a mesh from memory; `path` is the file that it comes from, beside which files that it names are looked for.
+/// Reads a mesh from memory; `path` is the file that it comes from, and files that it references
+/// are looked up in the same folder.
 ///
 /// # Errors
-/// What is wrong, in a sentence without the file's name.
+/// The problem, in a sentence without the file's name.
 pub fn parse(bytes: &[u8], ending: &str, path: Option<&Path>) -> Result<Mesh, String> {
     if bytes.iter().all(u8::is_ascii_whitespace) {
         return Err("is empty".into());

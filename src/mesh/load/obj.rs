@@ -6,7 +6,8 @@ use glam::Vec3;
 pub fn read(bytes: &[u8]) -> Result<MeshFileContents, String> {
     let options = tobj::LoadOptions { triangulate: true, ignore_points: true, ignore_lines: true, ..tobj::LoadOptions::default() };
     let no_materials = |_: &std::path::Path| Err(tobj::LoadError::OpenFileFailed);
-    // Only the shape: a line about materials that is wrong, or a name or comment in another encoding, is no reason to refuse it.
+    // Only the shape matters: an invalid line about materials, or a name or comment in another
+    // encoding, is no reason to reject the file.
     let joined = join_continued(bytes);
     let is_shape = |line: &&[u8]| matches!(line.trim_ascii_start().first(), Some(b'v' | b'f'));
     let shape: Vec<u8> = joined.split_inclusive(|b| *b == b'\n').filter(is_shape).flatten().copied().collect();
@@ -21,7 +22,7 @@ pub fn read(bytes: &[u8]) -> Result<MeshFileContents, String> {
     Ok(listing)
 }
 
-/// A backslash at the end of a line goes on in the next, which the library does not know.
+/// Joins lines continued by a backslash, which the library does not support.
 fn join_continued(bytes: &[u8]) -> Vec<u8> {
     let mut joined = Vec::with_capacity(bytes.len());
     for line in bytes.split_inclusive(|b| *b == b'\n') {

@@ -1,5 +1,5 @@
-//! OFF (Geomview's object file format), text: `OFF`, the counts of vertices, faces and edges, the vertices, the faces. Our own reader: there
-//! is no kept library.
+//! OFF (Geomview's object file format), text: `OFF`, the counts of vertices, faces and edges, the
+//! vertices, the faces. Our own reader: no maintained library exists.
 
 use super::MeshFileContents;
 use glam::Vec3;
@@ -18,7 +18,8 @@ pub fn read(bytes: &[u8]) -> Result<MeshFileContents, String> {
     let counts = if rest.is_empty() { lines.next().unwrap_or("") } else { &rest };
     let counts: Vec<u64> = counts.split_ascii_whitespace().map_while(|w| w.parse().ok()).collect();
     let [vertices, faces, ..] = counts[..] else { return Err("does not state the number of its vertices and faces".into()) };
-    // Every vertex and face takes a line of two characters at least: what cannot be there is not allocated.
+    // Every vertex and face takes a line of at least two characters: counts that cannot fit are not
+    // allocated.
     let room = (bytes.len() / 2) as u64;
     if vertices > room || faces > room {
         return Err(format!("declares {vertices} vertices and {faces} faces, more than a file of {} bytes can hold", bytes.len()));

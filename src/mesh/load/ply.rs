@@ -5,7 +5,7 @@ use glam::Vec3;
 use ply_rs_bw::parser::{Parser, Reader};
 use ply_rs_bw::ply::{PropertyAccess, PropertyAccessResult};
 
-/// A vertex or a face, whichever the element is.
+/// A vertex or a face, depending on the element.
 #[derive(Default)]
 struct Element {
     point: [f64; 3],
@@ -64,7 +64,7 @@ pub fn read(bytes: &[u8]) -> Result<MeshFileContents, String> {
     let header = parser.read_header(&mut reader).map_err(|e| broken(&e))?;
     let mut listing = MeshFileContents::default();
     for (name, element) in &header.elements {
-        // An element takes a byte at least.
+        // An element takes at least one byte.
         if element.count > bytes.len() {
             return Err(format!("declares {} elements \"{name}\", more than a file of {} bytes can hold", element.count, bytes.len()));
         }

@@ -1,5 +1,6 @@
-//! STL, text and binary. Our own reader: files in the wild declare wrong counts, start binary data with "solid", leave out lines, and the
-//! library reader refuses all of that. Normals are taken from the triangles; what the file says of them is often wrong.
+//! STL, text and binary. Our own reader: real files declare wrong counts, start binary data with
+//! "solid" or leave out lines, and the library's reader rejects all of these. Normals are computed
+//! from the triangles; those in the file are often wrong.
 
 use super::MeshFileContents;
 use glam::Vec3;
@@ -10,7 +11,7 @@ const RECORD: usize = 50;
 pub fn read(bytes: &[u8]) -> Result<MeshFileContents, String> {
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     let declared = bytes.get(80..HEADER).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as usize);
-    // The length is the surest sign: "solid" also begins many a binary file.
+    // The length is the most reliable criterion: many binary files begin with "solid" too.
     if declared.is_some_and(|n| bytes.len() == HEADER + n * RECORD) {
         return Ok(binary(bytes));
     }
@@ -32,7 +33,7 @@ fn binary(bytes: &[u8]) -> MeshFileContents {
     for record in bytes[HEADER..].chunks_exact(RECORD) {
         let first = listing.positions.len() as u32;
         let value = |n: usize| f32::from_le_bytes([record[4 * n], record[4 * n + 1], record[4 * n + 2], record[4 * n + 3]]);
-        // After the normal.
+        // The numbers after the normal.
         listing.positions.extend((1..4).map(|v| Vec3::new(value(3 * v), value(3 * v + 1), value(3 * v + 2))));
         listing.triangles.push([first, first + 1, first + 2]);
     }
@@ -54,7 +55,7 @@ fn text(text: &str) -> Result<MeshFileContents, String> {
                 face.push(listing.positions.len() as u32);
                 listing.positions.push(Vec3::new(x, y, z));
             }
-            // A loop that is not closed ends where its facet does, or the next one begins.
+            // An unclosed loop ends with its facet, or where the next one begins.
             Some("endloop" | "endfacet" | "facet" | "endsolid") if !face.is_empty() => {
                 polygons += usize::from(face.len() > 3);
                 listing.face(&face);

@@ -1,5 +1,5 @@
-//! An image as a file stores it: typed values, one or several per voxel, and geometry. What the readers of all formats return, and
-//! how it becomes a volume that can be shown.
+//! An image as stored in a file: typed values, one or several per voxel, and geometry. All readers
+//! return it; it is then converted to a volume that can be shown.
 
 use super::super::colors::{self, Colors, Label};
 use super::super::{Rescale, SliceDisplacement, StoredValues, TypedArray, Volume, Voxels};
@@ -10,7 +10,7 @@ use ndarray::{Array3, Axis, Ix4};
 use serde_json::Value;
 use std::path::Path;
 
-/// How the components of a voxel lie in memory.
+/// Order of a voxel's components in memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Layout {
     /// One whole grid per component.
@@ -19,27 +19,27 @@ pub enum Layout {
     Interleaved,
 }
 
-/// What values are, as far as the file says.
+/// The meaning of the values, as far as the file states it.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Meaning {
-    /// Nothing is said.
+    /// Not stated.
     Unstated,
-    /// Labels, of which these have names or colours.
+    /// Labels, some with names or colours.
     Labels(Vec<Label>),
-    /// Red, green, blue and perhaps opacity, over the whole range of their type.
+    /// Red, green, blue and optionally opacity, over the full range of their type.
     Color,
     /// Vectors.
     Vectors,
-    /// Channels of a microscope and the like.
+    /// Channels, as of a microscope.
     Channels(Vec<Channel>),
 }
 
-/// How one channel is shown.
+/// The display of one channel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Channel {
-    /// Red, green, blue at its brightest.
+    /// Red, green, blue at full brightness.
     pub color: [u8; 3],
-    /// Values that are black and brightest; those of the data by default.
+    /// Values shown as black and at full brightness; those of the data by default.
     pub window: Option<[f64; 2]>,
 }
 
@@ -49,40 +49,41 @@ pub struct Image {
     pub format: &'static str,
     /// Stored values.
     pub voxels: StoredValues,
-    /// StoredValues along i, j, k.
+    /// Voxels along i, j, k.
     pub size: [usize; 3],
     /// Values per voxel.
     pub components: usize,
-    /// How they lie.
+    /// Their order.
     pub layout: Layout,
-    /// What they are.
+    /// Their meaning.
     pub meaning: Meaning,
     /// Value = slope · stored + intercept.
     pub rescale: Rescale,
-    /// Lowest and highest stored value that stand for nothing at all (DICOM's pixel padding).
+    /// Smallest and largest stored value that mean "no value" (DICOM's pixel padding).
     pub padding: Option<[f64; 2]>,
-    /// High values are dark (DICOM's MONOCHROME1).
+    /// Whether high values are dark (DICOM's MONOCHROME1).
     pub inverted: bool,
     /// Voxel indices to world millimetres, LPS.
     pub world_from_voxel: DAffine3,
     /// NIfTI's intent code; 0 for other formats.
     pub intent: i16,
-    /// World (LPS) from the axes that vectors are stated in, if the format says.
+    /// World (LPS) from the axes of the vectors, if the format states them.
     pub frame: Option<DMat3>,
-    /// The file says that it is a displacement map of this program: four components, the last being the mask.
+    /// Whether the file declares itself a displacement map of this program: four components, the
+    /// last one being the mask.
     pub displacement: bool,
-    /// The reader has read the channel that was chosen, and no other.
+    /// Whether the reader has read only the selected channel.
     pub channel_taken: bool,
-    /// Slices that lie elsewhere than on the even grid that they are shown on.
+    /// The displacement of slices from the even grid on which they are shown.
     pub misplaced: Option<SliceDisplacement>,
-    /// What else the file says of itself, for `info`.
+    /// Further information from the file, for `info`.
     pub details: Vec<(&'static str, Value)>,
-    /// What was odd, one sentence each.
+    /// Irregularities, one sentence each.
     pub warnings: Vec<String>,
 }
 
 impl Image {
-    /// A scalar image of which nothing more is known.
+    /// A scalar image without further information.
     pub fn new(format: &'static str, voxels: StoredValues, size: [usize; 3], world_from_voxel: DAffine3) -> Self {
         Self {
             format,
@@ -105,11 +106,12 @@ impl Image {
         }
     }
 
-    /// The image as a volume that can be shown: scalars as they are, colours as colours, a few channels as one colour, vectors by their
-    /// direction; or one channel alone.
+    /// The image as a volume that can be shown: scalars unchanged, colours as colours, a few
+    /// channels as one colour, vectors by their direction; or one channel alone.
     ///
     /// # Errors
-    /// More components than can be shown together, a channel that does not exist, a range that cannot be represented.
+    /// More components than can be shown together, a channel that does not exist, or a range that
+    /// cannot be represented.
     pub fn into_volume(mut self, path: &Path, choice: &ReadOptions) -> Result<Volume> {
         let source_type = self.voxels.type_name();
         let components = self.components;
@@ -138,7 +140,7 @@ impl Image {
         volume.inverted = self.inverted;
         volume.misplaced = self.misplaced;
         volume.details = self.details;
-        // What is quoted of a file may hold anything.
+        // Text quoted from a file may contain control characters.
         volume.warnings = self.warnings.into_iter().map(|w| w.replace(char::is_control, " ")).collect();
         if volume.non_finite > 0 {
             volume.warnings.push(format!("{} voxels are NaN or infinite and are rendered as empty", volume.non_finite));
@@ -153,7 +155,8 @@ impl Image {
         Ok(volume)
     }
 
-    /// The values with an axis of components, and which it is: (component, k, j, i) or (k, j, i, component).
+    /// The values with an axis for components, and its position: (component, k, j, i) or (k, j, i,
+    /// component).
     fn with_component_axis(&self) -> (TypedArray<Ix4>, Axis) {
         let ([i, j, k], c) = (self.size, self.components);
         match self.layout {
@@ -168,20 +171,20 @@ impl Image {
         Voxels::new(self.size, self.one_component(c)).map(|stored| (stored * slope + intercept) as f32)
     }
 
-    /// Component `c` of every voxel, as it is stored.
+    /// Component `c` of every voxel, as stored.
     fn one_component(&self, c: usize) -> StoredValues {
         let (values, axis) = self.with_component_axis();
         let voxels = self.size.iter().product::<usize>();
         values.at_index(axis, c).reshaped(voxels)
     }
 
-    /// What is made of all components of each voxel.
+    /// Applies `make` to the components of each voxel.
     fn of_each_voxel<T: Send>(&self, make: impl Fn([f64; 4]) -> T + Sync + Send) -> Vec<T> {
         let (values, axis) = self.with_component_axis();
         values.map_lanes(axis, make)
     }
 
-    /// One value and one colour for every voxel of several components.
+    /// One value and one colour for every voxel of a multi-component image.
     fn colored(&mut self, path: &Path) -> Result<(StoredValues, Colors)> {
         let c = self.components;
         let bytes = matches!(self.voxels, StoredValues::U8(_));
@@ -211,7 +214,7 @@ impl Image {
         }
     }
 
-    /// Interleaved bytes of colours, taken from the image.
+    /// Interleaved colour bytes, taken from the image.
     fn color_bytes(&mut self, bytes: bool) -> Vec<u8> {
         if bytes && self.layout == Layout::Interleaved {
             let taken = std::mem::replace(&mut self.voxels, Vec::<u8>::new().into());
@@ -228,7 +231,8 @@ impl Image {
         }
     }
 
-    /// Channels as one colour, each in its own over its own window; the brightest is the value.
+    /// Channels combined into one colour, each in its own colour over its own window; the value is
+    /// the brightest channel.
     fn mixed_channels(&self, styles: &[Channel]) -> (StoredValues, Colors) {
         let c = self.components;
         let channels: Vec<Channel> = (0..c).map(|k| styles.get(k).cloned().unwrap_or(Channel { color: colors::CHANNELS[k], window: None })).collect();
@@ -250,7 +254,7 @@ impl Image {
         (brightest.into(), Colors::rgb(mixed.into_flattened()))
     }
 
-    /// Lowest and highest finite value of a component; 0 to 1 where they are not two.
+    /// Smallest and largest finite value of a component; 0 to 1 if these are not distinct.
     fn range_of(&self, c: usize) -> [f64; 2] {
         match self.one_component(c).finite_range(None).0 {
             Some([low, high]) if low < high => [low, high],

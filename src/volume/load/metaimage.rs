@@ -1,7 +1,8 @@
-//! MetaImage, `.mha` or `.mhd` with its data beside it in one file or many, raw, zlib or text, scalar or with several channels.
+//! MetaImage, `.mha`, or `.mhd` with its data in one or many separate files; raw, zlib or text,
+//! scalar or with several channels.
 //!
-//! *Geometry*: `Offset` and `TransformMatrix` (three consecutive numbers are one axis' direction) in LPS, as ITK writes them.
-//! Source: the MetaIO format (ITK, MetaImage documentation).
+//! *Geometry*: `Offset` and `TransformMatrix` (three consecutive numbers are the direction of one
+//! axis) in LPS, as written by ITK. Source: the MetaIO format (ITK, MetaImage documentation).
 
 use super::ScalarType;
 use super::image::Image;
@@ -19,9 +20,9 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
-/// Most data files of a list.
+/// Maximum number of listed data files.
 const MAX_FILES: usize = 100_000;
-/// Longest header that is read.
+/// Maximum header length, bytes.
 const MAX_HEADER_BYTES: u64 = 1 << 20;
 
 /// Reads an image.
@@ -73,14 +74,14 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     Ok(image)
 }
 
-/// The header's fields, their names in lower case.
+/// The header's fields, with names in lower case.
 struct Header<'a> {
     path: &'a Path,
     fields: HashMap<String, String>,
 }
 
 impl<'a> Header<'a> {
-    /// Reads `name = value` lines up to the one that says where the data are.
+    /// Reads `name = value` lines up to the one that gives the location of the data.
     fn read(path: &'a Path, reader: &mut impl BufRead) -> Result<Self> {
         let mut fields = HashMap::new();
         let mut reader = reader.take(MAX_HEADER_BYTES);
@@ -109,22 +110,22 @@ impl<'a> Header<'a> {
         Error::file(self.path, problem)
     }
 
-    /// The first of these fields that is there.
+    /// The first of these fields that exists.
     fn get(&self, names: &[&str]) -> Option<&str> {
         names.iter().find_map(|n| self.fields.get(*n)).map(String::as_str)
     }
 
-    /// A field that must be there.
+    /// A required field.
     fn need(&self, name: &str) -> Result<&str> {
         self.get(&[name]).ok_or_else(|| self.fail(format!("has no \"{name}\" in its header; it is not a MetaImage, or it is damaged")))
     }
 
-    /// Whether the first of these fields that is there is true.
+    /// Whether the first of these fields that exists is true.
     fn yes(&self, names: &[&str]) -> bool {
         self.get(names).is_some_and(|t| t.eq_ignore_ascii_case("true") || t == "1")
     }
 
-    /// At least `n` numbers of the first of these fields that is there.
+    /// At least `n` numbers from the first of these fields that exists.
     fn numbers(&self, names: &[&str], n: usize) -> Result<Option<Vec<f64>>> {
         let Some(text) = self.get(names) else { return Ok(None) };
         let numbers: Option<Vec<f64>> = text.split_whitespace().map(|w| w.parse::<f64>().ok().filter(|v| v.is_finite())).collect();
@@ -161,7 +162,7 @@ impl<'a> Header<'a> {
         scalar_type(name).ok_or_else(|| self.fail(format!("has the element type \"{name}\", which is not supported")))
     }
 
-    /// Voxel indices to world millimetres of an image with so many axes.
+    /// Voxel indices to world millimetres for an image with `rank` axes.
     fn geometry(&self, rank: usize) -> Result<DAffine3> {
         let spacing = self.numbers(&["elementspacing", "elementsize"], rank)?;
         let origin = self.numbers(&["offset", "position", "origin"], rank)?;
@@ -185,33 +186,33 @@ impl<'a> Header<'a> {
         self.yes(&["binarydatabyteordermsb", "elementbyteordermsb"])
     }
 
-    /// Bytes before the values in a data file; -1 counts from the file's end.
+    /// Bytes before the values in a data file; -1 means that the values are at the file's end.
     fn header_size(&self) -> Result<i64> {
         self.get(&["headersize"]).map_or(Ok(0i64), str::parse).map_err(|_| self.fail("has a HeaderSize that is not a number".into()))
     }
 }
 
-/// How the values are stored, and which of them are read.
+/// The storage of the values, and which of them to read.
 struct ValueLayout<'a> {
     /// The image's own file.
     path: &'a Path,
     scalar: ScalarType,
     /// Values of one volume.
     count: usize,
-    /// Volumes in time, and the one that is read.
+    /// Number of volumes in time, and the one to read.
     frames: usize,
     time: usize,
     swap: bool,
     text: bool,
     compressed: bool,
-    /// The values follow the header.
+    /// Whether the values follow the header.
     local: bool,
     header_size: i64,
     watch: &'a Watch<'a>,
 }
 
 impl ValueLayout<'_> {
-    /// Bytes of the volume that is read.
+    /// Bytes of the volume to read.
     fn bytes(&self) -> u64 {
         (self.count * self.scalar.bytes()) as u64
     }
@@ -221,12 +222,12 @@ impl ValueLayout<'_> {
         self.bytes().saturating_mul(self.time as u64)
     }
 
-    /// Reads binary values that come next.
+    /// Reads the binary values at the reader's position.
     fn read_binary(&self, path: &Path, reader: impl Read) -> Result<StoredValues> {
         ValueReader { path, reader, swap: self.swap, count: self.count, watch: self.watch }.read_as(self.scalar)
     }
 
-    /// Reads values that are spread evenly over several files.
+    /// Reads values divided evenly among several files.
     fn read_files(&self, files: Vec<PathBuf>) -> Result<StoredValues> {
         let path = self.path;
         let total = self.count.checked_mul(self.frames).filter(|n| n.is_multiple_of(files.len()) && !self.text && self.header_size <= 0);
@@ -249,7 +250,8 @@ impl ValueLayout<'_> {
         self.read_binary(path, chain)
     }
 
-    /// Reads values of one file: the image's own, its reader behind the header, or one beside it.
+    /// Reads values from one file: the image's own, with the reader after the header, or a separate
+    /// one.
     fn read_file(&self, file: &Path, mut reader: BufReader<File>, file_bytes: u64) -> Result<StoredValues> {
         let (bytes, ahead) = (self.bytes(), self.bytes_ahead());
         if self.text {
@@ -263,7 +265,7 @@ impl ValueLayout<'_> {
             return self.read_binary(file, decoder);
         }
         check_held(file, ahead.saturating_add(bytes), file_bytes)?;
-        // -1 counts from the file's end.
+        // -1 means that the values are at the file's end.
         let before = match self.header_size {
             -1 => file_bytes.saturating_sub(bytes.saturating_mul(self.frames as u64)),
             n if n > 0 && !self.local => n as u64,
@@ -277,7 +279,8 @@ impl ValueLayout<'_> {
     }
 }
 
-/// The data files where there are several: a list of names after the header, or a pattern with numbers.
+/// The data files if there are several: a list of names after the header, or a pattern with
+/// numbers.
 fn data_files(path: &Path, data: &str, reader: &mut impl BufRead) -> Result<Option<Vec<PathBuf>>> {
     let fail = |problem: String| Error::file(path, problem);
     let words: Vec<&str> = data.split_whitespace().collect();
@@ -302,7 +305,7 @@ fn data_files(path: &Path, data: &str, reader: &mut impl BufRead) -> Result<Opti
     names.iter().map(|n: &String| sibling_file(path, n.trim())).collect::<Result<Vec<_>>>().map(Some)
 }
 
-/// The type of a MetaIO name.
+/// The scalar type with a MetaIO name.
 fn scalar_type(name: &str) -> Option<ScalarType> {
     let name = name.strip_suffix("_ARRAY").unwrap_or(name);
     Some(match name {

@@ -1,7 +1,7 @@
 //! Reading volumes and vector images. One file per format.
 //!
-//! Which reader takes a file is decided by its ending where the ending is known, else by its first bytes; a file whose first bytes say that it
-//! is something else than its ending says is refused, with its right name.
+//! The reader is chosen by the file's extension if it is known, else by its first bytes. A file
+//! whose first bytes contradict its extension is rejected, and the message names the actual format.
 
 mod dicom;
 mod image;
@@ -30,10 +30,10 @@ use super::{StoredValues, Volume, Voxels, phantom};
 use crate::{Error, Result, Watch};
 use std::path::Path;
 
-/// Endings of the files that can be read, for messages.
+/// Extensions of readable files, for messages.
 pub const FORMATS: &str = "DICOM (a file, a folder or a .zip), NIfTI (.nii, .nii.gz, .hdr/.img), NRRD (.nrrd, .nhdr), MetaImage (.mha, .mhd), \
 VTK (.vti, .vtk), TIFF, PNG, JPEG (one, or a folder of slices), NumPy (.npy), OME-Zarr (a folder) and raw data (.raw)";
-/// Bytes by which a format is recognised.
+/// Number of bytes by which a format is recognised.
 const START: u64 = 1024;
 
 /// The formats.
@@ -53,7 +53,7 @@ enum FileFormat {
 }
 
 impl FileFormat {
-    /// Name, and the ending that a file of it should have.
+    /// Its name, and the expected extension.
     fn called(self) -> &'static str {
         match self {
             Self::Dicom => "DICOM (.dcm)",
@@ -70,7 +70,7 @@ impl FileFormat {
         }
     }
 
-    /// By the name of a file.
+    /// By file name.
     fn of_name(path: &Path) -> Option<Self> {
         let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
         let ends = |endings: &[&str]| endings.iter().any(|e| name.ends_with(e));
@@ -90,7 +90,7 @@ impl FileFormat {
         })
     }
 
-    /// By the first bytes of a file, unzipped; none if they say nothing for certain.
+    /// By the first bytes of a file, uncompressed; none if they are ambiguous.
     fn of_start(start: &[u8]) -> Option<Self> {
         let header = |at: usize| start.get(at..at + 4).map(|b| i32::from_le_bytes([b[0], b[1], b[2], b[3]]));
         let xml = String::from_utf8_lossy(&start[..start.len().min(512)]).into_owned();
@@ -112,10 +112,11 @@ impl FileFormat {
     }
 }
 
-/// Reads a volume from a file or folder, or makes the phantom that `phantom:NAME[:size=N]` names.
+/// Reads a volume from a file or folder, or makes the phantom given by `phantom:NAME[:size=N]`.
 ///
 /// # Errors
-/// A missing or unreadable file, a format that is not known, a damaged file: each named with what to do. [`Error::Cancelled`].
+/// A missing or unreadable file, an unknown format, a damaged file; the message states the remedy.
+/// [`Error::Cancelled`].
 pub fn volume(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Volume> {
     if let Some(spec) = path.to_str().and_then(|p| p.strip_prefix("phantom:")) {
         return phantom::from_spec(spec);
@@ -155,7 +156,7 @@ fn by_format(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> 
         return zarr::read(path.parent().unwrap_or(Path::new("")), choice, watch);
     }
     if path.file_name().is_some_and(|n| n.eq_ignore_ascii_case("DICOMDIR")) {
-        // The folder holds what it lists.
+        // The folder contains the files that the DICOMDIR lists.
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
         return dicom::read(folder, choice, watch);
     }
@@ -176,7 +177,7 @@ fn by_format(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> 
     }
 }
 
-/// What a file is.
+/// The format of a file.
 fn format_of(path: &Path, choice: &ReadOptions) -> Result<FileFormat> {
     if choice.raw.is_some() {
         return Ok(FileFormat::Raw);
@@ -184,7 +185,7 @@ fn format_of(path: &Path, choice: &ReadOptions) -> Result<FileFormat> {
     let start = source::first_bytes(path, START)?;
     let (by_name, by_start) = (FileFormat::of_name(path), FileFormat::of_start(&start));
     match (by_name, by_start) {
-        // Raw values may look like anything; half of a pair holds nothing but values.
+        // Raw values may resemble any format; the second file of a pair contains only values.
         (Some(FileFormat::Raw), _) => Ok(FileFormat::Raw),
         (Some(FileFormat::Nifti), Some(_)) if path.to_string_lossy().to_ascii_lowercase().contains(".img") => Ok(FileFormat::Nifti),
         (Some(name), Some(start)) if name != start => {
@@ -196,7 +197,7 @@ fn format_of(path: &Path, choice: &ReadOptions) -> Result<FileFormat> {
     }
 }
 
-/// A folder: OME-Zarr, DICOM in it or in its folders, or pictures in it.
+/// A folder: OME-Zarr, DICOM in it or its subfolders, or image slices.
 fn folder(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     if zarr::is_zarr(path) {
         return zarr::read(path, choice, watch);
@@ -208,14 +209,15 @@ fn folder(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     slices::read_folder(path, &pictures, choice, watch)
 }
 
-/// Whether a file, existing or not, is or would be one of those that are read of a folder that holds it.
+/// Whether a file, existing or not, would be read as part of its folder.
 pub fn is_part_of(folder: &Path, file: &Path) -> bool {
     let direct = file.parent().is_some_and(|p| p.canonicalize().ok() == folder.canonicalize().ok());
     let dicom = source::first_bytes(file, START).is_ok_and(|start| dicom::is_dicom(&start));
     dicom || direct && slices::is_picture(file) && slices::pictures(folder).is_ok_and(|p| p.iter().any(|p| p.file_name() != file.file_name()))
 }
 
-/// The DICOM series in a file, folder or zip, the largest first; none if it is something else. `patient`: with the patient's name and identity.
+/// The DICOM series in a file, folder or zip, the largest first; none if it is not DICOM.
+/// `patient`: with the patient's name and ID.
 ///
 /// # Errors
 /// A file that cannot be read.
@@ -224,7 +226,7 @@ pub fn series(path: &Path, patient: bool, watch: &Watch) -> Result<Option<Vec<Se
     if is_phantom || path.is_dir() && zarr::is_zarr(path) {
         return Ok(None);
     }
-    // What cannot be opened is what reading it complains of.
+    // If it cannot be opened, the reader will report that.
     let holds = path.is_dir()
         || source::first_bytes(path, START).is_ok_and(|start| matches!(FileFormat::of_start(&start), Some(FileFormat::Dicom | FileFormat::Zip)));
     match holds.then(|| dicom::list(path, patient, watch)) {

@@ -1,12 +1,14 @@
-//! NIfTI-1 and NIfTI-2, in one file (`.nii`) or a pair (`.hdr` and `.img`), plain or gzipped, of either byte order; and the Analyze 7.5
-//! pairs that NIfTI-1 grew out of.
+//! NIfTI-1 and NIfTI-2, in one file (`.nii`) or a pair (`.hdr` and `.img`), plain or gzipped, in
+//! either byte order; and Analyze 7.5 pairs, the predecessor of NIfTI-1.
 //!
-//! Own code instead of the `nifti` crate, because voxels must stay as they are stored (it converts before it scales), headers must
-//! not be trusted (its qform code panics on bad ones), it has no NIfTI-2, and a header's size must allocate nothing before the file is
-//! known to hold it.
+//! Our own code instead of the `nifti` crate: voxels must keep their stored type (it converts
+//! before scaling), headers are untrusted (its qform code panics on invalid ones), NIfTI-2 must be
+//! supported (it lacks it), and a size in a header must allocate nothing before the file is known
+//! to contain it.
 //!
-//! *Geometry*: sform if its code is positive and it is invertible, else qform, else the bare spacing; NIfTI's world is RAS+, ours
-//! is LPS, so x and y change sign. Source: nifti1.h and nifti2.h (Cox et al. 2004, 2011), "METHOD 2" and "METHOD 3".
+//! *Geometry*: sform if its code is positive and it is invertible, else qform, else the plain
+//! spacing. NIfTI's world is RAS+, ours is LPS, hence x and y change sign. Source: nifti1.h and
+//! nifti2.h (Cox et al. 2004, 2011), "METHOD 2" and "METHOD 3".
 
 use super::super::Rescale;
 use super::ReadOptions;
@@ -25,10 +27,10 @@ const INTENT_LABEL: i16 = 1002;
 const INTENT_RGB: [i16; 2] = [2003, 2004];
 /// Intents of vectors.
 const INTENT_VECTOR: [i16; 2] = [1006, 1007];
-/// Headers of the two versions, bytes.
+/// Header lengths of the two versions, bytes.
 const HEADER_BYTES: [usize; 2] = [348, 540];
 
-/// Reads an image with all its components, or a volume (of a series in time, one).
+/// Reads an image with all its components, or one volume of a time series.
 pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
     let (header_path, data_path) = match name.to_ascii_lowercase().as_str() {
@@ -46,12 +48,12 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
         (None, true) => {
             Err(Error::file(path, "is the header of a .hdr/.img pair under another name; rename it to .hdr, in the same folder as its .img"))
         }
-        // One file under one of the pair's names.
+        // A single file with one of the pair's names.
         (_, false) => header.image(&header_path, reader, max_bytes, header.bytes.len() as u64, choice, watch),
     }
 }
 
-/// The other file of a pair: the same name with another ending in either case, gzipped or not.
+/// The other file of a pair: the same name with the other extension in either case, gzipped or not.
 fn partner(path: &Path, name: &str, own: &str, other: &str) -> Result<PathBuf> {
     let at = name.to_ascii_lowercase().rfind(own).unwrap_or(name.len());
     let other_case = if name.get(at..at + own.len()).is_some_and(|e| e.chars().all(|c| c.is_ascii_uppercase())) {
@@ -71,7 +73,7 @@ struct Header {
     bytes: Vec<u8>,
     swap: bool,
     version: Version,
-    /// The voxels lie in another file.
+    /// Whether the voxels are in another file.
     paired: bool,
 }
 
@@ -106,7 +108,7 @@ impl Header {
         let (version, paired) = match magic {
             b"n+1\0" | b"n+2\0" => (version, false),
             b"ni1\0" | b"ni2\0" => (version, true),
-            // Analyze has no magic; what it has there is a field that nobody uses.
+            // Analyze has no magic number; it has an unused field there.
             _ if !two && bytes[344..348].iter().all(|b| *b == 0) => (Version::Analyze, true),
             other => return Err(Error::file(path, format!("is not a NIfTI file (magic {:?})", String::from_utf8_lossy(other)))),
         };
@@ -132,7 +134,8 @@ impl Header {
         }
     }
 
-    /// A number of NIfTI-1 (single precision) or NIfTI-2 (double), the n-th from an offset on.
+    /// A number of NIfTI-1 (single precision) or NIfTI-2 (double precision), the n-th from an
+    /// offset.
     fn number(&self, one: usize, two: usize, n: usize) -> f64 {
         match self.version {
             Version::Two => f64::from_le_bytes(self.field(two + 8 * n)),
@@ -148,14 +151,15 @@ impl Header {
         if self.version == Version::Analyze { 0 } else { self.integer(68, 504, 4) as i16 }
     }
 
-    /// The image whose values `reader` goes on to read, `passed` bytes of their file having been read.
+    /// The image whose values `reader` continues with, after `passed` bytes of their file.
     fn image(&self, path: &Path, mut reader: impl Read, max_bytes: u64, passed: u64, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
         let fail = |problem: String| Error::file(path, problem);
         let mut warnings = Vec::new();
         let dim = self.dimensions().map_err(&fail)?;
         let size = [dim[0], dim[1], dim[2]];
         let intent = self.intent();
-        // Vectors lie along the fifth axis; FSL's warps and directions have theirs along the fourth.
+        // Vectors are stored along the fifth axis; those of FSL's warps and directions along the
+        // fourth.
         let fsl = (2006..=2009).contains(&intent);
         let colors_by_axis = INTENT_RGB.contains(&intent) && (3..=4).contains(&dim[3]);
         let (components, frames) = if (fsl || colors_by_axis) && dim[4] == 1 { (dim[3], 1) } else { (dim[4], dim[3] * dim[5] * dim[6]) };
@@ -194,7 +198,7 @@ impl Header {
         }
         let meaning = match intent {
             _ if colors > 1 => Meaning::Color,
-            // Colours in floating point are directions.
+            // Floating-point colours are directions.
             i if INTENT_RGB.contains(&i) && components == 3 && matches!(scalar, ScalarType::F32 | ScalarType::F64) => Meaning::Vectors,
             i if INTENT_RGB.contains(&i) && (3..=4).contains(&components) => Meaning::Color,
             INTENT_LABEL => Meaning::Labels(Vec::new()),
@@ -219,14 +223,14 @@ impl Header {
         Ok(image)
     }
 
-    /// Where the voxels start in their file, `passed` bytes of header or none lying before.
+    /// Offset of the voxels in their file, after `passed` bytes of header or none.
     fn data_offset(&self, passed: u64) -> u64 {
         let least = if self.paired { 0 } else { passed + 4 };
         let stated = if self.version == Version::Two { self.integer(0, 168, 8) as f64 } else { self.number(108, 168, 0) };
         if stated.is_finite() && (least as f64..1e15).contains(&stated) { stated as u64 } else { least }
     }
 
-    /// The seven extents; those that are not declared are 1.
+    /// The seven extents; undeclared ones are 1.
     fn dimensions(&self) -> Result<[usize; 7], String> {
         let rank = self.integer(40, 16, 8);
         if !(1..=7).contains(&rank) {
@@ -235,7 +239,7 @@ impl Header {
         let mut dim = [1usize; 7];
         for (n, d) in dim.iter_mut().enumerate().take(rank as usize) {
             let value = self.integer(42 + 2 * n, 24 + 8 * n, 8);
-            // Writers leave axes beyond the third at 0.
+            // Writers set axes beyond the third to 0.
             *d = match usize::try_from(value) {
                 Ok(0) if n >= 3 => 1,
                 Ok(v) if v > 0 => v,
@@ -246,7 +250,8 @@ impl Header {
         Ok(dim)
     }
 
-    /// slope 0 means "no scaling" by the standard; a NaN or infinite one is a writer's mistake and means the same.
+    /// By the standard, slope 0 means "no scaling"; a NaN or infinite slope is a writer's mistake
+    /// and is treated the same.
     fn rescale(&self, warnings: &mut Vec<String>) -> Rescale {
         if self.version == Version::Analyze || matches!(self.integer(70, 12, 2), 128 | 2304) {
             return Rescale::NONE;

@@ -1,8 +1,8 @@
 //! NumPy arrays, `.npy`, versions 1 to 3.
 //!
-//! The axis that lies densest in memory becomes i: the last one of an array in C order (`volume[z, y, x]`, as image libraries have them), the
-//! first of one in Fortran order (`volume[x, y, z]`, as nibabel has them). Three or four u8 along the densest of four axes are colours.
-//! Source: numpy.lib.format.
+//! The contiguous axis becomes i: the last one of an array in C order (`volume[z, y, x]`, as in
+//! image libraries), the first one in Fortran order (`volume[x, y, z]`, as in nibabel). Three or
+//! four u8 along the contiguous one of four axes are colours. Source: numpy.lib.format.
 
 use super::ReadOptions;
 use super::ScalarType;
@@ -14,7 +14,7 @@ use serde_json::json;
 use std::io::Read;
 use std::path::Path;
 
-/// Longest header that is read.
+/// Maximum header length, bytes.
 const MAX_HEADER_BYTES: usize = 1 << 16;
 
 /// Reads an array.
@@ -63,7 +63,7 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
         _ => return Err(fail(format!("stores \"{descr}\", which cannot be rendered; convert it to a real scalar type"))),
     };
     let swap = scalar.bytes() > 1 && (order == ">") != cfg!(target_endian = "big");
-    // Densest first.
+    // Contiguous axis first.
     let mut extents = shape;
     if !fortran {
         extents.reverse();

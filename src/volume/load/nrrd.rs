@@ -1,9 +1,10 @@
-//! NRRD, attached (`.nrrd`) or detached (`.nhdr`, in one data file or many), raw, gzip, bzip2, text or hex; up to three spatial axes, one of
-//! components and one of time, in any order.
+//! NRRD, attached (`.nrrd`) or detached (`.nhdr`, in one data file or many), raw, gzip, bzip2, text
+//! or hex; up to three spatial axes, one of components and one of time, in any order.
 //!
-//! *Geometry*: `space directions` and `space origin` in the space that the file names, turned to LPS; else `spacings` (or `axis mins` and
-//! `axis maxs`) and `axis mins`. Vectors are stated in that space, unless a `measurement frame` says otherwise. Source: the NRRD format
-//! definition (Kindlmann, teem 1.11).
+//! *Geometry*: `space directions` and `space origin` in the space given by the file, converted to
+//! LPS; else `spacings` (or `axis mins` and `axis maxs`) and `axis mins`. Vectors are given in that
+//! space, unless a `measurement frame` is given. Source: the NRRD format definition (Kindlmann,
+//! teem 1.11).
 
 use super::super::StoredValues;
 use super::super::colors::Label;
@@ -25,14 +26,14 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-/// Longest header that is read: a file without an empty line is no NRRD.
+/// Maximum header length, bytes: a file without an empty line is not NRRD.
 const MAX_HEADER_BYTES: u64 = 1 << 20;
-/// Most data files of a detached header.
+/// Maximum number of data files of a detached header.
 const MAX_FILES: usize = 100_000;
-/// Key of this program's displacement maps.
+/// Key that identifies this program's displacement maps.
 const MAP_KEY: &str = "incise";
 
-/// How values are written.
+/// The encoding of the values.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Encoding {
     Raw,
@@ -42,7 +43,7 @@ enum Encoding {
     Hex,
 }
 
-/// What each axis is.
+/// The role of each axis.
 struct Axes {
     sizes: Vec<usize>,
     spatial: Vec<usize>,
@@ -93,7 +94,8 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
         return Err(fail("skips a negative number of lines or bytes; its header is damaged".into()));
     }
 
-    // A time axis in the slowest place is passed over; in any other it is taken out afterwards.
+    // If the time axis is the slowest, other times are skipped while reading; otherwise they are
+    // removed afterwards.
     let frames = axes.time.map_or(1, |t| axes.sizes[t]);
     let time = choice.time_of(frames)?;
     let slowest = axes.time.is_some_and(|t| t + 1 == axes.sizes.len());
@@ -124,7 +126,7 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     Ok(image)
 }
 
-/// How to read values.
+/// How to read the values.
 struct Data<'a> {
     path: &'a Path,
     scalar: ScalarType,
@@ -132,13 +134,13 @@ struct Data<'a> {
     encoding: Encoding,
     line_skip: u64,
     byte_skip: i64,
-    /// Values of all times.
+    /// Number of values of all times.
     whole: usize,
     watch: &'a Watch<'a>,
 }
 
 impl Data<'_> {
-    /// Reads `[ahead, count]`: passes over values and reads values, from where `reader` stands.
+    /// Reads `[ahead, count]`: skips values and reads values, from the reader's position.
     fn read(&self, path: &Path, mut reader: BufReader<File>, file_bytes: u64, [ahead, count]: [usize; 2], more: bool) -> Result<StoredValues> {
         let size = self.scalar.bytes() as u64;
         let (before, bytes) = (ahead as u64 * size, count as u64 * size);
@@ -148,7 +150,7 @@ impl Data<'_> {
             Encoding::Raw => {
                 check_held(path, before.saturating_add(bytes), file_bytes)?;
                 if self.byte_skip < 0 {
-                    // From the file's end.
+                    // Located at the file's end.
                     let all = self.whole as u64 * size;
                     check_held(path, all, file_bytes)?;
                     reader.seek(SeekFrom::End(-(all as i64))).map_err(|e| read_error(path, e))?;
@@ -171,7 +173,7 @@ impl Data<'_> {
             }
             Encoding::Text => {
                 skip(path, &mut reader, byte_skip)?;
-                // A value and the space after it take two bytes at least.
+                // A value and its separator take at least two bytes.
                 check_held(path, (ahead as u64 + count as u64).saturating_mul(2).saturating_sub(1), file_bytes)?;
                 super::text::values(path, reader, [ahead, count], self.scalar, self.watch)
             }
@@ -185,7 +187,7 @@ impl Data<'_> {
         }
     }
 
-    /// Reads values that are spread evenly over many files.
+    /// Reads values divided evenly among many files.
     fn read_pieces(&self, files: Vec<PathBuf>, total: usize, [ahead, count]: [usize; 2]) -> Result<StoredValues> {
         let fail = |problem: String| Error::file(self.path, problem);
         if !total.is_multiple_of(files.len()) {
@@ -225,7 +227,7 @@ pub(super) fn last_bytes(path: &Path, bytes: u64) -> Result<Box<dyn Read + Send>
     Ok(Box::new(reader))
 }
 
-/// Passes over whole lines.
+/// Skips whole lines.
 fn skip_lines(path: &Path, reader: &mut impl BufRead, lines: u64) -> Result<()> {
     for _ in 0..lines {
         if reader.skip_until(b'\n').map_err(|e| read_error(path, e))? == 0 {
@@ -235,7 +237,7 @@ fn skip_lines(path: &Path, reader: &mut impl BufRead, lines: u64) -> Result<()> 
     Ok(())
 }
 
-/// Bytes written as two hexadecimal digits each, space between them being ignored.
+/// Bytes written as two hexadecimal digits each; white space is ignored.
 struct Hex<R> {
     reader: BufReader<R>,
 }
@@ -263,7 +265,7 @@ impl<R: Read> Read for Hex<R> {
     }
 }
 
-/// Files that hold the values, if the header is detached: one, a list, or numbers put into a pattern.
+/// Files with the values, if the header is detached: one, a list, or a pattern with numbers.
 fn data_files(path: &Path, fields: &HashMap<String, String>, axes: &Axes) -> Result<Option<Vec<PathBuf>>> {
     let Some(named) = fields.get("data file").or(fields.get("datafile")) else { return Ok(None) };
     let fail = |problem: String| Error::file(path, problem);
@@ -292,7 +294,7 @@ fn data_files(path: &Path, fields: &HashMap<String, String>, axes: &Axes) -> Res
     of(vec![named.clone()])
 }
 
-/// The names that a pattern such as `slice%03d.raw` gives for numbers.
+/// The names generated by a pattern such as `slice%03d.raw`.
 pub(super) fn numbered(pattern: &str, first: i64, last: i64, step: i64) -> Result<Vec<String>, String> {
     let unclear = || format!("has the invalid file pattern \"{pattern}\"; it must contain one %d or %03d");
     let (before, rest) = pattern.split_once('%').ok_or_else(unclear)?;
@@ -310,7 +312,7 @@ pub(super) fn numbered(pattern: &str, first: i64, last: i64, step: i64) -> Resul
         .collect())
 }
 
-/// Values in the order of voxels: one time taken out, components first or last.
+/// Values in voxel order: one time selected, components first or last.
 fn arranged(voxels: StoredValues, axes: &Axes, time: Option<usize>) -> (StoredValues, usize, Layout) {
     let components = axes.components.map_or(1, |c| axes.sizes[c]);
     let other_axes: Vec<usize> = (0..axes.sizes.len()).filter(|a| Some(*a) != axes.time).collect();
@@ -320,7 +322,7 @@ fn arranged(voxels: StoredValues, axes: &Axes, time: Option<usize>) -> (StoredVa
     if in_order && (axes.time.is_none() || time.is_none()) {
         return (voxels, components, layout);
     }
-    // Slowest first, as arrays are indexed. A time axis in the slowest place was passed over while reading.
+    // Slowest first, as arrays are indexed. A slowest time axis was skipped while reading.
     let mut remaining: Vec<usize> = (0..axes.sizes.len()).rev().filter(|a| time.is_some() || Some(*a) != axes.time).collect();
     let shape: Vec<usize> = remaining.iter().map(|&a| axes.sizes[a]).collect();
     let mut array = voxels.reshaped(IxDyn(&shape));
@@ -336,7 +338,8 @@ fn arranged(voxels: StoredValues, axes: &Axes, time: Option<usize>) -> (StoredVa
     (array.permuted(IxDyn(&order)).reshaped(count), components, Layout::Planar)
 }
 
-/// What the values are: by the kind of the component axis, or because 3D Slicer wrote segments.
+/// The meaning of the values: from the kind of the component axis, or from 3D Slicer's segment
+/// fields.
 fn meaning(fields: &HashMap<String, String>, axes: &Axes) -> Meaning {
     let segments = fields.keys().filter_map(|k| k.strip_prefix("segment")?.strip_suffix("_labelvalue")).filter(|n| n.parse::<u32>().is_ok());
     let mut labels: Vec<Label> = segments
@@ -360,10 +363,11 @@ fn meaning(fields: &HashMap<String, String>, axes: &Axes) -> Meaning {
     }
 }
 
-/// Where the lines after `data file: LIST` are kept.
+/// Key of the lines after `data file: LIST`.
 const LIST_KEY: &str = "\n";
 
-/// The fields of the header, names in lower case; the reader is left after the empty line that ends it.
+/// The fields of the header, with names in lower case; leaves the reader after the empty line that
+/// ends the header.
 fn header(path: &Path, reader: &mut impl BufRead) -> Result<HashMap<String, String>> {
     let mut fields = HashMap::new();
     let mut reader = reader.take(MAX_HEADER_BYTES);
@@ -398,7 +402,7 @@ fn header(path: &Path, reader: &mut impl BufRead) -> Result<HashMap<String, Stri
         }
         if let Some((name, value)) = text.split_once(":=").or_else(|| text.split_once(": ")) {
             let name = name.trim().to_ascii_lowercase();
-            // After a list of files there is nothing else.
+            // Nothing else follows a list of files.
             list = matches!(name.as_str(), "data file" | "datafile") && value.trim().starts_with("LIST");
             fields.insert(name, value.trim().to_owned());
         }
@@ -421,7 +425,7 @@ fn scalar_type(name: &str) -> Option<ScalarType> {
     })
 }
 
-/// Which axis is what: by kinds, by directions that are none, else the first three are spatial.
+/// The role of each axis: from kinds, from missing directions, else the first three are spatial.
 fn axes(fields: &HashMap<String, String>, sizes: Vec<usize>) -> Result<Axes, String> {
     let kinds: Vec<String> = fields.get("kinds").map_or(Vec::new(), |k| k.split_whitespace().map(str::to_ascii_lowercase).collect());
     let directions = fields.get("space directions").map_or(Vec::new(), |d| words(d));
@@ -441,7 +445,7 @@ fn axes(fields: &HashMap<String, String>, sizes: Vec<usize>) -> Result<Axes, Str
             spatial.push(axis);
         }
     }
-    // Four axes of which nothing is said: small ones hold components, else the last is time.
+    // Four axes without any information: a small one holds components, else the last one is time.
     if spatial.len() > 3 {
         let rest = spatial.split_off(3);
         match (rest[..].first(), components, time) {
@@ -468,7 +472,7 @@ fn vector(text: &str) -> Option<DVec3> {
     }
 }
 
-/// `(a,b,c) (d, e, f) none` into its words.
+/// Splits `(a,b,c) (d, e, f) none` into words.
 fn words(text: &str) -> Vec<String> {
     let mut out = Vec::new();
     let mut rest = text.trim();
@@ -481,7 +485,7 @@ fn words(text: &str) -> Vec<String> {
     out
 }
 
-/// World from voxel, and world (LPS) from the axes of vectors.
+/// World from voxel, and world (LPS) from the axes of the vectors.
 fn geometry(fields: &HashMap<String, String>, spatial: &[usize], axes: usize, warnings: &mut Vec<String>) -> Result<(DAffine3, DMat3), String> {
     let space = fields.get("space").map(|s| s.to_ascii_lowercase());
     let lps_from_space = match space.as_deref() {
@@ -510,7 +514,7 @@ fn geometry(fields: &HashMap<String, String>, spatial: &[usize], axes: usize, wa
             *linear.col_mut(n) =
                 all.get(axis).and_then(|w| vector(w)).ok_or_else(|| format!("has the space directions \"{directions}\", which cannot be read"))?;
         }
-        // A plane or line turned in space: what is missing is at right angles to it.
+        // A plane or line in space: the missing directions are perpendicular to it.
         match spatial.len() {
             2 => linear.z_axis = linear.x_axis.cross(linear.y_axis).normalize_or(DVec3::Z),
             1 => {
@@ -572,7 +576,7 @@ fn geometry(fields: &HashMap<String, String>, spatial: &[usize], axes: usize, wa
     Ok((affine, lps_from_space * frame))
 }
 
-/// Millimetres of a unit of length; none if it is no unit of length.
+/// Millimetres per unit of length; none if it is not a unit of length.
 fn mm_of(unit: &str) -> Option<f64> {
     Some(match unit.to_ascii_lowercase().as_str() {
         "mm" | "millimeter" | "millimeters" | "millimetre" => 1.0,

@@ -1,4 +1,4 @@
-//! Slices that become one array.
+//! Stacking of slices into one array.
 
 use super::super::StoredValues;
 
@@ -9,7 +9,7 @@ pub(super) struct ImageSlice {
     pub values: StoredValues,
 }
 
-/// Slices that become one array.
+/// A stack of slices, stored as one array.
 #[derive(Default)]
 pub(super) struct ImageStack {
     pub size: [usize; 2],
@@ -19,7 +19,7 @@ pub(super) struct ImageStack {
 }
 
 impl ImageStack {
-    /// Adds a slice; false if it is of another size or type than the first one.
+    /// Adds a slice; false if its size or type differs from the first one's.
     pub fn push(&mut self, plane: ImageSlice, of: usize) -> bool {
         match &mut self.values {
             None => {
@@ -38,7 +38,7 @@ impl ImageStack {
         true
     }
 
-    /// All values; none if there is no slice.
+    /// All values; none if there are no slices.
     pub fn finish(self) -> Option<StoredValues> {
         self.values
     }

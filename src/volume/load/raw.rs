@@ -1,5 +1,6 @@
-//! Files that are nothing but values. How they lie is said by the caller, by a file beside it (`NAME.raw.toml`, the keys of [`RawLayout`]), or
-//! by the name itself (`skull_256x256x256_uint8.raw`, as collections of volumes name them). They may be gzipped.
+//! Files that contain only values. Their layout is given by the caller, by a separate file
+//! (`NAME.raw.toml`, with the keys of [`RawLayout`]), or by the file name
+//! (`skull_256x256x256_uint8.raw`, as in collections of volumes). They may be gzipped.
 
 use super::ScalarType;
 use super::image::{Image, Layout};
@@ -49,7 +50,7 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     Ok(image)
 }
 
-/// The layout in the file beside.
+/// The layout in the separate file.
 fn layout_file(path: &Path) -> Result<Option<RawLayout>> {
     let mut name = path.as_os_str().to_owned();
     name.push(".toml");
@@ -64,7 +65,7 @@ fn layout_file(path: &Path) -> Result<Option<RawLayout>> {
     toml::from_str(&text).map(Some).map_err(|e| Error::file(sidecar, format!("does not describe a raw layout: {}", e.message())))
 }
 
-/// The layout that a name tells: three numbers joined by `x`, and a type.
+/// The layout in a file name: three numbers joined by `x`, and a type.
 fn of_name(path: &Path) -> Option<RawLayout> {
     let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
     let words: Vec<&str> = name.split(['_', '.', '-', ' ']).collect();

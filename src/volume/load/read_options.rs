@@ -1,15 +1,17 @@
-//! Which part of a file is meant, where it holds several, and what a file does not say of itself.
+//! Which part of a file to read, and information that the file lacks.
 
 use super::ScalarType;
 use crate::{Error, Result};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// What to take of a file, and what it leaves out. By default all of it, or the first or largest part.
+/// What to read from a file, and information that it lacks. By default all of it, or the first or
+/// largest part.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct ReadOptions {
-    /// DICOM series to load: its number in `incise info` (from 1), its UID, or part of its description. The largest by default.
+    /// DICOM series to load: its number in `incise info` (from 1), its UID, or part of its
+    /// description. The largest by default.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub series: Option<String>,
     /// Time point to load, counted from 1.
@@ -36,7 +38,7 @@ pub struct ReadOptions {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawLayout {
-    /// StoredValues along i, j, k.
+    /// Voxels along i, j, k.
     pub size: [usize; 3],
     /// Type of a value: u8, i16, f32 and so on.
     #[serde(rename = "type")]
@@ -74,12 +76,12 @@ fn identity() -> [[f64; 3]; 3] {
 }
 
 impl ReadOptions {
-    /// No choice made.
+    /// Whether nothing is selected.
     pub fn is_default(&self) -> bool {
         *self == Self::default()
     }
 
-    /// Index of the chosen time point among `count`.
+    /// Index of the selected time point among `count`.
     ///
     /// # Errors
     /// There is no such time point.
@@ -87,7 +89,7 @@ impl ReadOptions {
         Self::index("time", self.time, count).map(|t| t.unwrap_or(0))
     }
 
-    /// Index of one of `count` things by its number from 1.
+    /// Index of one of `count` items by its number from 1.
     pub(super) fn index(what: &str, number: Option<usize>, count: usize) -> Result<Option<usize>> {
         match number {
             None => Ok(None),
@@ -98,10 +100,10 @@ impl ReadOptions {
 }
 
 impl RawLayout {
-    /// A layout as people type it: `256x256x128:u8[:be][:skip=N][:components=N]`.
+    /// Parses a layout as typed: `256x256x128:u8[:be][:skip=N][:components=N]`.
     ///
     /// # Errors
-    /// What is wrong with it.
+    /// The problem with it.
     pub fn parse(text: &str) -> Result<Self, String> {
         let usage = || format!("\"{text}\" is not a layout; write WxHxD:TYPE[:be][:skip=BYTES][:components=N], e.g. 256x256x128:u16:be");
         let mut parts = text.split(':');
@@ -121,7 +123,7 @@ impl RawLayout {
         Ok(layout)
     }
 
-    /// Little-endian scalars from the file's first byte on, 1 mm apart.
+    /// Little-endian scalars from the start of the file, 1 mm apart.
     pub fn new(size: [usize; 3], scalar: ScalarType) -> Self {
         Self { size, scalar, components: 1, big_endian: false, skip: 0, spacing_mm: ones(), origin_mm: [0.0; 3], direction: identity() }
     }

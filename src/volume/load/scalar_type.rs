@@ -31,7 +31,8 @@ impl ScalarType {
         }
     }
 
-    /// The type of a name that people and file names use: `u8`, `uint8`, `uchar`, `short`, `float32` and the like.
+    /// The type with a name that people and file names use: `u8`, `uint8`, `uchar`, `short`,
+    /// `float32` and the like.
     pub fn named(name: &str) -> Option<Self> {
         Some(match name.trim().to_ascii_lowercase().as_str() {
             "u8" | "uint8" | "uchar" | "byte" => Self::U8,

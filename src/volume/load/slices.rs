@@ -1,6 +1,8 @@
-//! Pictures as slices: a folder of TIFF, PNG or JPEG files in the order of the numbers in their names, or one picture as a single slice.
+//! Image slices: a folder of TIFF, PNG or JPEG files in the order of the numbers in their names, or
+//! one image as a single slice.
 //!
-//! Pictures say nothing of spacing that could be trusted: voxels of 1 mm are taken unless the caller says otherwise.
+//! Images contain no reliable spacing: voxels of 1 mm are assumed unless the caller gives a
+//! spacing.
 
 use super::super::StoredValues;
 use super::image::{Image, Layout, Meaning};
@@ -15,14 +17,15 @@ use rayon::prelude::*;
 use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
 
-/// Endings of pictures.
+/// Extensions of images.
 pub const ENDINGS: [&str; 5] = ["tif", "tiff", "png", "jpg", "jpeg"];
-/// The most that a packed picture can shrink: deflate's limit, and some for a picture of one colour in JPEG.
+/// Maximum compression ratio of an image: deflate's limit, and a plausible one for a
+/// single-coloured JPEG.
 const MAX_COMPRESSION_RATIO: u64 = 3000;
-/// Pictures decoded at once.
+/// Number of images decoded at once.
 const AT_ONCE: usize = 16;
 
-/// The pictures of a folder, in order. Links out of it are not followed: see [`links_out`].
+/// The images of a folder, in order. Links out of it are not followed: see [`links_out`].
 pub fn pictures(folder: &Path) -> Result<Vec<PathBuf>> {
     let entries = std::fs::read_dir(folder).map_err(|e| Error::io(folder, "reading", e))?;
     let mut found: Vec<PathBuf> = entries
@@ -35,18 +38,18 @@ pub fn pictures(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// The pictures of a folder that are links out of it.
+/// The images of a folder that are links out of it.
 fn links_out(folder: &Path) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|e| e.path());
     entries.filter(|p| is_picture(p) && is_link_out(folder, p)).collect()
 }
 
-/// Whether a name ends as a picture's does.
+/// Whether a name has an image's extension.
 pub fn is_picture(path: &Path) -> bool {
     path.extension().is_some_and(|e| ENDINGS.iter().any(|p| e.eq_ignore_ascii_case(p)))
 }
 
-/// Order of names in which numbers count as numbers.
+/// Natural order: numbers in names compare as numbers.
 fn natural(a: &str, b: &str) -> Ordering {
     let (mut a, mut b) = (a.as_bytes(), b.as_bytes());
     let digits = |s: &[u8]| s.iter().take_while(|c| c.is_ascii_digit()).count();
@@ -77,7 +80,7 @@ fn natural(a: &str, b: &str) -> Ordering {
     }
 }
 
-/// Reads the pictures of a folder as one volume.
+/// Reads the images of a folder as one volume.
 pub fn read_folder(folder: &Path, files: &[PathBuf], choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     if let [file] = files {
         return if tiff::is_tiff(file) { tiff::read(file, choice, watch) } else { read(file, choice, watch) };
@@ -96,7 +99,7 @@ pub fn read_folder(folder: &Path, files: &[PathBuf], choice: &ReadOptions, watch
             meter.add(1)?;
         }
     }
-    // What the first TIFF says of its voxels holds for all.
+    // The spacing in the first TIFF applies to all.
     let stated_spacing = files.first().filter(|f| tiff::is_tiff(f)).and_then(|f| tiff::spacing(f)).unwrap_or_default();
     let mut image = image_of(folder, "pictures", stack, choice, stated_spacing)?;
     image.warnings.extend(links_left_out(&links_out(folder)));
@@ -106,7 +109,7 @@ pub fn read_folder(folder: &Path, files: &[PathBuf], choice: &ReadOptions, watch
     Ok(image)
 }
 
-/// Reads one picture as a volume of one slice.
+/// Reads one image as a volume of one slice.
 pub fn read(path: &Path, choice: &ReadOptions, _watch: &Watch) -> Result<Image> {
     choice.time_of(1)?;
     let mut stack = ImageStack::default();
@@ -128,7 +131,7 @@ fn image_of(path: &Path, format: &'static str, stack: ImageStack, choice: &ReadO
     Ok(image)
 }
 
-/// Decodes a picture.
+/// Decodes an image.
 fn plane(path: &Path) -> Result<ImageSlice> {
     let damaged = |e: String| Error::file(path, format!("is not a readable picture ({e}); copy or export it again"));
     let (file, bytes) = open_file(path)?;
@@ -143,7 +146,7 @@ fn plane(path: &Path) -> Result<ImageSlice> {
     let (values, components): (StoredValues, usize) = match decoded {
         D::ImageLuma8(i) => (i.into_raw().into(), 1),
         D::ImageLuma16(i) => (i.into_raw().into(), 1),
-        // What is see-through is black.
+        // Transparent pixels are black.
         D::ImageLumaA8(i) => (i.pixels().map(|p| (u16::from(p.0[0]) * u16::from(p.0[1]) / 255) as u8).collect::<Vec<_>>().into(), 1),
         D::ImageRgb8(i) => (i.into_raw().into(), 3),
         D::ImageRgba8(i) => (i.into_raw().into(), 4),

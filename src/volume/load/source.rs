@@ -1,4 +1,5 @@
-//! Bytes of files, and how they become typed values: nothing is allocated that the file cannot fill, nothing is held twice.
+//! Bytes of files, and their conversion to typed values: nothing is allocated that the file cannot
+//! fill, and nothing is held twice.
 
 use super::super::StoredValues;
 use super::ScalarType;
@@ -10,21 +11,21 @@ use glam::DAffine3;
 use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
-/// Bzip2 cannot shrink data by more than this factor: 900 kB of one byte take 46 bytes.
+/// Maximum compression ratio of bzip2: 900 kB of one byte take 46 bytes.
 pub(super) const BZIP2_LIMIT: u64 = 25_000;
-/// Bytes after the values of a compressed stream that are read to check its end.
+/// Number of bytes after the values of a compressed stream that are read to check its end.
 const MAX_TRAILING_BYTES: u64 = 1 << 24;
 
-/// The first bytes of a file, unzipped: at most `most`.
+/// The first bytes of a file, uncompressed: at most `most`.
 pub(super) fn first_bytes(path: &Path, most: u64) -> Result<Vec<u8>> {
     let (reader, _) = open(path)?;
     let mut bytes = Vec::new();
-    // What cannot be unzipped any further is what the readers complain of.
+    // Errors of the decompression are left to the reader.
     let _end = reader.take(most).read_to_end(&mut bytes);
     Ok(bytes)
 }
 
-/// Number of values in an image, if they can be addressed.
+/// Number of values in an image, if it can be addressed.
 pub(super) fn count(path: &Path, extents: &[usize], scalar: ScalarType) -> Result<usize> {
     extents
         .iter()
@@ -36,7 +37,7 @@ pub(super) fn count(path: &Path, extents: &[usize], scalar: ScalarType) -> Resul
         })
 }
 
-/// Refuses values that the file cannot hold.
+/// Rejects values that the file cannot contain.
 pub(super) fn check_held(path: &Path, bytes: u64, max_bytes: u64) -> Result<()> {
     if bytes > max_bytes {
         return Err(Error::file(
@@ -49,7 +50,8 @@ pub(super) fn check_held(path: &Path, bytes: u64, max_bytes: u64) -> Result<()> 
     Ok(())
 }
 
-/// Whether a grid's geometry can be used: finite, no axis of no length or of a light year, no two of them alike. StoredValues may be of any size.
+/// Whether a grid's geometry is usable: finite, with axes of a plausible length, no two of them
+/// parallel. Voxels may have any size.
 pub(super) fn usable(world_from_voxel: &DAffine3) -> bool {
     let m = world_from_voxel.matrix3;
     let lengths = [m.x_axis, m.y_axis, m.z_axis].map(|c| c.length());
@@ -59,13 +61,14 @@ pub(super) fn usable(world_from_voxel: &DAffine3) -> bool {
         && m.determinant().abs() > 1e-9 * lengths.iter().product::<f64>()
 }
 
-/// Passes over bytes.
+/// Skips bytes.
 pub(super) fn skip(path: &Path, reader: &mut impl Read, bytes: u64) -> Result<()> {
     let passed = std::io::copy(&mut reader.take(bytes), &mut std::io::sink()).map_err(|e| read_error(path, e))?;
     if passed < bytes { Err(read_error(path, ErrorKind::UnexpectedEof.into())) } else { Ok(()) }
 }
 
-/// Reads what follows the values, so that a gzip stream is checked to its checksum. Other bytes after the stream are nobody's harm.
+/// Reads the bytes after the values, to check a gzip stream up to its checksum. Other bytes after
+/// the stream are harmless.
 pub(super) fn check_end(path: &Path, reader: impl Read) -> Result<()> {
     match std::io::copy(&mut reader.take(MAX_TRAILING_BYTES), &mut std::io::sink()) {
         Err(e) if e.kind() == ErrorKind::UnexpectedEof || e.to_string().contains("checksum") || e.to_string().contains("corrupt gzip") => {
@@ -75,7 +78,7 @@ pub(super) fn check_end(path: &Path, reader: impl Read) -> Result<()> {
     }
 }
 
-/// A scalar whose bytes can be read straight from a file.
+/// A scalar whose bytes can be read directly from a file.
 pub(super) trait RawScalar: bytemuck::Pod + Default + Send + Sync {
     fn swap(self) -> Self;
 }
@@ -138,7 +141,7 @@ macro_rules! with_scalar {
 }
 pub(super) use with_scalar;
 
-/// Bytes that become typed values.
+/// Converts bytes to typed values.
 pub(super) struct ValueReader<'a, R> {
     pub path: &'a Path,
     pub reader: R,
@@ -148,12 +151,12 @@ pub(super) struct ValueReader<'a, R> {
 }
 
 impl<R: Read> ValueReader<'_, R> {
-    /// Reads values of a type known only now.
+    /// Reads values of a type known at run time.
     pub fn read_as(&mut self, scalar: ScalarType) -> Result<StoredValues> {
         with_scalar!(scalar, T => self.read::<T>().map(Into::into))
     }
 
-    /// Reads in pieces into the one array that stays.
+    /// Reads piecewise into the final array.
     fn read<T: RawScalar>(&mut self) -> Result<Vec<T>> {
         const PIECE: usize = 1 << 20;
         let mut values: Vec<T> = reserved(self.path, self.count)?;
@@ -172,17 +175,18 @@ impl<R: Read> ValueReader<'_, R> {
     }
 }
 
-/// Room for `count` values, all zero.
+/// An array of `count` zeros.
 pub(super) fn zeroed<T: RawScalar>(path: &Path, count: usize) -> Result<Vec<T>> {
     reserved::<T>(path, count)?;
-    // Fresh pages of zeros, not written to.
+    // Fresh zero pages, not written to.
     Ok(vec![T::default(); count])
 }
 
-/// Opens a file that is to hold so many bytes.
+/// Opens a file that should contain a given number of bytes.
 pub(super) type OpenPiece = fn(&Path, u64) -> Result<Box<dyn Read + Send>>;
 
-/// Bytes of several files, one after the other: of each what remains behind its header, unpacked, and no more than a piece.
+/// Bytes of several files in sequence: for each, the bytes after its header, uncompressed, up to
+/// the size of a piece.
 pub(super) struct ConcatenatedFiles {
     files: std::vec::IntoIter<PathBuf>,
     open: OpenPiece,
@@ -191,7 +195,7 @@ pub(super) struct ConcatenatedFiles {
 }
 
 impl ConcatenatedFiles {
-    /// `open` is given a file and the bytes that it is to hold.
+    /// `open` takes a file and the number of bytes that it should contain.
     pub fn new(files: Vec<PathBuf>, piece: u64, open: OpenPiece) -> Self {
         Self { files: files.into_iter(), open, piece, current: None }
     }

@@ -1,4 +1,4 @@
-//! Values written as text, separated by space.
+//! Values written as text, separated by white space.
 
 use super::super::StoredValues;
 use super::ScalarType;
@@ -8,10 +8,10 @@ use std::io::BufRead;
 use std::path::Path;
 use std::str::FromStr;
 
-/// Longest number that is read, bytes.
+/// Maximum length of a number, bytes.
 const LONGEST: usize = 400;
 
-/// Passes over `ahead` values and reads `count` of them.
+/// Skips `ahead` values and reads `count` of them.
 pub(super) fn values(path: &Path, reader: impl BufRead, [ahead, count]: [usize; 2], scalar: ScalarType, watch: &Watch) -> Result<StoredValues> {
     with_scalar!(scalar, T => typed::<T>(path, reader, ahead, count, watch, &|v| v as T).map(Into::into))
 }

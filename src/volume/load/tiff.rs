@@ -1,7 +1,9 @@
-//! TIFF and BigTIFF: pages are slices, or slices, channels and times where OME-XML or ImageJ says so.
+//! TIFF and BigTIFF: pages are slices, or slices, channels and times if OME-XML or ImageJ metadata
+//! declare them.
 //!
-//! Source: OME-TIFF specification 6 (PhysicalSize, DimensionOrder); ImageJ's own description (`images=`, `slices=`, `spacing=`, `unit=`), whose
-//! files of more than 4 GiB hold a single directory and all slices one after the other.
+//! Source: OME-TIFF specification 6 (PhysicalSize, DimensionOrder); ImageJ's own description
+//! (`images=`, `slices=`, `spacing=`, `unit=`). ImageJ files of more than 4 GiB have a single
+//! directory, followed by all slices.
 
 use super::ScalarType;
 use super::image::{Channel, Image, Layout, Meaning};
@@ -21,22 +23,22 @@ use tiff::ColorType;
 use tiff::decoder::{Decoder, DecodingResult, Limits};
 use tiff::tags::Tag;
 
-/// The most that pages can have been packed by.
+/// Maximum compression ratio of pages.
 const MAX_COMPRESSION_RATIO: u64 = 3000;
-/// Most pages of a file.
+/// Maximum number of pages in a file.
 const MAX_PAGES: usize = 1 << 20;
 
-/// Whether a file's name is a TIFF's.
+/// Whether a file has the extension of a TIFF.
 pub fn is_tiff(path: &Path) -> bool {
     path.extension().is_some_and(|e| e.eq_ignore_ascii_case("tif") || e.eq_ignore_ascii_case("tiff"))
 }
 
-/// What a description says of the pages.
+/// A description of the pages.
 #[derive(Debug, Default, PartialEq)]
 struct Description {
     /// Slices, channels, times.
     extents: Option<[usize; 3]>,
-    /// Which of slices (0), channels (1) and times (2) changes fastest, then next.
+    /// Which of slices (0), channels (1) and times (2) varies fastest, then next.
     order: [usize; 3],
     /// mm, along x, y, z.
     spacing: [Option<f64>; 3],
@@ -62,7 +64,7 @@ fn decoder(path: &Path) -> Result<(TiffDecoder, u64)> {
     Ok((decoder, bytes))
 }
 
-/// The first page alone.
+/// The first page only.
 pub(super) fn first_page(path: &Path) -> Result<ImageSlice> {
     let ended = || Error::file(path, "its pixels are damaged; copy or export it again");
     catch_panic(|| {
@@ -75,7 +77,7 @@ pub(super) fn first_page(path: &Path) -> Result<ImageSlice> {
     .ok_or_else(ended)?
 }
 
-/// The page at which the decoder stands.
+/// The page at the decoder's position.
 fn page(path: &Path, decoder: &mut TiffDecoder) -> Result<ImageSlice> {
     let fail = |problem: String| Error::file(path, problem);
     let (width, height) = decoder.dimensions().map_err(damaged(path))?;
@@ -110,9 +112,9 @@ fn page(path: &Path, decoder: &mut TiffDecoder) -> Result<ImageSlice> {
     Ok(ImageSlice { size, components, values })
 }
 
-/// What the first page says of all.
+/// The description in the first page, which applies to all.
 fn described(pages: &mut TiffDecoder, file_bytes: u64) -> Description {
-    // A description longer than the file makes the decoder write to the terminal.
+    // The decoder writes to the terminal if a description is longer than the file.
     let described = pages.image_ifd().find_entry(Tag::ImageDescription).is_some_and(|e| e.count() <= file_bytes);
     let text = described
         .then(|| pages.find_tag(Tag::ImageDescription))
@@ -132,7 +134,7 @@ fn described(pages: &mut TiffDecoder, file_bytes: u64) -> Description {
         let unit = unit_of_imagej(&text);
         metadata.has_unit = unit.is_some();
         let mm = unit.unwrap_or(1.0);
-        // In the unit that the description names; the tag's own unit is "none".
+        // In the unit given by the description; the tag's own unit is "none".
         metadata.spacing[0] = resolution(pages, Tag::XResolution).map(|s| s * mm);
         metadata.spacing[1] = resolution(pages, Tag::YResolution).map(|s| s * mm);
         metadata.spacing[2] = metadata.spacing[2].map(|s| s * mm);
@@ -140,7 +142,7 @@ fn described(pages: &mut TiffDecoder, file_bytes: u64) -> Description {
     metadata
 }
 
-/// The spacing that a file states, mm along x, y, z.
+/// The spacing stated by a file, mm along x, y, z.
 pub(super) fn spacing(path: &Path) -> Option<[Option<f64>; 3]> {
     catch_panic(|| decoder(path).ok().map(|(mut pages, bytes)| described(&mut pages, bytes).spacing))?
 }
@@ -187,7 +189,8 @@ fn read_unguarded(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Im
 }
 
 impl Description {
-    /// Slices, channels and times of so many pages: those that are declared if they fit, else slices alone.
+    /// Slices, channels and times of `total` pages: the declared ones if they fit, else slices
+    /// only.
     fn extents_of(&self, total: usize, warnings: &mut Vec<String>) -> [usize; 3] {
         match self.extents {
             Some(e) if e.iter().try_fold(1usize, |n, &d| n.checked_mul(d)) == Some(total) || (self.imagej && total == 1) => e,
@@ -210,7 +213,7 @@ impl Description {
         }
     }
 
-    /// What the values of so many channels and components are.
+    /// The meaning of the values with these channels and components.
     fn meaning(&self, channels: usize, components: usize) -> Meaning {
         if channels > 1 {
             let color = |c: usize| self.colors.get(c).copied().flatten().unwrap_or(super::super::colors::CHANNELS[c % 4]);
@@ -223,17 +226,17 @@ impl Description {
     }
 }
 
-/// How pages are spread over slices, channels and times, and the time that is read.
+/// The distribution of pages over slices, channels and times, and the time to read.
 struct Dimensions {
     /// Slices, channels, times.
     extents: [usize; 3],
-    /// Which of these changes fastest, then next.
+    /// Which of these varies fastest, then next.
     order: [usize; 3],
     time: usize,
 }
 
 impl Dimensions {
-    /// The pages of the time that is read, channel after channel.
+    /// The pages of the time to read, channel after channel.
     fn pages(&self) -> Vec<usize> {
         let [slices, channels, _] = self.extents;
         (0..channels).flat_map(|c| (0..slices).map(move |s| (s, c))).map(|(s, c)| self.page(s, c)).collect()
@@ -255,7 +258,7 @@ struct Pixels {
     layout: Layout,
 }
 
-/// A file whose pages are read.
+/// A file whose pages are being read.
 struct Pages<'a> {
     path: &'a Path,
     decoder: TiffDecoder,
@@ -264,10 +267,10 @@ struct Pages<'a> {
 }
 
 impl Pages<'_> {
-    /// Number of pages; the decoder then stands at the first one.
+    /// Number of pages; leaves the decoder at the first one.
     fn count(&mut self) -> Result<usize> {
         let mut more = 0;
-        // Directories are followed without their pixels.
+        // Follows the directories without reading their pixels.
         while self.decoder.more_images() && more < MAX_PAGES {
             self.decoder.next_image().map_err(damaged(self.path))?;
             more += 1;
@@ -276,7 +279,7 @@ impl Pages<'_> {
         Ok(1 + more)
     }
 
-    /// Slices and channels with a page each.
+    /// Reads slices and channels with one page each.
     fn read_each(&mut self, dimensions: &Dimensions, warnings: &mut Vec<String>) -> Result<Pixels> {
         let path = self.path;
         let fail = |problem: &str| Error::file(path, problem);
@@ -297,7 +300,8 @@ impl Pages<'_> {
         Ok(Pixels { voxels, size: [size[0], size[1], count / channels], components: samples * channels, layout })
     }
 
-    /// Pages put into one array, and how many differ from the first one and were left out.
+    /// Pages combined into one array, and the number of omitted pages that differ from the first
+    /// one.
     fn stacked(&mut self, wanted: &[usize]) -> Result<(ImageStack, usize)> {
         let path = self.path;
         let mut stack = ImageStack::default();
@@ -322,14 +326,14 @@ impl Pages<'_> {
         Ok((stack, left_out))
     }
 
-    /// Slices one after the other behind a single directory, as ImageJ writes large files.
+    /// Consecutive slices after a single directory, as in large files of ImageJ.
     fn read_contiguous(&mut self, dimensions: &Dimensions) -> Result<Pixels> {
         let path = self.path;
         let [slices, channels, _] = dimensions.extents;
         let (width, height) = self.decoder.dimensions().map_err(damaged(path))?;
         let (scalar, first) = self.contiguous_values(dimensions)?;
         let big = self.decoder.byte_order() == tiff::tags::ByteOrder::BigEndian;
-        // Channels change fastest.
+        // Channels vary fastest.
         let one_time = count(path, &[width as usize, height as usize, slices, channels], scalar)?;
         let bytes = (one_time * scalar.bytes()) as u64;
         let ahead = bytes.saturating_mul(dimensions.time as u64);
@@ -349,7 +353,7 @@ impl Pages<'_> {
         Ok(Pixels { voxels, size: [width, height, slices], components: channels, layout: Layout::Planar })
     }
 
-    /// Type of the values behind a single directory, and the first one's place in the file.
+    /// Type of the values after a single directory, and the offset of the first one.
     fn contiguous_values(&mut self, dimensions: &Dimensions) -> Result<(ScalarType, u64)> {
         let path = self.path;
         let fail = |problem: &str| Error::file(path, problem);
@@ -388,13 +392,13 @@ fn imagej(text: &str) -> Description {
     metadata
 }
 
-/// Millimetres of the unit that ImageJ's description names; none for pixels.
+/// Millimetres per unit of ImageJ's description; none for pixels.
 fn unit_of_imagej(text: &str) -> Option<f64> {
     let unit = text.lines().find_map(|l| l.strip_prefix("unit=")).map(str::trim).unwrap_or("");
     mm_of(if unit == "\\u00B5m" { "um" } else { unit })
 }
 
-/// Millimetres of a unit of length.
+/// Millimetres per unit of length.
 pub(super) fn mm_of(unit: &str) -> Option<f64> {
     Some(match unit.to_lowercase().as_str() {
         "m" | "meter" | "metre" => 1000.0,
@@ -439,7 +443,7 @@ fn ome(text: &str) -> Description {
                 // Red, green, blue, alpha as one signed number.
                 let color = get("Color").and_then(|v| v.parse::<i32>().ok()).map(|v| v.to_be_bytes());
                 metadata.colors.push(color.map(|[r, g, b, _]| [r, g, b]).filter(|c| *c != [255; 3]));
-                // A channel may hold several samples; pages then hold them together.
+                // A channel may have several samples, which are then stored together in a page.
                 if get("SamplesPerPixel").and_then(|v| v.parse::<usize>().ok()).is_some_and(|n| n > 1)
                     && let Some(extents) = &mut metadata.extents
                 {

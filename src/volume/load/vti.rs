@@ -1,7 +1,9 @@
-//! VTK image data in XML, `.vti`: values inline or appended, as text, base64 or raw, plain or in compressed blocks; one piece or several.
+//! VTK image data in XML, `.vti`: values inline or appended, as text, base64 or raw, plain or in
+//! compressed blocks; one piece or several.
 //!
-//! *Geometry*: `Origin`, `Spacing` and `Direction` (columns are the axes) in LPS, as programs that read medical images into VTK leave them.
-//! Source: VTK file formats (VTK User's Guide; vtkXMLDataParser).
+//! *Geometry*: `Origin`, `Spacing` and `Direction` (columns are the axes) in LPS, as left by
+//! programs that read medical images into VTK. Source: VTK file formats (VTK User's Guide;
+//! vtkXMLDataParser).
 
 use super::super::StoredValues;
 use super::ReadOptions;
@@ -20,14 +22,14 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
-/// Compressed blocks unpacked at once.
+/// Number of compressed blocks unpacked at once.
 const BLOCKS_AT_ONCE: usize = 256;
-/// Most bytes of a block.
+/// Maximum size of a block, bytes.
 const MAX_BLOCK_BYTES: u64 = 1 << 28;
-/// Longest tag that is read.
+/// Maximum length of a tag, bytes.
 const MAX_TAG_BYTES: usize = 1 << 20;
 
-/// Where the values of an array are.
+/// The location of an array's values.
 #[derive(Clone, Debug)]
 struct VtiArray {
     name: String,
@@ -39,11 +41,11 @@ struct VtiArray {
 
 #[derive(Clone, Copy, Debug)]
 enum ArrayLocation {
-    /// Text after this byte of the file.
+    /// Text, from this byte of the file.
     Text(u64),
-    /// Base64 after this byte of the file.
+    /// Base64, from this byte of the file.
     Base64(u64),
-    /// At an offset of the appended data.
+    /// An offset in the appended data.
     Appended(u64),
 }
 
@@ -73,7 +75,7 @@ struct VtiDocument {
     wide: bool,
     packing: Compression,
     pieces: Vec<VtiPiece>,
-    /// First byte of the appended data, and whether they are base64.
+    /// First byte of the appended data, and whether it is base64.
     appended: Option<(u64, bool)>,
 }
 
@@ -127,7 +129,7 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
             let array = array.ok_or_else(|| fail(format!("has a piece without the array \"{}\"", wanted.name)))?;
             let n = count(path, &[part[0], part[1], part[2], components], scalar)?;
             covered = covered.saturating_add(n);
-            // Pieces share their outermost points; more than that is no division of one image.
+            // Pieces share their outermost points; more overlap is not a division of one image.
             if covered > total.saturating_mul(8) {
                 return Err(fail("has overlapping pieces".into()));
             }
@@ -156,7 +158,8 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     Ok(image)
 }
 
-/// The array that is shown: the active scalars, else the active vectors, else the first; of points before those of cells.
+/// The array to show: the active scalars, else the active vectors, else the first; point data
+/// before cell data.
 fn chosen(piece: &VtiPiece) -> Option<(bool, &VtiArray)> {
     for (cells, arrays) in [(false, &piece.points), (true, &piece.cells)] {
         let active = piece.active.iter().flatten().find_map(|name| arrays.iter().find(|a| a.name == *name));
@@ -167,7 +170,7 @@ fn chosen(piece: &VtiPiece) -> Option<(bool, &VtiArray)> {
     None
 }
 
-/// Pieces put into one grid.
+/// Pieces combined into one grid.
 fn joined(
     path: &Path,
     size: [usize; 3],
@@ -191,7 +194,8 @@ fn joined(
     })
 }
 
-/// A reader that knows where it is, and how much was read of a tag or a text: the parser holds these whole.
+/// A reader that tracks its position and the length of the current tag or text, which the parser
+/// holds as a whole.
 struct Counting {
     inner: BufReader<File>,
     at: u64,
@@ -221,7 +225,7 @@ impl BufRead for Counting {
 }
 
 impl Counting {
-    /// Passes over everything before a byte.
+    /// Skips everything before a given byte.
     fn pass_to(&mut self, wanted: u8) -> std::io::Result<()> {
         loop {
             let bytes = self.inner.fill_buf()?;
@@ -248,7 +252,7 @@ fn numbers<T: std::str::FromStr, const N: usize>(text: Option<&String>) -> Optio
     all.try_into().ok()
 }
 
-/// What the tags of a file say, up to the appended data.
+/// The content of a file's tags, up to the appended data.
 fn document(path: &Path, reader: BufReader<File>) -> Result<VtiDocument> {
     let fail = |problem: String| Error::file(path, problem);
     let mut xml = quick_xml::Reader::from_reader(Counting { inner: reader, at: 0, of_event: 0 });
@@ -281,7 +285,7 @@ fn document(path: &Path, reader: BufReader<File>) -> Result<VtiDocument> {
             "Piece" if parser.is_image => parser.piece(&given),
             name @ ("PointData" | "CellData") => parser.enter_section((!empty).then_some(usize::from(name == "CellData")), &given),
             "DataArray" | "Array" => {
-                // Values are passed over.
+                // Values are skipped.
                 parser.data_array(&given, xml.get_ref().at)?;
                 if !empty {
                     xml.get_mut().pass_to(b'<').map_err(|e| read_error(path, e))?;
@@ -303,17 +307,17 @@ fn document(path: &Path, reader: BufReader<File>) -> Result<VtiDocument> {
     Ok(parser.document)
 }
 
-/// A document as far as its tags have been read.
+/// A document as parsed so far.
 struct DocumentParser<'a> {
     path: &'a Path,
     document: VtiDocument,
-    /// Whether arrays belong to points (0) or cells (1), or to neither.
+    /// Whether arrays belong to points (0), to cells (1), or to neither.
     section: Option<usize>,
     is_image: bool,
 }
 
 impl<'a> DocumentParser<'a> {
-    /// Nothing read yet.
+    /// A parser at the start of a file.
     fn new(path: &'a Path) -> Self {
         let document = VtiDocument {
             whole: [0; 6],
@@ -335,7 +339,7 @@ impl<'a> DocumentParser<'a> {
         Error::file(self.path, problem)
     }
 
-    /// `VTKFile`: kind of data, order of bytes, compression.
+    /// `VTKFile`: type of data, byte order, compression.
     fn vtk_file(&mut self, given: &HashMap<String, String>) -> Result<()> {
         let kind = given.get("type").map_or("", String::as_str);
         if kind != "ImageData" {
@@ -354,7 +358,7 @@ impl<'a> DocumentParser<'a> {
         Ok(())
     }
 
-    /// `ImageData`: extent and geometry of the whole.
+    /// `ImageData`: extent and geometry of the whole image.
     fn image_data(&mut self, given: &HashMap<String, String>) -> Result<()> {
         self.document.whole = numbers(given.get("WholeExtent")).ok_or_else(|| self.fail("has no readable WholeExtent".into()))?;
         let vector = |name: &str, otherwise: DVec3| match given.get(name) {
@@ -371,13 +375,14 @@ impl<'a> DocumentParser<'a> {
         Ok(())
     }
 
-    /// `Piece`: its extent, that of the whole by default.
+    /// `Piece`: its extent; by default that of the whole.
     fn piece(&mut self, given: &HashMap<String, String>) {
         let extent = numbers(given.get("Extent")).unwrap_or(self.document.whole);
         self.document.pieces.push(VtiPiece { extent, ..VtiPiece::default() });
     }
 
-    /// `PointData` or `CellData`: what the arrays in it belong to, and which of them are active.
+    /// `PointData` or `CellData`: the section of the following arrays, and which of them are
+    /// active.
     fn enter_section(&mut self, section: Option<usize>, given: &HashMap<String, String>) {
         self.section = section;
         if let Some(piece) = self.document.pieces.last_mut()
@@ -387,7 +392,8 @@ impl<'a> DocumentParser<'a> {
         }
     }
 
-    /// `DataArray`, its text at a byte of the file; one that belongs to no voxel is left out.
+    /// `DataArray`, with its text at a byte of the file; arrays of neither points nor cells are
+    /// ignored.
     fn data_array(&mut self, given: &HashMap<String, String>, at: u64) -> Result<()> {
         let Some(section) = self.section else { return Ok(()) };
         let place = match given.get("format").map_or("ascii", String::as_str) {
@@ -440,7 +446,7 @@ impl Values<'_> {
         }
     }
 
-    /// Values behind their header of lengths.
+    /// The values after their length header.
     fn unpacked(&self, mut reader: impl Read, count: usize) -> Result<StoredValues> {
         let fail = |problem: String| Error::file(self.path, problem);
         let swap = self.document.big_endian != cfg!(target_endian = "big");
@@ -456,7 +462,7 @@ impl Values<'_> {
         };
         if self.document.packing == Compression::None {
             let stated = length(&mut reader)?;
-            // A length of 32 bits is cut off in files of more than 4 GiB.
+            // 32-bit lengths overflow in files of more than 4 GiB.
             if stated < bytes && (self.document.wide || bytes <= u64::from(u32::MAX)) {
                 return Err(fail(format!("holds {stated} bytes of values, and {bytes} are needed")));
             }
@@ -490,7 +496,7 @@ struct Blocks<R> {
     size: usize,
     packing: Compression,
     ready: Vec<Vec<u8>>,
-    /// Block, and byte in it, that come next.
+    /// The next block, and the next byte in it.
     at: [usize; 2],
 }
 
@@ -533,7 +539,7 @@ fn unpack(block: &[u8], size: usize, packing: Compression) -> std::io::Result<Ve
             ZlibDecoder::new(block).take(size as u64).read_to_end(&mut out)?;
         }
         Compression::Lz4 => {
-            // LZ4 cannot shrink by more than 255.
+            // LZ4's compression ratio is at most 255.
             out.resize(size.min(block.len().saturating_mul(255)), 0);
             let n =
                 lz4_flex::block::decompress_into(block, &mut out).map_err(|e| std::io::Error::new(std::io::ErrorKind::InvalidData, e.to_string()))?;
@@ -546,7 +552,8 @@ fn unpack(block: &[u8], size: usize, packing: Compression) -> std::io::Result<Ve
     Ok(out)
 }
 
-/// Bytes in base64, of which parts may have been encoded, and padded, one by one. Ends at the first character that is none.
+/// Decodes base64, parts of which may have been encoded and padded separately. Ends at the first
+/// character that is not base64.
 struct Base64 {
     reader: BufReader<File>,
     ready: Vec<u8>,
@@ -578,7 +585,7 @@ impl Base64 {
                     }
                 }
                 used += 1;
-                // A padded group ends what can be decoded at once.
+                // A padded group ends the part that can be decoded at once.
                 let padded = b == b'=' && text.len().is_multiple_of(4);
                 if padded || text.len() == GROUPS {
                     end = padded;

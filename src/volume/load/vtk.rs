@@ -1,6 +1,8 @@
-//! VTK's older format, `.vtk`: structured points as text or in binary (most significant byte first).
+//! VTK's legacy format, `.vtk`: structured points as text or in binary (most significant byte
+//! first).
 //!
-//! *Geometry*: origin and spacing along the axes, taken as LPS; the format has no directions. Source: VTK file formats, "Simple legacy formats".
+//! *Geometry*: origin and spacing along the axes, taken as LPS; the format has no directions.
+//! Source: VTK file formats, "Simple legacy formats".
 
 use super::ReadOptions;
 use super::ScalarType;
@@ -11,9 +13,9 @@ use glam::{DAffine3, DMat3, DVec3};
 use std::io::{BufRead, Read};
 use std::path::Path;
 
-/// Longest line of a header.
+/// Maximum length of a header line, bytes.
 const MAX_LINE_BYTES: u64 = 1 << 16;
-/// Most lines of a header.
+/// Maximum number of header lines.
 const MAX_HEADER_LINES: usize = 10_000;
 
 /// Reads an image.
@@ -59,7 +61,7 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
             Some("CELL_DATA") => on_cells = true,
             Some("SCALARS") => {
                 let scalar = scalar_type(words.get(2).unwrap_or(&"")).map_err(&fail)?;
-                // The table that follows is named, and may be left out.
+                // The following table is named, and may be missing.
                 let table = line()?.unwrap_or_default();
                 if !table.to_ascii_uppercase().starts_with("LOOKUP_TABLE") {
                     return Err(fail("has scalars without a lookup table; its header is damaged".into()));
@@ -76,7 +78,7 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
                 array = Some((scalar_type(words.get(2).unwrap_or(&"")).map_err(&fail)?, 3, Meaning::Vectors));
                 break;
             }
-            // Fields before the points belong to the whole.
+            // Fields before the points belong to the whole data set.
             Some("FIELD") if size.is_some() => {
                 let next = line()?.unwrap_or_default();
                 let words: Vec<&str> = next.split_whitespace().collect();

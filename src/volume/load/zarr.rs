@@ -1,7 +1,9 @@
-//! OME-Zarr 0.4 and 0.5 (and the older 0.1 to 0.3), a folder: one of the resolutions of a multiscale image, its channels in their colours.
-//! A Zarr array without a word about its axes is taken as (z, y, x).
+//! OME-Zarr 0.4 and 0.5 (and the older 0.1 to 0.3), a folder: one resolution of a multiscale image,
+//! with its channels in their colours. A Zarr array without metadata about its axes is read as (z,
+//! y, x).
 //!
-//! Source: the OME-NGFF specification 0.4 and 0.5, "multiscales", "coordinateTransformations", "omero".
+//! Source: the OME-NGFF specification 0.4 and 0.5, "multiscales", "coordinateTransformations",
+//! "omero".
 
 use super::ScalarType;
 use super::image::{Channel, Image, Layout, Meaning};
@@ -20,12 +22,12 @@ use zarrs::array::Array;
 use zarrs::array::ArraySubset;
 use zarrs::filesystem::FilesystemStore;
 
-/// The most that chunks can have been packed by, and what is believed of any array whose chunks were left out as empty.
+/// Maximum compression ratio of chunks, also assumed for arrays whose empty chunks were omitted.
 const MAX_COMPRESSION_RATIO: u64 = 5000;
 const ALWAYS_BELIEVED: u64 = 64 << 20;
-/// Chunks that may be left out as empty.
+/// Maximum number of omitted empty chunks.
 const MAX_MISSING_CHUNKS: u64 = 100_000;
-/// Largest metadata file that is read.
+/// Maximum size of a metadata file, bytes.
 const MAX_METADATA_BYTES: u64 = 16 << 20;
 
 /// Whether a folder is a Zarr group or array.
@@ -33,7 +35,7 @@ pub fn is_zarr(folder: &Path) -> bool {
     [".zattrs", ".zgroup", ".zarray", "zarr.json"].iter().any(|n| folder.join(n).is_file())
 }
 
-/// JSON of a file; null if there is none.
+/// The JSON of a file; null if there is no file.
 fn metadata(path: &Path) -> Result<Value> {
     if !path.exists() {
         return Ok(Value::Null);
@@ -75,7 +77,7 @@ fn read_unguarded(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Im
     if !axes.in_order() {
         return Err(fail("has its axes in another order than time, channel, z, y, x; reorder them".into()));
     }
-    // One channel is read alone where one is asked for.
+    // A selected channel is read alone.
     let one = ReadOptions::index("channel", choice.channel, channels)?;
     if one.is_none() && channels > 4 {
         return Err(fail(format!("contains {channels} channels, which cannot be shown together; choose one with --channel (1 to {channels})")));
@@ -106,16 +108,16 @@ fn read_unguarded(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Im
     Ok(image)
 }
 
-/// A folder that holds a multiscale image, or an array without a word about it.
+/// A folder with a multiscale image, or with an array without metadata.
 struct ImageGroup {
     folder: PathBuf,
     attributes: Value,
-    /// Resolutions, the full one first; none of an array without a word about it.
+    /// Resolutions, full resolution first; empty for an array without metadata.
     datasets: Vec<Value>,
 }
 
 impl ImageGroup {
-    /// Reads the attributes; converted files keep their first image one level down.
+    /// Reads the attributes; converted files have their first image one level down.
     fn open(path: &Path) -> Result<Self> {
         let mut folder = path.to_owned();
         let mut own = attributes(&folder)?;
@@ -162,7 +164,7 @@ impl ImageGroup {
         if self.folder.join("zarr.json").is_file() { "OME-Zarr 0.5" } else { "OME-Zarr 0.4" }
     }
 
-    /// What the values of these channels are.
+    /// The meaning of the values of these channels.
     fn meaning(&self, channels: &[usize]) -> Meaning {
         if channels.len() > 1 {
             Meaning::Channels(channels.iter().map(|&n| channel_style(&self.attributes["omero"]["channels"][n], n)).collect())
@@ -174,7 +176,7 @@ impl ImageGroup {
     }
 }
 
-/// Which axis of an array is which.
+/// The positions of the axes of an array.
 struct AxisPositions {
     all: Vec<ZarrAxis>,
     x: usize,
@@ -194,7 +196,7 @@ impl AxisPositions {
         Ok(Self { all, x, y, z, channel, time })
     }
 
-    /// Whether x, y and z are the last axes, x changing fastest.
+    /// Whether x, y and z are the last axes, with x varying fastest.
     fn in_order(&self) -> bool {
         let rank = self.all.len();
         self.x + 1 == rank && self.y + 2 == rank && self.z.is_none_or(|z| z + 3 == rank)
@@ -205,18 +207,19 @@ impl AxisPositions {
         [Some(self.x), Some(self.y), self.z]
     }
 
-    /// Of values for every axis those along x, y, z in mm; `missing` where there is no such axis.
+    /// From values for every axis, those along x, y, z in mm; `missing` for an axis that does not
+    /// exist.
     fn in_mm(&self, values: &[f64], missing: f64) -> DVec3 {
         DVec3::from_array(self.space().map(|axis| axis.map_or(missing, |a| values[a] * self.all[a].mm)))
     }
 }
 
-/// The part of an array that is read.
+/// The part of an array to read.
 struct Selection<'a> {
     path: &'a Path,
     layout: &'a ArrayLayout,
     axes: &'a AxisPositions,
-    /// StoredValues along x, y, z.
+    /// Voxels along x, y, z.
     size: [usize; 3],
     channels: &'a [usize],
     time: usize,
@@ -231,7 +234,7 @@ impl Selection<'_> {
         let total = count(path, &[width, height, depth, self.channels.len()], self.layout.scalar)?;
         self.layout.check(path, folder, (total * self.layout.scalar.bytes()) as u64)?;
         let array = self.open(folder)?;
-        // Whole layers of chunks at once, so that none is unpacked twice.
+        // Whole layers of chunks at once, so that no chunk is unpacked twice.
         let layer = self.axes.z.map_or(1, |a| self.layout.chunks[a] as usize).clamp(1, depth);
         let voxels: StoredValues = with_scalar!(self.layout.scalar, T => {
             let mut values: Vec<T> = reserved(path, total)?;
@@ -255,7 +258,7 @@ impl Selection<'_> {
     /// Opens the array in a folder.
     fn open(&self, folder: &Path) -> Result<Array<FilesystemStore>> {
         let fail = |problem: String| Error::file(self.path, problem);
-        // Its metadata and chunks, those that are there and those that are not.
+        // Its metadata and chunks, existing or not.
         inputs::note_path(self.path);
         if folder.to_str().is_none() {
             return Err(fail("has a path that is not UTF-8, which OME-Zarr requires; rename it".into()));
@@ -280,7 +283,7 @@ impl Selection<'_> {
     }
 }
 
-/// What a Zarr array says of itself, read before anything is allocated.
+/// A Zarr array's metadata, read before anything is allocated.
 struct ArrayLayout {
     shape: Vec<u64>,
     chunks: Vec<u64>,
@@ -326,16 +329,16 @@ impl ArrayLayout {
         Ok(Self { shape, chunks, scalar })
     }
 
-    /// Extent of an axis; 1 of one that the array does not have.
+    /// Extent of an axis; 1 for an axis that the array does not have.
     fn extent(&self, axis: Option<usize>) -> usize {
         axis.map_or(1, |a| self.shape[a] as usize)
     }
 
-    /// Refuses arrays and chunks that are far larger than what is there.
+    /// Rejects arrays and chunks that are far larger than the existing files.
     fn check(&self, path: &Path, folder: &Path, bytes: u64) -> Result<()> {
         let (mut there, mut files) = (0u64, 0u64);
         for entry in walkdir::WalkDir::new(folder).into_iter().flatten() {
-            // The library reads whatever is there.
+            // The library reads every existing file.
             if reference::is_link_out(path, entry.path()) {
                 let links = reference::links_left_out(&[entry.path().to_owned()]).unwrap_or_default();
                 return Err(Error::file(path, links));
@@ -351,7 +354,7 @@ impl ArrayLayout {
                 ));
             }
         }
-        // Each chunk is looked for, whether it is there or not.
+        // Each chunk is looked up, whether it exists or not.
         let chunks = self.shape.iter().zip(&self.chunks).try_fold(1u64, |n, (s, c)| n.checked_mul(s.div_ceil(*c)));
         if chunks.is_none_or(|n| n > MAX_MISSING_CHUNKS.saturating_add(files.saturating_mul(64))) {
             return Err(Error::file(path, format!("declares far more chunks than the {files} files in it: its metadata are damaged; copy it again")));
@@ -367,7 +370,7 @@ struct ZarrAxis {
     mm: f64,
 }
 
-/// Names and units of the axes; those of 0.1 and 0.2 are always t, c, z, y, x.
+/// Names and units of the axes; in 0.1 and 0.2 they are always t, c, z, y, x.
 fn axes(multiscale: &Value, rank: usize) -> Result<Vec<ZarrAxis>, String> {
     let Some(stated) = multiscale["axes"].as_array() else {
         let names: &[&str] = if multiscale.is_null() { &["t", "c", "z", "y", "x"][5 - rank.min(5)..] } else { &["t", "c", "z", "y", "x"] };
@@ -389,7 +392,7 @@ fn axes(multiscale: &Value, rank: usize) -> Result<Vec<ZarrAxis>, String> {
         .collect())
 }
 
-/// Scale and translation per axis: those of the resolution, then those of the whole.
+/// Scale and translation per axis: those of the resolution, then those of the whole image.
 #[allow(clippy::type_complexity, reason = "two optional lists")]
 fn placement(multiscale: &Value, dataset: &Value, rank: usize) -> Result<(Option<Vec<f64>>, Option<Vec<f64>>), String> {
     let (mut scale, mut translation): (Option<Vec<f64>>, Option<Vec<f64>>) = (None, None);

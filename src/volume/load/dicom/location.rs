@@ -1,4 +1,5 @@
-//! Where DICOM objects may be, a file, the files of a folder or the members of a zip, and their bytes.
+//! Sources of DICOM objects and their bytes: a file, the files of a folder, or the members of a
+//! zip.
 
 use super::super::source::{DEFLATE_LIMIT, open_file};
 use crate::files::{input, reference};
@@ -10,16 +11,16 @@ use std::io::{BufReader, Cursor, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use zip::ZipArchive;
 
-/// Most files and folders that are looked at.
+/// Maximum number of files and folders examined.
 const MAX_FILES: usize = 1 << 20;
-/// Deepest folder in a folder.
+/// Maximum folder depth.
 const MAX_FOLDER_DEPTH: usize = 32;
 
-/// Where an object's bytes are.
+/// The location of an object's bytes.
 #[derive(Clone)]
 pub enum ObjectLocation {
     File(PathBuf),
-    /// A member of a zip: its name, which one it is, and how long it says to be.
+    /// A member of a zip: its name, its index, and its declared length.
     Member {
         name: PathBuf,
         archive: ZipArchive<ReopenableFile>,
@@ -28,7 +29,7 @@ pub enum ObjectLocation {
     },
 }
 
-/// A file that everyone who has a copy of this opens for himself, when he first reads it.
+/// A file that each clone opens separately on first read.
 pub struct ReopenableFile {
     path: PathBuf,
     file: Option<BufReader<File>>,
@@ -62,7 +63,7 @@ impl Seek for ReopenableFile {
     }
 }
 
-/// Something to read an object from.
+/// A reader of an object.
 pub trait ReadSeek: Read + Seek + Send {}
 impl<T: Read + Seek + Send> ReadSeek for T {}
 /// An object's bytes.
@@ -76,7 +77,7 @@ impl ObjectLocation {
         }
     }
 
-    /// Its bytes from the first one on; of a member of a zip, at most so many are unpacked.
+    /// Its bytes from the start; of a zip member, at most `most` bytes are unpacked.
     pub fn open(&self, most: u64) -> Result<Bytes> {
         let reader: Box<dyn ReadSeek> = match self {
             Self::File(path) => Box::new(open_file(path)?.0),
@@ -94,7 +95,7 @@ impl ObjectLocation {
         Ok(BufReader::with_capacity(1 << 16, reader))
     }
 
-    /// Bytes of the object as it is stored.
+    /// The stored size of the object, bytes.
     pub fn bytes(&self) -> u64 {
         match self {
             Self::File(path) => std::fs::metadata(path).map_or(0, |m| m.len()),
@@ -103,8 +104,9 @@ impl ObjectLocation {
     }
 }
 
-/// All files in a folder and its folders, each once however often links lead to it, and what is to be said of what was left out. Links are followed
-/// inside the folder only: what lies elsewhere may be another patient.
+/// All files in a folder and its subfolders, each once however many links lead to it, and notes
+/// about what was omitted. Links are followed inside the folder only: a target elsewhere may be
+/// another patient.
 pub fn files_in(folder: &Path, watch: &Watch) -> Result<(Vec<ObjectLocation>, Vec<String>)> {
     let follow = reference::outside_is_allowed();
     let root = folder.canonicalize().map_err(|e| Error::io(folder, "reading", e))?;
@@ -112,7 +114,7 @@ pub fn files_in(folder: &Path, watch: &Watch) -> Result<(Vec<ObjectLocation>, Ve
     let (mut left_out, mut too_deep) = (Vec::new(), 0usize);
     for entry in walkdir::WalkDir::new(folder).follow_links(follow).max_depth(MAX_FOLDER_DEPTH).sort_by_file_name() {
         watch.check()?;
-        // Links in a loop, and what may not be read, are passed over.
+        // Link loops and unreadable entries are skipped.
         let Ok(entry) = entry else { continue };
         too_deep += usize::from(entry.depth() == MAX_FOLDER_DEPTH && entry.file_type().is_dir());
         let hidden = entry.depth() > 0 && entry.file_name().to_string_lossy().starts_with('.');
@@ -121,7 +123,7 @@ pub fn files_in(folder: &Path, watch: &Watch) -> Result<(Vec<ObjectLocation>, Ve
         }
         let mut own = entry.path().to_owned();
         if entry.path_is_symlink() {
-            // Links to nowhere are passed over as well.
+            // Broken links are skipped as well.
             let Ok(target) = entry.path().canonicalize() else { continue };
             if !follow && !target.starts_with(&root) {
                 left_out.push(entry.into_path());
@@ -146,7 +148,7 @@ pub fn files_in(folder: &Path, watch: &Watch) -> Result<(Vec<ObjectLocation>, Ve
     Ok((files, notes))
 }
 
-/// The members of a zip; none if the file is no zip. They are unpacked one at a time, when they are read.
+/// The members of a zip; none if the file is not a zip. They are unpacked one at a time, when read.
 pub fn members(path: &Path, watch: &Watch) -> Result<Option<Vec<ObjectLocation>>> {
     let (mut file, length) = open_file(path)?;
     let mut magic = [0u8; 4];
@@ -165,7 +167,7 @@ pub fn members(path: &Path, watch: &Watch) -> Result<Option<Vec<ObjectLocation>>
         if member.is_dir() || base.starts_with('.') || base == "DICOMDIR" {
             continue;
         }
-        // What it says of its length is believed as far as the zip can hold it.
+        // Its declared length is limited to what the zip can contain.
         let bytes = member.size().min(length.saturating_mul(DEFLATE_LIMIT));
         drop(member);
         members.push(ObjectLocation::Member { name: path.join(name), archive: archive.clone(), index, bytes });

@@ -1,8 +1,9 @@
 //! DICOM: the series in a file, a folder or a zip, sorted into volumes.
 //!
-//! Frames belong together by series, orientation, size and spacing; they are sorted by their position along the slice normal, never by instance
-//! number. Every frame keeps its own geometry and rescale. A gantry's tilt is a shear of the voxel axes. Uneven spacing and missing slices are
-//! reported with their positions, and evened out only when asked.
+//! Frames belong together by series, orientation, size and spacing. They are sorted by their
+//! position along the slice normal, never by instance number. Every frame has its own geometry and
+//! rescale. A gantry tilt is a shear of the voxel axes. Uneven spacing and missing slices are
+//! reported with their positions, and resampled only on request.
 //!
 //! Source: DICOM PS3.3 C.7.6.2 (image plane), C.7.6.16 (functional groups), C.8.20 (segmentation).
 
@@ -27,56 +28,57 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 use syntax::{max_compression_ratio, syntax_name};
 
-/// Steps that differ by more than this, mm or share of the step, are uneven.
+/// Steps that differ by more than this, in mm or as a fraction of the step, are uneven.
 const UNEVEN: [f64; 2] = [0.01, 0.01];
-/// Frames closer than this, mm, are at the same place.
+/// Frames closer than this are at the same position, mm.
 const SAME_PLACE: f64 = 1e-3;
-/// Most slices that a segmentation is believed to have left out empty ones among.
+/// Maximum number of slices of a segmentation with omitted empty slices.
 const MAX_EMPTY_SLICES: f64 = 10_000.0;
-/// Positions named in one message.
+/// Maximum number of positions named in one message.
 const MAX_NAMED_POSITIONS: usize = 8;
-/// Packed syntaxes whose decoders give colours as they were stored: RLE, lossless JPEG, JPEG-LS.
+/// Compressed syntaxes whose decoders return colours as stored: RLE, lossless JPEG, JPEG-LS.
 const AS_STORED: [&str; 5] =
     ["1.2.840.10008.1.2.5", "1.2.840.10008.1.2.4.57", "1.2.840.10008.1.2.4.70", "1.2.840.10008.1.2.4.80", "1.2.840.10008.1.2.4.81"];
-/// An evened-out series has at most this many times the slices.
+/// Maximum factor by which resampling may increase the number of slices.
 const MAX_RESAMPLING_FACTOR: f64 = 16.0;
 
-/// Frames that make one volume, or one for each time.
+/// The frames of one volume, or of one for each time.
 struct DicomSeries {
-    /// First object of it.
+    /// Its first object.
     object: usize,
     /// By time, each sorted along the normal.
     times: Vec<Vec<Frame>>,
-    /// Of frames at the same place, those that were left out.
+    /// Number of omitted frames that share a position with another one.
     duplicates: usize,
 }
 
-/// What `info` tells of a series.
+/// The description of a series, as shown by `info`.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct SeriesInfo {
-    /// Its number here, from 1, the largest first.
+    /// Its index, from 1, the largest series first.
     pub number: usize,
-    /// The series' number as the scanner counts.
+    /// The series number assigned by the scanner.
     pub series_number: Option<i64>,
     /// Description.
     pub description: String,
     /// Modality: CT, MR, ...
     pub modality: String,
-    /// StoredValues along i, j, k.
+    /// Voxels along i, j, k.
     pub size: [usize; 3],
-    /// Volumes in time.
+    /// Number of time points.
     pub time_points: usize,
     /// Series instance UID.
     pub uid: String,
-    /// Name and identity of the patient; only where they were asked for.
+    /// Name and ID of the patient; only if requested.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub patient: Option<[String; 2]>,
 }
 
-/// Every series in a file, a folder or a zip, the largest first. `patient`: with the patient's name and identity.
+/// Every series in a file, a folder or a zip, the largest first. `patient`: with the patient's name
+/// and ID.
 ///
 /// # Errors
-/// Nothing that is DICOM and holds pictures.
+/// Nothing that is DICOM and contains pixels.
 pub fn list(path: &Path, patient: bool, watch: &Watch) -> Result<Vec<SeriesInfo>> {
     let found = scan(path, watch)?;
     let all = series(&found.objects);
@@ -100,7 +102,7 @@ fn info(n: usize, series: &DicomSeries, objects: &[Object], patient: bool) -> Se
     }
 }
 
-/// What to say where there is no picture.
+/// The message where there are no pixels.
 fn nothing(path: &Path, found: scan::ScanResult) -> Error {
     match found.complaint {
         Some(complaint) => complaint,
@@ -121,7 +123,7 @@ fn nothing(path: &Path, found: scan::ScanResult) -> Error {
     }
 }
 
-/// Whether a folder or zip holds any DICOM picture.
+/// Whether a folder or zip contains any DICOM image.
 ///
 /// # Errors
 /// [`Error::Cancelled`].
@@ -132,7 +134,7 @@ pub fn any(path: &Path, watch: &Watch) -> Result<bool> {
 
 /// Reads one series.
 pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
-    // Headers take a tenth of the time.
+    // Scanning headers counts as a tenth of the time.
     let scanning = |share: f32| (watch.progress)(0.1 * share);
     let found = scan(path, &Watch { progress: &scanning, cancel: watch.cancel })?;
     let all = series(&found.objects);
@@ -187,7 +189,7 @@ fn named(series: &DicomSeries, objects: &[Object]) -> String {
     format!("{} series {number}{description}, {} slices", object.modality, places(&series.times[0]).len())
 }
 
-/// The series of a number, a UID or a part of a description.
+/// The series with a given number, UID or part of a description.
 fn chosen(wanted: &str, all: &[DicomSeries], objects: &[Object]) -> Result<usize> {
     let valid_names =
         || all.iter().enumerate().take(MAX_NAMED_POSITIONS).map(|(n, s)| format!("{}: {}", n + 1, named(s, objects))).collect::<Vec<_>>().join("; ");
@@ -209,7 +211,7 @@ fn normal(frame: &Frame) -> DVec3 {
     frame.along[0].cross(frame.along[1]).normalize_or(DVec3::Z)
 }
 
-/// Frames by what they have in common, the largest series first.
+/// Groups frames by their common attributes, the largest series first.
 fn series(objects: &[Object]) -> Vec<DicomSeries> {
     let mut groups: HashMap<String, Vec<Frame>> = HashMap::new();
     for object in objects {
@@ -230,12 +232,12 @@ fn series(objects: &[Object]) -> Vec<DicomSeries> {
         let f = &objects[s.object].format;
         places(&s.times[0]).len() * usize::from(f.rows) * usize::from(f.columns)
     };
-    // Ties are broken by name, so that the order is the same every time.
+    // Ties are broken by name for a reproducible order.
     all.sort_by(|a, b| voxels(&b.1).cmp(&voxels(&a.1)).then_with(|| a.0.cmp(&b.0)));
     all.into_iter().map(|(_, s)| s).collect()
 }
 
-/// Positions along the normal, sorted, each once.
+/// Distinct positions along the normal, sorted.
 fn places(frames: &[Frame]) -> Vec<f64> {
     let mut at: Vec<f64> = frames.iter().map(|f| f.position.map_or(0.0, |p| p.dot(normal(f)))).collect();
     if frames.iter().any(|f| f.position.is_none()) {
@@ -246,7 +248,8 @@ fn places(frames: &[Frame]) -> Vec<f64> {
     at
 }
 
-/// A group of frames along its normal, shared out over times where every place occurs equally often.
+/// A group of frames sorted along its normal, divided into time points if every position occurs
+/// equally often.
 fn sorted(mut frames: Vec<Frame>, objects: &[Object]) -> DicomSeries {
     let object = frames.first().map_or(0, |f| f.object);
     let by_order = |a: &Frame, b: &Frame| {
@@ -255,14 +258,14 @@ fn sorted(mut frames: Vec<Frame>, objects: &[Object]) -> DicomSeries {
     };
     let placed = frames.iter().all(|f| f.position.is_some());
     if !placed {
-        // By instance number, as nothing better is known.
+        // By instance number, for want of better information.
         frames.sort_by(|a, b| a.order[4].total_cmp(&b.order[4]).then_with(|| by_order(a, b)));
         return DicomSeries { object, times: vec![frames], duplicates: 0 };
     }
     let at = |f: &Frame| f.position.map_or(0.0, |p| p.dot(normal(f)));
     frames.sort_by(|a, b| at(a).total_cmp(&at(b)).then_with(|| by_order(a, b)));
     if objects[object].segmentation {
-        // Segments share places.
+        // Segments share positions.
         return DicomSeries { object, times: vec![frames], duplicates: 0 };
     }
     let mut stacks: Vec<Vec<Frame>> = Vec::new();
@@ -281,13 +284,14 @@ fn sorted(mut frames: Vec<Frame>, objects: &[Object]) -> DicomSeries {
     DicomSeries { object, times, duplicates }
 }
 
-/// Where the slices of a volume lie.
+/// The placement of a volume's slices.
 struct SlicePlacement {
     world_from_voxel: DAffine3,
-    /// Position of every slice in slices from the first one; whole numbers where they are even.
+    /// Position of every slice, in slices from the first one; integers if they are even.
     at: Vec<f64>,
     even: bool,
-    /// Furthest that a slice lies from the even grid: along the normal, and aside, mm.
+    /// Largest deviation of a slice from the even grid, along the normal and perpendicular to it,
+    /// mm.
     off_mm: [f64; 2],
 }
 
@@ -315,7 +319,7 @@ fn placement(frames: &[&Frame], object: &Object, resample: bool, warnings: &mut 
         (Some(a), Some(b)) if n > 1 && (b - a).dot(unit).abs() > SAME_PLACE => (b - a) / (n - 1) as f64,
         _ => unit * stated,
     };
-    // Writers of segmentations leave out slices that hold nothing.
+    // Writers of segmentations omit empty slices.
     let mut step = step;
     if object.segmentation && n > 1 {
         let at: Vec<f64> = frames.iter().filter_map(|f| f.position).map(|p| (p - start).dot(unit)).collect();
@@ -337,7 +341,7 @@ fn placement(frames: &[&Frame], object: &Object, resample: bool, warnings: &mut 
         by_size.sort_by(f64::total_cmp);
         let usual = by_size[by_size.len() / 2];
         let place = |k: usize| format!("{:.2}", frames[k].position.map_or(0.0, |p| p.dot(unit)));
-        // Gaps of whole steps are slices that are missing, where all others are even.
+        // Gaps of an integer number of steps are missing slices, if all other gaps are even.
         let missing: Vec<usize> = (0..gaps.len()).filter(|&k| gaps[k] > 1.5 * usual).collect();
         let whole = |g: f64| (g / usual - (g / usual).round()).abs() < 0.05;
         let list = |ks: &[usize]| {
@@ -381,7 +385,7 @@ fn volume(path: &Path, objects: &[Object], frames: &[Frame], choice: &ReadOption
     for o in frames.iter().map(|f| f.object).collect::<std::collections::BTreeSet<_>>() {
         check_syntax(&objects[o])?;
     }
-    // One frame for every slice; of a segmentation, which frames go onto which.
+    // One frame per slice; for a segmentation, the slice of each frame.
     let mut slices: Vec<&Frame> = Vec::new();
     let mut slot: Vec<usize> = Vec::with_capacity(frames.len());
     for frame in frames {
@@ -459,7 +463,7 @@ fn positions(slices: &[&Frame]) -> Value {
     json!(slices.iter().map(|f| f.position.map(|p| (p.dot(normal(f)) * 1e4).round() / 1e4)).collect::<Vec<_>>())
 }
 
-/// Refuses, before anything is allocated, frames that the files cannot hold.
+/// Rejects, before anything is allocated, frames that the files cannot contain.
 fn check_pixels(path: &Path, objects: &[Object], frames: &[Frame]) -> Result<()> {
     let mut needed: HashMap<usize, usize> = HashMap::new();
     for frame in frames {
@@ -479,13 +483,13 @@ fn check_pixels(path: &Path, objects: &[Object], frames: &[Frame]) -> Result<()>
     Ok(())
 }
 
-/// Frames to be decoded into one array.
+/// Frames to decode into one array.
 struct DecodeJob<'a> {
     path: &'a Path,
     objects: &'a [Object],
     frames: &'a [Frame],
     slot: &'a [usize],
-    /// Values of the whole volume.
+    /// Number of values in the whole volume.
     total: usize,
     watch: &'a Watch<'a>,
 }
@@ -500,7 +504,7 @@ impl DecodeJob<'_> {
         let mut values: Vec<T> = zeroed(self.path, self.total)?;
         let plane = self.format().values();
         let meter = ByteProgress::new(self.watch, (self.frames.len() * plane * size_of::<T>()) as u64);
-        // What each object has to fill.
+        // The frames and output of each object.
         let mut jobs: HashMap<usize, Vec<(&Frame, &mut [T])>> = HashMap::new();
         for (frame, out) in self.frames.iter().zip(values.chunks_mut(plane)) {
             jobs.entry(frame.object).or_default().push((frame, out));
@@ -520,7 +524,7 @@ impl DecodeJob<'_> {
         self.run::<T>(&|_, v| v)
     }
 
-    /// Data values, where every frame has a rescale of its own.
+    /// Data values, where frames have different rescales.
     fn scaled(&self) -> Result<StoredValues> {
         let value = |frame: &Frame, v: f32| {
             let nothing = self.objects[frame.object].padding.is_some_and(|[low, high]| (low..=high).contains(&f64::from(v)));
@@ -529,7 +533,7 @@ impl DecodeJob<'_> {
         Ok(self.run::<f32>(&value)?.into())
     }
 
-    /// Red, green and blue of 8 bits.
+    /// Red, green and blue with 8 bits each.
     fn colors(&self) -> Result<Vec<u8>> {
         let format = self.format();
         let object = &self.objects[self.frames[0].object];
@@ -550,7 +554,7 @@ impl DecodeJob<'_> {
             return Err(Error::file(self.path, "uses uncompressed chroma-subsampled colour (YBR_FULL_422); convert it to RGB"));
         }
         let mut values = self.run::<u8>(&|_, v| v)?;
-        // Decoders of JPEG and JPEG 2000 give RGB.
+        // Decoders of JPEG and JPEG 2000 return RGB.
         if format.photometric.starts_with("YBR_FULL") && (self.uncompressed() || AS_STORED.contains(&object.syntax.as_str())) {
             values.par_chunks_exact_mut(3).for_each(|v| {
                 let [y, b, r] = [f32::from(v[0]), f32::from(v[1]) - 128.0, f32::from(v[2]) - 128.0];
@@ -568,7 +572,7 @@ impl DecodeJob<'_> {
         )
     }
 
-    /// Segments as labels; where several overlap, the last one stays.
+    /// Segments as labels; where several overlap, the last one wins.
     fn labels(&self, warnings: &mut Vec<String>) -> Result<StoredValues> {
         let format = self.format();
         let plane = format.values();
@@ -588,7 +592,8 @@ impl DecodeJob<'_> {
                 decode(object, &pixels, frame, &mut values, &|v| v)?;
                 let out = &mut labels[self.slot[n] * plane..][..plane];
                 for (label, &value) in out.iter_mut().zip(&values) {
-                    // Pixels are labels themselves, or say how much of the frame's segment there is, of which half counts.
+                    // Pixels are labels themselves, or fractions of the frame's segment, with a
+                    // threshold of one half.
                     match object.segments_as {
                         SegmentsAs::Labels => *label = value,
                         SegmentsAs::Shares(whole) if value > 0 && 2 * u32::from(value) >= u32::from(whole) => {
@@ -620,7 +625,7 @@ fn evened(path: &Path, image: &mut Image, placement: &SlicePlacement, warnings: 
     let count = ((at.len() - 1) as f64 / step).round() as usize + 1;
     let step = (at.len() - 1) as f64 / (count - 1) as f64;
     let (labels, padding) = (matches!(image.meaning, Meaning::Labels(_)), image.padding);
-    // Which two slices, and how far between them.
+    // Two slices, and the position between them.
     let between: Vec<(usize, f64)> = (0..count)
         .map(|k| {
             let position = k as f64 * step;
@@ -629,7 +634,7 @@ fn evened(path: &Path, image: &mut Image, placement: &SlicePlacement, warnings: 
         })
         .collect();
     let nothing = |v: f64| padding.is_some_and(|[low, high]| (low..=high).contains(&v));
-    // Labels are not mixed, nor is nothing with something.
+    // Labels are not interpolated, nor are padding and values.
     let voxels = Voxels::new(image.size, image.voxels.clone()).interpolated_layers(&between, |a, b| labels || nothing(a) || nothing(b));
     image.voxels = voxels.reshaped(count * image.size[0] * image.size[1]);
     image.size[2] = count;

@@ -1,8 +1,10 @@
-//! Pixels of DICOM objects: out of their transfer syntax into typed values, every frame on its own and many at once.
+//! Pixels of DICOM objects: from their transfer syntax to typed values, each frame separately and
+//! many at once.
 //!
-//! JPEG and JPEG 2000 are decoded here rather than by the registry's adapters, which take a picture of another size than declared; for JPEG
-//! 2000 they also need OpenJPEG, in C or in what was translated from it, where `hayro-jpeg2000` is safe Rust. RLE and (as an option) JPEG-LS
-//! are left to the registry.
+//! JPEG and JPEG 2000 are decoded here rather than by the registry's adapters, which accept an
+//! image of another size than declared. For JPEG 2000 they also need OpenJPEG, in C or translated
+//! from it, whereas `hayro-jpeg2000` is safe Rust. RLE and (as an option) JPEG-LS are left to the
+//! registry.
 
 use super::super::source::{RawScalar, read_error};
 use super::scan::{Frame, Object, PixelFormat, one_line, open, whole};
@@ -21,15 +23,15 @@ use jpeg_decoder::{ColorTransform, PixelFormat as JpegFormat};
 use std::borrow::Cow;
 use std::io::ErrorKind;
 
-/// Bytes of the pixels of an object.
+/// The pixel bytes of an object.
 pub enum Pixels {
-    /// As they are, and whether the most significant byte comes first.
+    /// Uncompressed, and whether the most significant byte comes first.
     Native(Vec<u8>, bool),
-    /// Packed, one by one.
+    /// Compressed, frame by frame.
     Packed(Vec<Vec<u8>>),
 }
 
-/// Refuses transfer syntaxes that cannot be decoded, by name.
+/// Rejects transfer syntaxes that cannot be decoded, by name.
 pub fn check_syntax(object: &Object) -> Result<()> {
     let uid = object.syntax.as_str();
     let name = syntax_name(uid);
@@ -70,13 +72,13 @@ pub fn read(object: &Object) -> Result<Pixels> {
         let packed = JPEG.contains(&uid)
             || JPEG_2000.contains(&uid)
             || matches!(TransferSyntaxRegistry.get(&object.syntax).map(|s| s.codec()), Some(Codec::EncapsulatedPixelData(..)));
-        // A deflated object needs its pixels and what lies before them.
+        // A deflated object is unpacked up to the end of its pixels.
         let opened = open(&object.source, (native_bytes as u64).saturating_add(64 << 20))?;
         let (mut tokens, end) = opened.tokens().map_err(|e| damaged(e.to_string()))?;
         let (mut table, mut fragments, mut in_pixels) = (None, Vec::new(), false);
         let mut depth = 0usize;
         while let Some(token) = tokens.advance() {
-            // What lies behind the pixels may be cut off.
+            // Data after the pixels may be truncated.
             let token = match token {
                 Ok(token) => token,
                 Err(_) if !fragments.is_empty() && !packed => break,
@@ -86,7 +88,7 @@ pub fn read(object: &Object) -> Result<Pixels> {
                 if u64::from(len) > end.saturating_sub(at) { Err(read_error(path, ErrorKind::UnexpectedEof.into())) } else { Ok(()) }
             };
             match token {
-                // Pixels in a sequence are those of an icon.
+                // Pixels in a sequence belong to an icon.
                 LazyDataToken::PixelSequenceStart if depth == 0 => in_pixels = true,
                 LazyDataToken::SequenceStart { .. } | LazyDataToken::PixelSequenceStart => depth += 1,
                 LazyDataToken::SequenceEnd if in_pixels => break,
@@ -111,7 +113,7 @@ pub fn read(object: &Object) -> Result<Pixels> {
                     let mut bytes = Vec::new();
                     decoder.read_to_vec(len, &mut bytes).map_err(|e| damaged(one_line(&e)))?;
                     match table {
-                        // The first item says where frames start.
+                        // The first item holds the offsets of frames.
                         None => table = Some(bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()),
                         Some(_) => fragments.push(bytes),
                     }
@@ -146,7 +148,8 @@ fn native(path: &std::path::Path, bytes: Vec<u8>, needed: usize, big: bool) -> R
     Ok(Pixels::Native(bytes, big))
 }
 
-/// Fragments put together by frame: by the offset table, one for each, all for one, or each from a start of an image on.
+/// Assembles fragments into frames: by the offset table, one per frame, all into one, or each from
+/// the start of an image on.
 fn frames_of(table: &[u32], fragments: Vec<Vec<u8>>, frames: usize) -> Option<Vec<Vec<u8>>> {
     if fragments.len() == frames {
         return Some(fragments);
@@ -178,11 +181,11 @@ fn frames_of(table: &[u32], fragments: Vec<Vec<u8>>, frames: usize) -> Option<Ve
     (joined.len() == frames).then_some(joined)
 }
 
-/// The sample type that a format's values have when they are read as stored.
+/// The sample type of a format when read as stored.
 pub trait Pixel: RawScalar {
-    /// Whether it is of floating point.
+    /// Whether it is a floating-point type.
     const FLOAT: bool;
-    /// The lowest `bits` bits of `raw` as a value, with their sign if they have one.
+    /// The lowest `bits` bits of `raw` as a value, sign-extended if signed.
     fn of_bits(raw: u64, bits: u32, signed: bool) -> Self;
     /// From a floating-point sample.
     fn of_float(value: f64) -> Self;
@@ -207,12 +210,13 @@ macro_rules! pixel {
 }
 pixel!(u8, i8, u16, i16, u32, i32, f32, f64);
 
-/// Writes the samples of one frame, `convert` being given every stored one. RGB comes out interleaved whatever it was.
+/// Writes the samples of one frame, applying `convert` to each stored one. RGB output is always
+/// interleaved.
 pub fn decode<T: Pixel>(object: &Object, pixels: &Pixels, frame: &Frame, out: &mut [T], convert: &(dyn Fn(T) -> T + Sync)) -> Result<()> {
     let format = &object.format;
     let (bytes, big): (Cow<[u8]>, bool) = match pixels {
         Pixels::Native(all, big) if format.allocated == 1 => {
-            // Frames of single bits follow each other without a gap.
+            // Frames of single bits follow each other without padding.
             let first = frame.number * format.values();
             for (n, o) in out.iter_mut().enumerate() {
                 let bit = first + n;
@@ -233,7 +237,7 @@ pub fn decode<T: Pixel>(object: &Object, pixels: &Pixels, frame: &Frame, out: &m
     };
     let (bits, signed, shift) = (u32::from(format.stored), format.signed, u32::from(format.high_bit + 1 - format.stored));
     let width = usize::from(format.allocated / 8);
-    // Native planes of one colour each; decoders interleave.
+    // Uncompressed colour planes; decoders interleave.
     let planes = format.samples > 1 && format.planar && matches!(pixels, Pixels::Native(..));
     let samples = usize::from(format.samples);
     let pixels_in_plane = out.len() / samples;
@@ -265,7 +269,7 @@ pub fn decode<T: Pixel>(object: &Object, pixels: &Pixels, frame: &Frame, out: &m
     Ok(())
 }
 
-/// A packed frame as native bytes, least significant first, colours interleaved.
+/// A compressed frame as native bytes, least significant first, colours interleaved.
 fn unpacked(object: &Object, packed: &[u8]) -> Result<Vec<u8>> {
     let format = &object.format;
     let needed = format.frame_bytes();
@@ -284,7 +288,7 @@ fn unpacked(object: &Object, packed: &[u8]) -> Result<Vec<u8>> {
         }
     });
     let bytes = decoded.unwrap_or_else(|| Err("they are damaged".into())).map_err(|e| match e.contains("SamplePrecision") {
-        // The decoder's word for what it does not do.
+        // The decoder's message about what it does not support.
         true => Error::file(
             object.source.path(),
             format!("holds 12-bit lossy JPEG ({}), which cannot be decoded; convert it to Explicit VR Little Endian", syntax_name(uid)),
@@ -300,7 +304,7 @@ fn unpacked(object: &Object, packed: &[u8]) -> Result<Vec<u8>> {
 fn jpeg(format: &PixelFormat, packed: &[u8]) -> Result<Vec<u8>, String> {
     let mut decoder = jpeg_decoder::Decoder::new(packed);
     if format.samples == 3 {
-        // What the header says goes before what the decoder would guess.
+        // The header takes precedence over the decoder's guess.
         decoder.set_color_transform(if format.photometric.starts_with("YBR") { ColorTransform::YCbCr } else { ColorTransform::RGB });
     }
     decoder.set_max_decoding_buffer_size(format.values().saturating_mul(4).saturating_add(1 << 20));
@@ -320,7 +324,8 @@ fn jpeg(format: &PixelFormat, packed: &[u8]) -> Result<Vec<u8>, String> {
 }
 
 fn jpeg_2000(format: &PixelFormat, packed: &[u8]) -> Result<Vec<u8>, String> {
-    // The size lies in the marker after the start of the code stream; without it nothing is allocated.
+    // The size is in the marker after the start of the code stream; without it nothing is
+    // allocated.
     let at = packed.windows(4).take(4096).position(|w| w == [0xff, 0x4f, 0xff, 0x51]).ok_or("no code stream")?;
     let word = |n: usize| packed.get(at + n..at + n + 4).map(|b| u32::from_be_bytes([b[0], b[1], b[2], b[3]])).ok_or("no code stream");
     let (width, height) = (word(8)?.wrapping_sub(word(16)?), word(12)?.wrapping_sub(word(20)?));
@@ -347,19 +352,19 @@ fn jpeg_2000(format: &PixelFormat, packed: &[u8]) -> Result<Vec<u8>, String> {
     let width = usize::from(format.allocated / 8).clamp(1, 4);
     let mut bytes = vec![0u8; pixels * samples * width];
     for (c, component) in components.iter().take(samples).enumerate() {
-        // The decoder takes every component for an unsigned one, and shifts it by half its range.
+        // The decoder treats every component as unsigned, and shifts it by half its range.
         let signed = packed.get(at + 42 + 3 * c).is_some_and(|s| s & 0x80 != 0);
         let shift = if signed { (1u32 << component.bit_depth().clamp(1, 31).saturating_sub(1)) as f32 } else { 0.0 };
         for (n, sample) in component.samples().iter().enumerate() {
             let to = (n * samples + c) * width;
-            // Floating point, in which whole numbers of 24 bits are exact.
+            // Single precision, in which integers of 24 bits are exact.
             bytes[to..to + width].copy_from_slice(&((sample - shift).round() as i32).to_le_bytes()[..width]);
         }
     }
     Ok(bytes)
 }
 
-/// One packed frame as the registry's decoders want it.
+/// One compressed frame in the form expected by the registry's decoders.
 struct OneFrame<'a> {
     object: &'a Object,
     packed: &'a [u8],

@@ -1,4 +1,5 @@
-//! The DICOM objects in a file, a folder or a zip, and what their headers say: one [`Frame`] for every plane of pixels.
+//! The DICOM objects in a file, a folder or a zip, and the content of their headers: one [`Frame`]
+//! for every plane of pixels.
 
 use super::super::source::DEFLATE_LIMIT;
 use super::location::{Bytes, ObjectLocation, ReadSeek, files_in, members};
@@ -22,22 +23,22 @@ use std::collections::HashSet;
 use std::io::{BufReader, Cursor, Read, Seek, SeekFrom};
 use std::path::Path;
 
-/// Little endian: implicit VR, explicit VR, and that deflated.
+/// Little endian: implicit VR, explicit VR, and deflated explicit VR.
 const IMPLICIT: &str = "1.2.840.10008.1.2";
 const EXPLICIT: &str = "1.2.840.10008.1.2.1";
 const DEFLATED: &str = "1.2.840.10008.1.2.1.99";
-/// Segmentation storage, and the newer kind whose pixels are labels.
+/// Segmentation storage, and the newer class whose pixels are labels.
 const SEGMENTATION: [&str; 2] = ["1.2.840.10008.5.1.4.1.1.66.4", "1.2.840.10008.5.1.4.1.1.66.7"];
-/// Bytes of a deflated object in which its header must end.
+/// Number of bytes of a deflated object within which its header must end.
 const MAX_HEADER_BYTES: u64 = 64 << 20;
-/// Most bytes of the meta information.
+/// Maximum size of the meta information, bytes.
 const MAX_META_BYTES: u64 = 1 << 20;
-/// Deepest sequence in a sequence.
+/// Maximum nesting depth of sequences.
 const MAX_NESTED_SEQUENCES: usize = 64;
-/// Most frames of one object.
+/// Maximum number of frames in one object.
 const MAX_FRAMES: usize = 1 << 20;
 
-/// How pixels are stored.
+/// The storage of pixels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PixelFormat {
     pub rows: u16,
@@ -54,12 +55,12 @@ pub struct PixelFormat {
 }
 
 impl PixelFormat {
-    /// Values in a frame.
+    /// Number of values in a frame.
     pub fn values(&self) -> usize {
         usize::from(self.rows) * usize::from(self.columns) * usize::from(self.samples)
     }
 
-    /// Bytes of a native frame; of 1-bit pixels, rounded up.
+    /// Bytes of an uncompressed frame; for 1-bit pixels, rounded up.
     pub fn frame_bytes(&self) -> usize {
         if self.allocated == 1 { self.values().div_ceil(8) } else { self.values() * usize::from(self.allocated / 8) }
     }
@@ -68,34 +69,34 @@ impl PixelFormat {
 /// A plane of pixels.
 #[derive(Clone, Debug)]
 pub struct Frame {
-    /// Which object, and which of its frames.
+    /// Its object, and its index among the object's frames.
     pub object: usize,
     pub number: usize,
-    /// Centre of the first pixel, mm; none if the object does not say.
+    /// Centre of the first pixel, mm; none if the object does not state it.
     pub position: Option<DVec3>,
-    /// Whether the object says where the frame lies, and how it is turned.
+    /// Whether the object states the frame's position, and its orientation.
     pub stated: [bool; 2],
-    /// Directions in which columns and rows are counted.
+    /// Directions of increasing column and row.
     pub along: [DVec3; 2],
     /// Distance between columns and between rows, mm.
     pub spacing: [f64; 2],
     pub rescale: Rescale,
-    /// Segment that a frame of a segmentation belongs to.
+    /// Segment of a frame in a segmentation.
     pub segment: u16,
-    /// What tells frames at the same place apart, in order.
+    /// Keys that distinguish frames at the same position, in order.
     pub order: [f64; 5],
 }
 
-/// What the pixels of a segmentation are.
+/// The meaning of a segmentation's pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SegmentsAs {
     /// Labels.
     Labels,
-    /// How much of a frame's segment there is, out of a whole.
+    /// Fractions of the frame's segment, relative to this maximum.
     Shares(u16),
 }
 
-/// What an object's header says.
+/// The content of an object's header.
 pub struct Object {
     pub source: ObjectLocation,
     pub syntax: String,
@@ -107,7 +108,7 @@ pub struct Object {
     pub patient: [String; 2],
     pub format: PixelFormat,
     pub padding: Option<[f64; 2]>,
-    /// Distance between slices that the object states, if it does.
+    /// Distance between slices, if the object states it.
     pub slice_spacing: Option<f64>,
     pub segmentation: bool,
     pub segments_as: SegmentsAs,
@@ -117,24 +118,25 @@ pub struct Object {
     pub palette: Option<[(i64, Vec<u8>); 3]>,
 }
 
-/// What was found.
+/// The result of a scan.
 pub struct ScanResult {
     pub objects: Vec<Object>,
-    /// Files that are DICOM and hold no picture, and files that are no DICOM.
+    /// Number of files that are DICOM without pixels, or not DICOM.
     pub others: usize,
-    /// DICOM files that could not be read, and the first one's complaint.
+    /// Number of unreadable DICOM files, and the first one's error.
     pub damaged: usize,
     pub complaint: Option<Error>,
-    /// What of a folder was not looked at.
+    /// Notes about omitted parts of a folder.
     pub notes: Vec<String>,
 }
 
-/// Whether the first bytes are those of a DICOM file.
+/// Whether these are the first bytes of a DICOM file.
 pub fn is_dicom(start: &[u8]) -> bool {
     start.len() >= 132 && &start[128..132] == b"DICM" || start.starts_with(b"DICM") || bare_dataset(start)
 }
 
-/// A data set without preamble and meta information, as older programs write it: it starts with group 0008 in little endian.
+/// A data set without preamble and meta information, as written by older programs: it starts with
+/// group 0008 in little endian.
 fn bare_dataset(start: &[u8]) -> bool {
     if start.len() < 16 || start[..2] != [8, 0] || start[3] != 0 {
         return false;
@@ -144,7 +146,7 @@ fn bare_dataset(start: &[u8]) -> bool {
     explicit || (start[2] <= 0x18 && length <= 64)
 }
 
-/// The objects in a file, in a folder and all folders in it, or in a zip.
+/// The objects in a file, in a folder and all its subfolders, or in a zip.
 pub fn scan(path: &Path, watch: &Watch) -> Result<ScanResult> {
     let (sources, notes) = if path.is_dir() {
         files_in(path, watch)?
@@ -167,7 +169,7 @@ pub fn scan(path: &Path, watch: &Watch) -> Result<ScanResult> {
     let mut seen = HashSet::new();
     for result in read {
         match result {
-            // The same object twice, under whatever names, is one.
+            // Copies of the same object, under whatever names, count once.
             Ok(Some(object)) if !object.instance.is_empty() && !seen.insert(object.instance.clone()) => found.others += 1,
             Ok(Some(mut object)) => {
                 let index = found.objects.len();
@@ -193,16 +195,17 @@ fn looks_like_dicom(source: &ObjectLocation) -> bool {
 /// An object at the start of its data set.
 pub struct Opened {
     reader: Bytes,
-    /// Transfer syntax of the data set, and of the whole.
+    /// Transfer syntax of the data set, and of the whole object.
     dataset: String,
     pub syntax: String,
 }
 
-/// The data set's elements one by one, values unread.
+/// The elements of a data set one by one, without their values.
 pub type Tokens = LazyDataSetReader<DynStatefulDecoder<Bytes>>;
 
 impl Opened {
-    /// The data set's elements, and where its bytes end: positions are those in the object's bytes.
+    /// The elements of the data set, and where its bytes end; positions count in the object's
+    /// bytes.
     pub fn tokens(mut self) -> std::io::Result<(Tokens, u64)> {
         let invalid = |e: String| std::io::Error::new(std::io::ErrorKind::InvalidData, e);
         let start = self.reader.stream_position()?;
@@ -218,7 +221,7 @@ impl Opened {
     }
 }
 
-/// Passes over a value, if it is all there.
+/// Skips a value, if it is complete.
 fn pass(decoder: &mut DynStatefulDecoder<Bytes>, length: u32, end: u64) -> Result<(), String> {
     if u64::from(length) > end.saturating_sub(decoder.position()) {
         return Err(format!("an element of {length} bytes goes beyond its end"));
@@ -226,19 +229,20 @@ fn pass(decoder: &mut DynStatefulDecoder<Bytes>, length: u32, end: u64) -> Resul
     decoder.skip_bytes(length).map_err(|e| one_line(&e))
 }
 
-/// Goes through a header without keeping anything, to see that no element is longer than what is left of its object: what reads it afterwards
-/// makes room for an element before it looks whether it is there.
+/// Walks through a header without storing anything, to check that no element is longer than the
+/// rest of its object: the parser used afterwards allocates an element before checking that it is
+/// there.
 fn check_lengths(opened: Opened) -> Result<(), String> {
     let (mut tokens, end) = opened.tokens().map_err(|e| e.to_string())?;
     let mut depth = 0;
     while let Some(token) = tokens.advance() {
         match token.map_err(|e| one_line(&e))? {
-            // Pixels in a sequence are those of an icon.
+            // Pixels in a sequence belong to an icon.
             LazyDataToken::PixelSequenceStart if depth == 0 => return Ok(()),
             LazyDataToken::LazyValue { header, .. } if header.tag == tags::PIXEL_DATA && depth == 0 => return Ok(()),
             LazyDataToken::LazyValue { header, decoder } => pass(decoder, header.length().0, end)?,
             LazyDataToken::LazyItemValue { len, decoder } => pass(decoder, len, end)?,
-            // What reads it afterwards goes down by calling itself.
+            // The parser used afterwards descends by recursion.
             LazyDataToken::SequenceStart { .. } | LazyDataToken::PixelSequenceStart if depth == MAX_NESTED_SEQUENCES => {
                 return Err(format!("its sequences are more than {MAX_NESTED_SEQUENCES} deep"));
             }
@@ -250,7 +254,7 @@ fn check_lengths(opened: Opened) -> Result<(), String> {
     Ok(())
 }
 
-/// Opens an object; `most` bounds what a deflated one is unpacked to.
+/// Opens an object; `most` limits the unpacked size of a deflated one.
 pub fn open(source: &ObjectLocation, most: u64) -> Result<Opened> {
     let path = source.path();
     let damaged = |e: String| Error::file(path, format!("is not a readable DICOM file ({e}); copy or export it again"));
@@ -271,7 +275,7 @@ pub fn open(source: &ObjectLocation, most: u64) -> Result<Opened> {
     let (syntax, length) = meta(&mut reader).ok_or_else(|| damaged("its first elements are damaged or end too early".into()))?;
     reader.seek(SeekFrom::Start(magic + length)).map_err(io)?;
     if syntax != DEFLATED {
-        // Retired kinds of packed pixels lie in an explicit data set as all others do.
+        // Retired compressed syntaxes use an explicit data set like all others.
         let dataset = TransferSyntaxRegistry.get(&syntax).map_or(EXPLICIT, |s| s.uid());
         return Ok(Opened { reader, dataset: dataset.to_owned(), syntax });
     }
@@ -281,8 +285,9 @@ pub fn open(source: &ObjectLocation, most: u64) -> Result<Opened> {
     Ok(Opened { reader: BufReader::new(reader), dataset: EXPLICIT.to_owned(), syntax })
 }
 
-/// The transfer syntax in the meta information (group 0002, always explicit little endian), and its length. By hand, because `dicom-object`
-/// refuses files for faults in elements that do not matter, such as a title that is too long.
+/// The transfer syntax in the meta information (group 0002, always explicit little endian), and its
+/// length. Parsed by hand, because `dicom-object` rejects files for faults in irrelevant elements,
+/// such as an overlong title.
 fn meta(reader: &mut impl Read) -> Option<(String, u64)> {
     let (mut syntax, mut at) = (String::new(), 0u64);
     while at < MAX_META_BYTES {
@@ -316,11 +321,11 @@ fn meta(reader: &mut impl Read) -> Option<(String, u64)> {
         }
         at += head_bytes + u64::from(length);
     }
-    // Files without one are of the default syntax.
+    // Files without a transfer syntax use the default one.
     Some((if syntax.is_empty() { IMPLICIT.to_owned() } else { syntax }, at))
 }
 
-/// What is wrong, without the line breaks of nested errors.
+/// An error message without the line breaks of nested errors.
 pub fn one_line(error: &dyn std::error::Error) -> String {
     let mut text = error.to_string();
     let mut cause = error.source();
@@ -331,7 +336,7 @@ pub fn one_line(error: &dyn std::error::Error) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// An object's header; none if it holds no picture.
+/// An object's header; none if it contains no pixels.
 fn object(source: ObjectLocation) -> Result<Option<Object>> {
     let path = source.path().to_owned();
     let ended = || Error::file(&path, "is a damaged DICOM file; copy or export it again");
@@ -347,12 +352,12 @@ fn object(source: ObjectLocation) -> Result<Option<Object>> {
     .ok_or_else(ended)?
 }
 
-/// Readable text of an element, without padding.
+/// The text of an element, without padding.
 fn text(set: &InMemDicomObject, tag: Tag) -> String {
     set.get(tag).and_then(|e| e.to_str().ok()).map(|t| t.trim_matches(['\0', ' ']).trim().to_owned()).unwrap_or_default()
 }
 
-/// Numbers of an element; none if there are none, or any cannot be read.
+/// Numbers of an element; none if it has none, or any cannot be parsed.
 fn numbers(set: &InMemDicomObject, tag: Tag) -> Option<Vec<f64>> {
     set.get(tag)?.to_multi_float64().ok().filter(|v| !v.is_empty() && v.iter().all(|n| n.is_finite()))
 }
@@ -400,18 +405,18 @@ fn described(source: ObjectLocation, syntax: String, set: &InMemDicomObject) -> 
     }
     let class = text(set, tags::SOP_CLASS_UID);
     let segmentation = SEGMENTATION.contains(&class.as_str()) || text(set, tags::MODALITY) == "SEG";
-    // No more frames are believed than the object's bytes can make up.
+    // The number of frames is limited to what the object's bytes can contain.
     let ratio = max_compression_ratio(&syntax, format.frame_bytes());
     let most = if ratio <= max_compression_ratio(DEFLATED, 0) && allocated > 1 {
         source.bytes().saturating_mul(ratio) / format.frame_bytes() as u64
     } else {
-        // A packed frame has a head of eight bytes; single bits are not padded.
+        // A compressed frame has a header of eight bytes; single bits are not padded.
         source.bytes().saturating_mul(8) / if allocated == 1 { format.values() as u64 } else { 64 }
     };
     let frames = frames(set, &format, segmentation, most.max(1)).map_err(fail)?;
     let padding = number(set, tags::PIXEL_PADDING_VALUE).map(|value| {
         let limit = number(set, tags::PIXEL_PADDING_RANGE_LIMIT).unwrap_or(value);
-        // The value's own representation may have been read as the other one.
+        // The value may have been read with the other pixel representation.
         let signed = |v: f64| if format.signed && v > 32_767.0 && allocated == 16 { v - 65_536.0 } else { v };
         let (a, b) = (signed(value), signed(limit));
         [a.min(b), a.max(b)]
@@ -444,7 +449,7 @@ fn described(source: ObjectLocation, syntax: String, set: &InMemDicomObject) -> 
     }))
 }
 
-/// Planes of an object, with the geometry that holds for each.
+/// Planes of an object, each with its geometry.
 fn frames(set: &InMemDicomObject, format: &PixelFormat, segmentation: bool, most: u64) -> Result<Vec<Frame>, String> {
     let count = number(set, tags::NUMBER_OF_FRAMES).unwrap_or(1.0);
     if !(1.0..=(MAX_FRAMES as u64).min(most) as f64).contains(&count) {
@@ -453,14 +458,14 @@ fn frames(set: &InMemDicomObject, format: &PixelFormat, segmentation: bool, most
     let count = count as usize;
     let shared = item(set, tags::SHARED_FUNCTIONAL_GROUPS_SEQUENCE);
     let per_frame = set.get(tags::PER_FRAME_FUNCTIONAL_GROUPS_SEQUENCE).and_then(|e| e.items()).unwrap_or(&[]);
-    // Where frames follow each other its sign says which way (PS3.3 C.8.4.15).
+    // For consecutive frames, its sign gives the direction (PS3.3 C.8.4.15).
     let slice_spacing =
         [tags::SPACING_BETWEEN_SLICES, tags::SLICE_THICKNESS].into_iter().filter_map(|t| number(set, t)).find(|s| *s != 0.0).unwrap_or(1.0);
     let detector = item(set, tags::DETECTOR_INFORMATION_SEQUENCE);
     let mut frames = Vec::with_capacity(count.min(4096));
     for n in 0..count {
         let own = per_frame.get(n);
-        // A group of the frame's own, else the shared one, else the object itself.
+        // The frame's own group, else the shared one, else the object itself.
         let group = |tag: Tag| own.and_then(|o| item(o, tag)).or_else(|| shared.and_then(|s| item(s, tag)));
         let from = |tag: Tag, attribute: Tag| group(tag).unwrap_or(set).get(attribute).is_some().then(|| group(tag).unwrap_or(set));
         let orientation = from(tags::PLANE_ORIENTATION_SEQUENCE, tags::IMAGE_ORIENTATION_PATIENT)
@@ -479,7 +484,7 @@ fn frames(set: &InMemDicomObject, format: &PixelFormat, segmentation: bool, most
             .map(DVec3::from_array);
         let stated = [position.is_some(), orientation.is_some()];
         if count > 1 && own.is_none() {
-            // Frames without places of their own follow each other.
+            // Frames without positions are consecutive.
             position = Some(position.unwrap_or(DVec3::ZERO) + along.cross(down).normalize_or_zero() * (slice_spacing * n as f64));
         }
         let measures = group(tags::PIXEL_MEASURES_SEQUENCE).unwrap_or(set);
@@ -510,7 +515,7 @@ fn frames(set: &InMemDicomObject, format: &PixelFormat, segmentation: bool, most
             position,
             stated,
             along: [along, down],
-            // Stated as between rows, then between columns.
+            // Stored as the distance between rows, then between columns.
             spacing: spacing.map_or([0.0; 2], |[rows, columns]| [columns, rows]),
             rescale,
             segment: segment.map_or(1, |s| s as u16),
@@ -533,7 +538,8 @@ fn segments(set: &InMemDicomObject) -> Vec<Label> {
         .collect()
 }
 
-/// sRGB of a colour in DICOM's 16-bit CIELab (white point D50). Source: DICOM PS3.3 C.10.7.1.1, PS3.15 B.
+/// sRGB of a colour in DICOM's 16-bit CIELab (white point D50). Source: DICOM PS3.3 C.10.7.1.1,
+/// PS3.15 B.
 fn rgb_of_lab([l, a, b]: [f64; 3]) -> [u8; 3] {
     let (l, a, b) = (l / 65_535.0 * 100.0, a / 65_535.0 * 255.0 - 128.0, b / 65_535.0 * 255.0 - 128.0);
     let fy = (l + 16.0) / 116.0;
@@ -584,7 +590,8 @@ mod tests {
 
     #[test]
     fn colours_of_segments() {
-        // Grey of half lightness, and the strongest red of sRGB (L 54.3, a 80.8, b 69.9 for D50).
+        // Grey of half lightness, and the most saturated red of sRGB (L 54.3, a 80.8, b 69.9 for
+        // D50).
         let coded = |l: f64, a: f64, b: f64| [l / 100.0 * 65_535.0, (a + 128.0) / 255.0 * 65_535.0, (b + 128.0) / 255.0 * 65_535.0];
         let [r, g, b] = rgb_of_lab(coded(50.0, 0.0, 0.0));
         assert!(r.abs_diff(119) <= 1 && g.abs_diff(119) <= 1 && b.abs_diff(119) <= 1, "{r} {g} {b}");

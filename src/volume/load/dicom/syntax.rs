@@ -1,10 +1,10 @@
-//! Transfer syntaxes: their names, and how much they can pack.
+//! Transfer syntaxes: their names, and their maximum compression.
 
 use super::super::source::DEFLATE_LIMIT;
 use dicom_encoding::transfer_syntax::TransferSyntaxIndex;
 use dicom_transfer_syntax_registry::TransferSyntaxRegistry;
 
-/// JPEG in its kinds: baseline, extended, lossless.
+/// The JPEG syntaxes: baseline, extended, lossless.
 pub const JPEG: [&str; 6] = [
     "1.2.840.10008.1.2.4.50",
     "1.2.840.10008.1.2.4.51",
@@ -13,12 +13,12 @@ pub const JPEG: [&str; 6] = [
     "1.2.840.10008.1.2.4.57",
     "1.2.840.10008.1.2.4.70",
 ];
-/// JPEG 2000, lossless only and not, and its multi-component kinds.
+/// JPEG 2000, lossless only and general, and the multi-component syntaxes.
 pub const JPEG_2000: [&str; 4] = ["1.2.840.10008.1.2.4.90", "1.2.840.10008.1.2.4.91", "1.2.840.10008.1.2.4.92", "1.2.840.10008.1.2.4.93"];
-/// Bytes of a frame up to which a picture of one colour is believed, whatever it was packed to.
+/// Size of a frame up to which a single-coloured image is accepted at any compression ratio, bytes.
 const SMALL_FRAME: usize = 64 << 20;
 
-/// The most that pixels can have been packed by in a transfer syntax, in frames of some bytes.
+/// The maximum compression ratio of pixels in a transfer syntax, for frames of a given size.
 pub fn max_compression_ratio(syntax: &str, frame_bytes: usize) -> u64 {
     match syntax {
         "1.2.840.10008.1.2" | "1.2.840.10008.1.2.1" | "1.2.840.10008.1.2.2" => 1,
