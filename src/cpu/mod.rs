@@ -15,8 +15,8 @@
 //!
 //! Threads steal strips of rows from each other, starting at the middle of the picture, so that all
 //! threads finish together. Pixels are independent, hence the result does not depend on the number
-//! of threads. Packets go down columns of 16 rows; each finds the voxels of the previous one in the
-//! cache. Pixels whose rays miss everything visible are skipped.
+//! of threads. Packets go down columns of 8 or 16 rows; each finds the voxels of the previous one
+//! in the cache. Pixels whose rays miss everything visible are skipped.
 //!
 //! Tried without gain: AVX-512; bounds of blocks of two voxels; bisecting surface entries by three
 //! independent samples instead of two dependent ones (the cost is work, not latency). Measurements
