@@ -16,7 +16,9 @@
 //! # }
 //! ```
 
-use crate::picture::{Rendered, StageTimes};
+use crate::picture::Rendered;
+#[cfg(feature = "gpu")]
+use crate::picture::StageTimes;
 use crate::prepare::{AssetKey, Assets, LoadOptions, PrepareOptions, Prepared};
 #[cfg(feature = "gpu")]
 use crate::render::Renderer;
@@ -160,6 +162,7 @@ pub struct Engine {
     /// Why the CPU computes although a GPU was requested or preferred.
     fallback: Option<Error>,
     /// Time taken to open the GPU, until a picture has reported it.
+    #[cfg(feature = "gpu")]
     setup: StageTimes,
     warnings: Vec<String>,
 }
@@ -196,6 +199,7 @@ impl Engine {
             #[cfg(feature = "gpu")]
             gpu: None,
             fallback: None,
+            #[cfg(feature = "gpu")]
             setup: StageTimes::default(),
             warnings: Vec::new(),
         }
@@ -304,6 +308,7 @@ impl Engine {
 }
 
 /// The outcome of a request on the GPU.
+#[cfg_attr(not(feature = "gpu"), allow(dead_code, reason = "without a GPU every picture is the CPU's"))]
 enum Attempt<'a> {
     Done(Box<ScenePicture<'a>>),
     /// The CPU has to render this picture, for the reason given in its notices, if any.
@@ -367,7 +372,7 @@ impl Engine {
                         _ => "pictures are now rendered on the CPU",
                     };
                     self.warnings.push(format!("the GPU stopped responding ({problem}); {outcome}"));
-                    self.fallback = self.gpu.is_none().then(|| Error::Gpu(problem));
+                    self.fallback = self.gpu.is_none().then_some(Error::Gpu(problem));
                 }
                 // The GPU may be able to render the next scene.
                 Err(error @ Error::GpuLimit(_)) if !self.options.strict => {

@@ -101,7 +101,7 @@ pub fn counterparts_exist() {
         ),
         (
             "shaders/lib/stack.wgsl",
-            "src/deform/stack.rs",
+            "src/deform/texel.rs",
             &[("MIN_MARKED_ALPHA: f32 = 2.0", "MIN_MARKED_ALPHA: f32 = 2.0"), ("MIN_MARKED_SLOPE: f32 = 4096.0", "MIN_MARKED_SLOPE: f32 = 4096.0")][..],
         ),
         ("shaders/lib/formula.wgsl", "src/mesh/formula.rs", &[("GYROID_SLOPE: f32 = 1.75", "GYROID_SLOPE: f32 = 1.75")][..]),

@@ -379,7 +379,7 @@ pub fn uneven_slices_are_told_and_mended() {
     let mut bench = Bench::open_in(folder, &series);
     let depth = |bench: &mut Bench| bench.app().doc.as_ref().unwrap().assets.volume.size[2];
     assert_eq!(depth(&mut bench), 10);
-    let bar = |bench: &Bench| bench.harness.query_by_label_contains("unevenly spaced").is_some();
+    let bar = |bench: &Bench| bench.harness.query_by_label_contains("Slice spacing is uneven").is_some();
     for _ in 0..400 {
         bench.step();
     }
