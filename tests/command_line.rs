@@ -211,7 +211,7 @@ pub fn bad_deformations_are_named() {
         ("sphere:mapping=polar", "cylindrical"),
         ("elastic", "grab"),
         ("elastic:grab=1,2,3", "7"),
-        ("elastic:grab=500,0,0,1,1,0,0", "no node"),
+        ("elastic:grab=500,0,0,1,1,0,0", "no lattice node"),
         ("elastic:grab=0,0,0,5,1,0,0,incision=0,0,0,0,0,0,5", "normal"),
         ("brush:strokes=cut 5 1 0 0 0,psuh 5 1 0 0 0 9 9 9", "stroke 2: \"psuh\" is not a tool; did you mean \"push\"?"),
         ("brush:strokes=push 5 1 0 0 0", "needs at least 2"),

@@ -107,7 +107,7 @@ pub fn counterparts_exist() {
         ("shaders/lib/formula.wgsl", "src/mesh/formula.rs", &[("GYROID_SLOPE: f32 = 1.75", "GYROID_SLOPE: f32 = 1.75")][..]),
         ("shaders/classify.wgsl", "src/deform/bounds.rs", &[("FLAT_DISPLACEMENT: f32 = 0.25", "FLAT_DISPLACEMENT: f32 = 0.25")][..]),
         ("shaders/classify.wgsl", "src/transfer/table.rs", &[("LAST_ENTRY: f32 = 4095.0", "TABLE_ENTRIES: usize = 4096")][..]),
-        ("shaders/bounds.wgsl", "src/render/prepare.rs", &[("CELLS: u32 = 4u", "CELLS_PER_NODE: usize = 4")][..]),
+        ("shaders/bounds.wgsl", "src/render/sample_map.rs", &[("CELLS: u32 = 4u", "CELLS_PER_NODE: usize = 4")][..]),
         ("shaders/lib/cut.wgsl", "src/deform/cut.rs", &[("ROOT_STEPS: i32 = 4", "ROOT_STEPS: u32 = 4")][..]),
         ("shaders/lib/composite.wgsl", "src/cpu/mod.rs", &[("MIN_TRANSMITTANCE: f32 = 1.0 / 512.0", "MIN_TRANSMITTANCE: f32 = 1.0 / 512.0")][..]),
         ("shaders/lib/march.wgsl", "src/prepare/macrocells.rs", &[("CUT_FREE_FLAG: u32 = 128u", "CUT_FREE_FLAG: u8 = 128")][..]),
