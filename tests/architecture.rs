@@ -354,3 +354,21 @@ pub fn files_and_functions_are_of_readable_size() {
     }
     assert!(long.is_empty(), "functions of more than {MAX_FUNCTION_LINES} lines: {long:#?}");
 }
+
+/// Names that say nothing to somebody who knows volume rendering.
+const OBSCURE_NAMES: &[&str] = &[
+    "Habit", "Again", "Making", "Unaided", "UnderWay", "Looks", "kept", "kept_mm", "said", "tell", "asked", "nobody", "matter", "haze", "shades",
+];
+
+pub fn names_are_plain() {
+    let mut seen = 0;
+    for file in files(&root().join("src"), "rs").into_iter().chain(files(&root().join("shaders"), "wgsl")) {
+        let name = file.strip_prefix(root()).unwrap().to_string_lossy().into_owned();
+        for word in code(&file).split(|c: char| !c.is_alphanumeric() && c != '_') {
+            seen += 1;
+            assert!(!OBSCURE_NAMES.contains(&word), "{name} has the name {word}");
+            assert!(!word.starts_with("MOST_") && !word.starts_with("LEAST_"), "{name}: {word} is a MAX_ or a MIN_");
+        }
+    }
+    assert!(seen > 100_000, "the test sees only {seen} words");
+}

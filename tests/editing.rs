@@ -134,7 +134,7 @@ pub fn edits_prepare_what_changed() {
     assert!(renderer.cached_map_count() <= 32, "{} maps", renderer.cached_map_count());
     // None of it was computed on the CPU.
     let prepared = Prepared::with(&scene, &assets, &PrepareOptions::on(&renderer)).unwrap();
-    assert!(prepared.stack.maps().iter().all(|m| m.map.recipe().is_some()));
+    assert!(prepared.stack.maps().iter().all(|m| m.map.definition().is_some()));
 }
 
 /// For each edit: the work allowed for a picture of surfaces, from a field, a formula and

@@ -73,7 +73,7 @@ fn main() {
     let mut all: Vec<Trial> = Vec::new();
     all.extend(alone());
     all.extend(trials!(architecture:
-        modules_name_only_those_before_them, no_circles_between_files, only_one_module_opens_files, files_and_functions_are_of_readable_size));
+        modules_name_only_those_before_them, no_circles_between_files, only_one_module_opens_files, files_and_functions_are_of_readable_size, names_are_plain));
     all.extend(trials!(metrics: equal_pictures_are_equal, the_comparer_rejects));
     all.extend(contract::trials());
     all.extend(trials!(closed_forms:

@@ -134,7 +134,7 @@ fn numbers_agree(kind: &str) {
     let prepared = with_strategy(PREPARE, |r| Prepared::with(&scene, &again, &PrepareOptions::on(r)).unwrap());
     let map = &prepared.stack.maps()[0].map;
     let formula = matches!(incise::deform::kinds::kind(kind).unwrap().build, incise::deform::kinds::FieldBuilder::Formula(_));
-    assert_eq!(map.recipe().is_some(), formula, "{kind}");
+    assert_eq!(map.definition().is_some(), formula, "{kind}");
     let by_device = map.extent();
     let near = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| (a - b).abs() <= 2e-3 * (1.0 + a.abs()));
     assert!(near(&by_cpu.texels.min, &by_device.texels.min) && near(&by_cpu.texels.max, &by_device.texels.max), "{kind}: {by_cpu:?} {by_device:?}");

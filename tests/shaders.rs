@@ -65,7 +65,7 @@ pub fn uniforms_match_their_structs() {
         margin_mm, voxel_high, iso, table_scale, table_offset, has_iso, grey_faces, composite, stack_has_cuts, value_shift, value_levels, value_size, precompose_error_mm,
         values, maps, levels);
     same_layout!(&c, "NodeBounds", NodeBounds: low, high, slope_low, slope_high);
-    same_layout!(&module(Program::Sample, false), "Recipe", MapDefinitionUniform: cube_mm, ramp_mm, size, kind, numbers);
+    same_layout!(&module(Program::Sample, false), "MapDefinition", MapDefinitionUniform: cube_mm, ramp_mm, size, kind, numbers);
     same_layout!(&module(Program::Bounds, false), "Level", LevelUniform: size, first, below_size, below_first);
 }
 

@@ -6,7 +6,7 @@ const NO_CUT_DISTANCE_MM: f32 = 1e6;
 const TURN: f32 = 6.2831855;
 
 fn n(i: u32) -> f32 {
-    return recipe.numbers[i / 4u][i % 4u];
+    return definition.numbers[i / 4u][i % 4u];
 }
 
 fn with_sign(size: f32, sign_of: f32) -> f32 {
@@ -263,7 +263,7 @@ fn removal(q: vec3<f32>) -> vec4<f32> {
 }
 
 fn backward_of(q: vec3<f32>) -> vec4<f32> {
-    switch recipe.kind {
+    switch definition.kind {
         case FORMULA_PULL: { return pull(q); }
         case FORMULA_SPLINE_PULL: { return spline_pull(q); }
         case FORMULA_WAVE: { return wave(q); }

@@ -26,7 +26,7 @@ pub struct DisplacementMap {
     whole: TexelRange,
     /// Empty until first used if a device made the texels; then sampled again on the CPU.
     detail: OnceLock<TexelPyramids>,
-    recipe: Option<MapDefinition>,
+    definition: Option<MapDefinition>,
 }
 
 /// Number of points between checks for cancellation.
@@ -137,12 +137,12 @@ impl DisplacementMap {
         texels.par_iter_mut().zip(marked).filter(|(_, marked)| **marked).for_each(|(texel, _)| texel.w = MARKED_ALPHA);
         let detail = TexelPyramids::of(size, texels);
         let whole = TexelRange { texels: detail.pyramid.whole(), slopes: detail.slopes.whole() };
-        Self { size, storage, scale, whole, detail: detail.into(), recipe: None }
+        Self { size, storage, scale, whole, detail: detail.into(), definition: None }
     }
 
     /// A map whose texels a device has made from a definition, with their range.
-    pub fn from_device(recipe: MapDefinition, scale: f32, whole: TexelRange) -> Self {
-        Self { size: recipe.size, storage: recipe.storage, scale, whole, detail: OnceLock::new(), recipe: Some(recipe) }
+    pub fn from_device(definition: MapDefinition, scale: f32, whole: TexelRange) -> Self {
+        Self { size: definition.size, storage: definition.storage, scale, whole, detail: OnceLock::new(), definition: Some(definition) }
     }
 
     /// The range of all texels.
@@ -151,8 +151,8 @@ impl DisplacementMap {
     }
 
     /// The definition from which a device made the texels, if one did.
-    pub fn recipe(&self) -> Option<&MapDefinition> {
-        self.recipe.as_ref()
+    pub fn definition(&self) -> Option<&MapDefinition> {
+        self.definition.as_ref()
     }
 
     /// The texels, and bounds on boxes of them.
@@ -168,7 +168,7 @@ impl DisplacementMap {
     /// needs the same texels.
     #[cold]
     fn sampled_now(&self) -> &TexelPyramids {
-        let point = |n| self.recipe.as_ref().map_or(Vec4::ZERO, |r| finite(r.sample(Self::grid_point(self.size, n))));
+        let point = |n| self.definition.as_ref().map_or(Vec4::ZERO, |r| finite(r.sample(Self::grid_point(self.size, n))));
         let samples: Vec<Vec4> = (0..self.size.iter().product::<usize>()).into_par_iter().map(point).collect();
         let detail = TexelPyramids::of(self.size, stored(&samples, self.scale, self.storage));
         self.detail.get_or_init(|| detail)

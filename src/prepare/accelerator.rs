@@ -24,8 +24,8 @@ pub trait Accelerator {
     ///
     /// # Errors
     /// Any error of the device; [`crate::Error::Cancelled`].
-    fn map(&self, recipe: MapDefinition, watch: &Watch) -> Result<Arc<DisplacementMap>> {
-        DisplacementMap::of_watched(&recipe, watch).map(Arc::new)
+    fn map(&self, definition: MapDefinition, watch: &Watch) -> Result<Arc<DisplacementMap>> {
+        DisplacementMap::of_watched(&definition, watch).map(Arc::new)
     }
 
     /// Whether texels are needed on the CPU, even those of maps made by a device.

@@ -69,10 +69,10 @@ impl MapCache {
             return Ok(texture);
         }
         context.tally.count(ResourceKind::Map);
-        let made = map.recipe().filter(|_| context.strategy.prepare).and_then(|r| Some((r, r.formula()?)));
+        let made = map.definition().filter(|_| context.strategy.prepare).and_then(|r| Some((r, r.formula()?)));
         let (texture, bounds) = match made {
             // Made by another renderer, or evicted.
-            Some((recipe, formula)) => context.sampled_map(recipe, &formula).map(|made| (made.texture, Some(made.bounds)))?,
+            Some((definition, formula)) => context.sampled_map(definition, &formula).map(|made| (made.texture, Some(made.bounds)))?,
             None => (self.upload_map(context, map)?, None),
         };
         cached.push(CachedMap { map: map.clone(), texture: texture.clone(), bounds });

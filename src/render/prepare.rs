@@ -23,12 +23,12 @@ impl Accelerator for Renderer {
         self.scene.maps.evaluate_stack(&self.context, stack, points)
     }
 
-    fn map(&self, recipe: MapDefinition, watch: &Watch) -> Result<Arc<DisplacementMap>> {
-        let Some(formula) = recipe.formula().filter(|_| self.context.strategy.prepare && self.context.samples(&recipe)) else {
-            return DisplacementMap::of_watched(&recipe, watch).map(Arc::new);
+    fn map(&self, definition: MapDefinition, watch: &Watch) -> Result<Arc<DisplacementMap>> {
+        let Some(formula) = definition.formula().filter(|_| self.context.strategy.prepare && self.context.samples(&definition)) else {
+            return DisplacementMap::of_watched(&definition, watch).map(Arc::new);
         };
-        let made = checked(&self.context.device.device, || self.context.sampled_map(&recipe, &formula))?;
-        let map = Arc::new(DisplacementMap::from_device(recipe, made.scale, made.whole));
+        let made = checked(&self.context.device.device, || self.context.sampled_map(&definition, &formula))?;
+        let map = Arc::new(DisplacementMap::from_device(definition, made.scale, made.whole));
         self.scene.maps.cache_map(&self.context, &map, made);
         Ok(map)
     }

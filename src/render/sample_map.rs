@@ -144,21 +144,21 @@ impl Context {
     }
 
     /// Samples a formula into a map.
-    pub(super) fn sampled_map(&self, recipe: &MapDefinition, formula: &Formula) -> Result<SampledMap> {
+    pub(super) fn sampled_map(&self, definition: &MapDefinition, formula: &Formula) -> Result<SampledMap> {
         let pipelines = self.map_pipelines();
-        let size = recipe.size.map(|n| n as u32);
-        let points = recipe.size.iter().product::<usize>() as u64;
+        let size = definition.size.map(|n| n as u32);
+        let points = definition.size.iter().product::<usize>() as u64;
         let usage = wgpu::TextureUsages::STORAGE_BINDING | wgpu::TextureUsages::COPY_SRC;
-        let texture = self.texture_3d_for("displacement map", recipe.size, TextureFormat::Rgba16Float, usage)?;
+        let texture = self.texture_3d_for("displacement map", definition.size, TextureFormat::Rgba16Float, usage)?;
         let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
         let own = MapDefinitionUniform {
-            cube_mm: recipe.cube_mm.into(),
-            ramp_mm: recipe.ramp_mm,
+            cube_mm: definition.cube_mm.into(),
+            ramp_mm: definition.ramp_mm,
             size,
             kind: formula.kind as u32,
             numbers: formula.numbers,
         };
-        let own = self.scratch("recipe", bytemuck::bytes_of(&own), BufferUsages::UNIFORM);
+        let own = self.scratch("definition", bytemuck::bytes_of(&own), BufferUsages::UNIFORM);
         let edge = self.scratch("size of a map", bytemuck::bytes_of(&[size[0], size[1], size[2], 0]), BufferUsages::UNIFORM);
         let samples = if points * 16 <= MAX_CACHED_SAMPLE_BYTES {
             self.scratch_of("samples", points * 16, BufferUsages::STORAGE)
@@ -179,7 +179,7 @@ impl Context {
                 pass.set_bind_group(0, group, &[]);
                 pass.dispatch_workgroups(x, y, z);
             }
-            self.record_bounds(&mut pass, recipe.size, &view)
+            self.record_bounds(&mut pass, definition.size, &view)
         };
         let node = size_of::<NodeBounds>() as u64;
         let back = self.scratch_of("a map's extent, to read", node + 16, BufferUsages::MAP_READ | BufferUsages::COPY_DST);
@@ -193,9 +193,9 @@ impl Context {
     }
 
     /// Whether sampling a map fits on the device.
-    pub(super) fn samples(&self, recipe: &MapDefinition) -> bool {
+    pub(super) fn samples(&self, definition: &MapDefinition) -> bool {
         let limits = self.device.device.limits();
-        let bytes = recipe.size.iter().product::<usize>() as u64 * 16;
-        recipe.storage == Storage::F16 && bytes <= limits.max_storage_buffer_binding_size.min(limits.max_buffer_size)
+        let bytes = definition.size.iter().product::<usize>() as u64 * 16;
+        definition.storage == Storage::F16 && bytes <= limits.max_storage_buffer_binding_size.min(limits.max_buffer_size)
     }
 }

@@ -358,7 +358,7 @@ pub struct NodeBounds {
     pub slope_high: [[f32; 4]; 3],
 }
 
-/// `Recipe` of `shaders/sample.wgsl`.
+/// `MapDefinition` of `shaders/sample.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 #[allow(missing_docs, reason = "documented in the shader")]

@@ -406,14 +406,14 @@ impl Kind {
     /// # Errors
     /// As [`Self::field`].
     pub fn map(&self, values: &[f32], progress: f32, size_mm: Vec3, sampling: &Sampling, inputs: &FieldInputs) -> Result<DisplacementMap> {
-        Ok(DisplacementMap::of(&self.recipe(values, progress, size_mm, sampling, inputs)?))
+        Ok(DisplacementMap::of(&self.definition(values, progress, size_mm, sampling, inputs)?))
     }
 
     /// The definition that [`Self::map`] samples.
     ///
     /// # Errors
     /// As [`Self::field`].
-    pub fn recipe(&self, values: &[f32], progress: f32, size_mm: Vec3, sampling: &Sampling, inputs: &FieldInputs) -> Result<MapDefinition> {
+    pub fn definition(&self, values: &[f32], progress: f32, size_mm: Vec3, sampling: &Sampling, inputs: &FieldInputs) -> Result<MapDefinition> {
         let (mut grid, mut context) = self.context(values, progress, size_mm, sampling);
         if modifiers::vary_everywhere(inputs.settings) && self.varies != [true; 3] {
             // Round cuts and spared labels vary along all axes, whatever the kind is.
