@@ -356,9 +356,8 @@ pub fn files_and_functions_are_of_readable_size() {
 }
 
 /// Names that say nothing to somebody who knows volume rendering.
-const OBSCURE_NAMES: &[&str] = &[
-    "Habit", "Again", "Making", "Unaided", "UnderWay", "Looks", "kept", "kept_mm", "said", "tell", "asked", "nobody", "matter", "haze", "shades",
-];
+const OBSCURE_NAMES: &[&str] =
+    &["Habit", "Again", "Making", "Unaided", "UnderWay", "Looks", "kept", "kept_mm", "said", "tell", "asked", "nobody", "matter", "haze", "shades"];
 
 pub fn names_are_plain() {
     let mut seen = 0;

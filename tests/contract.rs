@@ -70,7 +70,6 @@ pub fn points(n: usize) -> impl Iterator<Item = Vec3> {
 }
 
 fn no_strength_is_the_identity(kind: &'static Kind) {
-    assert!(kind.progressive);
     let map = map(kind, &defaults(kind), 0.0, SIZE);
     for x in points(2000) {
         let s = map.sample(x);

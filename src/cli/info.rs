@@ -209,11 +209,9 @@ fn as_text(report: &Value) -> String {
 
 /// Deviations of a kind from the common parameters.
 fn notes(kind: &Kind) -> &'static str {
-    match (kind.progressive, matches!(kind.size, DefaultSize::Across(_))) {
-        (true, false) => "; progress=0..1",
-        (true, true) => "; progress=0..1; no size: it affects the whole scene",
-        (false, true) => "; no size: it affects the whole scene",
-        (false, false) => "",
+    match kind.size {
+        DefaultSize::Across(_) => "; progress=0..1; no size: it affects the whole scene",
+        _ => "; progress=0..1",
     }
 }
 

@@ -39,6 +39,7 @@ pub struct Formula {
 impl Formula {
     /// A formula of at most [`FORMULA_NUMBERS`] numbers.
     pub fn new(kind: FormulaKind, given: &[f32]) -> Self {
+        assert!(given.len() <= FORMULA_NUMBERS, "a formula has at most {FORMULA_NUMBERS} numbers");
         let mut numbers = [0.0; FORMULA_NUMBERS];
         numbers.iter_mut().zip(given).for_each(|(to, from)| *to = *from);
         Self { kind, numbers }

@@ -542,7 +542,9 @@ impl TabViewer for Tabs<'_> {
                         Panel::Transfer => self.app.show_transfer(ui),
                         Panel::Measure => self.app.show_measures(ui),
                         Panel::MapEditor => self.app.show_editor(ui),
-                        _ => self.app.show_log(ui),
+                        Panel::Log => self.app.show_log(ui),
+                        // Shown without scrolling.
+                        Panel::View3d | Panel::Axial | Panel::Coronal | Panel::Sagittal | Panel::Compare => {}
                     });
                 });
             }

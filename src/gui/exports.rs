@@ -3,7 +3,7 @@
 
 use super::files::with_ending;
 use super::state::Workstation;
-use super::state::files::{ClipForm, ClipMotion, FilePurpose, LARGEST_PICTURE, PictureForm};
+use super::state::files::{ClipForm, ClipMotion, FilePurpose, PictureForm};
 use super::state::log::LogLevel;
 use super::tasks::report_when_done;
 use crate::compare::Report;
@@ -13,6 +13,7 @@ use crate::export::bake::{self, BakeOptions};
 use crate::export::{clip, protect};
 use crate::files::path_text::text_of;
 use crate::files::{OutputFile, input};
+use crate::picture::MAX_PICTURE_EDGE;
 use crate::picture::Picture;
 use crate::prepare::measure;
 use crate::prepare::{Assets, Deformed};
@@ -32,7 +33,7 @@ impl Workstation {
     pub fn picture_form(&self) -> PictureForm {
         let [w, h] = self.view.size();
         let scale = 3840.0 / f64::from(w.max(1));
-        let size = [3840, ((f64::from(h) * scale).round() as u32).clamp(16, LARGEST_PICTURE)];
+        let size = [3840, ((f64::from(h) * scale).round() as u32).clamp(16, MAX_PICTURE_EDGE)];
         let step = self.doc.as_ref().map_or(1.0, |d| d.scene.render.step.min(0.5));
         PictureForm { size, antialias: 1, step, transparent: false }
     }

@@ -298,12 +298,11 @@ impl Workstation {
     /// Opens a dialog for a file to open.
     pub fn choose_file_to_open(&mut self) {
         const VOLUMES: &[&str] = &["gz", "nii", "nrrd", "nhdr", "mha", "mhd", "vti", "vtk", "tif", "tiff", "npy", "raw", "dcm", "zip", "hdr"];
-        const MESHES: &[&str] = &["stl", "obj", "ply", "off", "gltf", "glb", "gii"];
         self.files.open_dialog(
             FilePurpose::Open,
             "Open a scene, a volume or a mesh",
             None,
-            &[("Scenes", &["toml"]), ("Volumes", VOLUMES), ("Meshes", MESHES)],
+            &[("Scenes", &["toml"]), ("Volumes", VOLUMES), ("Meshes", &mesh::load::ENDINGS)],
         );
     }
 

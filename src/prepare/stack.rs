@@ -265,7 +265,8 @@ fn place_kind(deformation: &Deformation, inputs: &StackInputs) -> Result<PlacedM
     // nor uploads it again.
     let lies = (!kind.is_the_same_anywhere(&deformation.parameters)).then_some(world_from_local);
     let key = format!("{} {:?} {progress} {size_mm:?} {sampling:?} {lies:?}", kind.name, deformation.parameters);
-    let map = inputs.library.map(key, || inputs.accelerator.map(kind.definition(&values, progress, size_mm, &sampling, &kind_inputs)?, inputs.watch))?;
+    let map =
+        inputs.library.map(key, || inputs.accelerator.map(kind.definition(&values, progress, size_mm, &sampling, &kind_inputs)?, inputs.watch))?;
     Ok(PlacedMap::new(map, placement.scaled(Vec3::splat(kind.cube_scale))?))
 }
 

@@ -13,7 +13,6 @@ pub(super) const KIND: Kind = Kind {
     name: "bend",
     about: "bends the box's z axis towards its +x, the lower face staying in place",
     parameters: &[Parameter::degrees("angle", 50.0, [-170.0, 170.0], "rotation of the upper face")],
-    progressive: true,
     size: DefaultSize::Share([1.8, 1.1, 1.1]),
     cube_scale: 1.0,
     varies: [true; 3],

@@ -17,7 +17,6 @@ pub(super) const KIND: Kind = Kind {
         Parameter::degrees("angle", 40.0, [0.0, 85.0], "swing of each half"),
         Parameter::number("spine", 0.3, [0.0, 0.9], "height of the spine in the box: 0 the lower face, 1 the upper"),
     ],
-    progressive: true,
     size: DefaultSize::Share([2.0, 1.1, 1.5]),
     cube_scale: 1.0,
     varies: [true; 3],

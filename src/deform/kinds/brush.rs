@@ -47,7 +47,6 @@ pub(super) const KIND: Kind = Kind {
     name: "brush",
     about: "painted with brush strokes (push, smooth, cut, restore) and lasso outlines",
     parameters: &[],
-    progressive: true,
     // Room for outward pushes.
     size: DefaultSize::Share([1.2; 3]),
     cube_scale: 1.0,

@@ -12,7 +12,6 @@ pub(super) const KIND: Kind = Kind {
     name: "bulge",
     about: "magnifies the middle of the box like a lens",
     parameters: &[Parameter::number("amount", 0.45, [-1.0, 0.9], "magnification at the centre is 1 / (1 - amount)")],
-    progressive: true,
     size: DefaultSize::Share([0.8; 3]),
     cube_scale: 1.0,
     varies: [true; 3],

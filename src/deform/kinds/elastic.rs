@@ -26,7 +26,6 @@ pub(super) const KIND: Kind = Kind {
     name: "elastic",
     about: "drags points of an elastic lattice, with incisions; plausible, not a biomechanical simulation",
     parameters: &[Parameter::number("nodes", 20.0, [5.0, 40.0], "lattice nodes along the box's longest axis (whole number)")],
-    progressive: true,
     size: DefaultSize::Share([0.9; 3]),
     cube_scale: 1.0,
     varies: [true; 3],

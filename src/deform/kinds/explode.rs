@@ -21,7 +21,6 @@ pub(super) const KIND: Kind = Kind {
         pieces("pieces-y", "pieces along y"),
         pieces("pieces-z", "pieces along z"),
     ],
-    progressive: true,
     size: DefaultSize::Share([1.4; 3]),
     cube_scale: 1.0,
     varies: [true; 3],

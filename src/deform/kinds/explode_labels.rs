@@ -29,7 +29,6 @@ pub(super) const KIND: Kind = Kind {
         [BoxLength::Fixed(0.0), BoxLength::OfRadius(2.0)],
         "displacement of the outermost label",
     )],
-    progressive: true,
     size: DefaultSize::Share([1.6; 3]),
     cube_scale: 1.0,
     varies: [true; 3],

@@ -49,7 +49,6 @@ const fn kind(
         name,
         about,
         parameters,
-        progressive: true,
         size: DefaultSize::Share([1.3; 3]),
         cube_scale: 1.0,
         varies: [true; 3],

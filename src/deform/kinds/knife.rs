@@ -16,7 +16,6 @@ pub(super) const KIND: Kind = Kind {
         Parameter::mm("depth", BoxLength::OfZ(0.6), [BoxLength::OfZ(0.02), BoxLength::OfZ(0.95)], "depth of the incision below the box's upper face"),
         Parameter::mm("opening", BoxLength::OfX(0.25), [BoxLength::Fixed(0.0), BoxLength::OfX(0.7)], "width of the opening at its widest point"),
     ],
-    progressive: true,
     size: DefaultSize::Share([0.5, 0.6, 0.4]),
     cube_scale: 1.0,
     varies: [true; 3],

@@ -21,7 +21,6 @@ pub(super) const KIND: Kind = Kind {
         [BoxLength::Fixed(0.0), BoxLength::Fixed(1e5)],
         "distance of the eye from the box's centre for an outline drawn in perspective; 0 for orthographic",
     )],
-    progressive: true,
     size: DefaultSize::Across(1.05),
     cube_scale: 1.0,
     varies: [true; 3],

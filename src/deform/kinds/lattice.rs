@@ -21,7 +21,6 @@ pub(super) const KIND: Kind = Kind {
     name: "lattice",
     about: "free-form deformation by a lattice of control points",
     parameters: &[],
-    progressive: true,
     size: DefaultSize::Share([0.9; 3]),
     cube_scale: 1.0,
     varies: [true; 3],

@@ -150,8 +150,6 @@ pub struct Kind {
     pub about: &'static str,
     /// Its parameters, in the order in which `build` takes them.
     pub parameters: &'static [Parameter],
-    /// Whether `progress` scales it from no effect (0) to full effect (1).
-    pub progressive: bool,
     /// Default size.
     pub size: DefaultSize,
     /// Ratio of the map's cube to the box that the user sizes; a cut along the box's faces must lie

@@ -35,7 +35,6 @@ pub(super) const KIND: Kind = Kind {
             "outer radius of the roll (at least 1.2 times the depth)",
         ),
     ],
-    progressive: true,
     size: DefaultSize::Share([0.8, 0.6, 0.5]),
     cube_scale: 1.0,
     varies: [true; 3],

@@ -23,7 +23,6 @@ pub(super) const KIND: Kind = Kind {
             "width of the Gaussians; 0 uses the spacing of the points",
         ),
     ],
-    progressive: true,
     size: DefaultSize::Share([1.4; 3]),
     cube_scale: 1.0,
     varies: [true; 3],

@@ -15,7 +15,6 @@ pub(super) const KIND: Kind = Kind {
         Parameter::mm("amount", BoxLength::OfZ(0.5), [BoxLength::OfZ(-1.0), BoxLength::OfZ(1.0)], "displacement at the upper face, on the axis"),
         Parameter::mm("sigma", BoxLength::OfRadius(0.4), [BoxLength::OfRadius(0.05), BoxLength::OfRadius(0.4)], "width of the Gaussian"),
     ],
-    progressive: true,
     size: DefaultSize::Share([0.6; 3]),
     cube_scale: 1.0,
     varies: [true; 3],

@@ -46,7 +46,6 @@ const fn removal(name: &'static str, about: &'static str, shape: CutShapeKind, b
         name,
         about,
         parameters: &[],
-        progressive: true,
         size: DefaultSize::Share([0.5; 3]),
         cube_scale: 1.25,
         varies: [true; 3],

@@ -18,7 +18,6 @@ pub(super) const KIND: Kind = Kind {
         Parameter::mm("opening", BoxLength::OfY(0.35), [BoxLength::Fixed(0.0), BoxLength::OfY(0.7)], "width of the opening at its widest point"),
         Parameter::mm("depth", BoxLength::OfZ(0.6), [BoxLength::OfZ(0.05), BoxLength::OfZ(0.95)], "depth of the incision below the box's upper face"),
     ],
-    progressive: true,
     size: DefaultSize::Share([0.6, 0.6, 0.4]),
     cube_scale: 1.0,
     varies: [true; 3],

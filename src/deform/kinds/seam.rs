@@ -21,7 +21,6 @@ pub(super) const KIND: Kind = Kind {
     name: "seam",
     about: "splits along a seam (the box's y axis) and swings the halves open",
     parameters: &[Parameter::degrees("angle", 40.0, [0.0, 75.0], "swing of each half")],
-    progressive: true,
     size: DefaultSize::Share([0.9, 0.7, 0.6]),
     cube_scale: 1.0,
     varies: [true; 3],

@@ -17,7 +17,6 @@ pub(super) const KIND: Kind = Kind {
         Parameter::mm("gap", BoxLength::OfZ(0.05), [BoxLength::Fixed(0.0), BoxLength::OfZ(1.0)], "distance between two slabs"),
         Parameter::number("anchor", 0.5, [0.0, 1.0], "height that stays in place: 0 the lower face, 1 the upper"),
     ],
-    progressive: true,
     size: DefaultSize::Share([1.05, 1.05, 1.6]),
     cube_scale: 1.0,
     varies: [false, false, true],

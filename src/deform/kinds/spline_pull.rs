@@ -13,7 +13,6 @@ pub(super) const KIND: Kind = Kind {
     name: "spline-pull",
     about: "pulls tissue up along the box's z axis, compressing the tissue above",
     parameters: &[Parameter::mm("amount", BoxLength::OfZ(0.14), [BoxLength::OfZ(-0.3), BoxLength::OfZ(0.16)], "displacement at the peak")],
-    progressive: true,
     size: DefaultSize::Share([0.6; 3]),
     cube_scale: 1.0,
     varies: [true; 3],

@@ -14,7 +14,6 @@ pub(super) const KIND: Kind = Kind {
         Parameter::degrees("angle", 60.0, [-720.0, 720.0], "rotation of the upper face"),
         Parameter::number("falloff", 0.25, [0.02, 1.0], "fraction of the radius over which the rotation fades"),
     ],
-    progressive: true,
     size: DefaultSize::Share([1.5, 1.5, 1.1]),
     cube_scale: 1.0,
     varies: [true; 3],

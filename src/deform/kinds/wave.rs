@@ -35,7 +35,6 @@ pub(super) const RADIAL: Kind = Kind {
     name: "wave",
     about: "a circular wave that displaces along the box's z axis",
     parameters: PARAMETERS,
-    progressive: true,
     size: DefaultSize::Share([1.1, 1.1, 1.3]),
     cube_scale: 1.0,
     varies: [true; 3],

@@ -242,10 +242,8 @@ impl Gizmo<'_> {
         let mut all = vec![(Handle::Center, place.center)];
         match self.mode {
             Mode::Shape => {
-                if self.kind.progressive {
-                    let progress = self.deformation.progress.unwrap_or(1.0);
-                    all.push((Handle::Progress, place.world(progress_path(self.kind.name).at(progress, [0.0, 1.0], place.size))));
-                }
+                let progress = self.deformation.progress.unwrap_or(1.0);
+                all.push((Handle::Progress, place.world(progress_path(self.kind.name).at(progress, [0.0, 1.0], place.size))));
                 for n in 0..self.kind.parameters.len() {
                     let (value, range, _) = parameter(self.deformation, self.kind, n, place.size);
                     all.push((Handle::Parameter(n), place.world(path_of(self.kind, n).at(value, range, place.size))));
@@ -530,7 +528,7 @@ mod tests {
         for kind in kinds::list() {
             let mut d =
                 super::super::state::tool::dropped(kind, &scene_box, Some((Vec3::new(20.0, -70.0, 30.0), Vec3::new(0.28, -0.96, 0.0))), Vec3::X);
-            d.progress = kind.progressive.then_some(0.5);
+            d.progress = Some(0.5);
             for mode in [Mode::Shape, Mode::Move, Mode::Rotate, Mode::Scale] {
                 let gizmo = Gizmo { projector: projector(&scene_box, "25,15"), kind, deformation: &d, scene_box, mode };
                 for (handle, at) in gizmo.handles() {

@@ -1,7 +1,8 @@
 //! Questions and forms.
 
 use crate::gui::state::Workstation;
-use crate::gui::state::files::{ClipForm, ClipMotion, Dialog, LARGEST_PICTURE, NextStep, PictureForm};
+use crate::gui::state::files::{ClipForm, ClipMotion, Dialog, NextStep, PictureForm};
+use crate::picture::MAX_PICTURE_EDGE;
 use eframe::egui::{self, Context, DragValue, Id, Modal, RichText, Slider, Ui};
 
 /// The decision made in a dialog.
@@ -85,9 +86,7 @@ impl Workstation {
         let mut travels = vec![ClipMotion::Orbit];
         for (n, d) in deformations.iter().enumerate() {
             let kind = crate::gui::gizmos::kind_of(d);
-            if kind.is_none_or(|k| k.progressive) {
-                travels.push(ClipMotion::Progress(n));
-            }
+            travels.push(ClipMotion::Progress(n));
             travels.extend(kind.iter().flat_map(|k| k.parameters).map(|p| ClipMotion::Parameter(n, p.name.to_owned())));
         }
         egui::Grid::new("clip").num_columns(2).spacing([12.0, 6.0]).show(ui, |ui| {
@@ -205,12 +204,12 @@ fn picture(ui: &mut Ui, form: &mut PictureForm) -> Decision {
         for (word, width) in [("HD", 1920), ("4K", 3840), ("8K", 7680)] {
             if ui.button(word).clicked() {
                 let [w, h] = form.size;
-                form.size = [width, ((f64::from(h) * f64::from(width) / f64::from(w.max(1))).round() as u32).clamp(16, LARGEST_PICTURE)];
+                form.size = [width, ((f64::from(h) * f64::from(width) / f64::from(w.max(1))).round() as u32).clamp(16, MAX_PICTURE_EDGE)];
             }
         }
     });
     egui::Grid::new("picture").num_columns(2).spacing([12.0, 6.0]).show(ui, |ui| {
-        size_row(ui, &mut form.size, LARGEST_PICTURE);
+        size_row(ui, &mut form.size, MAX_PICTURE_EDGE);
         ui.label("Supersampling");
         ui.add(Slider::new(&mut form.antialias, 1..=4).clamping(egui::SliderClamping::Edits));
         ui.end_row();

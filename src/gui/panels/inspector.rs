@@ -97,18 +97,15 @@ impl Workstation {
             }
         });
         ui.label(RichText::new(kind.map_or("a file's own deformation", |k| k.about)).weak());
-        if kind.is_none_or(|k| k.progressive) {
-            if name(ui, "Progress", "From none (0 %) to full (100 %)") {
-                d.progress = None;
-            }
-            let mut percent = 100.0 * d.progress.unwrap_or(1.0);
-            ui.spacing_mut().slider_width = (ui.available_width() - 72.0).max(60.0);
-            let slider =
-                ui.add(Slider::new(&mut percent, 0.0..=100.0).clamping(egui::SliderClamping::Edits).suffix(" %").max_decimals(0).step_by(1.0));
-            slider.widget_info(|| egui::WidgetInfo::slider(true, f64::from(percent), "Progress"));
-            if slider.changed() {
-                d.progress = Some(percent / 100.0);
-            }
+        if name(ui, "Progress", "From none (0 %) to full (100 %)") {
+            d.progress = None;
+        }
+        let mut percent = 100.0 * d.progress.unwrap_or(1.0);
+        ui.spacing_mut().slider_width = (ui.available_width() - 72.0).max(60.0);
+        let slider = ui.add(Slider::new(&mut percent, 0.0..=100.0).clamping(egui::SliderClamping::Edits).suffix(" %").max_decimals(0).step_by(1.0));
+        slider.widget_info(|| egui::WidgetInfo::slider(true, f64::from(percent), "Progress"));
+        if slider.changed() {
+            d.progress = Some(percent / 100.0);
         }
         if let Some(kind) = kind {
             show_numbers(ui, d, kind, &scene_box);

@@ -11,9 +11,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Largest edge of an exported picture, pixels.
-pub const LARGEST_PICTURE: u32 = 16_384;
-
 /// The step to take after a question.
 #[derive(Clone, Debug, PartialEq)]
 pub enum NextStep {
