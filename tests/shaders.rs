@@ -155,7 +155,7 @@ const PAIRS: &[(&str, &str, &str)] = &[
         "src/cpu/shading.rs",
         "shaders/lib/shading.wgsl",
         "visible_sample cut_in_front own_color shade_point thin_layer_at_cut entry world_from_voxel_covector nearest_cut nearer_cut_shape \
-         is_cut grey_face light_cosine_by_derivative iso_surface path_fraction normal=shaded_normal light",
+         is_cut grey_face light_cosine_by_derivative iso_surface path_fraction shaded_normal light",
     ),
     ("src/cpu/march.rs", "shaders/lib/march.wgsl", "first_sample_after"),
     ("src/cpu/march.rs", "shaders/lib/composite.wgsl", "pixel_shift"),

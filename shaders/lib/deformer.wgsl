@@ -24,13 +24,13 @@ fn deformer_local(k: u32, p: vec3<f32>) -> DeformedVertex {
     let y_axis = vec3<f32>(0.0, 1.0, 0.0);
     let z_axis = vec3<f32>(0.0, 0.0, 1.0);
     switch deformers[k].kind {
-        case DEFORM_TWIST: {
+        case DEFORMER_TWIST: {
             let s = sin(n.x * h);
             let c = cos(n.x * h);
             let q = vec3<f32>(c * p.x - s * p.y, s * p.x + c * p.y, p.z);
             return DeformedVertex(q, mat3x3<f32>(vec3<f32>(c, s, 0.0), vec3<f32>(-s, c, 0.0), vec3<f32>(-q.y * n.x * dh, q.x * n.x * dh, 1.0)));
         }
-        case DEFORM_BEND: {
+        case DEFORMER_BEND: {
             if abs(n.x) < 1e-9 {
                 return DeformedVertex(p, mat3x3<f32>(x_axis, y_axis, z_axis));
             }
@@ -42,22 +42,22 @@ fn deformer_local(k: u32, p: vec3<f32>) -> DeformedVertex {
             let along = vec3<f32>(r * n.x * s * dh + s * (1.0 - dh), 0.0, r * n.x * c * dh + c * (1.0 - dh));
             return DeformedVertex(q, mat3x3<f32>(vec3<f32>(c, 0.0, -s), y_axis, along));
         }
-        case DEFORM_TAPER: {
+        case DEFORMER_TAPER: {
             let slope = (n.x - 1.0) / (2.0 * top);
             let scale = 1.0 + slope * (h + top);
             let last = vec3<f32>(slope * dh * p.xy, 1.0);
             return DeformedVertex(vec3<f32>(scale * p.xy, p.z), mat3x3<f32>(x_axis * scale, y_axis * scale, last));
         }
-        case DEFORM_SHEAR: {
+        case DEFORMER_SHEAR: {
             return DeformedVertex(vec3<f32>(p.x + n.x * h, p.yz), mat3x3<f32>(x_axis, y_axis, vec3<f32>(n.x * dh, 0.0, 1.0)));
         }
-        case DEFORM_BULGE: {
+        case DEFORMER_BULGE: {
             let g = n.x * exp(-(p.z / n.y) * (p.z / n.y));
             let scale = 1.0 + g;
             let last = vec3<f32>(-2.0 * p.z / (n.y * n.y) * g * p.xy, 1.0);
             return DeformedVertex(vec3<f32>(scale * p.xy, p.z), mat3x3<f32>(x_axis * scale, y_axis * scale, last));
         }
-        case DEFORM_WAVE: {
+        case DEFORMER_WAVE: {
             let r = length(p.xy);
             let angle = n.y * r + n.z;
             let slope = select(0.0, n.x * n.y * cos(angle) / max(r, 1e-12), r > 1e-12);

@@ -86,21 +86,21 @@ impl<T: Voxel> RayMarcher<'_, T> {
     #[inline(always)]
     pub fn march<S: Simd>(&self, simd: S, rays: RayPacket<S>, stats: &mut RenderStats, fetch_policy: &mut FetchPolicy) -> [[f32; 4]; LANES] {
         let Some((rays, mut way)) = self.begin(simd, rays, fetch_policy) else { return [[0.0; 4]; LANES] };
-        let mut blended = Blended {
+        let mut accumulated = Accumulated {
             color: Vec3x8::splat(simd, Vec3::ZERO),
             transmittance: f32x8::splat(simd, 1.0),
             projection: IntensityProjection::new(simd, self.scene.volume().blend),
         };
         while way.live.any_true() {
-            let found = self.collect(simd, &rays, &mut way, &mut blended, stats, fetch_policy);
+            let found = self.collect(simd, &rays, &mut way, &mut accumulated, stats, fetch_policy);
             if found.lanes.all_false() {
                 break;
             }
-            self.blend(simd, &rays, &found, &mut way, &mut blended, fetch_policy);
+            self.composite_found(simd, &rays, &found, &mut way, &mut accumulated, fetch_policy);
         }
         stats.samples_skipped += sum(way.skipped);
         stats.samples_terminated += sum(way.terminated);
-        let Blended { color, transmittance, projection } = blended;
+        let Accumulated { color, transmittance, projection } = accumulated;
         let mut colors = [[0.0; 4]; LANES];
         for (n, color_of) in colors.iter_mut().enumerate() {
             *color_of = if self.composite { [color.x[n], color.y[n], color.z[n], 1.0 - transmittance[n]] } else { projection.color(self.scene, n) };
@@ -239,7 +239,7 @@ impl<T: Voxel> RayMarcher<'_, T> {
         simd: S,
         rays: &MarchRays<S>,
         way: &mut March<S>,
-        blended: &mut Blended<S>,
+        accumulated: &mut Accumulated<S>,
         stats: &mut RenderStats,
         fetch_policy: &mut FetchPolicy,
     ) -> FoundSamples<S> {
@@ -272,7 +272,7 @@ impl<T: Voxel> RayMarcher<'_, T> {
                 self.sampler.prefetch(sample.in_voxel + rays.ahead);
             }
             if !self.composite {
-                blended.projection.insert(sample.value, sample.present);
+                accumulated.projection.insert(sample.value, sample.present);
                 continue;
             }
             let whole = share.simd_eq(1.0);
@@ -334,20 +334,20 @@ impl<T: Voxel> RayMarcher<'_, T> {
     /// Shades the samples found and composites them behind the accumulated colour; rays that have
     /// become opaque end.
     #[inline(always)]
-    fn blend<S: Simd>(
+    fn composite_found<S: Simd>(
         &self,
         simd: S,
         rays: &MarchRays<S>,
         found: &FoundSamples<S>,
         way: &mut March<S>,
-        blended: &mut Blended<S>,
+        accumulated: &mut Accumulated<S>,
         fetch_policy: &mut FetchPolicy,
     ) {
         let FoundSamples { lanes, sample, deformed, share, .. } = found;
         let zero = f32x8::splat(simd, 0.0);
         let mut visible = *lanes & sample.depth.simd_gt(0.0);
         let mut opaque = rays.none;
-        let (mut rgb, mut depth) = (blended.color, zero);
+        let (mut rgb, mut depth) = (accumulated.color, zero);
         let mut scalar_lanes = self.scalar_lanes(simd, rays, found, visible);
         let packet_lanes = visible & !scalar_lanes;
         if packet_lanes.any_true() {
@@ -376,12 +376,12 @@ impl<T: Voxel> RayMarcher<'_, T> {
         }
         let one = f32x8::splat(simd, 1.0);
         let pass = opaque.select(zero, exp2(-(depth * rays.length)));
-        let weight = visible.select(blended.transmittance * (one - pass), zero);
-        blended.color = blended.color + Vec3x8::select(visible, rgb, blended.color) * weight;
-        blended.transmittance = visible.select(blended.transmittance * pass, blended.transmittance);
+        let weight = visible.select(accumulated.transmittance * (one - pass), zero);
+        accumulated.color = accumulated.color + Vec3x8::select(visible, rgb, accumulated.color) * weight;
+        accumulated.transmittance = visible.select(accumulated.transmittance * pass, accumulated.transmittance);
         let mut through = opaque;
         if self.scene.settings.early_termination {
-            through |= visible & blended.transmittance.simd_lt(MIN_TRANSMITTANCE);
+            through |= visible & accumulated.transmittance.simd_lt(MIN_TRANSMITTANCE);
         }
         let through = through & way.live;
         way.terminated += through.select((rays.end - way.number).max(0.0), zero);
@@ -463,7 +463,7 @@ struct LastSamples<S: Simd> {
 }
 
 /// The accumulated colour of eight rays, front to back.
-struct Blended<S: Simd> {
+struct Accumulated<S: Simd> {
     /// Premultiplied.
     color: Vec3x8<S>,
     transmittance: f32x8<S>,

@@ -51,7 +51,7 @@ fn along<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, range: [f64; 2]
         let jet = jet(scene, deformed);
         let gradient = shading::world_from_voxel_covector(scene, sampler.gradient(at.in_voxel, scene.gradient_filter()));
         let cut = shading::nearer_cut_shape(scene, shading::nearest_cut(scene, &jet, at.in_voxel), deformed);
-        let own = shading::normal(scene, &jet.d_source_d_deformed, gradient, &cut, direction).normal;
+        let own = shading::shaded_normal(scene, &jet.d_source_d_deformed, gradient, &cut, direction).normal;
         let normal = normalize_or(own, -direction);
         let normal = if normal.dot(direction) > 0.0 { -normal } else { normal };
         return Some(Pick { deformed, source: jet.source, value: Some(in_data(at.value)), normal });

@@ -174,7 +174,7 @@ fn shade_point<T: Voxel>(
         return Shaded { color, depth_factor };
     }
     let falling = if scene.light.two_sided { 1.0 } else { scene.volume().table.opacity_slope_sign(sample.value) };
-    let normal = normal(scene, &jet.d_source_d_deformed, gradient_in_source * falling, cut, direction);
+    let normal = shaded_normal(scene, &jet.d_source_d_deformed, gradient_in_source * falling, cut, direction);
     Shaded { color: light(scene, normal, direction, color), depth_factor }
 }
 
@@ -384,7 +384,7 @@ pub(super) fn iso_surface<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>
         let facing = light_cosine_by_derivative(scene, sampler, inside);
         return (color * (scene.light.ambient + scene.light.diffuse * facing)).clamp(Vec3::ZERO, Vec3::ONE);
     }
-    let normal = normal(scene, &jet.d_source_d_deformed, gradient, &cut, direction);
+    let normal = shaded_normal(scene, &jet.d_source_d_deformed, gradient, &cut, direction);
     light(scene, normal, direction, color)
 }
 
@@ -405,7 +405,7 @@ fn path_fraction<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, cut: &N
 
 /// The normal of \[DDM06\] eq 7 in the deformed scene, from a source gradient per mm that points
 /// into the material.
-pub fn normal(scene: &Prepared, d_source_d_deformed: &Mat3, gradient_in_source: Vec3, cut: &NearestCut, direction: Vec3) -> Normal {
+pub fn shaded_normal(scene: &Prepared, d_source_d_deformed: &Mat3, gradient_in_source: Vec3, cut: &NearestCut, direction: Vec3) -> Normal {
     let gradient = match scene.settings.normals {
         Normals::Source | Normals::None => gradient_in_source,
         Normals::Transformed | Normals::Blended => d_source_d_deformed.transpose() * gradient_in_source,

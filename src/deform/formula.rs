@@ -25,7 +25,7 @@ pub enum FormulaKind {
 }
 
 /// Maximum number of numbers in a formula.
-pub const FORMULA_NUMBERS: usize = 16;
+pub const MAX_FORMULA_NUMBERS: usize = 16;
 
 /// A field fully described by numbers.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,14 +33,14 @@ pub struct Formula {
     /// The formula.
     pub kind: FormulaKind,
     /// Its numbers in the order of the shader; the rest are zero.
-    pub numbers: [f32; FORMULA_NUMBERS],
+    pub numbers: [f32; MAX_FORMULA_NUMBERS],
 }
 
 impl Formula {
-    /// A formula of at most [`FORMULA_NUMBERS`] numbers.
+    /// A formula of at most [`MAX_FORMULA_NUMBERS`] numbers.
     pub fn new(kind: FormulaKind, given: &[f32]) -> Self {
-        assert!(given.len() <= FORMULA_NUMBERS, "a formula has at most {FORMULA_NUMBERS} numbers");
-        let mut numbers = [0.0; FORMULA_NUMBERS];
+        assert!(given.len() <= MAX_FORMULA_NUMBERS, "a formula has at most {MAX_FORMULA_NUMBERS} numbers");
+        let mut numbers = [0.0; MAX_FORMULA_NUMBERS];
         numbers.iter_mut().zip(given).for_each(|(to, from)| *to = *from);
         Self { kind, numbers }
     }

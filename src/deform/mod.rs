@@ -42,7 +42,7 @@ mod whole;
 
 pub use argument::{Argument, Arguments};
 pub use field::MapDefinition;
-pub use formula::{FORMULA_NUMBERS, Formula, FormulaKind};
+pub use formula::{Formula, FormulaKind, MAX_FORMULA_NUMBERS};
 pub use library::Library;
 pub use map::{DisplacementMap, TexelRange};
 pub use placement::Placement;

@@ -23,7 +23,7 @@ const PROGRESS_STEP: f32 = 0.05;
 /// Minimum distance between points of a stroke, as a fraction of its radius.
 const STROKE_STEP: f32 = 0.25;
 /// Most points of one stroke.
-const STROKE_POINTS: usize = 400;
+const MAX_STROKE_POINTS: usize = 400;
 
 impl Workstation {
     /// Carries out an action; one that does not apply at the moment has no effect.
@@ -389,7 +389,7 @@ impl Workstation {
         let Some(tool) = self.tool.brush() else { return };
         let radius = self.editor.radius;
         let far = self.stroke_points.last().is_none_or(|l| l.distance(at) >= STROKE_STEP * radius);
-        if !far || self.stroke_points.len() >= STROKE_POINTS {
+        if !far || self.stroke_points.len() >= MAX_STROKE_POINTS {
             return;
         }
         self.stroke_points.push(Vec3::from(super::state::tool::tidy(at)));

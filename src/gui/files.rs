@@ -297,7 +297,10 @@ impl Workstation {
 
     /// Opens a dialog for a file to open.
     pub fn choose_file_to_open(&mut self) {
-        const VOLUMES: &[&str] = &["gz", "nii", "nrrd", "nhdr", "mha", "mhd", "vti", "vtk", "tif", "tiff", "npy", "raw", "dcm", "zip", "hdr"];
+        const VOLUMES: &[&str] = &[
+            "gz", "nii", "nrrd", "nhdr", "mha", "mhd", "vti", "vtk", "tif", "tiff", "png", "jpg", "jpeg", "npy", "raw", "dcm", "dicom", "ima", "zip",
+            "hdr", "img",
+        ];
         self.files.open_dialog(
             FilePurpose::Open,
             "Open a scene, a volume or a mesh",

@@ -58,7 +58,7 @@ pub enum SolidKind {
 
 /// The deformers of a mesh.
 #[derive(Clone, Copy)]
-pub enum DeformKind {
+pub enum MeshDeformerKind {
     /// See [`crate::mesh::deformer::DeformerKind`].
     Twist,
     /// A bend.
@@ -76,10 +76,10 @@ pub enum DeformKind {
 }
 
 /// The same for enums specific to the GPU.
-const KINDS: &[(&str, &str, u32)] = constants! {
+const GPU_ENUMS: &[(&str, &str, u32)] = constants! {
     "IMPLICIT" ImplicitKind { Grid, Formula, Depth }
     "SOLID" SolidKind { Sphere, Box, Torus, Cylinder, Gyroid }
-    "DEFORM" DeformKind { Twist, Bend, Taper, Shear, Bulge, Wave, Lattice }
+    "DEFORMER" MeshDeformerKind { Twist, Bend, Taper, Shear, Bulge, Wave, Lattice }
 };
 
 /// How an iso-surface is shown: not at all, or lit in one of the ways of [`IsoLight`].
@@ -102,7 +102,7 @@ fn upper(name: &str) -> String {
 /// The constants of all shaders, as WGSL.
 pub fn wgsl_constants() -> &'static str {
     static TEXT: LazyLock<String> = LazyLock::new(|| {
-        let variants = VARIANTS.iter().chain(KINDS).map(|&(prefix, name, number)| (format!("{prefix}{}", upper(name)), number));
+        let variants = VARIANTS.iter().chain(GPU_ENUMS).map(|&(prefix, name, number)| (format!("{prefix}{}", upper(name)), number));
         let iso = [("ISO_NONE", None), ("ISO_GRADIENT", Some(IsoLight::Gradient)), ("ISO_DERIVATIVE", Some(IsoLight::Derivative))];
         let iso = iso.map(|(name, light)| (name.to_owned(), self::iso(light)));
         variants.chain(iso).map(|(name, number)| format!("const {name}: u32 = {number}u;\n")).collect()

@@ -44,6 +44,7 @@
 //! driver that detects hung commands must not mistake a long one for a hang. The next submission is
 //! recorded while one is running.
 
+mod accelerator;
 mod atlas;
 mod cache;
 mod classify;
@@ -56,7 +57,6 @@ mod maps;
 mod object;
 mod pass_timer;
 mod pipelines;
-mod prepare;
 mod sample_map;
 mod slices;
 mod strategy;

@@ -1,9 +1,9 @@
 //! Inputs of the shaders other than textures: `shaders/types/frame.wgsl` in Rust. A test compares
 //! names, offsets and sizes.
 
-use super::constants::{DeformKind, ImplicitKind, SolidKind};
+use super::constants::{ImplicitKind, MeshDeformerKind, SolidKind};
 use crate::deform::cut::CutShape;
-use crate::deform::{FORMULA_NUMBERS, MAX_MAPS, PlacedMap};
+use crate::deform::{MAX_FORMULA_NUMBERS, MAX_MAPS, PlacedMap};
 use crate::mesh::Implicit;
 use crate::mesh::deformer::{Deformer, DeformerKind};
 use crate::mesh::formula::{PlacedSolid, Solid};
@@ -331,15 +331,15 @@ impl DeformerUniform {
         let mut u = Self { local_from_world: affine(&d.local_from_world), half: d.half.into(), ..Self::zeroed() };
         let three = |a: f32, b: f32, c: f32| [a, b, c, 0.0];
         let (kind, numbers) = match &d.deform {
-            DeformerKind::Twist(rate) => (DeformKind::Twist, three(*rate, 0.0, 0.0)),
-            DeformerKind::Bend(rate) => (DeformKind::Bend, three(*rate, 0.0, 0.0)),
-            DeformerKind::Taper(factor) => (DeformKind::Taper, three(*factor, 0.0, 0.0)),
-            DeformerKind::Shear(share) => (DeformKind::Shear, three(*share, 0.0, 0.0)),
-            DeformerKind::Bulge(amount, width) => (DeformKind::Bulge, three(*amount, *width, 0.0)),
-            DeformerKind::Wave(amplitude, frequency, phase) => (DeformKind::Wave, three(*amplitude, *frequency, *phase)),
+            DeformerKind::Twist(rate) => (MeshDeformerKind::Twist, three(*rate, 0.0, 0.0)),
+            DeformerKind::Bend(rate) => (MeshDeformerKind::Bend, three(*rate, 0.0, 0.0)),
+            DeformerKind::Taper(factor) => (MeshDeformerKind::Taper, three(*factor, 0.0, 0.0)),
+            DeformerKind::Shear(share) => (MeshDeformerKind::Shear, three(*share, 0.0, 0.0)),
+            DeformerKind::Bulge(amount, width) => (MeshDeformerKind::Bulge, three(*amount, *width, 0.0)),
+            DeformerKind::Wave(amplitude, frequency, phase) => (MeshDeformerKind::Wave, three(*amplitude, *frequency, *phase)),
             DeformerKind::Lattice(offsets) => {
                 u.offsets.iter_mut().zip(offsets.iter()).for_each(|(u, o)| *u = o.extend(0.0).to_array());
-                (DeformKind::Lattice, [0.0; 4])
+                (MeshDeformerKind::Lattice, [0.0; 4])
             }
         };
         (u.kind, u.numbers) = (kind as u32, numbers);
@@ -367,7 +367,7 @@ pub struct MapDefinitionUniform {
     pub ramp_mm: f32,
     pub size: [u32; 3],
     pub kind: u32,
-    pub numbers: [f32; FORMULA_NUMBERS],
+    pub numbers: [f32; MAX_FORMULA_NUMBERS],
 }
 
 /// `Level` of `shaders/bounds.wgsl`.
