@@ -137,7 +137,7 @@ fn normal_at(prepared: &Prepared, grid: &VoxelGrid, deformed: Vec3, with_cut: bo
     } else {
         incise::deform::NearestCut::NONE
     };
-    Some(shading::normal(prepared, &jet.d_source_d_deformed, gradient, &cut, Vec3::ZERO).normal)
+    Some(shading::shaded_normal(prepared, &jet.d_source_d_deformed, gradient, &cut, Vec3::ZERO).normal)
 }
 
 /// A volume of a closed-form field, sampled at 128³ points 1.25 mm apart around the origin. The
