@@ -1,5 +1,6 @@
-// The bindings shared by all entry points, and the functions that read them. The files in lib/ call
-// these functions; in lib/, only implicit.wgsl and count.wgsl declare bindings of their own.
+// The bindings shared by the programs that read a scene, and the functions that read them. The
+// files in lib/ call these functions; in lib/, only implicit.wgsl and count.wgsl declare bindings
+// of their own.
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<uniform> maps: array<PlacedMap, 65>;

@@ -22,8 +22,8 @@
 //! Render your own data, an [`Array3`](ndarray::Array3) of shape (k, j, i):
 //!
 //! ```
-//! use incise::volume::Rescale;
-//! use incise::{Assets, Engine, RenderRequest, Scene, Volume, glam, ndarray};
+//! use incise::{Assets, Engine, RenderRequest, Scene, Volume, kinds::Peel, volume::Rescale};
+//! use incise::{glam, ndarray};
 //! # fn main() -> incise::Result<()> {
 //! let ball = ndarray::Array3::from_shape_fn((48, 48, 48), |(k, j, i)| {
 //!     let from_center = glam::Vec3::new(i as f32, j as f32, k as f32) - 23.5;
@@ -31,11 +31,14 @@
 //! });
 //! let volume = Volume::new(ball, Rescale::NONE, glam::DAffine3::IDENTITY);
 //! let assets = Assets::of_volume(volume);
-//! // Messages call the volume by this name; no file is opened.
-//! let scene = Scene::of_volume("ball");
+//! // Messages call the volume by this name; no file is opened. `render_scene` would open the file.
+//! let mut scene = Scene::of_volume("ball");
+//! scene.deformation.push(Peel::new().progress(0.6).into());
 //! let shown = Engine::cpu().picture(&scene, &assets, &RenderRequest::default())?;
-//! # assert!(!shown.rendered.picture.is_blank());
-//! # Ok(())
+//! let file = std::env::temp_dir().join("ball.png");
+//! shown.rendered.picture.save_png(&file, scene.render.background)?;
+//! # assert!(std::fs::read(&file).is_ok_and(|png| png.starts_with(b"\x89PNG")) && !shown.rendered.picture.is_blank());
+//! # std::fs::remove_file(&file).map_err(|e| incise::Error::io(&file, "removing", e))
 //! # }
 //! ```
 //!
@@ -86,10 +89,13 @@
 //! ```text
 //!   file, phantom ── volume ──┐
 //!   file ──────────── mesh ───┤
-//!   preset, curve ── transfer ┤                                ┌── cpu    (the reference; always there)
-//!   kind, parameters ─ deform ┼── scene ── prepare ── engine ──┤                                        ── Picture ── export
-//!   camera, light ────────────┘                                └── render (slices, rays and surfaces on a GPU, on top of gpu)
+//!   preset, curve ── transfer ┤                                ┌── cpu ─────┐
+//!   kind, parameters ─ deform ┼── scene ── prepare ── engine ──┤            ├── Picture ── export
+//!   camera, light ────────────┘                                └── render ──┘
 //! ```
+//!
+//! [`cpu`] is the reference and always available; [`render`] computes slices, rays and surfaces on
+//! a GPU, on top of [`gpu`].
 //!
 //! Modules, each depending only on those before it (a test enforces this): [`files`] ← [`math`] ←
 //! [`volume`] ← [`picture`], [`mesh`], [`transfer`], [`deform`] ← [`scene`] ← [`prepare`] ←

@@ -144,7 +144,8 @@
 //! # Opacity and compositing
 //!
 //! Opacity is stated for one reference length Δ₀, the smallest voxel spacing. The table holds
-//! optical depth τ = -log₂(1 - a₀). A sample that represents a length ℓ has the opacity
+//! optical depth τ = -log₂(1 - a₀). With opacity correction, a sample that represents a length ℓ
+//! has the opacity
 //!
 //! ```text
 //! a = 1 - 2^(-τ ℓ/Δ₀) = 1 - (1 - a₀)^(ℓ/Δ₀)
@@ -205,7 +206,7 @@
 //! # Kinds of deformation
 //!
 //! Each kind is a function in local space, with parameters in millimetres and degrees. For a
-//! deformed point it returns the source point and the signed distance to the nearest cut. Strength
+//! deformed point it returns the source point and the signed distance to the nearest cut. Progress
 //! 0 is the identity.
 //!
 //! | kind | inverse |

@@ -1,4 +1,4 @@
-// Ray marching: rays, empty blocks, samples, opaque faces.
+// Ray marching: rays, empty blocks, opaque faces, and samples with their opacity correction.
 
 struct Ray {
     origin: vec3<f32>,
@@ -60,6 +60,7 @@ fn shaded_sample(at: SceneSample, s: VisibleSample, front: PreviousSample, cut_f
         }
     }
     let shaded = shade_point(point, direction, half);
+    // Opacity correction: τ per Δ₀ times the sample's length in Δ₀.
     let alpha = 1.0 - exp2(-depth * shaded.depth_factor * length);
     return vec4<f32>(shaded.color * alpha, alpha);
 }

@@ -375,6 +375,7 @@ impl<T: Voxel> RayMarcher<'_, T> {
             }
         }
         let one = f32x8::splat(simd, 1.0);
+        // Opacity correction: τ per Δ₀ times the sample's length in Δ₀.
         let pass = opaque.select(zero, exp2(-(depth * rays.length)));
         let weight = visible.select(accumulated.transmittance * (one - pass), zero);
         accumulated.color = accumulated.color + Vec3x8::select(visible, rgb, accumulated.color) * weight;

@@ -5,7 +5,7 @@
 //! source's (\[DDM06\] eq 6 and 10). Near a cut the normal is blended into the cut's own (\[DDM06\]
 //! eq 7).
 //!
-//! *What we changed against the paper*:
+//! *Differences from the paper*:
 //! - The blend runs over the distance to the cut, not over the mask's value, hence it does not
 //!   depend on a map's resolution. Within one sample (the first one a ray finds behind a cut) or
 //!   one voxel, whichever is longer, the cut's normal is used alone; beyond 2.5 of them it is not

@@ -7,7 +7,7 @@
 //! the ray then searches for the surface of the cut itself, where f is positive behind it. A thick
 //! skin is the solid of f̂ = τ - f where f > τ/2 (\[DS07\] eq 7).
 //!
-//! *What we changed against the paper*:
+//! *Differences from the paper*:
 //! - Both sign changes within a step, the surface's and the cut's, are found and taken in their
 //!   order along the ray. The edge between them is sharp however long the step.
 //! - Jacobian steps divide by a bound on |J v| over the ray's current cell (`deform::lipschitz`)

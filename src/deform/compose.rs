@@ -477,7 +477,7 @@ impl Comparison<'_> {
 /// affine needs eight texels, B-splines are sampled at least four times per control point. (A
 /// deformed point passes a stack's last map first.)
 ///
-/// Where that is not possible (a field with too many points, a strength other than 1 of several
+/// Where that is not possible (a field with too many points, a progress other than 1 of several
 /// steps, an explicit resolution) the whole is sampled into one map ([`transform`]).
 ///
 /// # Errors

@@ -1,5 +1,5 @@
-//! A small linear-elastic solver on a lattice of nodes: the simulation that both papers of 2006
-//! propose as a map's source.
+//! A small linear-elastic solver on a lattice of nodes: a simulation as a map's source, as
+//! \[DDM06\] (section 1) and \[DS07\] (section 4) propose.
 //!
 //! Nodes are joined to their 26 neighbours. A joint resists stretch along its own direction and,
 //! less strongly, any other relative displacement. Some nodes are fixed, some are dragged; joints

@@ -1,7 +1,8 @@
 //! Fields fully described by numbers: a formula and its numbers, which a device evaluates by
 //! `shaders/lib/kinds.wgsl`.
 
-/// The formula, as numbered by `backward_of` in `shaders/lib/kinds.wgsl`.
+/// The formula. `src/render/constants.rs` passes these numbers to `backward_of` in
+/// `shaders/lib/kinds.wgsl`; the functions there keep this order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 #[allow(missing_docs, reason = "the kinds' names")]

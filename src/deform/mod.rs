@@ -7,7 +7,7 @@
 //! at every sample, or evaluates one precomposed map instead ([`compose`]). Removals after the last
 //! map that moves anything are not maps but shapes ([`cut`]).
 //!
-//! *What we changed against the paper*:
+//! *Differences from the paper*:
 //! - The mask is not a blurred binary image but a ramp of the signed distance to the cut, alpha =
 //!   1/2 + d/2w. A blur moves the 1/2 iso-line wherever a cut bends; the ramp keeps it exact and
 //!   has the same gradient for shading.

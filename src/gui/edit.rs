@@ -22,7 +22,7 @@ use glam::{Vec2, Vec3};
 const PROGRESS_STEP: f32 = 0.05;
 /// Minimum distance between points of a stroke, as a fraction of its radius.
 const STROKE_STEP: f32 = 0.25;
-/// Most points of one stroke.
+/// Maximum number of points in a stroke.
 const MAX_STROKE_POINTS: usize = 400;
 
 impl Workstation {

@@ -6,9 +6,9 @@
 //! both give the same direction (J t × J b = det J · J⁻ᵀ (t × b)). The third method deforms two
 //! points near the vertex; it needs no Jacobian and has the error of a finite difference.
 //!
-//! *What we changed against the chapter*: every deformer acts in its own box, in millimetres and
-//! degrees, between two heights beyond which it continues rigidly, as in modelling programs;
-//! deformers are applied one after the other. On the GPU they run in the vertex shader
+//! *Differences from the chapter*: every deformer acts in its own box, in millimetres and degrees,
+//! between two heights beyond which it continues rigidly, as in modelling programs; deformers are
+//! applied one after the other. On the GPU they run in the vertex shader
 //! (`shaders/lib/deformer.wgsl`, the same functions), where changing a parameter only updates a few
 //! uniforms.
 //!

@@ -8,7 +8,7 @@
 //! itself instead of a box, as filled contours ([`crate::mesh::contour`]): concave, with holes,
 //! several in a slice.
 //!
-//! *What we changed against the paper*: it deforms the mesh's vertices and interpolates texture
+//! *Differences from the paper*: the paper deforms the mesh's vertices and interpolates texture
 //! coordinates over the contours' triangles, which makes the inside depend on the view (its figure
 //! 5). Here the inverse of the deformers is found numerically on a grid and is the stack's second
 //! map: vertices and inside follow one function from every side.

@@ -115,7 +115,7 @@ fn is_exact(deformation: &Deformation) -> bool {
 /// Removals as shapes, with the members of each group consecutive.
 fn cuts(deformations: &[&Deformation], inputs: &StackInputs) -> Result<CutShapes> {
     let mut named: Vec<(Option<String>, CutShape)> = Vec::new();
-    // Members at strength 0: empty shapes, which make an intersection empty.
+    // Members at progress 0: empty shapes, which make an intersection empty.
     let mut vanished: Vec<(String, bool)> = Vec::new();
     for d in deformations {
         let kind = kinds::kind(&d.kind)?;
@@ -142,7 +142,7 @@ fn cuts(deformations: &[&Deformation], inputs: &StackInputs) -> Result<CutShapes
     Ok(CutShapes::new(named.into_iter().map(|(_, p)| p).collect()))
 }
 
-/// A removal's group, whether that is an intersection, and its shape; no shape if its strength is
+/// A removal's group, whether that is an intersection, and its shape; no shape if its progress is
 /// 0.
 fn primitive(d: &Deformation, kind: &Kind, inputs: &StackInputs) -> Result<(Option<String>, bool, Option<CutShape>)> {
     let placement = kind_placement(d, kind, inputs)?;

@@ -30,7 +30,7 @@ fn place(kind: &str) -> Option<ExamplePlacement> {
     })
 }
 
-/// The example scene of a kind: its defaults, at full strength, in view of the camera.
+/// The example scene of a kind: its defaults, at full progress, in view of the camera.
 pub fn of_kind(kind: &Kind, volume: &str, edge: u32, bounds: &Bounds) -> Scene {
     let mut scene = Scene::of_volume(volume);
     scene.render.size = [edge, edge];

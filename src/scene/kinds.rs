@@ -147,7 +147,7 @@ kinds! {
         settings {
         }
     }
-    /// Turns the upper end of the box against the lower one.
+    /// Rotates the upper end of the box relative to the lower end.
     Twist = "twist" {
         numbers {
             /// Rotation of the upper face, degrees.
@@ -383,7 +383,7 @@ kinds! {
             method = "method",
         }
     }
-    /// Drags places of an elastic lattice, with cuts; plausible rather than physically accurate.
+    /// Drags regions of an elastic lattice, with cuts; plausible rather than physically accurate.
     Elastic = "elastic" {
         numbers {
             /// Nodes along the box's longest axis (whole number).
@@ -401,7 +401,7 @@ kinds! {
             stiffness = "stiffness",
         }
     }
-    /// Removes everything above a depth below a surface, within the box.
+    /// Removes everything down to a depth below a surface, within the box.
     StripSurface = "strip" {
         numbers {
             /// Depth below the surface, mm.
@@ -416,7 +416,7 @@ kinds! {
             iso = "iso",
         }
     }
-    /// Lifts the layer above a depth below a surface off, along the surface normals.
+    /// Lifts off the layer between a surface and a depth below it, along the surface normals.
     LiftSurface = "lift" {
         numbers {
             /// Depth below the surface, mm.

@@ -129,8 +129,8 @@ pub struct Histogram {
 }
 
 impl Volume {
-    /// Wraps voxels and finds their range: [`Voxels`], or an [`Array3`](ndarray::Array3) of shape
-    /// (k, j, i).
+    /// A volume of the given voxels ([`Voxels`], or an [`Array3`](ndarray::Array3) of shape (k, j,
+    /// i)); finds their range.
     pub fn new(voxels: impl Into<Voxels>, rescale: Rescale, world_from_voxel: DAffine3) -> Self {
         Self::with_padding(voxels.into(), rescale, world_from_voxel, None)
     }

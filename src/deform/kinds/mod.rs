@@ -6,7 +6,7 @@
 //! and a source point to its deformed position. [`Kind::map`] samples the field into a
 //! [`DisplacementMap`].
 //!
-//! *Contract* (tested by `tests/contract.rs` for every kind): strength 0 is the identity; Jacobians
+//! *Contract* (tested by `tests/contract.rs` for every kind): progress 0 is the identity; Jacobians
 //! agree with central differences; forward then backward is the identity; D vanishes on every face
 //! that the kind does not list in `nonzero_faces`; D is continuous; unusual input gives finite
 //! values.
@@ -148,7 +148,8 @@ pub struct Kind {
     pub name: &'static str,
     /// One line for lists.
     pub about: &'static str,
-    /// Its parameters, in the order in which `build` takes them.
+    /// Its parameters, in the order of [`Kind::values`]; `build` reads them by name (removals: the
+    /// first one).
     pub parameters: &'static [Parameter],
     /// Default size.
     pub size: DefaultSize,

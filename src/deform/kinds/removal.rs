@@ -11,7 +11,7 @@ use crate::deform::cut::{CutShape, CutShapeKind};
 use glam::{Affine3A, Vec3};
 
 struct Removal {
-    /// None at strength 0.
+    /// None at progress 0.
     shape: Option<CutShape>,
 }
 
@@ -35,7 +35,7 @@ impl Field for Removal {
     }
 
     fn formula(&self) -> Option<Formula> {
-        // A shape at strength 0 removes nothing.
+        // A shape at progress 0 removes nothing.
         let numbers = self.shape.map_or([-1.0, 0.0, 0.0, 0.0, 0.0], |s| [s.shape as u32 as f32, s.half.x, s.half.y, s.half.z, s.half_angle]);
         Some(Formula::new(FormulaKind::Removal, &numbers))
     }
@@ -103,7 +103,7 @@ pub(super) const VIEW_CONE: Kind = Kind {
     })
 };
 
-/// The shape that a kind removes, its lengths (mm) and half its angle (radians) at a strength above
+/// The shape that a kind removes, its lengths (mm) and half its angle (radians) at a progress above
 /// 0.
 pub(super) fn shape_of(shape: CutShapeKind, values: &[f32], progress: f32, size_mm: Vec3) -> (Vec3, f32) {
     let half = size_mm / 2.0;
