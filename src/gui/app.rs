@@ -9,7 +9,8 @@ use super::state::history;
 use super::state::history::{CameraHistory, History};
 use super::state::layout::{LayoutPreset, Panel};
 use super::state::log::{Log, LogLevel};
-use super::state::panels::{Editor, Inspector, Thumbnails, TransferPanel};
+use super::state::panels::{Brush, Inspector, MapEditor, MeasurePanel, ScenePanel, Thumbnails, TransferPanel};
+use super::state::request::{Request, Requests};
 use super::state::session::Session;
 use super::state::slices::Slices;
 use super::state::tool::Tool;
@@ -64,7 +65,10 @@ impl Workstation {
             transfer: TransferPanel::default(),
             compare: ComparePanel::default(),
             inspector: Inspector::default(),
-            editor: Editor::default(),
+            brush: Brush::default(),
+            map_editor: MapEditor,
+            scene_panel: ScenePanel,
+            measure_panel: MeasurePanel::default(),
             thumbnails: Thumbnails::default(),
             measured: Vec::new(),
             measured_of: None,
@@ -481,6 +485,40 @@ impl Workstation {
         }
     }
 
+    /// Draws a panel, which reads the state, and carries out what it asks for.
+    fn draw<P: Default>(&mut self, ui: &mut Ui, panel: impl Fn(&mut Self) -> &mut P, draw: impl FnOnce(&mut P, &Self, &mut Ui) -> Requests) {
+        let mut drawn = std::mem::take(panel(self));
+        let requests = draw(&mut drawn, self, ui);
+        *panel(self) = drawn;
+        let ctx = ui.ctx().clone();
+        for request in requests.0 {
+            self.carry_out(&ctx, request);
+        }
+    }
+
+    fn carry_out(&mut self, ctx: &Context, request: Request) {
+        match request {
+            Request::Perform(action) => self.perform(ctx, action),
+            Request::PerformOn(selection, action) => {
+                self.select(selection);
+                self.perform(ctx, action);
+            }
+            Request::Select(selection) => self.select(selection),
+            Request::Show(panel) => self.show_panel(panel),
+            Request::Change(change) => {
+                if let Some(doc) = &mut self.doc {
+                    change(doc);
+                }
+            }
+            Request::Navigate => self.tool = Tool::Navigate,
+            Request::SetBrush(brush) => self.brush = brush,
+            Request::SetOverlay(overlay) => self.slices.overlay = overlay,
+            Request::ChooseLabelMap => self.choose_label_map(),
+            Request::UseMap(path) => self.use_map(ctx, &path),
+            Request::Report(error) => self.report_error(&error),
+        }
+    }
+
     /// Brings a panel to the front, opening it if necessary.
     pub fn show_panel(&mut self, panel: Panel) {
         self.panels_to_show.push((panel, true));
@@ -537,11 +575,11 @@ impl TabViewer for Tabs<'_> {
                 let side = *side;
                 egui::Frame::NONE.inner_margin(egui::Margin::symmetric(8, 6)).show(ui, |ui| {
                     egui::ScrollArea::vertical().auto_shrink([false, false]).show(ui, |ui| match side {
-                        Panel::Scene => self.app.show_scene(ui),
+                        Panel::Scene => self.app.draw(ui, |app| &mut app.scene_panel, ScenePanel::ui),
                         Panel::Inspector => self.app.show_inspector(ui),
                         Panel::Transfer => self.app.show_transfer(ui),
-                        Panel::Measure => self.app.show_measures(ui),
-                        Panel::MapEditor => self.app.show_editor(ui),
+                        Panel::Measure => self.app.draw(ui, |app| &mut app.measure_panel, MeasurePanel::ui),
+                        Panel::MapEditor => self.app.draw(ui, |app| &mut app.map_editor, MapEditor::ui),
                         Panel::Log => self.app.show_log(ui),
                         // Shown without scrolling.
                         Panel::View3d | Panel::Axial | Panel::Coronal | Panel::Sagittal | Panel::Compare => {}

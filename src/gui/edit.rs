@@ -387,7 +387,7 @@ impl Workstation {
     pub(super) fn extend_stroke(&mut self, at: Vec3) {
         let Some(before) = self.stroke_before.clone() else { return };
         let Some(tool) = self.tool.brush() else { return };
-        let radius = self.editor.radius;
+        let radius = self.brush.radius;
         let far = self.stroke_points.last().is_none_or(|l| l.distance(at) >= STROKE_STEP * radius);
         if !far || self.stroke_points.len() >= MAX_STROKE_POINTS {
             return;
@@ -397,7 +397,7 @@ impl Workstation {
         if tool == StrokeTool::Push && self.stroke_points.len() < 2 {
             return;
         }
-        let stroke = Stroke::Line { tool, radius_mm: radius, strength: self.editor.strength, points: self.stroke_points.clone() };
+        let stroke = Stroke::Line { tool, radius_mm: radius, strength: self.brush.strength, points: self.stroke_points.clone() };
         let Some(doc) = &mut self.doc else { return };
         let Some(n) = doc.scene.deformation.len().checked_sub(1) else { return };
         let mut strokes = before;

@@ -6,6 +6,8 @@ use crate::deform::{Argument, compose};
 use crate::files::path_text::text_of;
 use crate::gui::state::Workstation;
 use crate::gui::state::action::Action;
+use crate::gui::state::panels::MapEditor;
+use crate::gui::state::request::{Request, Requests};
 use crate::gui::state::slice_paint::Overlay;
 use crate::gui::state::tool::{Placed, Tool, symbol, tidy, words};
 use crate::scene::{Deformation, Size};
@@ -13,11 +15,10 @@ use eframe::egui::{self, Context, RichText, Slider, Ui};
 use egui_phosphor::regular as icon;
 use std::path::Path;
 
-impl Workstation {
-    /// The panel.
-    pub(in crate::gui) fn show_editor(&mut self, ui: &mut Ui) {
-        let ctx = ui.ctx().clone();
-        let mut act = None;
+impl MapEditor {
+    /// Draws the panel.
+    pub(in crate::gui) fn ui(&mut self, state: &Workstation, ui: &mut Ui) -> Requests {
+        let mut requests = Requests::default();
         heading(ui, "Paint");
         ui.horizontal_wrapped(|ui| {
             for (tool, word, symbol) in [
@@ -28,31 +29,31 @@ impl Workstation {
                 (Tool::LassoCut, "Lasso cut", icon::LASSO),
                 (Tool::LassoRestore, "Lasso restore", icon::LASSO),
             ] {
-                if tool_button(ui, symbol, word, self.tool == tool, &tool.hint()).clicked() {
-                    act = Some(Action::Arm(tool));
+                if tool_button(ui, symbol, word, state.tool == tool, &tool.hint()).clicked() {
+                    requests.perform(Action::Arm(tool));
                 }
             }
         });
         ui.spacing_mut().slider_width = (ui.available_width() - 128.0).max(60.0);
-        let largest = self.doc.as_ref().map_or(100.0, |d| 0.5 * d.bounds().size().max_element());
+        let mut brush = state.brush;
+        let largest = state.doc.as_ref().map_or(100.0, |d| 0.5 * d.bounds().size().max_element());
         ui.add(
-            Slider::new(&mut self.editor.radius, 1.0..=largest.max(2.0))
-                .clamping(egui::SliderClamping::Edits)
-                .text("radius")
-                .suffix(" mm")
-                .max_decimals(1),
+            Slider::new(&mut brush.radius, 1.0..=largest.max(2.0)).clamping(egui::SliderClamping::Edits).text("radius").suffix(" mm").max_decimals(1),
         );
-        ui.add(Slider::new(&mut self.editor.strength, 0.05..=1.0).clamping(egui::SliderClamping::Edits).text("strength").max_decimals(2));
+        ui.add(Slider::new(&mut brush.strength, 0.05..=1.0).clamping(egui::SliderClamping::Edits).text("strength").max_decimals(2));
+        if brush != state.brush {
+            requests.0.push(Request::SetBrush(brush));
+        }
         ui.label(
             RichText::new("Brush on a slice, or on the surface in the 3D view. Strokes go into the painted map at the end of the stack.").weak(),
         );
         ui.horizontal(|ui| {
             if ui.button("New painted map").clicked() {
-                act = Some(Action::NewMap);
+                requests.perform(Action::NewMap);
             }
-            let mut grid = self.slices.overlay == Overlay::Grid;
+            let mut grid = state.slices.overlay == Overlay::Grid;
             if ui.checkbox(&mut grid, "Grid on slices").changed() {
-                self.slices.overlay = if grid { Overlay::Grid } else { Overlay::None };
+                requests.0.push(Request::SetOverlay(if grid { Overlay::Grid } else { Overlay::None }));
             }
         });
         heading(ui, "Primitives");
@@ -61,13 +62,13 @@ impl Workstation {
                 if let Ok(kind) = crate::deform::kinds::kind(name) {
                     let tool = Tool::Place(Placed(kind));
                     let word = if name == "points" { "Control points" } else { &words(name) };
-                    let button = tool_button(ui, symbol(name), word, self.tool == tool, kind.about);
+                    let button = tool_button(ui, symbol(name), word, state.tool == tool, kind.about);
                     button.interact(egui::Sense::drag()).dnd_set_drag_payload(Placed(kind));
                     if button.clicked() {
                         if name == "points" {
-                            self.add_control_points();
+                            add_control_points(&mut requests);
                         } else {
-                            act = Some(Action::Arm(tool));
+                            requests.perform(Action::Arm(tool));
                         }
                     }
                 }
@@ -76,56 +77,57 @@ impl Workstation {
         heading(ui, "Library");
         ui.horizontal_wrapped(|ui| {
             if ui.button("Save the selected one").on_hover_text("The selected deformation, as a map of its own").clicked() {
-                act = Some(Action::SaveMap);
+                requests.perform(Action::SaveMap);
             }
             if ui.button("Save the stack").on_hover_text("All deformations, composed into one map").clicked() {
-                act = Some(Action::StackToMap);
+                requests.perform(Action::StackToMap);
             }
         });
-        self.show_library(ui);
-        if let Some(action) = act {
-            self.perform(&ctx, action);
-        }
+        show_library(ui, state, &mut requests);
+        requests
     }
+}
 
-    /// Adds an empty set of control points over the whole scene.
-    fn add_control_points(&mut self) {
-        let Some(doc) = &mut self.doc else { return };
+/// Adds an empty set of control points over the whole scene.
+fn add_control_points(requests: &mut Requests) {
+    requests.change(|doc| {
         let mut d = Deformation::new("points");
         // A point that stays in place, so that the first point to be dragged has a neighbour.
         let c = tidy(doc.bounds().center());
         d.parameters.insert("pairs", Argument::Numbers([c, c].concat()));
         doc.add(d);
-        self.tool = Tool::Navigate;
-    }
+    });
+    requests.0.push(Request::Navigate);
+}
 
-    fn show_library(&mut self, ui: &mut Ui) {
-        let maps = self.session.maps();
-        if maps.is_empty() {
-            ui.label(RichText::new("No saved maps yet. A saved map can be used on any volume.").weak());
-        }
-        let mut remove = None;
-        for path in &maps {
-            let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-            ui.horizontal(|ui| {
-                if ui.button(format!("{} {name}", icon::PLUS)).on_hover_text("Add to this scene, scaled to fit").clicked() {
-                    let ctx = ui.ctx().clone();
-                    self.use_map(&ctx, path);
-                }
-                if super::icon_button(ui, icon::TRASH, &format!("Remove {name} from the library")).clicked() {
-                    remove = Some(path.clone());
-                }
-            });
-        }
-        if let Some(path) = remove {
-            // A scene may still refer to it, so it is renamed rather than deleted.
-            let aside = path.with_extension("nrrd.removed");
-            if let Err(e) = std::fs::rename(&path, &aside) {
-                self.report_error(&crate::Error::io(&path, "removing", e));
+/// The saved maps, each to be used or removed.
+fn show_library(ui: &mut Ui, state: &Workstation, requests: &mut Requests) {
+    let maps = state.session.maps();
+    if maps.is_empty() {
+        ui.label(RichText::new("No saved maps yet. A saved map can be used on any volume.").weak());
+    }
+    let mut remove = None;
+    for path in &maps {
+        let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        ui.horizontal(|ui| {
+            if ui.button(format!("{} {name}", icon::PLUS)).on_hover_text("Add to this scene, scaled to fit").clicked() {
+                requests.0.push(Request::UseMap(path.clone()));
             }
+            if super::icon_button(ui, icon::TRASH, &format!("Remove {name} from the library")).clicked() {
+                remove = Some(path.clone());
+            }
+        });
+    }
+    if let Some(path) = remove {
+        // A scene may still refer to it, so it is renamed rather than deleted.
+        let aside = path.with_extension("nrrd.removed");
+        if let Err(e) = std::fs::rename(&path, &aside) {
+            requests.0.push(Request::Report(crate::Error::io(&path, "removing", e)));
         }
     }
+}
 
+impl Workstation {
     /// Adds a map from the library, centred and rescaled if its placement does not suit this scene.
     pub fn use_map(&mut self, ctx: &Context, path: &Path) {
         let path = path.to_owned();

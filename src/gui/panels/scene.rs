@@ -4,6 +4,9 @@ use super::{heading, icon_button};
 use crate::gui::state::Workstation;
 use crate::gui::state::action::Action;
 use crate::gui::state::document::{Document, Selection};
+use crate::gui::state::layout::Panel;
+use crate::gui::state::panels::ScenePanel;
+use crate::gui::state::request::{Request, Requests};
 use crate::gui::state::tool::{symbol, words};
 use crate::scene::Deformation;
 use eframe::egui::{self, Align, Layout, RichText, Sense, Ui, WidgetInfo, WidgetType, vec2};
@@ -36,54 +39,40 @@ fn row(ui: &mut Ui, selected: bool, text: RichText, label: &str, buttons: impl F
     response
 }
 
-/// The clicked item of the tree.
-#[derive(Default)]
-struct Clicked {
-    /// The item to select.
-    selection: Option<Selection>,
-    /// The action, and the row it applies to.
-    action: Option<(Selection, Action)>,
+/// Selects an item of the tree and shows the panel for it.
+fn select(requests: &mut Requests, selection: Selection) {
+    requests.0.push(Request::Select(selection));
+    let panel = if matches!(selection, Selection::Measure(_)) { Panel::Measure } else { Panel::Inspector };
+    requests.0.push(Request::Show(panel));
 }
 
-impl Workstation {
-    /// Shows the tree.
-    pub(in crate::gui) fn show_scene(&mut self, ui: &mut Ui) {
-        let Some(doc) = &mut self.doc else { return };
-        let mut clicked = Clicked::default();
+impl ScenePanel {
+    /// Draws the tree.
+    pub(in crate::gui) fn ui(&mut self, state: &Workstation, ui: &mut Ui) -> Requests {
+        let mut requests = Requests::default();
+        let Some(doc) = &state.doc else { return requests };
         let picture =
             row(ui, doc.selected == Selection::Nothing, RichText::new(format!("{} Picture and light", icon::CAMERA)), "Picture and light", |_| ());
         if picture.clicked() {
-            clicked.selection = Some(Selection::Nothing);
+            select(&mut requests, Selection::Nothing);
         }
-        show_volume(ui, doc, &mut clicked);
+        show_volume(ui, doc, &mut requests);
         heading(ui, "Deformations");
-        show_deformations(ui, doc, &mut clicked);
+        show_deformations(ui, doc, &mut requests);
         heading(ui, "Surfaces");
-        show_surfaces(ui, doc, &mut clicked);
-        show_measurements(ui, doc, &mut clicked);
-        if let Some(selection) = clicked.selection {
-            doc.selected = selection;
-            if matches!(selection, Selection::Measure(_)) {
-                self.show_panel(crate::gui::state::layout::Panel::Measure);
-            } else {
-                self.show_panel(crate::gui::state::layout::Panel::Inspector);
-            }
-        }
-        if let Some((selection, action)) = clicked.action {
-            self.select(selection);
-            let ctx = ui.ctx().clone();
-            self.perform(&ctx, action);
-        }
+        show_surfaces(ui, doc, &mut requests);
+        show_measurements(ui, doc, &mut requests);
+        requests
     }
 }
 
 /// The rows of the volume and its label map.
-fn show_volume(ui: &mut Ui, doc: &mut Document, clicked: &mut Clicked) {
-    let Some(volume) = &mut doc.scene.volume else { return };
+fn show_volume(ui: &mut Ui, doc: &Document, requests: &mut Requests) {
+    let Some(volume) = &doc.scene.volume else { return };
     let name = std::path::Path::new(&volume.path).file_name().map_or_else(|| volume.path.clone(), |n| n.to_string_lossy().into_owned());
     let text = RichText::new(format!("{} {name}", icon::CUBE));
     if row(ui, doc.selected == Selection::Volume, text, &name, |_| ()).clicked() {
-        clicked.selection = Some(Selection::Volume);
+        select(requests, Selection::Volume);
     }
     if let Some(labels) = volume.labels.clone() {
         let name = std::path::Path::new(&labels).file_name().map_or(labels.clone(), |n| n.to_string_lossy().into_owned());
@@ -92,35 +81,41 @@ fn show_volume(ui: &mut Ui, doc: &mut Document, clicked: &mut Clicked) {
             remove = icon_button(ui, icon::X, "Remove the label map").clicked()
         });
         if remove {
-            volume.labels = None;
+            requests.change(|doc| {
+                if let Some(volume) = &mut doc.scene.volume {
+                    volume.labels = None;
+                }
+            });
         }
     }
 }
 
 /// The rows of the stack, which can be reordered by dragging.
-fn show_deformations(ui: &mut Ui, doc: &mut Document, clicked: &mut Clicked) {
+fn show_deformations(ui: &mut Ui, doc: &Document, requests: &mut Requests) {
     let count = doc.scene.deformation.len();
     let mut moved = None;
     for n in 0..count {
-        let response = deformation_row(ui, doc, n, clicked);
+        let response = deformation_row(ui, doc, n, requests);
         if response.clicked() {
-            clicked.selection = Some(Selection::Deformation(n));
+            select(requests, Selection::Deformation(n));
         }
         if let Some(from) = dropped_on(ui, &response, n) {
             moved = Some((from, n));
         }
-        deformation_menu(&response, n, clicked);
+        deformation_menu(&response, n, requests);
     }
     if count == 0 {
         ui.label(RichText::new("None yet: choose Peel above and click the picture").weak());
     }
     if let Some((from, to)) = moved {
-        doc.reorder(from, to);
+        requests.change(move |doc| {
+            let _moved = doc.reorder(from, to);
+        });
     }
 }
 
 /// A deformation's row with its buttons.
-fn deformation_row(ui: &mut Ui, doc: &Document, n: usize, clicked: &mut Clicked) -> egui::Response {
+fn deformation_row(ui: &mut Ui, doc: &Document, n: usize, requests: &mut Requests) -> egui::Response {
     let d = &doc.scene.deformation[n];
     let title = title_of(d);
     let shown = d.enabled && doc.solo.is_none_or(|s| s == n);
@@ -133,14 +128,14 @@ fn deformation_row(ui: &mut Ui, doc: &Document, n: usize, clicked: &mut Clicked)
     row(ui, doc.selected == Selection::Deformation(n), text, &format!("{} {title}", n + 1), |ui| {
         let eye = if enabled { icon::EYE } else { icon::EYE_SLASH };
         if icon_button(ui, eye, &format!("Mute {title}")).clicked() {
-            clicked.action = Some((Selection::Deformation(n), Action::Mute));
+            requests.0.push(Request::PerformOn(Selection::Deformation(n), Action::Mute));
         }
         if solo || enabled {
             let star = RichText::new(icon::STAR).color(if solo { super::super::theme::accent(ui) } else { ui.visuals().weak_text_color() });
             let response = ui.add(egui::Button::new(star).frame(false).min_size(vec2(20.0, 22.0)));
             response.widget_info(|| WidgetInfo::selected(WidgetType::Button, true, solo, format!("Solo {title}")));
             if response.on_hover_text("Solo: show only this deformation").clicked() {
-                clicked.action = Some((Selection::Deformation(n), Action::Solo));
+                requests.0.push(Request::PerformOn(Selection::Deformation(n), Action::Solo));
             }
         }
     })
@@ -158,7 +153,7 @@ fn dropped_on(ui: &Ui, response: &egui::Response, n: usize) -> Option<usize> {
 }
 
 /// The context menu of a deformation's row.
-fn deformation_menu(response: &egui::Response, n: usize, clicked: &mut Clicked) {
+fn deformation_menu(response: &egui::Response, n: usize, requests: &mut Requests) {
     response.context_menu(|ui| {
         for (action, word) in [
             (Action::Duplicate, "Duplicate"),
@@ -168,7 +163,7 @@ fn deformation_menu(response: &egui::Response, n: usize, clicked: &mut Clicked) 
             (Action::Delete, "Delete"),
         ] {
             if ui.button(word).clicked() {
-                clicked.action = Some((Selection::Deformation(n), action));
+                requests.0.push(Request::PerformOn(Selection::Deformation(n), action));
                 ui.close();
             }
         }
@@ -176,7 +171,7 @@ fn deformation_menu(response: &egui::Response, n: usize, clicked: &mut Clicked) 
 }
 
 /// The surfaces' rows.
-fn show_surfaces(ui: &mut Ui, doc: &Document, clicked: &mut Clicked) {
+fn show_surfaces(ui: &mut Ui, doc: &Document, requests: &mut Requests) {
     for n in 0..doc.scene.mesh.len() {
         let mesh = &doc.scene.mesh[n];
         let named = mesh.name.clone().or_else(|| mesh.path.as_ref().map(|p| p.rsplit(['/', '\\']).next().unwrap_or(p).to_owned()));
@@ -186,11 +181,11 @@ fn show_surfaces(ui: &mut Ui, doc: &Document, clicked: &mut Clicked) {
         let response = row(ui, doc.selected == Selection::Mesh(n), if hidden { text.weak() } else { text }, &name, |ui| {
             let eye = if hidden { icon::EYE_SLASH } else { icon::EYE };
             if icon_button(ui, eye, &format!("Hide {name}")).clicked() {
-                clicked.action = Some((Selection::Mesh(n), Action::Mute));
+                requests.0.push(Request::PerformOn(Selection::Mesh(n), Action::Mute));
             }
         });
         if response.clicked() {
-            clicked.selection = Some(Selection::Mesh(n));
+            select(requests, Selection::Mesh(n));
         }
     }
     if doc.scene.mesh.is_empty() {
@@ -199,7 +194,7 @@ fn show_surfaces(ui: &mut Ui, doc: &Document, clicked: &mut Clicked) {
 }
 
 /// The measurements' rows, under a heading if there are any.
-fn show_measurements(ui: &mut Ui, doc: &Document, clicked: &mut Clicked) {
+fn show_measurements(ui: &mut Ui, doc: &Document, requests: &mut Requests) {
     if doc.scene.measure.is_empty() {
         return;
     }
@@ -207,7 +202,7 @@ fn show_measurements(ui: &mut Ui, doc: &Document, clicked: &mut Clicked) {
     for n in 0..doc.scene.measure.len() {
         let name = doc.scene.measure[n].name.clone().unwrap_or_else(|| doc.scene.measure[n].kind.name().to_owned());
         if row(ui, doc.selected == Selection::Measure(n), RichText::new(format!("{} {name}", icon::RULER)), &name, |_| ()).clicked() {
-            clicked.selection = Some(Selection::Measure(n));
+            select(requests, Selection::Measure(n));
         }
     }
 }

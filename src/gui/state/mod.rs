@@ -10,6 +10,7 @@ pub mod history;
 pub mod layout;
 pub mod log;
 pub mod panels;
+pub mod request;
 pub mod session;
 pub mod shown;
 pub mod slice_paint;
@@ -26,7 +27,7 @@ use self::files::{Dialog, Files, Loading};
 use self::history::{CameraHistory, History};
 use self::layout::{LayoutPreset, Panel};
 use self::log::Log;
-use self::panels::{Editor, Inspector, Palette, Thumbnails, TransferPanel};
+use self::panels::{Brush, Inspector, MapEditor, MeasurePanel, Palette, ScenePanel, Thumbnails, TransferPanel};
 use self::session::Session;
 use self::slice_paint::Regions;
 use self::slices::Slices;
@@ -159,7 +160,10 @@ pub struct Workstation {
     /// The comparison.
     pub compare: ComparePanel,
     pub(in crate::gui) inspector: Inspector,
-    pub(in crate::gui) editor: Editor,
+    pub(in crate::gui) brush: Brush,
+    pub(in crate::gui) map_editor: MapEditor,
+    pub(in crate::gui) scene_panel: ScenePanel,
+    pub(in crate::gui) measure_panel: MeasurePanel,
     pub(in crate::gui) thumbnails: Thumbnails,
     /// The measurements, with their values.
     pub measured: Vec<MeasureResult>,

@@ -6,19 +6,38 @@ use crate::volume::Volume;
 use eframe::egui::{self, ColorImage, Context, TextureHandle};
 use std::collections::HashMap;
 
-/// State of the map editor.
-pub struct Editor {
-    /// Radius of the brush, mm.
+/// The brush that paints maps.
+#[derive(Clone, Copy, PartialEq)]
+pub struct Brush {
+    /// Radius, mm.
     pub radius: f32,
-    /// Strength of the brush.
+    /// Share of the full effect, 0..1.
     pub strength: f32,
+}
+
+/// The map editor.
+#[derive(Default)]
+pub struct MapEditor;
+
+impl Default for Brush {
+    fn default() -> Self {
+        Self { radius: 15.0, strength: 0.8 }
+    }
+}
+
+/// The tree of the scene.
+#[derive(Default)]
+pub struct ScenePanel;
+
+/// The measurements.
+pub struct MeasurePanel {
     /// The label to measure.
     pub label: u32,
 }
 
-impl Default for Editor {
+impl Default for MeasurePanel {
     fn default() -> Self {
-        Self { radius: 15.0, strength: 0.8, label: 1 }
+        Self { label: 1 }
     }
 }
 

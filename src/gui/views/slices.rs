@@ -122,7 +122,7 @@ impl Workstation {
             let points: Vec<Pos2> = self.stroke_points.iter().map(|p| plane.pixel(*p)).map(|(x, y, _)| rect.min + vec2(x, y) / ppp).collect();
             draw_points_of(&painter, &points, SELECTED);
         }
-        if let (Some(radius), Some(pos)) = (self.tool.brush().map(|_| self.editor.radius), response.hover_pos().filter(|_| !source)) {
+        if let (Some(radius), Some(pos)) = (self.tool.brush().map(|_| self.brush.radius), response.hover_pos().filter(|_| !source)) {
             painter.circle_stroke(pos, radius / (mm_per_pixel * ppp), Stroke::new(1.5, SELECTED));
         }
         // Positions refer to the plane of the displayed slice.

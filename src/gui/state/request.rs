@@ -1,0 +1,52 @@
+//! What panels and views ask of the application. They read the state and change none of it; the application carries out what they ask when they
+//! have been drawn.
+
+use super::action::Action;
+use super::document::{Document, Selection};
+use super::layout::Panel;
+use super::panels::Brush;
+use super::slice_paint::Overlay;
+use crate::Error;
+use std::path::PathBuf;
+
+/// One of the things that can be asked for.
+pub enum Request {
+    /// An action, as a key or the palette would.
+    Perform(Action),
+    /// An action on something, which is selected first.
+    PerformOn(Selection, Action),
+    /// To select something.
+    Select(Selection),
+    /// To bring a panel to the front.
+    Show(Panel),
+    /// A change of the open scene.
+    Change(Box<dyn FnOnce(&mut Document)>),
+    /// To put tools away and navigate.
+    Navigate,
+    /// Another brush.
+    SetBrush(Brush),
+    /// What is drawn over the slices.
+    SetOverlay(Overlay),
+    /// The choice of a label map.
+    ChooseLabelMap,
+    /// A map of the library, for this scene.
+    UseMap(PathBuf),
+    /// To report an error.
+    Report(Error),
+}
+
+/// What one panel asked for while it was drawn, in order.
+#[derive(Default)]
+pub struct Requests(pub Vec<Request>);
+
+impl Requests {
+    /// Asks for an action.
+    pub fn perform(&mut self, action: Action) {
+        self.0.push(Request::Perform(action));
+    }
+
+    /// Asks for a change of the open scene.
+    pub fn change(&mut self, change: impl FnOnce(&mut Document) + 'static) {
+        self.0.push(Request::Change(Box::new(change)));
+    }
+}
