@@ -9,7 +9,7 @@ use super::state::history;
 use super::state::history::{CameraHistory, History};
 use super::state::layout::{LayoutPreset, Panel};
 use super::state::log::{Log, LogLevel};
-use super::state::panels::{Brush, Inspector, MapEditor, MeasurePanel, ScenePanel, Thumbnails, TransferPanel};
+use super::state::panels::{Brush, Gallery, Inspector, MapEditor, MeasurePanel, ScenePanel, Thumbnails, TransferPanel};
 use super::state::request::{Request, Requests};
 use super::state::session::Session;
 use super::state::slices::Slices;
@@ -513,6 +513,8 @@ impl Workstation {
             Request::Navigate => self.tool = Tool::Navigate,
             Request::SetBrush(brush) => self.brush = brush,
             Request::SetOverlay(overlay) => self.slices.overlay = overlay,
+            Request::MakeThumbnails(Gallery::Presets) => self.thumbnails.shows_presets = true,
+            Request::MakeThumbnails(Gallery::Kinds) => self.thumbnails.shows_kinds = true,
             Request::ChooseLabelMap => self.choose_label_map(),
             Request::UseMap(path) => self.use_map(ctx, &path),
             Request::Report(error) => self.report_error(&error),
@@ -576,8 +578,8 @@ impl TabViewer for Tabs<'_> {
                 egui::Frame::NONE.inner_margin(egui::Margin::symmetric(8, 6)).show(ui, |ui| {
                     egui::ScrollArea::vertical().auto_shrink([false, false]).show(ui, |ui| match side {
                         Panel::Scene => self.app.draw(ui, |app| &mut app.scene_panel, ScenePanel::ui),
-                        Panel::Inspector => self.app.show_inspector(ui),
-                        Panel::Transfer => self.app.show_transfer(ui),
+                        Panel::Inspector => self.app.draw(ui, |app| &mut app.inspector, Inspector::ui),
+                        Panel::Transfer => self.app.draw(ui, |app| &mut app.transfer, TransferPanel::ui),
                         Panel::Measure => self.app.draw(ui, |app| &mut app.measure_panel, MeasurePanel::ui),
                         Panel::MapEditor => self.app.draw(ui, |app| &mut app.map_editor, MapEditor::ui),
                         Panel::Log => self.app.show_log(ui),

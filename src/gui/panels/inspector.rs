@@ -10,6 +10,8 @@ use crate::gui::gizmos::{self, BoxPlacement};
 use crate::gui::state::Workstation;
 use crate::gui::state::action::Action;
 use crate::gui::state::document::{Document, Selection};
+use crate::gui::state::panels::Inspector;
+use crate::gui::state::request::{Request, Requests};
 use crate::gui::state::tool::{tidy, words};
 use crate::gui::text::capital;
 use crate::scene::surface::{CutModel, Look};
@@ -52,39 +54,37 @@ fn three(ui: &mut Ui, values: &mut [f32; 3], speed: f32, suffix: &str, label: &s
     changed
 }
 
-impl Workstation {
-    /// Shows the selection.
-    pub(in crate::gui) fn show_inspector(&mut self, ui: &mut Ui) {
-        let selection = match &self.doc {
-            Some(doc) => doc.selected,
-            None => return,
-        };
-        ui.label(RichText::new(self.selection_words()).heading());
-        match selection {
-            Selection::Deformation(n) => self.show_deformation(ui, n),
-            Selection::Volume => self.show_volume(ui),
-            Selection::Mesh(n) => self.show_mesh(ui, n),
+impl Inspector {
+    /// Draws the properties of the selection.
+    pub(in crate::gui) fn ui(&mut self, state: &Workstation, ui: &mut Ui) -> Requests {
+        let mut requests = Requests::default();
+        let Some(doc) = &state.doc else { return requests };
+        ui.label(RichText::new(state.selection_words()).heading());
+        match doc.selected {
+            Selection::Deformation(n) => self.show_deformation(ui, doc, n, &mut requests),
+            Selection::Volume => show_volume(ui, doc, &mut requests),
+            Selection::Mesh(n) => show_mesh(ui, doc, n, &mut requests),
             Selection::Measure(_) => {
                 ui.label("See the Measure panel for its values.");
             }
-            Selection::Nothing => self.show_picture_settings(ui),
+            Selection::Nothing => show_picture_settings(ui, doc, &mut requests),
         }
+        requests
     }
 
-    fn show_deformation(&mut self, ui: &mut Ui, n: usize) {
-        let mut act = None;
-        let health = self.inspector.health.clone();
-        let Some(doc) = &mut self.doc else { return };
+    fn show_deformation(&self, ui: &mut Ui, doc: &Document, n: usize, requests: &mut Requests) {
         let (scene_box, folder) = (doc.bounds(), doc.scene.folder.clone());
-        let Some(d) = doc.scene.deformation.get_mut(n) else { return };
+        let Some(before) = doc.scene.deformation.get(n) else { return };
+        let mut deformation = before.clone();
+        let d = &mut deformation;
         let kind = gizmos::kind_of(d);
         ui.horizontal(|ui| {
             ui.checkbox(&mut d.enabled, "Enabled");
             if icon_button(ui, icon::COPY, "Duplicate").clicked() {
-                act = Some(Action::Duplicate);
+                requests.perform(Action::Duplicate);
             }
             if icon_button(ui, icon::TRASH, "Delete").clicked() {
-                act = Some(Action::Delete);
+                requests.perform(Action::Delete);
             }
         });
         ui.horizontal(|ui| {
@@ -117,208 +117,211 @@ impl Workstation {
         egui::CollapsingHeader::new("Map").show(ui, |ui| show_map(ui, d));
         egui::CollapsingHeader::new("Field check").show(ui, |ui| {
             if ui.button("Check for folds").clicked() {
-                act = Some(Action::CheckField);
+                requests.perform(Action::CheckField);
             }
-            if let Some(text) = &health {
+            if let Some(text) = &self.health {
                 ui.label(text);
             }
         });
-        if let Some(action) = act {
-            let ctx = ui.ctx().clone();
-            self.perform(&ctx, action);
-        }
-    }
-
-    fn show_volume(&mut self, ui: &mut Ui) {
-        let mut labels = false;
-        let Some(doc) = &mut self.doc else { return };
-        let volume = &doc.assets.volume;
-        egui::Grid::new("volume").num_columns(2).spacing([10.0, 3.0]).show(ui, |ui| {
-            let mut line = |what: &str, value: String| {
-                ui.label(RichText::new(what).weak());
-                ui.add(egui::Label::new(value).wrap());
-                ui.end_row();
-            };
-            let [i, j, k] = volume.size;
-            let s = volume.spacing_mm();
-            line("Format", volume.format.to_owned());
-            line("Voxels", format!("{i} × {j} × {k}, {}", volume.source_type));
-            line("Spacing", format!("{:.3} × {:.3} × {:.3} mm", s.x, s.y, s.z));
-            line("Orientation", volume.orientation());
-            line("Range", format!("{:.1} to {:.1}", volume.range[0], volume.range[1]));
-            if let Some(count) = volume.labels() {
-                line("Labels", count.to_string());
-            }
-            for (what, value) in &volume.details {
-                line(what, value.as_str().map_or_else(|| value.to_string(), str::to_owned));
-            }
-        });
-        for warning in &volume.warnings {
-            ui.label(RichText::new(format!("{} {warning}", icon::WARNING)).color(ui.visuals().warn_fg_color));
-        }
-        ui.add_space(6.0);
-        if ui.button("Add label map…").on_hover_text("Names the region under the pointer and colours the slices").clicked() {
-            labels = true;
-        }
-        if labels {
-            self.choose_label_map();
-        }
-    }
-
-    fn show_mesh(&mut self, ui: &mut Ui, n: usize) {
-        let mut delete = false;
-        let Some(doc) = &mut self.doc else { return };
-        let general = doc.scene.surface.appearance.clone();
-        let mesh_box = doc.assets.mesh_box;
-        let Some(mesh) = doc.scene.mesh.get_mut(n) else { return };
-        ui.horizontal(|ui| {
-            let mut shown = !mesh.hidden;
-            if ui.checkbox(&mut shown, "Visible").changed() {
-                mesh.hidden = !shown;
-            }
-            delete = icon_button(ui, icon::TRASH, "Delete").clicked();
-        });
-        ui.checkbox(&mut mesh.rigid, "Not deformed");
-        let look: Option<Look> = mesh.appearance.resolve(&general).ok();
-        ui.horizontal(|ui| {
-            ui.label("Look");
-            let now = mesh.appearance.look.clone().unwrap_or_else(|| "default".into());
-            egui::ComboBox::from_id_salt("look").selected_text(now).show_ui(ui, |ui| {
-                for look in crate::scene::surface::look_names() {
-                    if ui.selectable_label(mesh.appearance.look.as_deref() == Some(look), look).clicked() {
-                        let a = &mut mesh.appearance;
-                        (a.look, a.color, a.inside_color, a.cut_color) = (Some(look.to_owned()), None, None, None);
-                    }
+        if deformation != *before {
+            requests.change(move |doc| {
+                if let Some(d) = doc.scene.deformation.get_mut(n) {
+                    *d = deformation;
                 }
             });
-        });
-        if let Some(look) = look {
-            ui.horizontal(|ui| {
-                let color = |ui: &mut Ui, word: &str, now: [f32; 3], set: &mut Option<[f32; 3]>| {
-                    let mut c = now;
-                    ui.label(word);
-                    if ui.color_edit_button_rgb(&mut c).changed() {
-                        *set = Some(c);
-                    }
-                };
-                color(ui, "Outside", look.color, &mut mesh.appearance.color);
-                color(ui, "Inside", look.inside, &mut mesh.appearance.inside_color);
-                color(ui, "Cut", look.cut, &mut mesh.appearance.cut_color);
-            });
-        }
-        ui.horizontal(|ui| {
-            ui.label("Interior");
-            for (model, word) in [(CutModel::Hollow, "hollow"), (CutModel::Thick, "thick"), (CutModel::Solid, "solid")] {
-                if ui.selectable_label(mesh.appearance.model == Some(model), word).clicked() {
-                    mesh.appearance.model = Some(model);
-                }
-            }
-        });
-        heading(ui, "Placement");
-        if name(ui, "Centre (mm)", "Centre of the mesh, patient LPS") {
-            mesh.place.center = None;
-        }
-        match &mut mesh.place.center {
-            Some(center) => {
-                three(ui, center, 0.5, "", "Centre");
-            }
-            None if ui.button("Move").on_hover_text("Currently placed by its file").clicked() => mesh.place.center = Some(tidy(mesh_box.center())),
-            None => {}
-        }
-        if name(ui, "Turned (degrees)", "About x, then y, then z") {
-            mesh.place.rotate = None;
-        }
-        let mut rotate = mesh.place.rotate.unwrap_or_default();
-        if three(ui, &mut rotate, 0.5, "°", "Turned") {
-            mesh.place.rotate = Some(rotate);
-        }
-        if delete {
-            doc.selected = Selection::Mesh(n);
-            doc.delete();
         }
     }
+}
 
-    fn show_picture_settings(&mut self, ui: &mut Ui) {
-        let Some(doc) = &mut self.doc else { return };
-        let Document { scene, assets, .. } = doc;
-        let has_volume = assets.has_volume;
-        let render = &mut scene.render;
-        ui.spacing_mut().slider_width = (ui.available_width() - 128.0).max(60.0);
-        let slider = |ui: &mut Ui, v: &mut f32, range: std::ops::RangeInclusive<f32>, word: &str, tip: &str| {
-            ui.add(Slider::new(v, range).clamping(egui::SliderClamping::Edits).text(word).max_decimals(2)).on_hover_text(tip);
+/// What is known of the volume.
+fn show_volume(ui: &mut Ui, doc: &Document, requests: &mut Requests) {
+    let volume = &doc.assets.volume;
+    egui::Grid::new("volume").num_columns(2).spacing([10.0, 3.0]).show(ui, |ui| {
+        let mut line = |what: &str, value: String| {
+            ui.label(RichText::new(what).weak());
+            ui.add(egui::Label::new(value).wrap());
+            ui.end_row();
         };
-        ui.add(Slider::new(&mut render.step, 0.1..=4.0).clamping(egui::SliderClamping::Edits).logarithmic(true).text("step").max_decimals(2))
-            .on_hover_text("Step length: distance between samples, in voxels");
-        let mut antialias = render.antialias;
-        ui.add(Slider::new(&mut antialias, 1..=4).clamping(egui::SliderClamping::Edits).text("antialias"))
-            .on_hover_text("Samples averaged along each edge of a pixel");
-        render.antialias = antialias;
-        if has_volume {
-            choice(
-                ui,
-                "Shading",
-                &mut render.normals,
-                &[
-                    (Normals::Blended, "gradients, blended into cut normals"),
-                    (Normals::Transformed, "transformed gradients"),
-                    (Normals::Source, "source gradients"),
-                    (Normals::None, "none (unshaded)"),
-                ],
-            );
-            choice(ui, "Gradients", &mut render.gradient, &[(GradientFilter::Central, "central differences"), (GradientFilter::Sobel, "Sobel")]);
-            choice(
-                ui,
-                "Cut faces",
-                &mut render.cut_faces,
-                &[(CutFaces::Lit, "shaded by the transfer function"), (CutFaces::Grey, "grey values, unshaded")],
-            );
-            let mut iso = render.iso.is_some();
-            ui.horizontal(|ui| {
-                if ui.checkbox(&mut iso, "Iso-surface at").changed() {
-                    render.iso = iso.then(|| assets.volume.body_threshold());
-                }
-                if let Some(v) = &mut render.iso {
-                    let speed = (assets.volume.range[1] - assets.volume.range[0]) / 400.0;
-                    ui.add(DragValue::new(v).speed(speed).max_decimals(2));
-                }
-            });
-            ui.checkbox(&mut render.exact_cuts, "Exact cuts").on_hover_text("Cuts at the end of the stack as formulas instead of masks");
+        let [i, j, k] = volume.size;
+        let s = volume.spacing_mm();
+        line("Format", volume.format.to_owned());
+        line("Voxels", format!("{i} × {j} × {k}, {}", volume.source_type));
+        line("Spacing", format!("{:.3} × {:.3} × {:.3} mm", s.x, s.y, s.z));
+        line("Orientation", volume.orientation());
+        line("Range", format!("{:.1} to {:.1}", volume.range[0], volume.range[1]));
+        if let Some(count) = volume.labels() {
+            line("Labels", count.to_string());
         }
-        if render.mode == Mode::Surface && has_volume {
-            ui.horizontal(|ui| {
-                ui.label("Iso-value");
-                let mut v = scene.surface.iso.unwrap_or_else(|| assets.volume.body_threshold());
-                if ui.add(DragValue::new(&mut v).max_decimals(2)).changed() {
-                    scene.surface.iso = Some(v);
-                }
-            });
+        for (what, value) in &volume.details {
+            line(what, value.as_str().map_or_else(|| value.to_string(), str::to_owned));
         }
-        heading(ui, "Light");
-        slider(ui, &mut scene.light.ambient, 0.0..=1.0, "ambient", "Ambient light");
-        slider(ui, &mut scene.light.diffuse, 0.0..=1.0, "diffuse", "Diffuse reflection of the light");
-        slider(ui, &mut scene.light.specular, 0.0..=1.0, "specular", "Strength of the specular highlight");
-        slider(ui, &mut scene.light.shininess, 1.0..=200.0, "shininess", "Specular exponent; higher is tighter");
-        ui.checkbox(&mut scene.light.follows_camera, "Headlight (moves with the camera)");
-        heading(ui, "Camera");
+    });
+    for warning in &volume.warnings {
+        ui.label(RichText::new(format!("{} {warning}", icon::WARNING)).color(ui.visuals().warn_fg_color));
+    }
+    ui.add_space(6.0);
+    if ui.button("Add label map…").on_hover_text("Names the region under the pointer and colours the slices").clicked() {
+        requests.0.push(Request::ChooseLabelMap);
+    }
+}
+
+/// A mesh's look and place.
+fn show_mesh(ui: &mut Ui, doc: &Document, n: usize, requests: &mut Requests) {
+    let general = doc.scene.surface.appearance.clone();
+    let mesh_box = doc.assets.mesh_box;
+    let Some(before) = doc.scene.mesh.get(n) else { return };
+    let mut mesh = before.clone();
+    ui.horizontal(|ui| {
+        let mut shown = !mesh.hidden;
+        if ui.checkbox(&mut shown, "Visible").changed() {
+            mesh.hidden = !shown;
+        }
+        if icon_button(ui, icon::TRASH, "Delete").clicked() {
+            requests.0.push(Request::PerformOn(Selection::Mesh(n), Action::Delete));
+        }
+    });
+    ui.checkbox(&mut mesh.rigid, "Not deformed");
+    let look: Option<Look> = mesh.appearance.resolve(&general).ok();
+    ui.horizontal(|ui| {
+        ui.label("Look");
+        let now = mesh.appearance.look.clone().unwrap_or_else(|| "default".into());
+        egui::ComboBox::from_id_salt("look").selected_text(now).show_ui(ui, |ui| {
+            for look in crate::scene::surface::look_names() {
+                if ui.selectable_label(mesh.appearance.look.as_deref() == Some(look), look).clicked() {
+                    let a = &mut mesh.appearance;
+                    (a.look, a.color, a.inside_color, a.cut_color) = (Some(look.to_owned()), None, None, None);
+                }
+            }
+        });
+    });
+    if let Some(look) = look {
+        ui.horizontal(|ui| {
+            let color = |ui: &mut Ui, word: &str, now: [f32; 3], set: &mut Option<[f32; 3]>| {
+                let mut c = now;
+                ui.label(word);
+                if ui.color_edit_button_rgb(&mut c).changed() {
+                    *set = Some(c);
+                }
+            };
+            color(ui, "Outside", look.color, &mut mesh.appearance.color);
+            color(ui, "Inside", look.inside, &mut mesh.appearance.inside_color);
+            color(ui, "Cut", look.cut, &mut mesh.appearance.cut_color);
+        });
+    }
+    ui.horizontal(|ui| {
+        ui.label("Interior");
+        for (model, word) in [(CutModel::Hollow, "hollow"), (CutModel::Thick, "thick"), (CutModel::Solid, "solid")] {
+            if ui.selectable_label(mesh.appearance.model == Some(model), word).clicked() {
+                mesh.appearance.model = Some(model);
+            }
+        }
+    });
+    heading(ui, "Placement");
+    if name(ui, "Centre (mm)", "Centre of the mesh, patient LPS") {
+        mesh.place.center = None;
+    }
+    match &mut mesh.place.center {
+        Some(center) => {
+            three(ui, center, 0.5, "", "Centre");
+        }
+        None if ui.button("Move").on_hover_text("Currently placed by its file").clicked() => mesh.place.center = Some(tidy(mesh_box.center())),
+        None => {}
+    }
+    if name(ui, "Turned (degrees)", "About x, then y, then z") {
+        mesh.place.rotate = None;
+    }
+    let mut rotate = mesh.place.rotate.unwrap_or_default();
+    if three(ui, &mut rotate, 0.5, "°", "Turned") {
+        mesh.place.rotate = Some(rotate);
+    }
+    if mesh != *before {
+        requests.change(move |doc| {
+            if let Some(m) = doc.scene.mesh.get_mut(n) {
+                *m = mesh;
+            }
+        });
+    }
+}
+
+/// How the picture is made: sampling, shading, light, camera.
+fn show_picture_settings(ui: &mut Ui, doc: &Document, requests: &mut Requests) {
+    let assets = &doc.assets;
+    let mut scene = doc.scene.clone();
+    let has_volume = assets.has_volume;
+    let render = &mut scene.render;
+    ui.spacing_mut().slider_width = (ui.available_width() - 128.0).max(60.0);
+    let slider = |ui: &mut Ui, v: &mut f32, range: std::ops::RangeInclusive<f32>, word: &str, tip: &str| {
+        ui.add(Slider::new(v, range).clamping(egui::SliderClamping::Edits).text(word).max_decimals(2)).on_hover_text(tip);
+    };
+    ui.add(Slider::new(&mut render.step, 0.1..=4.0).clamping(egui::SliderClamping::Edits).logarithmic(true).text("step").max_decimals(2))
+        .on_hover_text("Step length: distance between samples, in voxels");
+    let mut antialias = render.antialias;
+    ui.add(Slider::new(&mut antialias, 1..=4).clamping(egui::SliderClamping::Edits).text("antialias"))
+        .on_hover_text("Samples averaged along each edge of a pixel");
+    render.antialias = antialias;
+    if has_volume {
         choice(
             ui,
-            "Projection",
-            &mut scene.camera.projection,
-            &[(Projection::Perspective, "perspective"), (Projection::Orthographic, "orthographic")],
+            "Shading",
+            &mut render.normals,
+            &[
+                (Normals::Blended, "gradients, blended into cut normals"),
+                (Normals::Transformed, "transformed gradients"),
+                (Normals::Source, "source gradients"),
+                (Normals::None, "none (unshaded)"),
+            ],
         );
-        slider(ui, &mut scene.camera.field_of_view, 5.0..=100.0, "field of view", "Vertical field of view in degrees");
+        choice(ui, "Gradients", &mut render.gradient, &[(GradientFilter::Central, "central differences"), (GradientFilter::Sobel, "Sobel")]);
+        choice(
+            ui,
+            "Cut faces",
+            &mut render.cut_faces,
+            &[(CutFaces::Lit, "shaded by the transfer function"), (CutFaces::Grey, "grey values, unshaded")],
+        );
+        let mut iso = render.iso.is_some();
         ui.horizontal(|ui| {
-            ui.label("Background");
-            let [r, g, b, a] = scene.render.background;
-            let mut color = [r, g, b];
-            if ui.color_edit_button_rgb(&mut color).changed() {
-                scene.render.background = [color[0], color[1], color[2], a];
+            if ui.checkbox(&mut iso, "Iso-surface at").changed() {
+                render.iso = iso.then(|| assets.volume.body_threshold());
             }
-            let mut clear = a < 1.0;
-            if ui.checkbox(&mut clear, "transparent").changed() {
-                scene.render.background[3] = if clear { 0.0 } else { 1.0 };
+            if let Some(v) = &mut render.iso {
+                let speed = (assets.volume.range[1] - assets.volume.range[0]) / 400.0;
+                ui.add(DragValue::new(v).speed(speed).max_decimals(2));
             }
         });
+        ui.checkbox(&mut render.exact_cuts, "Exact cuts").on_hover_text("Cuts at the end of the stack as formulas instead of masks");
+    }
+    if render.mode == Mode::Surface && has_volume {
+        ui.horizontal(|ui| {
+            ui.label("Iso-value");
+            let mut v = scene.surface.iso.unwrap_or_else(|| assets.volume.body_threshold());
+            if ui.add(DragValue::new(&mut v).max_decimals(2)).changed() {
+                scene.surface.iso = Some(v);
+            }
+        });
+    }
+    heading(ui, "Light");
+    slider(ui, &mut scene.light.ambient, 0.0..=1.0, "ambient", "Ambient light");
+    slider(ui, &mut scene.light.diffuse, 0.0..=1.0, "diffuse", "Diffuse reflection of the light");
+    slider(ui, &mut scene.light.specular, 0.0..=1.0, "specular", "Strength of the specular highlight");
+    slider(ui, &mut scene.light.shininess, 1.0..=200.0, "shininess", "Specular exponent; higher is tighter");
+    ui.checkbox(&mut scene.light.follows_camera, "Headlight (moves with the camera)");
+    heading(ui, "Camera");
+    choice(ui, "Projection", &mut scene.camera.projection, &[(Projection::Perspective, "perspective"), (Projection::Orthographic, "orthographic")]);
+    slider(ui, &mut scene.camera.field_of_view, 5.0..=100.0, "field of view", "Vertical field of view in degrees");
+    ui.horizontal(|ui| {
+        ui.label("Background");
+        let [r, g, b, a] = scene.render.background;
+        let mut color = [r, g, b];
+        if ui.color_edit_button_rgb(&mut color).changed() {
+            scene.render.background = [color[0], color[1], color[2], a];
+        }
+        let mut clear = a < 1.0;
+        if ui.checkbox(&mut clear, "transparent").changed() {
+            scene.render.background[3] = if clear { 0.0 } else { 1.0 };
+        }
+    });
+    if scene != doc.scene {
+        requests.change(move |doc| doc.scene = scene);
     }
 }
 

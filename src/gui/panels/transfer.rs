@@ -4,7 +4,8 @@
 use super::{gallery_item, heading};
 use crate::gui::state::Workstation;
 use crate::gui::state::action::Action;
-use crate::gui::state::panels::TransferPanel;
+use crate::gui::state::panels::{Gallery, Thumbnails, TransferPanel};
+use crate::gui::state::request::{Request, Requests};
 use crate::gui::theme;
 use crate::transfer::{self, Blend, ControlPoint, TransferFunction, TransferSettings};
 use crate::volume::Volume;
@@ -85,51 +86,52 @@ impl<'a> Curve<'a> {
     }
 }
 
-impl Workstation {
-    /// Shows the panel.
-    pub(in crate::gui) fn show_transfer(&mut self, ui: &mut Ui) {
-        let ctx = ui.ctx().clone();
-        let Some(doc) = &mut self.doc else { return };
+impl TransferPanel {
+    /// Draws the panel.
+    pub(in crate::gui) fn ui(&mut self, state: &Workstation, ui: &mut Ui) -> Requests {
+        let mut requests = Requests::default();
+        let Some(doc) = &state.doc else { return requests };
         if !doc.assets.has_volume {
             ui.label("This scene has no volume");
-            return;
+            return requests;
         }
-        let assets = doc.assets.clone();
-        let volume = &assets.volume;
+        let volume = &doc.assets.volume;
         let fallback = doc.scene.default_preset(volume);
         let function = match doc.scene.transfer.resolve(volume, fallback) {
             Ok(function) => function,
             Err(error) => {
                 ui.label(error.to_string());
                 if ui.button("Reset to default").clicked() {
-                    doc.scene.transfer = TransferSettings::default();
+                    requests.change(|doc| doc.scene.transfer = TransferSettings::default());
                 }
-                return;
+                return requests;
             }
         };
         let mut settings = doc.scene.transfer.clone();
-        let span = show_curve(ui, &mut self.transfer, volume, &function, &mut settings);
-        show_selected_point(ui, self.transfer.point, &function, span, &mut settings);
+        let span = show_curve(ui, self, volume, &function, &mut settings);
+        show_selected_point(ui, self.point, &function, span, &mut settings);
         show_window_and_level(ui, &function, span, &mut settings);
         show_density(ui, &mut settings);
         show_blend(ui, function.blend, &mut settings);
-        doc.scene.transfer = settings;
-        let action = show_file_buttons(ui, &mut doc.scene.transfer);
-        heading(ui, "Presets");
-        self.show_presets(ui, fallback);
-        if let Some(action) = action {
-            self.perform(&ctx, action);
+        if let Some(action) = show_file_buttons(ui, &mut settings) {
+            requests.perform(action);
         }
+        heading(ui, "Presets");
+        self.show_presets(ui, &state.thumbnails, fallback, &mut settings);
+        requests.0.push(Request::MakeThumbnails(Gallery::Presets));
+        if settings != doc.scene.transfer {
+            requests.change(move |doc| doc.scene.transfer = settings);
+        }
+        requests
     }
 
-    fn show_presets(&mut self, ui: &mut Ui, fallback: &str) {
-        self.thumbnails.shows_presets = true;
+    fn show_presets(&mut self, ui: &mut Ui, thumbnails: &Thumbnails, fallback: &str, settings: &mut TransferSettings) {
         let columns = ((ui.available_width() + 4.0) / 90.0).floor().max(1.0) as usize;
         let mut chosen = None;
-        let now = self.doc.as_ref().and_then(|d| d.scene.transfer.preset.clone()).unwrap_or_else(|| fallback.to_owned());
+        let now = settings.preset.clone().unwrap_or_else(|| fallback.to_owned());
         egui::Grid::new("presets").num_columns(columns).spacing(vec2(4.0, 4.0)).show(ui, |ui| {
             for (n, preset) in transfer::list().enumerate() {
-                let response = gallery_item(ui, self.thumbnails.preset(n), icon::CUBE, preset.name, preset.name == now);
+                let response = gallery_item(ui, thumbnails.preset(n), icon::CUBE, preset.name, preset.name == now);
                 if response.on_hover_text(format!("{}: {}", preset.name, preset.about)).clicked() {
                     chosen = Some(preset.name);
                 }
@@ -138,8 +140,8 @@ impl Workstation {
                 }
             }
         });
-        if let (Some(name), Some(doc)) = (chosen, &mut self.doc) {
-            self.transfer.choose(&mut doc.scene.transfer, name);
+        if let Some(name) = chosen {
+            self.choose(settings, name);
         }
     }
 }

@@ -92,6 +92,15 @@ pub struct Palette {
     pub(in crate::gui) shown: bool,
 }
 
+/// A gallery of thumbnails.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Gallery {
+    /// Presets of the transfer function.
+    Presets,
+    /// Kinds of deformations.
+    Kinds,
+}
+
 /// Thumbnails of presets and kinds.
 #[derive(Default)]
 pub struct Thumbnails {

@@ -4,7 +4,7 @@
 use super::action::Action;
 use super::document::{Document, Selection};
 use super::layout::Panel;
-use super::panels::Brush;
+use super::panels::{Brush, Gallery};
 use super::slice_paint::Overlay;
 use crate::Error;
 use std::path::PathBuf;
@@ -27,6 +27,8 @@ pub enum Request {
     SetBrush(Brush),
     /// What is drawn over the slices.
     SetOverlay(Overlay),
+    /// The thumbnails of a gallery that is being shown.
+    MakeThumbnails(Gallery),
     /// The choice of a label map.
     ChooseLabelMap,
     /// A map of the library, for this scene.
