@@ -1,10 +1,11 @@
 //! Startup of the workstation, and the work of each of its frames.
 
 use super::gizmos::Mode as GizmoMode;
+use super::panels::{log, misplaced, start, status, toolbar};
 use super::state::action::{self, Action};
 use super::state::comparison::ComparePanel;
 use super::state::document::Document;
-use super::state::files::{Dialog, Files};
+use super::state::files::{Dialog, Files, Loading};
 use super::state::history;
 use super::state::history::{CameraHistory, History};
 use super::state::layout::{LayoutPreset, Panel};
@@ -20,6 +21,7 @@ use super::state::{Hover, Options, Workstation};
 use super::text::wrapped;
 use super::theme;
 use crate::Error;
+use crate::engine::Backend;
 use crate::prepare::AssetKey;
 use eframe::egui::{self, Context, Ui};
 use egui_dock::{DockArea, DockState, TabViewer};
@@ -83,7 +85,7 @@ impl Workstation {
             dialog: None,
             files: Files::new(),
             palette: None,
-            keys_open: None,
+            key_list: None,
             entries: action::list(),
             before: false,
             space: false,
@@ -232,7 +234,7 @@ impl Workstation {
         let typing = ctx.text_edit_focused();
         self.tame_keys(ctx, typing);
         self.space = !typing && self.dialog.is_none() && ctx.input(|i| i.key_down(egui::Key::Space));
-        if self.palette.is_some() || self.keys_open.is_some() || self.files.is_open() {
+        if self.palette.is_some() || self.key_list.is_some() || self.files.is_open() {
             return;
         }
         let menu = egui::Popup::is_any_open(ctx);
@@ -428,21 +430,29 @@ impl Workstation {
         self.handle_close(&ctx);
         self.handle_drops(&ctx);
         self.handle_keys(&ctx);
-        self.show_toolbar(ui);
-        self.show_status(ui);
+        self.carry_out_all(&ctx, toolbar::ui(self, ui));
+        self.carry_out_all(&ctx, status::ui(self, ui));
         let frame = egui::Frame::NONE.fill(ui.visuals().panel_fill);
         egui::CentralPanel::default().frame(frame).show(ui, |ui| {
             if self.doc.is_some() && self.loading.as_ref().is_none_or(|l| l.same) {
-                self.show_misplaced(ui);
+                self.carry_out_all(&ctx, misplaced::ui(self, ui));
                 self.show_dock(ui);
             } else {
-                self.show_empty(ui);
+                self.carry_out_all(&ctx, start::ui(self, ui));
             }
         });
         self.arrange_panels();
         self.show_dialogs(&ctx);
-        self.show_palette(&ctx);
-        self.show_keys(&ctx);
+        if let Some(mut palette) = self.palette.take() {
+            let (requests, open) = palette.ui(self, &ctx);
+            self.palette = open.then_some(palette);
+            self.carry_out_all(&ctx, requests);
+        }
+        if let Some(mut keys) = self.key_list.take() {
+            let (requests, open) = keys.ui(self, &ctx);
+            self.key_list = open.then_some(keys);
+            self.carry_out_all(&ctx, requests);
+        }
         self.settle(&ctx);
         self.update_title(&ctx);
         self.refresh_view(&ctx);
@@ -490,9 +500,12 @@ impl Workstation {
         let mut drawn = std::mem::take(panel(self));
         let requests = draw(&mut drawn, self, ui);
         *panel(self) = drawn;
-        let ctx = ui.ctx().clone();
+        self.carry_out_all(&ui.ctx().clone(), requests);
+    }
+
+    fn carry_out_all(&mut self, ctx: &Context, requests: Requests) {
         for request in requests.0 {
-            self.carry_out(&ctx, request);
+            self.carry_out(ctx, request);
         }
     }
 
@@ -511,6 +524,24 @@ impl Workstation {
                 }
             }
             Request::Navigate => self.tool = Tool::Navigate,
+            Request::Arm(tool) => self.arm(tool),
+            Request::Open(path) => self.open(ctx, &path),
+            Request::OpenBundled(name) => self.open_bundled(ctx, name),
+            Request::CancelLoading => self.loading.iter().for_each(Loading::cancel),
+            Request::CancelTask(n) => self.tasks.get(n).iter().for_each(|task| task.cancel()),
+            Request::SetBackend(backend) => self.set_backend(backend),
+            Request::SetSpace(space) => self.slices.space = space,
+            Request::ClearLog => self.log.clear(),
+            Request::SetGesture(gesture) => self.gesture = gesture,
+            Request::Orbit(by) => self.orbit(by.x, by.y),
+            Request::Pan(by, view) => self.pan(by.x, by.y, view),
+            Request::Zoom(factor) => self.zoom(factor),
+            Request::SetKey(label, key) => self.set_key(&label, key),
+            Request::ResetKeys => {
+                self.session.settings.keys.clear();
+                self.entries = action::list();
+            }
+            Request::SetMouse { blender } => self.session.settings.blender = blender,
             Request::SetBrush(brush) => self.brush = brush,
             Request::SetOverlay(overlay) => self.slices.overlay = overlay,
             Request::MakeThumbnails(Gallery::Presets) => self.thumbnails.shows_presets = true,
@@ -519,6 +550,24 @@ impl Workstation {
             Request::UseMap(path) => self.use_map(ctx, &path),
             Request::Report(error) => self.report_error(&error),
         }
+    }
+
+    /// Selects the backend.
+    pub fn set_backend(&mut self, backend: Backend) {
+        self.forced_backend = None;
+        self.session.settings.backend = backend;
+        self.worker.set_backend(backend);
+        self.view.forget();
+        self.compare.forget();
+    }
+
+    /// Gives an action another key, which any other action loses.
+    fn set_key(&mut self, label: &str, key: egui::KeyboardShortcut) {
+        for entry in self.entries.iter().filter(|e| e.label != label && e.key == Some(key)) {
+            self.session.settings.keys.insert(entry.label.clone(), String::new());
+        }
+        self.session.settings.keys.insert(label.to_owned(), action::key_text(&key));
+        self.apply_keys();
     }
 
     /// Brings a panel to the front, opening it if necessary.
@@ -572,7 +621,7 @@ impl TabViewer for Tabs<'_> {
             Panel::Axial => self.app.show_slice(ui, 0),
             Panel::Coronal => self.app.show_slice(ui, 1),
             Panel::Sagittal => self.app.show_slice(ui, 2),
-            Panel::Compare => self.app.show_compare(ui),
+            Panel::Compare => self.app.draw(ui, |app| &mut app.compare, |panel, _, ui| panel.ui(ui)),
             side => {
                 let side = *side;
                 egui::Frame::NONE.inner_margin(egui::Margin::symmetric(8, 6)).show(ui, |ui| {
@@ -582,7 +631,10 @@ impl TabViewer for Tabs<'_> {
                         Panel::Transfer => self.app.draw(ui, |app| &mut app.transfer, TransferPanel::ui),
                         Panel::Measure => self.app.draw(ui, |app| &mut app.measure_panel, MeasurePanel::ui),
                         Panel::MapEditor => self.app.draw(ui, |app| &mut app.map_editor, MapEditor::ui),
-                        Panel::Log => self.app.show_log(ui),
+                        Panel::Log => {
+                            let requests = log::ui(self.app, ui);
+                            self.app.carry_out_all(&ui.ctx().clone(), requests);
+                        }
                         // Shown without scrolling.
                         Panel::View3d | Panel::Axial | Panel::Coronal | Panel::Sagittal | Panel::Compare => {}
                     });

@@ -34,7 +34,7 @@ impl Workstation {
             Action::OpenHead => self.open_bundled(ctx, "colin27-head-t1.nii.gz"),
             Action::Quit => self.after(ctx, NextStep::Quit),
             Action::Palette => self.palette = if self.palette.is_some() { None } else { Some(Default::default()) },
-            Action::Keys => self.keys_open = if self.keys_open.is_some() { None } else { Some(String::new()) },
+            Action::Keys => self.key_list = if self.key_list.is_some() { None } else { Some(Default::default()) },
             Action::Log => self.show_panel(Panel::Log),
             Action::Layout(layout) => {
                 self.layout = layout;

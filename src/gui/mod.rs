@@ -15,6 +15,7 @@
 //! `text` the formatting of words and numbers.
 
 pub mod app;
+mod comparison;
 mod edit;
 mod exports;
 pub mod files;
@@ -25,6 +26,7 @@ pub mod state;
 pub mod tasks;
 mod text;
 pub mod theme;
+mod thumbnails;
 pub mod views;
 
 pub use state::{Options, Workstation};

@@ -1,209 +1,118 @@
 //! Two renderers of the same scene from the same camera: side by side, with a wipe, or as their
 //! difference; with metrics.
 
-use crate::compare::{difference, difference_picture};
-use crate::engine::Quality;
+use crate::gui::state::Gesture;
 use crate::gui::state::action::Action;
 use crate::gui::state::comparison::*;
-use crate::gui::state::worker::{JobKind, JobTarget, RenderedView};
-use crate::gui::state::{Gesture, Workstation};
+use crate::gui::state::request::{Request, Requests};
 use crate::gui::text::number;
 use crate::gui::theme;
 use crate::gui::views::shown;
 use crate::gui::views::text;
-use crate::prepare::Assets;
-use crate::scene::{Mode, Scene};
-use eframe::egui::{self, Align2, Color32, ColorImage, Context, PointerButton, Rect, Sense, Slider, Stroke, TextureOptions, Ui, pos2, vec2};
-use std::sync::Arc;
+use crate::scene::Mode;
+use eframe::egui::{self, Align2, Color32, PointerButton, Rect, Sense, Slider, Stroke, Ui, pos2, vec2};
 use std::time::Instant;
 
-/// Pictures are requested after this time without a change, seconds.
-const REST: f64 = 0.2;
+/// The renderer and the step of one side.
+fn show_side_settings(ui: &mut Ui, n: usize, label: &str, side: &mut ComparisonSide) {
+    let combo = egui::ComboBox::from_id_salt(("side", n)).selected_text(format!("{label}: {}", word(side.mode))).width(104.0).show_ui(ui, |ui| {
+        for mode in [Mode::Slice, Mode::Raycast, Mode::Surface] {
+            ui.selectable_value(&mut side.mode, mode, word(mode));
+        }
+    });
+    combo.response.widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::ComboBox, true, format!("Renderer {label}")));
+    ui.spacing_mut().slider_width = 84.0;
+    let slider = ui
+        .add(Slider::new(&mut side.step, 0.1..=4.0).clamping(egui::SliderClamping::Edits).logarithmic(true).max_decimals(2))
+        .on_hover_text("Step, voxels");
+    slider.widget_info(|| egui::WidgetInfo::slider(true, f64::from(side.step), format!("Step {label}")));
+}
 
-/// Amplification of the displayed difference.
-const AMPLIFY: f32 = 8.0;
-
-impl Workstation {
-    pub(in crate::gui) fn compare_arrived(&mut self, ctx: &Context, side: usize, serial: u64, ms: f64, shown: RenderedView) {
-        let panel = &mut self.compare;
-        if panel.serials.get(side) != Some(&serial) {
-            return;
-        }
-        let result = &mut panel.results[side];
-        match &mut result.texture {
-            Some(texture) => texture.set(shown.image, TextureOptions::LINEAR),
-            None => result.texture = Some(ctx.load_texture(format!("compare {side}"), shown.image, TextureOptions::LINEAR)),
-        }
-        result.picture = shown.picture.map(Arc::new);
-        result.side = panel.requested_sides[side];
-        result.delay.note(true);
-        (result.stats, result.ms, result.backend, result.serial) = (shown.stats, ms, shown.device.name, serial);
-        self.compare_numbers(ctx);
-    }
-
-    /// Computes the difference of the pair on another thread: it takes about as long as a frame.
-    fn compare_numbers(&mut self, ctx: &Context) {
-        let panel = &mut self.compare;
-        let pair = (panel.results[0].serial, panel.results[1].serial);
-        let current = (0..2).all(|n| panel.results[n].serial == panel.serials[n]);
-        let (Some(a), Some(b)) = (panel.results[0].picture.clone(), panel.results[1].picture.clone()) else { return };
-        if panel.difference_open || pair == panel.difference_of || !current || (a.width, a.height) != (b.width, b.height) {
-            return;
-        }
-        panel.difference_open = true;
-        self.start(ctx, "Comparing", move |_| {
-            let found = difference(&a, &b).and_then(|numbers| Ok((numbers, difference_picture(&a, &b, AMPLIFY)?)));
-            Ok(Box::new(move |app: &mut Workstation, ctx: &Context| {
-                let panel = &mut app.compare;
-                panel.difference_open = false;
-                panel.difference_of = pair;
-                match found {
-                    Ok((numbers, picture)) => {
-                        let size = [picture.width as usize, picture.height as usize];
-                        let image = ColorImage::from_rgba_unmultiplied(size, &picture.over([0.0, 0.0, 0.0, 1.0]));
-                        panel.difference = Some(numbers);
-                        panel.difference_texture = Some(ctx.load_texture("difference", image, TextureOptions::LINEAR));
-                    }
-                    Err(error) => {
-                        panel.difference = None;
-                        app.report_error(&error);
-                    }
-                }
-                app.compare_numbers(ctx);
-            }))
-        });
-    }
-
-    /// Requests the pair once the scene is at rest.
-    pub(in crate::gui) fn refresh_compare(&mut self) {
-        if !std::mem::take(&mut self.compare.was_drawn) || self.compare.pane[0] < 16 {
-            return;
-        }
-        let Some(doc) = &self.doc else { return };
-        let assets: Arc<Assets> = doc.assets.clone();
-        let mut scene = doc.shown(self.shows_undeformed());
-        scene.render.size = self.compare.pane;
-        scene.measure.clear();
-        let panel = &mut self.compare;
-        let same_assets = panel.assets.as_ref().is_some_and(|a| Arc::ptr_eq(a, &assets));
-        let wanted: [Scene; 2] = std::array::from_fn(|n| panel.sides[n].scene(&scene));
-        let changed = (0..2).any(|n| !same_assets || panel.requested[n].as_deref().is_none_or(|a| *a != wanted[n]));
-        panel.behind = changed;
-        if !changed {
-            return;
-        }
-        let pending: Vec<usize> = (0..2).filter(|n| !same_assets || panel.requested[*n].as_deref().is_none_or(|a| *a != wanted[*n])).collect();
-        // During a drag the last pair is kept.
-        if self.gesture.is_some() {
-            self.compare.changed_at = Instant::now();
-            return;
-        }
-        if self.compare.changed_at.elapsed().as_secs_f64() < REST {
-            return;
-        }
-        self.compare.assets = Some(assets.clone());
-        self.compare.behind = false;
-        for n in pending {
-            let shared = Arc::new(wanted[n].clone());
-            self.compare.requested[n] = Some(shared.clone());
-            let serial = self.submit(
-                JobTarget::Compare(n),
-                shared,
-                assets.clone(),
-                JobKind::Picture { counting: true, with_pixels: true, quality: Quality::Full },
-            );
-            let panel = &mut self.compare;
-            (panel.serials[n], panel.requested_sides[n], panel.results[n].delay.failure) = (serial, Some(panel.sides[n]), None);
-        }
-    }
-
-    /// The panel.
-    pub(in crate::gui) fn show_compare(&mut self, ui: &mut Ui) {
-        self.compare.was_drawn = true;
-        let ctx = ui.ctx().clone();
-        let export = self.show_compare_settings(ui);
+impl ComparePanel {
+    /// Draws the panel.
+    pub(in crate::gui) fn ui(&mut self, ui: &mut Ui) -> Requests {
+        self.was_drawn = true;
+        let mut requests = Requests::default();
+        self.show_settings(ui, &mut requests);
         let (rect, response) = ui.allocate_exact_size(ui.available_size().max(vec2(32.0, 32.0)), Sense::click_and_drag());
         response.widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::Other, true, "Comparison view"));
         let painter = ui.painter_at(rect);
         painter.rect_filled(rect, 0.0, theme::CANVAS);
-        let panel = &mut self.compare;
-        let pane = panel.place_panes(rect, ctx.pixels_per_point());
-        panel.note_delays();
-        match panel.arrangement {
-            Arrangement::Split => panel.draw_split(&painter, pane),
-            Arrangement::Swipe => panel.draw_swipe(&painter, rect),
-            Arrangement::Difference => panel.draw_difference(&painter, rect),
+        let pane = self.place_panes(rect, ui.ctx().pixels_per_point());
+        self.note_delays();
+        match self.arrangement {
+            Arrangement::Split => self.draw_split(&painter, pane),
+            Arrangement::Swipe => self.draw_swipe(&painter, rect),
+            Arrangement::Difference => self.draw_difference(&painter, rect),
         }
-        let failed = panel.results.iter().any(|r| r.delay.failure.is_some());
-        if !panel.is_done() && !failed {
+        let failed = self.results.iter().any(|r| r.delay.failure.is_some());
+        if !self.is_done() && !failed {
             text(&painter, pos2(rect.center().x, rect.bottom() - 10.0), Align2::CENTER_BOTTOM, "Rendering…", 13.0, theme::ON_CANVAS);
         }
-        self.handle_compare_input(ui, &response, rect);
-        if export {
-            self.perform(&ctx, Action::ExportReport);
+        self.handle_input(ui, &response, rect, &mut requests);
+        if !self.is_done() && !failed {
+            ui.ctx().request_repaint_after_secs(REST as f32);
         }
-        if !self.compare.is_done() && !failed {
-            ctx.request_repaint_after_secs(REST as f32);
-        }
+        requests
     }
 
-    /// Shows both sides' settings, the arrangement and the metrics; returns whether to export the
-    /// report.
-    fn show_compare_settings(&mut self, ui: &mut Ui) -> bool {
-        let mut export = false;
+    /// Both sides' settings, the arrangement and the metrics.
+    fn show_settings(&mut self, ui: &mut Ui, requests: &mut Requests) {
         egui::Frame::NONE.inner_margin(egui::Margin::symmetric(8, 4)).show(ui, |ui| {
             ui.horizontal_wrapped(|ui| {
                 for (n, label) in ["A", "B"].into_iter().enumerate() {
-                    show_side_settings(ui, n, label, &mut self.compare.sides[n]);
+                    show_side_settings(ui, n, label, &mut self.sides[n]);
                 }
                 ui.separator();
                 for (a, w) in [(Arrangement::Split, "Split"), (Arrangement::Swipe, "Swipe"), (Arrangement::Difference, "Difference")] {
-                    ui.selectable_value(&mut self.compare.arrangement, a, w);
+                    ui.selectable_value(&mut self.arrangement, a, w);
                 }
                 ui.separator();
-                export = ui.button("Export report…").clicked();
+                if ui.button("Export report…").clicked() {
+                    requests.perform(Action::ExportReport);
+                }
             });
             self.show_numbers(ui);
         });
-        export
     }
 
-    fn handle_compare_input(&mut self, ui: &Ui, response: &egui::Response, rect: Rect) {
+    /// Turns the camera, or moves the wipe line.
+    fn handle_input(&mut self, ui: &Ui, response: &egui::Response, rect: Rect, requests: &mut Requests) {
         let delta = response.drag_delta();
         let modifiers = ui.input(|i| i.modifiers);
         if response.drag_started() {
-            let line = rect.left() + self.compare.swipe * rect.width();
+            let line = rect.left() + self.swipe * rect.width();
             let origin = ui.input(|i| i.pointer.press_origin()).unwrap_or_default();
-            self.compare.wiping = self.compare.arrangement == Arrangement::Swipe && (origin.x - line).abs() < 14.0;
-            self.gesture = Some(Gesture::Orbit);
+            self.wiping = self.arrangement == Arrangement::Swipe && (origin.x - line).abs() < 14.0;
+            requests.0.push(Request::SetGesture(Some(Gesture::Orbit)));
         }
         if response.dragged() {
-            if self.compare.wiping {
+            if self.wiping {
                 if let Some(pos) = response.interact_pointer_pos() {
-                    self.compare.swipe = ((pos.x - rect.left()) / rect.width()).clamp(0.02, 0.98);
+                    self.swipe = ((pos.x - rect.left()) / rect.width()).clamp(0.02, 0.98);
                 }
             } else if response.dragged_by(PointerButton::Secondary) {
-                self.zoom((-delta.y * 0.01).exp());
+                requests.0.push(Request::Zoom((-delta.y * 0.01).exp()));
             } else if response.dragged_by(PointerButton::Middle) || modifiers.shift {
-                self.pan(delta.x, delta.y, rect);
+                requests.0.push(Request::Pan(delta, rect));
             } else {
-                self.orbit(delta.x, delta.y);
+                requests.0.push(Request::Orbit(delta));
             }
         }
         if response.drag_stopped() {
-            self.gesture = None;
-            self.compare.wiping = false;
+            requests.0.push(Request::SetGesture(None));
+            self.wiping = false;
         }
         if response.hovered() {
             let scroll = ui.input(|i| i.smooth_scroll_delta.y);
             if scroll != 0.0 {
-                self.zoom((scroll * 0.0025).exp());
+                requests.0.push(Request::Zoom((scroll * 0.0025).exp()));
             }
         }
     }
 
     fn show_numbers(&self, ui: &mut Ui) {
-        let panel = &self.compare;
+        let panel = self;
         ui.horizontal_wrapped(|ui| {
             for (n, label) in ["A", "B"].into_iter().enumerate() {
                 let r = &panel.results[n];
@@ -225,24 +134,7 @@ impl Workstation {
             }
         });
     }
-}
 
-/// The renderer and the step of one side.
-fn show_side_settings(ui: &mut Ui, n: usize, label: &str, side: &mut ComparisonSide) {
-    let combo = egui::ComboBox::from_id_salt(("side", n)).selected_text(format!("{label}: {}", word(side.mode))).width(104.0).show_ui(ui, |ui| {
-        for mode in [Mode::Slice, Mode::Raycast, Mode::Surface] {
-            ui.selectable_value(&mut side.mode, mode, word(mode));
-        }
-    });
-    combo.response.widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::ComboBox, true, format!("Renderer {label}")));
-    ui.spacing_mut().slider_width = 84.0;
-    let slider = ui
-        .add(Slider::new(&mut side.step, 0.1..=4.0).clamping(egui::SliderClamping::Edits).logarithmic(true).max_decimals(2))
-        .on_hover_text("Step, voxels");
-    slider.widget_info(|| egui::WidgetInfo::slider(true, f64::from(side.step), format!("Step {label}")));
-}
-
-impl ComparePanel {
     /// Records the position and the required size of the pictures; returns the rectangle of the
     /// first.
     fn place_panes(&mut self, rect: Rect, pixels_per_point: f32) -> Rect {

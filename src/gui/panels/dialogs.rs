@@ -80,8 +80,12 @@ impl Workstation {
         let deformations = self.doc.as_ref().map_or(&[][..], |d| &d.scene.deformation);
         let named = |travel: &ClipMotion| match travel {
             ClipMotion::Orbit => "camera orbit (360°)".to_owned(),
-            ClipMotion::Progress(n) => format!("{} {}: progress", n + 1, deformations.get(*n).map_or_else(String::new, super::scene::title_of)),
-            ClipMotion::Parameter(n, name) => format!("{} {}: {name}", n + 1, deformations.get(*n).map_or_else(String::new, super::scene::title_of)),
+            ClipMotion::Progress(n) => {
+                format!("{} {}: progress", n + 1, deformations.get(*n).map_or_else(String::new, crate::gui::state::document::Document::title_of))
+            }
+            ClipMotion::Parameter(n, name) => {
+                format!("{} {}: {name}", n + 1, deformations.get(*n).map_or_else(String::new, crate::gui::state::document::Document::title_of))
+            }
         };
         let mut travels = vec![ClipMotion::Orbit];
         for (n, d) in deformations.iter().enumerate() {

@@ -2,6 +2,8 @@
 
 use crate::gui::state::Workstation;
 use crate::gui::state::action::{self, Action};
+use crate::gui::state::panels::{KeyList, Palette};
+use crate::gui::state::request::{Request, Requests};
 use eframe::egui::{self, Align2, Context, Key, RichText, vec2};
 
 /// How well a label matches a query: all its words must occur; lower is better.
@@ -17,11 +19,12 @@ fn rank(label: &str, query: &str) -> Option<usize> {
     Some(sum)
 }
 
-impl Workstation {
-    /// Shows the palette, if it is open.
-    pub(in crate::gui) fn show_palette(&mut self, ctx: &Context) {
-        let Some(mut palette) = self.palette.take() else { return };
-        let mut found: Vec<(usize, usize)> = self
+impl Palette {
+    /// Draws the palette; whether it stays open.
+    pub(in crate::gui) fn ui(&mut self, state: &Workstation, ctx: &Context) -> (Requests, bool) {
+        let mut requests = Requests::default();
+        let palette = self;
+        let mut found: Vec<(usize, usize)> = state
             .entries
             .iter()
             .enumerate()
@@ -45,7 +48,7 @@ impl Workstation {
             palette.row += 1;
         }
         palette.row = palette.row.min(found.len().saturating_sub(1));
-        let mut chosen: Option<Action> = enter.then(|| found.get(palette.row).map(|f| self.entries[f.1].action)).flatten();
+        let mut chosen: Option<Action> = enter.then(|| found.get(palette.row).map(|f| state.entries[f.1].action)).flatten();
         let mut close = escape || (enter && chosen.is_some());
         let response = egui::Window::new("Command palette")
             .title_bar(false)
@@ -65,7 +68,7 @@ impl Workstation {
                 }
                 egui::ScrollArea::vertical().max_height(336.0).auto_shrink([false, false]).show(ui, |ui| {
                     for (n, (_, entry)) in found.iter().enumerate() {
-                        let entry = &self.entries[*entry];
+                        let entry = &state.entries[*entry];
                         let key = entry.key.as_ref().map(action::key_text).unwrap_or_default();
                         let button =
                             egui::Button::selectable(n == palette.row, &entry.label).shortcut_text(key).min_size(vec2(ui.available_width(), 24.0));
@@ -92,21 +95,21 @@ impl Workstation {
         {
             close = true;
         }
-        if !close {
-            self.palette = Some(palette);
-        }
         if let Some(action) = chosen {
-            self.perform(ctx, action);
+            requests.perform(action);
         }
+        (requests, !close)
     }
+}
 
-    /// Shows the list of keys, if it is open. `keys_open` holds the label of the action that waits
-    /// for its new key, or is empty.
-    pub(in crate::gui) fn show_keys(&mut self, ctx: &Context) {
-        let Some(mut waiting) = self.keys_open.take() else { return };
+impl KeyList {
+    /// Draws the list of keys; whether it stays open.
+    pub(in crate::gui) fn ui(&mut self, state: &Workstation, ctx: &Context) -> (Requests, bool) {
+        let mut requests = Requests::default();
+        let waiting = &mut self.waiting;
         let mut open = true;
         if waiting.is_empty() && ctx.input_mut(|i| i.consume_key(egui::Modifiers::NONE, Key::Escape)) {
-            return;
+            return (requests, false);
         }
         if !waiting.is_empty() {
             let pressed = ctx.input(|i| {
@@ -121,16 +124,7 @@ impl Workstation {
                     pressed.command = modifiers.command;
                     pressed.alt = modifiers.alt;
                     pressed.shift = modifiers.shift;
-                    let shortcut = egui::KeyboardShortcut::new(pressed, key);
-                    let text = action::key_text(&shortcut);
-                    // A key has one action: the previous owner loses it.
-                    for entry in &self.entries {
-                        if entry.label != waiting && entry.key == Some(shortcut) {
-                            self.session.settings.keys.insert(entry.label.clone(), String::new());
-                        }
-                    }
-                    self.session.settings.keys.insert(waiting.clone(), text);
-                    self.apply_keys();
+                    requests.0.push(Request::SetKey(waiting.clone(), egui::KeyboardShortcut::new(pressed, key)));
                 }
                 waiting.clear();
             }
@@ -144,19 +138,21 @@ impl Workstation {
                 ui.label("Click a key to change it; press Esc to keep it.");
                 ui.horizontal(|ui| {
                     ui.label("Mouse:");
-                    let blender = &mut self.session.settings.blender;
-                    ui.radio_value(blender, false, "3D Slicer style");
-                    ui.radio_value(blender, true, "Blender style");
+                    let mut blender = state.session.settings.blender;
+                    ui.radio_value(&mut blender, false, "3D Slicer style");
+                    ui.radio_value(&mut blender, true, "Blender style");
+                    if blender != state.session.settings.blender {
+                        requests.0.push(Request::SetMouse { blender });
+                    }
                     if ui.button("Reset to defaults").clicked() {
-                        self.session.settings.keys.clear();
-                        self.entries = action::list();
+                        requests.0.push(Request::ResetKeys);
                     }
                 });
                 egui::ScrollArea::vertical().max_height(360.0).auto_shrink([false, false]).show(ui, |ui| {
                     egui::Grid::new("keys").num_columns(2).striped(true).show(ui, |ui| {
-                        for entry in &self.entries {
+                        for entry in &state.entries {
                             ui.label(&entry.label);
-                            let text = if waiting == entry.label {
+                            let text = if *waiting == entry.label {
                                 "press a key…".to_owned()
                             } else {
                                 entry.key.as_ref().map_or_else(|| "–".into(), action::key_text)
@@ -164,16 +160,14 @@ impl Workstation {
                             let button = ui.add(egui::Button::new(text).min_size(vec2(110.0, 20.0)));
                             button.widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::Button, true, format!("Key of {}", entry.label)));
                             if button.clicked() {
-                                waiting = entry.label.clone();
+                                waiting.clone_from(&entry.label);
                             }
                             ui.end_row();
                         }
                     });
                 });
             });
-        if open {
-            self.keys_open = Some(waiting);
-        }
+        (requests, open)
     }
 }
 

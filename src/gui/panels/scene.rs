@@ -7,15 +7,9 @@ use crate::gui::state::document::{Document, Selection};
 use crate::gui::state::layout::Panel;
 use crate::gui::state::panels::ScenePanel;
 use crate::gui::state::request::{Request, Requests};
-use crate::gui::state::tool::{symbol, words};
-use crate::scene::Deformation;
+use crate::gui::state::tool::symbol;
 use eframe::egui::{self, Align, Layout, RichText, Sense, Ui, WidgetInfo, WidgetType, vec2};
 use egui_phosphor::regular as icon;
-
-/// A deformation's name in the tree.
-pub fn title_of(d: &Deformation) -> String {
-    d.name.clone().filter(|n| !n.is_empty()).unwrap_or_else(|| words(&d.kind))
-}
 
 /// The index of a dragged deformation.
 #[derive(Clone, Copy)]
@@ -117,7 +111,7 @@ fn show_deformations(ui: &mut Ui, doc: &Document, requests: &mut Requests) {
 /// A deformation's row with its buttons.
 fn deformation_row(ui: &mut Ui, doc: &Document, n: usize, requests: &mut Requests) -> egui::Response {
     let d = &doc.scene.deformation[n];
-    let title = title_of(d);
+    let title = Document::title_of(d);
     let shown = d.enabled && doc.solo.is_none_or(|s| s == n);
     let mut text = RichText::new(format!("{} {} {title}", n + 1, symbol(&d.kind)));
     if !shown {

@@ -9,6 +9,12 @@ use eframe::egui::{Rect, TextureHandle};
 use std::sync::Arc;
 use std::time::Instant;
 
+/// Pictures are requested after this time without a change, seconds.
+pub const REST: f64 = 0.2;
+
+/// Amplification of the displayed difference.
+pub const AMPLIFY: f32 = 8.0;
+
 /// One side of the comparison.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ComparisonSide {

@@ -1,5 +1,6 @@
 //! The open scene, its loaded assets, and edits of it.
 
+use super::tool::words;
 use crate::deform::kinds::brush::Stroke;
 use crate::deform::{Argument, Arguments};
 use crate::math::Bounds;
@@ -45,6 +46,21 @@ pub struct Document {
 }
 
 impl Document {
+    /// A deformation's name in the tree.
+    pub fn title_of(d: &Deformation) -> String {
+        d.name.clone().filter(|n| !n.is_empty()).unwrap_or_else(|| words(&d.kind))
+    }
+
+    /// Resamples the volume's slices onto a regular grid; earlier measurements may then refer to other anatomy.
+    pub fn resample(&mut self) {
+        let Some(volume) = &mut self.scene.volume else { return };
+        volume.choice.resample = true;
+        for measure in &mut self.scene.measure {
+            // A measurement without points is recomputed from the voxels.
+            measure.before_resampling = !measure.points.is_empty();
+        }
+    }
+
     /// A document for a scene that was just loaded.
     pub fn new(scene: Scene, path: Option<PathBuf>, name: String, assets: Arc<Assets>) -> Self {
         let loaded = AssetKey::of(&scene);

@@ -20,14 +20,14 @@ pub mod tool;
 pub mod view;
 pub mod worker;
 
-use self::action::ActionEntry;
+use self::action::{Action, ActionEntry};
 use self::comparison::ComparePanel;
 use self::document::{Document, Selection};
 use self::files::{Dialog, Files, Loading};
 use self::history::{CameraHistory, History};
 use self::layout::{LayoutPreset, Panel};
 use self::log::Log;
-use self::panels::{Brush, Inspector, MapEditor, MeasurePanel, Palette, ScenePanel, Thumbnails, TransferPanel};
+use self::panels::{Brush, Inspector, KeyList, MapEditor, MeasurePanel, Palette, ScenePanel, Thumbnails, TransferPanel};
 use self::session::Session;
 use self::slice_paint::Regions;
 use self::slices::Slices;
@@ -185,7 +185,7 @@ pub struct Workstation {
     pub dialog: Option<Dialog>,
     pub(in crate::gui) files: Files,
     pub(in crate::gui) palette: Option<Palette>,
-    pub(in crate::gui) keys_open: Option<String>,
+    pub(in crate::gui) key_list: Option<KeyList>,
     /// All actions, with the user's keys.
     pub entries: Vec<ActionEntry>,
     pub(in crate::gui) before: bool,
@@ -233,6 +233,31 @@ impl Workstation {
     pub fn select(&mut self, selection: Selection) {
         if let Some(doc) = &mut self.doc {
             doc.selected = selection;
+        }
+    }
+
+    /// The selected backend.
+    pub fn backend(&self) -> Backend {
+        self.forced_backend.unwrap_or(self.session.settings.backend)
+    }
+
+    /// The name of the selection.
+    pub fn selection_words(&self) -> String {
+        let Some(doc) = &self.doc else { return String::new() };
+        match doc.selected {
+            Selection::Nothing => "Picture".into(),
+            Selection::Volume => "Volume".into(),
+            Selection::Mesh(n) => doc.scene.mesh.get(n).and_then(|m| m.name.clone().or_else(|| m.path.clone())).unwrap_or_else(|| "Surface".into()),
+            Selection::Deformation(n) => doc.scene.deformation.get(n).map(Document::title_of).unwrap_or_default(),
+            Selection::Measure(n) => doc.scene.measure.get(n).and_then(|m| m.name.clone()).unwrap_or_else(|| "Measurement".into()),
+        }
+    }
+
+    pub(in crate::gui) fn tip(&self, action: Action, about: &str) -> String {
+        let key = self.entries.iter().find(|e| e.action == action).and_then(|e| e.key.as_ref());
+        match key {
+            Some(key) => format!("{about} ({})", action::key_text(key)),
+            None => about.to_owned(),
         }
     }
 }

@@ -101,6 +101,13 @@ pub enum Gallery {
     Kinds,
 }
 
+/// State of the list of keys.
+#[derive(Default)]
+pub struct KeyList {
+    /// Label of the action that waits for its new key; empty if none does.
+    pub waiting: String,
+}
+
 /// Thumbnails of presets and kinds.
 #[derive(Default)]
 pub struct Thumbnails {

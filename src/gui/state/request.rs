@@ -1,12 +1,17 @@
 //! What panels and views ask of the application. They read the state and change none of it; the application carries out what they ask when they
 //! have been drawn.
 
+use super::Gesture;
 use super::action::Action;
 use super::document::{Document, Selection};
 use super::layout::Panel;
 use super::panels::{Brush, Gallery};
 use super::slice_paint::Overlay;
+use super::slices::Space;
+use super::tool::Tool;
 use crate::Error;
+use crate::engine::Backend;
+use eframe::egui::{KeyboardShortcut, Rect, Vec2};
 use std::path::PathBuf;
 
 /// One of the things that can be asked for.
@@ -23,6 +28,39 @@ pub enum Request {
     Change(Box<dyn FnOnce(&mut Document)>),
     /// To put tools away and navigate.
     Navigate,
+    /// To arm a tool, even if it is armed already.
+    Arm(Tool),
+    /// To open a file or a folder.
+    Open(PathBuf),
+    /// To open a file that comes with the program.
+    OpenBundled(&'static str),
+    /// To stop loading.
+    CancelLoading,
+    /// To stop a task, by its place in the list.
+    CancelTask(usize),
+    /// Another backend.
+    SetBackend(Backend),
+    /// Whether slices show the deformed or the source anatomy.
+    SetSpace(Space),
+    /// To delete the messages.
+    ClearLog,
+    /// Another key for the action of a label.
+    SetKey(String, KeyboardShortcut),
+    /// The default keys.
+    ResetKeys,
+    /// The mouse as in Blender, or as in 3D Slicer.
+    SetMouse {
+        /// Which.
+        blender: bool,
+    },
+    /// The drag that is under way.
+    SetGesture(Option<Gesture>),
+    /// To turn the camera, points.
+    Orbit(Vec2),
+    /// To move the camera across a view, points.
+    Pan(Vec2, Rect),
+    /// To zoom by a factor.
+    Zoom(f32),
     /// Another brush.
     SetBrush(Brush),
     /// What is drawn over the slices.
