@@ -523,7 +523,6 @@ impl Workstation {
                     change(doc);
                 }
             }
-            Request::Navigate => self.tool = Tool::Navigate,
             Request::Arm(tool) => self.arm(tool),
             Request::Open(path) => self.open(ctx, &path),
             Request::OpenBundled(name) => self.open_bundled(ctx, name),
@@ -533,6 +532,20 @@ impl Workstation {
             Request::SetSpace(space) => self.slices.space = space,
             Request::ClearLog => self.log.clear(),
             Request::SetGesture(gesture) => self.gesture = gesture,
+            Request::SetTool(tool) => self.tool = tool,
+            Request::SetHover(hover) => self.hover = hover,
+            Request::Probe(at, purpose) => self.ask(at, purpose),
+            Request::Slice(pane, plane, style) => self.request_slice(pane, plane, style),
+            Request::ClickSlice { at, n, source } => self.click_slice(at, n, source),
+            Request::BeginStroke => self.begin_stroke(),
+            Request::ExtendStroke(at) => self.extend_stroke(at),
+            Request::EndStroke => self.end_stroke(),
+            Request::FinishLasso => self.finish_lasso(),
+            Request::DragWindow(by) => self.drag_window(by.x, by.y),
+            Request::DragTransfer(by) => self.drag_transfer(by.x, by.y),
+            Request::Escape => self.escape(),
+            Request::LookFrom(view) => self.look_from(view),
+            Request::Roll(degrees) => self.roll(degrees),
             Request::Orbit(by) => self.orbit(by.x, by.y),
             Request::Pan(by, view) => self.pan(by.x, by.y, view),
             Request::Zoom(factor) => self.zoom(factor),
@@ -617,10 +630,10 @@ impl TabViewer for Tabs<'_> {
 
     fn ui(&mut self, ui: &mut Ui, tab: &mut Panel) {
         match tab {
-            Panel::View3d => self.app.show_view3d(ui),
-            Panel::Axial => self.app.show_slice(ui, 0),
-            Panel::Coronal => self.app.show_slice(ui, 1),
-            Panel::Sagittal => self.app.show_slice(ui, 2),
+            Panel::View3d => self.app.draw(ui, |app| &mut app.view, View3d::ui),
+            Panel::Axial => self.app.draw(ui, |app| &mut app.slices, |slices, state, ui| slices.ui(state, ui, 0)),
+            Panel::Coronal => self.app.draw(ui, |app| &mut app.slices, |slices, state, ui| slices.ui(state, ui, 1)),
+            Panel::Sagittal => self.app.draw(ui, |app| &mut app.slices, |slices, state, ui| slices.ui(state, ui, 2)),
             Panel::Compare => self.app.draw(ui, |app| &mut app.compare, |panel, _, ui| panel.ui(ui)),
             side => {
                 let side = *side;

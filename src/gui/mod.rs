@@ -15,12 +15,14 @@
 //! `text` the formatting of words and numbers.
 
 pub mod app;
+mod camera;
 mod comparison;
 mod edit;
 mod exports;
 pub mod files;
 pub mod gizmos;
 pub mod panels;
+mod pictures;
 pub mod projector;
 pub mod state;
 pub mod tasks;

@@ -97,7 +97,7 @@ fn add_control_points(requests: &mut Requests) {
         d.parameters.insert("pairs", Argument::Numbers([c, c].concat()));
         doc.add(d);
     });
-    requests.0.push(Request::Navigate);
+    requests.0.push(Request::SetTool(Tool::Navigate));
 }
 
 /// The saved maps, each to be used or removed.

@@ -1,17 +1,20 @@
 //! What panels and views ask of the application. They read the state and change none of it; the application carries out what they ask when they
 //! have been drawn.
 
-use super::Gesture;
 use super::action::Action;
 use super::document::{Document, Selection};
 use super::layout::Panel;
 use super::panels::{Brush, Gallery};
-use super::slice_paint::Overlay;
+use super::slice_paint::{Overlay, SliceStyle};
 use super::slices::Space;
 use super::tool::Tool;
+use super::worker::ProbePurpose;
+use super::{Gesture, Hover};
 use crate::Error;
+use crate::cpu::section::SectionPlane;
 use crate::engine::Backend;
 use eframe::egui::{KeyboardShortcut, Rect, Vec2};
+use glam::Vec3;
 use std::path::PathBuf;
 
 /// One of the things that can be asked for.
@@ -26,8 +29,6 @@ pub enum Request {
     Show(Panel),
     /// A change of the open scene.
     Change(Box<dyn FnOnce(&mut Document)>),
-    /// To put tools away and navigate.
-    Navigate,
     /// To arm a tool, even if it is armed already.
     Arm(Tool),
     /// To open a file or a folder.
@@ -55,6 +56,41 @@ pub enum Request {
     },
     /// The drag that is under way.
     SetGesture(Option<Gesture>),
+    /// Another tool, without more.
+    SetTool(Tool),
+    /// What is under the pointer.
+    SetHover(Option<Hover>),
+    /// What lies under a position of the 3D view.
+    Probe([f32; 2], ProbePurpose),
+    /// A picture for a pane of the slices, unless it is there.
+    Slice(usize, SectionPlane, SliceStyle),
+    /// A click into a slice.
+    ClickSlice {
+        /// Where, mm.
+        at: Vec3,
+        /// Which of the three views.
+        n: usize,
+        /// It shows the source.
+        source: bool,
+    },
+    /// The beginning of a brush stroke.
+    BeginStroke,
+    /// A point of the stroke, mm.
+    ExtendStroke(Vec3),
+    /// The end of the stroke.
+    EndStroke,
+    /// The end of a lasso's outline.
+    FinishLasso,
+    /// A change of the slices' window and level, points.
+    DragWindow(Vec2),
+    /// A change of the transfer function's window and level, points.
+    DragTransfer(Vec2),
+    /// To interrupt what is under way.
+    Escape,
+    /// A named direction of view.
+    LookFrom(&'static str),
+    /// To roll the camera, degrees.
+    Roll(f32),
     /// To turn the camera, points.
     Orbit(Vec2),
     /// To move the camera across a view, points.
@@ -83,6 +119,11 @@ impl Requests {
     /// Asks for an action.
     pub fn perform(&mut self, action: Action) {
         self.0.push(Request::Perform(action));
+    }
+
+    /// Asks what lies under a position of the 3D view.
+    pub fn ask(&mut self, at: [f32; 2], purpose: ProbePurpose) {
+        self.0.push(Request::Probe(at, purpose));
     }
 
     /// Asks for a change of the open scene.

@@ -1,5 +1,6 @@
 //! The slice views.
 
+use super::document::Document;
 use super::shown::OutdatedNotice;
 use super::slice_paint::{Overlay, SliceStyle};
 use super::worker::SlicePicture;
@@ -9,6 +10,12 @@ use crate::scene::Scene;
 use eframe::egui::{self, Rect};
 use glam::Vec3;
 use std::sync::Arc;
+
+/// Wheel movement for one slice, points.
+const NOTCH: f32 = 40.0;
+/// Names, rightward and downward directions: patient left on the right, by radiological convention.
+pub const ORIENTATIONS: [(&str, Vec3, Vec3); 3] =
+    [("Axial", Vec3::X, Vec3::Y), ("Coronal", Vec3::X, Vec3::NEG_Z), ("Sagittal", Vec3::Y, Vec3::NEG_Z)];
 
 /// The space that slices show.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -100,6 +107,25 @@ impl Default for Slices {
 }
 
 impl Slices {
+    /// Scrolls through the slices of a view.
+    pub(in crate::gui) fn scroll(&mut self, doc: &Document, n: usize, scroll: f32) {
+        let (_, right, down) = ORIENTATIONS[n];
+        let normal = right.cross(down).abs();
+        // The slice spacing along the volume axis closest to this direction.
+        let (directions, spacing) = (doc.assets.volume.direction(), doc.assets.volume.spacing_mm());
+        let along = |a: usize| directions.col(a).as_vec3().dot(normal).abs();
+        let axis = (0..3).max_by(|a, b| along(*a).total_cmp(&along(*b))).unwrap_or(2);
+        let step = spacing[axis] as f32;
+        // One notch of the wheel arrives as many small events.
+        self.wheel += scroll;
+        let steps = (self.wheel / NOTCH).trunc();
+        self.wheel -= steps * NOTCH;
+        let bounds = doc.bounds();
+        if let Some(cursor) = &mut self.cursor {
+            *cursor = (*cursor + normal * steps * step).clamp(bounds.min, bounds.max);
+        }
+    }
+
     /// Resets the state for another scene.
     pub fn forget(&mut self) {
         *self = Self { overlay: self.overlay, space: self.space, ..Self::default() };

@@ -89,6 +89,11 @@ impl Default for View3d {
 }
 
 impl View3d {
+    /// The projector for the displayed picture's camera.
+    pub fn projector(&self) -> Option<Projector> {
+        Some(self.picture()?.projector(self.rect, self.size()))
+    }
+
     /// Discards the requests, so that pictures are requested again.
     pub fn forget(&mut self) {
         self.requested = None;
