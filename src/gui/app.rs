@@ -561,7 +561,7 @@ impl Workstation {
             Request::MakeThumbnails(Gallery::Kinds) => self.thumbnails.shows_kinds = true,
             Request::ChooseLabelMap => self.choose_label_map(),
             Request::UseMap(path) => self.use_map(ctx, &path),
-            Request::Report(error) => self.report_error(&error),
+            Request::RemoveMap(path) => self.remove_map(&path),
         }
     }
 

@@ -6,11 +6,12 @@ use super::state::document::Document;
 use super::state::files::*;
 use super::state::log::LogLevel;
 use super::state::session::Recovered;
+use super::state::tool::tidy;
 use crate::export::protect;
 use crate::files::OutputFile;
 use crate::files::path_text::text_of;
 use crate::prepare::{AssetKey, Assets, LoadOptions, Prepared};
-use crate::scene::{Mode, Scene, VolumeSource};
+use crate::scene::{Deformation, Mode, Scene, Size, VolumeSource};
 use crate::volume::load::ReadOptions;
 use crate::{Error, mesh};
 use eframe::egui::Context;
@@ -288,6 +289,42 @@ impl Workstation {
         let mut field = crate::scene::Deformation::new("field");
         field.parameters.insert("path", text_of(path).as_str());
         doc.add(field);
+    }
+
+    /// Adds a map from the library, centred and rescaled if its placement does not suit this scene.
+    pub fn use_map(&mut self, ctx: &Context, path: &Path) {
+        let path = path.to_owned();
+        self.start(ctx, "Reading a map", move |watch| {
+            let image = crate::volume::load::image(&path, &Default::default(), watch)?;
+            let placement =
+                crate::deform::compose::placement_of(&crate::volume::GridGeometry { size: image.size, world_from_voxel: image.world_from_voxel })?;
+            Ok(Box::new(move |app: &mut Workstation, _: &Context| {
+                let Some(doc) = &mut app.doc else { return };
+                let bounds = doc.bounds();
+                let mut d = Deformation::new("map");
+                d.name = path.file_stem().map(|s| s.to_string_lossy().into_owned());
+                d.parameters.insert("path", text_of(&path).as_str());
+                // A map whose centre lies in the scene and whose size is comparable keeps its
+                // placement; otherwise it is centred and scaled to fit.
+                let own = placement.world_from_map.transform_point3(glam::Vec3::splat(0.5));
+                let inside = own.cmpge(bounds.min).all() && own.cmple(bounds.max).all();
+                let size = placement.size_mm();
+                let ratio = size.max_element() / bounds.size().max_element().max(1e-3);
+                if !inside || !(0.2..=2.5).contains(&ratio) {
+                    d.center = Some(tidy(bounds.center()));
+                    d.size = Some(Size::Box(tidy(size / size.max_element() * bounds.size().max_element())));
+                }
+                doc.add(d);
+            }))
+        });
+    }
+
+    /// Takes a map out of the library. A scene may still refer to it, so its file is renamed rather
+    /// than deleted.
+    pub(super) fn remove_map(&mut self, path: &Path) {
+        if let Err(e) = std::fs::rename(path, path.with_extension("nrrd.removed")) {
+            self.report_error(&Error::io(path, "removing", e));
+        }
     }
 
     /// Closes the file dialog.

@@ -2,18 +2,16 @@
 //! library and reuse (future work in \[DDM06\] section 9).
 
 use super::{heading, tool_button};
-use crate::deform::{Argument, compose};
-use crate::files::path_text::text_of;
+use crate::deform::Argument;
 use crate::gui::state::Workstation;
 use crate::gui::state::action::Action;
 use crate::gui::state::panels::MapEditor;
 use crate::gui::state::request::{Request, Requests};
 use crate::gui::state::slice_paint::Overlay;
 use crate::gui::state::tool::{Placed, Tool, symbol, tidy, words};
-use crate::scene::{Deformation, Size};
-use eframe::egui::{self, Context, RichText, Slider, Ui};
+use crate::scene::Deformation;
+use eframe::egui::{self, RichText, Slider, Ui};
 use egui_phosphor::regular as icon;
-use std::path::Path;
 
 impl MapEditor {
     /// Draws the panel.
@@ -106,7 +104,6 @@ fn show_library(ui: &mut Ui, state: &Workstation, requests: &mut Requests) {
     if maps.is_empty() {
         ui.label(RichText::new("No saved maps yet. A saved map can be used on any volume.").weak());
     }
-    let mut remove = None;
     for path in &maps {
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         ui.horizontal(|ui| {
@@ -114,44 +111,8 @@ fn show_library(ui: &mut Ui, state: &Workstation, requests: &mut Requests) {
                 requests.0.push(Request::UseMap(path.clone()));
             }
             if super::icon_button(ui, icon::TRASH, &format!("Remove {name} from the library")).clicked() {
-                remove = Some(path.clone());
+                requests.0.push(Request::RemoveMap(path.clone()));
             }
-        });
-    }
-    if let Some(path) = remove {
-        // A scene may still refer to it, so it is renamed rather than deleted.
-        let aside = path.with_extension("nrrd.removed");
-        if let Err(e) = std::fs::rename(&path, &aside) {
-            requests.0.push(Request::Report(crate::Error::io(&path, "removing", e)));
-        }
-    }
-}
-
-impl Workstation {
-    /// Adds a map from the library, centred and rescaled if its placement does not suit this scene.
-    pub fn use_map(&mut self, ctx: &Context, path: &Path) {
-        let path = path.to_owned();
-        self.start(ctx, "Reading a map", move |watch| {
-            let image = crate::volume::load::image(&path, &Default::default(), watch)?;
-            let placement = compose::placement_of(&crate::volume::GridGeometry { size: image.size, world_from_voxel: image.world_from_voxel })?;
-            Ok(Box::new(move |app: &mut Workstation, _: &Context| {
-                let Some(doc) = &mut app.doc else { return };
-                let bounds = doc.bounds();
-                let mut d = Deformation::new("map");
-                d.name = path.file_stem().map(|s| s.to_string_lossy().into_owned());
-                d.parameters.insert("path", text_of(&path).as_str());
-                // A map whose centre lies in the scene and whose size is comparable keeps its
-                // placement; otherwise it is centred and scaled to fit.
-                let own = placement.world_from_map.transform_point3(glam::Vec3::splat(0.5));
-                let inside = own.cmpge(bounds.min).all() && own.cmple(bounds.max).all();
-                let size = placement.size_mm();
-                let ratio = size.max_element() / bounds.size().max_element().max(1e-3);
-                if !inside || !(0.2..=2.5).contains(&ratio) {
-                    d.center = Some(tidy(bounds.center()));
-                    d.size = Some(Size::Box(tidy(size / size.max_element() * bounds.size().max_element())));
-                }
-                doc.add(d);
-            }))
         });
     }
 }

@@ -10,7 +10,6 @@ use super::slices::Space;
 use super::tool::Tool;
 use super::worker::ProbePurpose;
 use super::{Gesture, Hover};
-use crate::Error;
 use crate::cpu::section::SectionPlane;
 use crate::engine::Backend;
 use eframe::egui::{KeyboardShortcut, Rect, Vec2};
@@ -107,8 +106,8 @@ pub enum Request {
     ChooseLabelMap,
     /// A map of the library, for this scene.
     UseMap(PathBuf),
-    /// To report an error.
-    Report(Error),
+    /// To take a map out of the library.
+    RemoveMap(PathBuf),
 }
 
 /// What one panel asked for while it was drawn, in order.
