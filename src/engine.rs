@@ -171,7 +171,7 @@ impl Engine {
     /// A hardware GPU if there is one, else the CPU.
     pub fn auto() -> Self {
         let mut engine = Self::closed(EngineOptions::default());
-        engine.fallback = engine.open_gpu().err();
+        engine.fallback = pollster::block_on(engine.open_gpu()).err();
         engine
     }
 
@@ -185,8 +185,17 @@ impl Engine {
     /// # Errors
     /// [`Error::Gpu`] if a GPU is required (`strict`) and no suitable one exists.
     pub fn open(options: EngineOptions) -> Result<Self> {
+        pollster::block_on(Self::open_async(options))
+    }
+
+    /// As [`Self::open`], without blocking the thread while the driver answers. Rendering blocks
+    /// until the picture has been read back.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub async fn open_async(options: EngineOptions) -> Result<Self> {
         let mut engine = Self::closed(options);
-        match engine.open_gpu() {
+        match engine.open_gpu().await {
             Err(error) if options.strict => return Err(error),
             opened => engine.fallback = opened.err(),
         }
@@ -322,14 +331,16 @@ fn gpu_info(renderer: &Renderer) -> DeviceInfo {
 
 #[cfg(feature = "gpu")]
 impl Engine {
-    fn open_gpu(&mut self) -> Result<()> {
+    async fn open_gpu(&mut self) -> Result<()> {
         use crate::gpu::{AdapterPreference, Device};
         let want = match self.options.backend {
             Backend::Cpu => return Ok(()),
             Backend::Auto => AdapterPreference::Hardware,
             Backend::Gpu => AdapterPreference::Any,
         };
-        let device = self.setup.time("gpu setup", || Device::open(want))?;
+        let start = std::time::Instant::now();
+        let device = Device::open_async(want).await?;
+        self.setup.0.push(("gpu setup", start.elapsed().as_secs_f64() * 1e3));
         let mut renderer = Renderer::new(device);
         renderer.time_passes(self.options.time_passes);
         self.gpu = Some(renderer);
@@ -341,7 +352,7 @@ impl Engine {
     pub fn lose_device(&mut self) {
         match &self.gpu {
             Some(renderer) => renderer.device().device.destroy(),
-            None => self.fallback = self.open_gpu().err(),
+            None => self.fallback = pollster::block_on(self.open_gpu()).err(),
         }
     }
 
@@ -367,7 +378,7 @@ impl Engine {
                 }
                 Err(Error::Gpu(problem)) if !self.options.strict => {
                     self.gpu = None;
-                    let outcome = match reopen.then(|| self.open_gpu()) {
+                    let outcome = match reopen.then(|| pollster::block_on(self.open_gpu())) {
                         Some(Ok(())) => "incise reconnected",
                         _ => "pictures are now rendered on the CPU",
                     };
@@ -387,7 +398,7 @@ impl Engine {
 
 #[cfg(not(feature = "gpu"))]
 impl Engine {
-    fn open_gpu(&mut self) -> Result<()> {
+    async fn open_gpu(&mut self) -> Result<()> {
         match self.options.backend {
             Backend::Gpu => Err(Error::Gpu("this build has no GPU renderer; use --backend cpu, or build with the feature `gpu`".into())),
             Backend::Auto | Backend::Cpu => Ok(()),

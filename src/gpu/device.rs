@@ -40,12 +40,20 @@ impl Device {
     /// # Errors
     /// No such adapter, or one that cannot be opened.
     pub fn open(preference: AdapterPreference) -> Result<Self> {
-        let mut adapters = usable_adapters(wgpu::Backends::all() - wgpu::Backends::GL);
+        pollster::block_on(Self::open_async(preference))
+    }
+
+    /// As [`Self::open`], without blocking the thread, which a browser does not allow.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub async fn open_async(preference: AdapterPreference) -> Result<Self> {
+        let mut adapters = usable_adapters(wgpu::Backends::all() - wgpu::Backends::GL).await;
         let is_hardware = |a: &wgpu::Adapter| a.get_info().device_type != DeviceType::Cpu;
         // OpenGL's drivers look for a display and write to standard error where there is none: they
         // are tried last.
         if !adapters.iter().any(is_hardware) && (adapters.is_empty() || has_display()) {
-            adapters.extend(usable_adapters(wgpu::Backends::GL));
+            adapters.extend(usable_adapters(wgpu::Backends::GL).await);
         }
         adapters.retain(|a| preference == AdapterPreference::Any || is_hardware(a));
         adapters.sort_by_key(|a| {
@@ -73,8 +81,7 @@ impl Device {
             required_limits: adapter.limits(),
             ..Default::default()
         };
-        let (device, queue) =
-            pollster::block_on(adapter.request_device(&descriptor)).map_err(|e| Error::Gpu(format!("{}: {e}", adapter.get_info().name)))?;
+        let (device, queue) = adapter.request_device(&descriptor).await.map_err(|e| Error::Gpu(format!("{}: {e}", adapter.get_info().name)))?;
         let lost = Arc::new(AtomicBool::new(false));
         let lost_flag = lost.clone();
         device.set_device_lost_callback(move |_, _| lost_flag.store(true, Ordering::Relaxed));
@@ -116,7 +123,7 @@ impl Device {
 }
 
 /// The adapters of some backends that meet the renderers' requirements.
-fn usable_adapters(backends: wgpu::Backends) -> Vec<wgpu::Adapter> {
+async fn usable_adapters(backends: wgpu::Backends) -> Vec<wgpu::Adapter> {
     let descriptor = wgpu::InstanceDescriptor::new_without_display_handle_from_env();
     // The backends selected in the environment (WGPU_BACKEND), out of these.
     let backends = descriptor.backends & backends;
@@ -124,7 +131,7 @@ fn usable_adapters(backends: wgpu::Backends) -> Vec<wgpu::Adapter> {
         return Vec::new();
     }
     let instance = wgpu::Instance::new(wgpu::InstanceDescriptor { backends, ..descriptor });
-    let mut adapters = pollster::block_on(instance.enumerate_adapters(backends));
+    let mut adapters = instance.enumerate_adapters(backends).await;
     adapters.retain(|a| a.get_downlevel_capabilities().flags.contains(wgpu::DownlevelFlags::FRAGMENT_WRITABLE_STORAGE));
     // Surfaces write their distances to such a texture.
     let draws = |a: &wgpu::Adapter, format| a.get_texture_format_features(format).allowed_usages.contains(wgpu::TextureUsages::RENDER_ATTACHMENT);

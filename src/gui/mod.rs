@@ -7,12 +7,14 @@
 //! ([`history`](state::history)). Automatic saves for recovery after a crash are written every
 //! minute and before risky steps ([`session`](state::session)).
 //!
-//! *Modules*: [`state`] holds the state of the window; it depends on no panel and no view, which
-//! extend its [`Workstation`]. [`app`] starts it and draws each frame. [`action`](state::action)
-//! lists all actions, `edit` carries them out. [`views`] are the pictures, [`gizmos`] the handles
-//! on them, [`panels`] everything else; [`projector`] maps points to the screen. [`files`] opens
-//! and saves. `exports` exports, in the background ([`tasks`]). [`theme`] defines the appearance,
-//! `text` the formatting of words and numbers.
+//! *Modules*: [`state`] holds the state of the window ([`Workstation`](state::Workstation)); it
+//! depends on no panel and no view. [`app`] starts it and draws each frame. [`views`] are the
+//! pictures, [`gizmos`] the handles on them, [`panels`] everything else: they read the state and
+//! return requests ([`request`](state::request)), which `requests` carries out.
+//! [`action`](state::action) lists all actions, `edit` performs them; `camera` moves the camera,
+//! `pictures` asks the worker for pictures and values, [`files`] opens and saves, `exports` exports
+//! in the background ([`tasks`]). [`projector`] maps points to the screen, [`theme`] defines the
+//! appearance, `text` the formatting of words and numbers.
 
 pub mod app;
 mod camera;
@@ -24,6 +26,7 @@ pub mod gizmos;
 pub mod panels;
 mod pictures;
 pub mod projector;
+mod requests;
 pub mod state;
 pub mod tasks;
 mod text;

@@ -1,5 +1,5 @@
-//! What panels and views ask of the application. They read the state and change none of it; the application carries out what they ask when they
-//! have been drawn.
+//! What panels and views ask of the application. They read the state and change none of it; the
+//! application carries out what they asked for once they are drawn.
 
 use super::action::Action;
 use super::document::{Document, Selection};
