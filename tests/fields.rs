@@ -7,7 +7,6 @@ use crate::contract::points;
 use crate::metrics::difference;
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 use incise::Watch;
-use incise::deform::compose::{self, Resolution};
 use incise::deform::transform::{Transform, TransformContext, TransformStep, VectorField};
 use incise::deform::{Arguments, Stack, StackAndCuts, Storage, invert};
 use incise::export::bake::{self, Interpolation};
@@ -17,6 +16,10 @@ use incise::scene::{Deformation, Scene};
 use incise::volume::save::{self, Content, Format};
 use incise::volume::{GridGeometry, Rescale, Volume, load};
 use std::path::{Path, PathBuf};
+
+mod stacks;
+
+pub use stacks::*;
 
 fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/itk").join(name)
@@ -201,6 +204,27 @@ pub fn vectors_turn_with_their_axes() {
     assert!(message.contains("convention"), "{message}");
 }
 
+/// A grid with its axes in another order and some of them flipped, and for each of its voxels the
+/// corresponding one of the grid.
+fn permuted(grid: &GridGeometry, order: [usize; 3], flips: usize) -> (GridGeometry, impl Fn(usize) -> DVec3 + use<>) {
+    let size = order.map(|a| grid.size[a]);
+    let flipped = |a: usize| flips >> a & 1 == 1;
+    let mut m = DMat3::ZERO;
+    let mut first = DVec3::ZERO;
+    for (a, &o) in order.iter().enumerate() {
+        *m.col_mut(a) = DVec3::AXES[o] * if flipped(a) { -1.0 } else { 1.0 };
+        if flipped(a) {
+            first[o] = (grid.size[o] - 1) as f64;
+        }
+    }
+    let grid_from_permuted = DAffine3 { matrix3: m, translation: first };
+    let at = move |n: usize| {
+        let c = DVec3::new((n % size[0]) as f64, (n / size[0] % size[1]) as f64, (n / size[0] / size[1]) as f64);
+        grid_from_permuted.transform_point3(c).round()
+    };
+    (GridGeometry { size, world_from_voxel: grid.world_from_voxel * grid_from_permuted }, at)
+}
+
 /// Volume and field stored in each of the 48 orders and directions of their axes: the same world
 /// values, the same picture.
 pub fn all_orientations_agree() {
@@ -211,36 +235,17 @@ pub fn all_orientations_agree() {
     };
     let folder = tempfile::tempdir().unwrap();
     let orders = [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]];
-    // The permuted grid, and for each of its voxels the corresponding one of the base.
-    let turned = |grid: &GridGeometry, order: [usize; 3], flips: usize| {
-        let size = order.map(|a| grid.size[a]);
-        let flipped = |a: usize| flips >> a & 1 == 1;
-        let mut m = DMat3::ZERO;
-        let mut first = DVec3::ZERO;
-        for (a, &o) in order.iter().enumerate() {
-            *m.col_mut(a) = DVec3::AXES[o] * if flipped(a) { -1.0 } else { 1.0 };
-            if flipped(a) {
-                first[o] = (grid.size[o] - 1) as f64;
-            }
-        }
-        let base_from_turned = DAffine3 { matrix3: m, translation: first };
-        let at = move |n: usize| {
-            let c = DVec3::new((n % size[0]) as f64, (n / size[0] % size[1]) as f64, (n / size[0] / size[1]) as f64);
-            base_from_turned.transform_point3(c).round()
-        };
-        (GridGeometry { size, world_from_voxel: grid.world_from_voxel * base_from_turned }, at)
-    };
     let index = |size: [usize; 3], c: DVec3| (c.z as usize * size[1] + c.y as usize) * size[0] + c.x as usize;
     let mut reference: Option<(Vec<f64>, incise::picture::Picture)> = None;
     let (mut worst_value, mut worst_picture) = (0.0f64, 0.0f64);
     for order in orders {
         for flips in 0..8 {
-            let (grid, at) = turned(&base.geometry(), order, flips);
+            let (grid, at) = permuted(&base.geometry(), order, flips);
             let values: Vec<f32> = (0..base.voxels.len()).map(|n| base.voxels.get(index(base.size, at(n))) as f32).collect();
             let content = Content::Scalar(load::ScalarType::F32, Rescale::NONE);
             let volume = folder.path().join("volume.nii");
             std::fs::write(&volume, save::encode(Format::Nifti, &grid, content, &values).unwrap()).unwrap();
-            let (field_grid, field_at) = turned(&warp.grid, order, 7 - flips);
+            let (field_grid, field_at) = permuted(&warp.grid, order, 7 - flips);
             let vectors: Vec<f32> =
                 (0..warp.vectors.len()).flat_map(|n| incise::math::flat(&warp.vectors)[index(warp.grid.size, field_at(n))].to_array()).collect();
             let (name, format) = [("field.nii", Format::Nifti), ("field.nrrd", Format::Nrrd), ("field.mha", Format::Mha)][flips % 3];
@@ -286,60 +291,6 @@ pub fn live_is_the_baked_picture() {
         println!("live against baked ({interpolation:?}): PSNR {:.1} dB, mean {:.3}/255", d.psnr, d.mean * 255.0);
         assert!(d.psnr >= least, "{interpolation:?}: {d:?}");
     }
-}
-
-/// With a bound, one map replaces eleven, and the picture is the same.
-pub fn long_stacks_are_composed() {
-    let mut scene = Scene::of_volume("phantom:tomato:size=96");
-    scene.render.size = [160, 160];
-    scene.camera.view = "30,30".parse().unwrap();
-    for n in 0..11 {
-        let mut d = Deformation::new(["wave", "twist", "bulge", "spline-pull", "planar-wave"][n % 5]);
-        d.progress = Some(0.25);
-        d.rotate = Some([15.0 * n as f32, 25.0, 5.0 * n as f32]);
-        scene.deformation.push(d);
-    }
-    let assets = assets(&scene);
-    let all = Prepared::new(&scene, &assets).unwrap();
-    assert_eq!(all.stack.maps().len(), 11);
-    assert!(all.composition.is_none());
-    scene.render.precompose = Some(0.3);
-    let composed = Prepared::new(&scene, &assets).unwrap();
-    let c = composed.composition.unwrap();
-    let d = difference(&picture(&composed), &picture(&all)).unwrap();
-    println!("11 maps: {c:?}; mean {:.3}/255, PSNR {:.1} dB", d.mean * 255.0, d.psnr);
-    assert!(c.composed && c.worst_mm <= 0.3 && composed.stack.precomposed().is_some(), "{c:?}");
-    assert!(d.mean < 0.5 / 255.0, "{d:?}");
-}
-
-/// A composed stack is within the requested error, with more texels for a smaller bound.
-pub fn composition_keeps_its_bound() {
-    let mut scene = Scene::of_volume("phantom:ball:size=64");
-    // All of these vanish on the faces of their boxes: one map can replace them everywhere.
-    scene.deformation = vec![Deformation::new("bulge"), Deformation { rotate: Some([20.0, 40.0, 0.0]), ..Deformation::new("spline-pull") }];
-    let assets = assets(&scene);
-    let (stack, _) = stack_of(&scene, &assets, None);
-    let (mut last, mut first) = (0, usize::MAX);
-    for bound in [2.0, 0.3, 0.1] {
-        let composed =
-            compose::stack(&stack, &assets.volume.bounds_in_world(), Resolution::Within(bound), Storage::F32, &compose::evaluate).unwrap().unwrap();
-        let texels = composed.placed.map.size.iter().product::<usize>();
-        let worst = composed.worst_mm;
-        assert!(composed.within && worst <= bound && texels >= last, "{worst} mm for {bound} with {texels} texels");
-        println!("composed within {bound} mm: {:?} texels, worst {worst:.3} mm, 99 % {:.3} mm", composed.placed.map.size, composed.p99_mm);
-        (last, first) = (texels, first.min(texels));
-        // The error at independent points, away from cuts.
-        let errors = points(4000)
-            .map(|x| (x - 0.5) * 150.0)
-            .filter(|p| {
-                let (source, alpha) = stack.source_and_alpha_unclipped(*p);
-                alpha == 1.0 && source.abs().max_element() < 80.0
-            })
-            .map(|p| composed.placed.backward(p).0.distance(stack.source_and_alpha_unclipped(p).0));
-        let worst = errors.fold(0.0, f32::max);
-        assert!(worst <= bound, "{worst} for {bound}");
-    }
-    assert!(last > first);
 }
 
 /// Inverting the FSL warp: the residual is below a fiftieth of a voxel except near folds, measured
@@ -408,42 +359,6 @@ pub fn written_files_come_back() {
         let p = (p - 0.5) * 160.0;
         let ((a, alpha), (b, beta)) = (stack.maps()[0].backward(p), back.backward(p));
         assert!(a.distance(b) < 2e-3 && (alpha - beta).abs() < 1e-3, "{p}: {a} {b}");
-    }
-}
-
-/// The cost of a composed stack does not depend on its length: samples, and maps per sample, are
-/// those of one map.
-pub fn composed_stacks_are_one_map() {
-    let mut scene = Scene::of_volume("phantom:tomato:size=64");
-    for kind in ["wave", "twist", "bulge", "spline-pull", "planar-wave", "taper", "shear", "lattice"] {
-        let mut d = Deformation { progress: Some(0.3), ..Deformation::new(kind) };
-        if kind == "lattice" {
-            d.parameters = incise::deform::kinds::kind(kind).unwrap().example(&incise::math::Bounds::new(Vec3::splat(-80.0), Vec3::splat(80.0)));
-        }
-        scene.deformation.push(d);
-    }
-    scene.render.precompose = Some(0.5);
-    let assets = assets(&scene);
-    let prepared = Prepared::new(&scene, &assets).unwrap();
-    let c = prepared.composition.unwrap();
-    println!("eight maps: {c:?}");
-    assert!(prepared.stack.precomposed().is_some() && c.maps == 8 && c.composed && c.worst_mm <= 0.5, "{c:?}");
-}
-
-/// An intersection with a cut of progress 0 removes nothing; a union with it removes the rest.
-pub fn groups_with_a_vanished_member() {
-    let mut scene = Scene::of_volume("phantom:ball:size=32");
-    let cut = |kind: &str, combine: &str, progress: f32| {
-        let mut d = Deformation { progress: Some(progress), ..Deformation::new(kind) };
-        d.parameters.insert("group", "g");
-        d.parameters.insert("combine", combine);
-        d
-    };
-    for (combine, progress, removed) in [("and", 0.0, false), ("or", 0.0, true), ("and", 1.0, true)] {
-        scene.deformation = vec![cut("box", combine, 1.0), cut("sphere", "or", progress)];
-        let assets = assets(&scene);
-        let (_, cuts) = stack_of(&scene, &assets, None);
-        assert_eq!(cuts.signed_distance_mm(Vec3::new(3.0, 2.0, 1.0)) < 0.0, removed, "{combine} {progress}");
     }
 }
 

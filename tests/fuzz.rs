@@ -7,22 +7,22 @@
 //! a scene is determined by its number. `INCISE_FUZZ_KEEP` names a folder in which all scenes are
 //! saved.
 
-#[cfg(feature = "gpu")]
-use crate::metrics::{STEP, difference};
-use incise::Watch;
+use files::Files;
 use incise::deform::file_kinds::FILE_KINDS;
 use incise::deform::kinds::{self, Kind};
 use incise::math::Bounds;
-use incise::picture::{Picture, Rendered};
-use incise::prepare::{Assets, PrepareOptions, Prepared};
-use incise::scene::{Scene, file, surface};
-use incise::{Result, cpu, transfer};
+use incise::scene::{file, surface};
+use incise::transfer;
+use outcome::{Outcome, complaint, on_a_gpu, run};
 use serde_json::Value as Schema;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 use toml::Value;
+
+mod files;
+mod outcome;
 
 /// Time limit of a scene of this size.
 const MAX_SECONDS: f64 = 20.0;
@@ -90,117 +90,6 @@ const WORDS: [&str; 8] = [
     "nul\0inside",
     "a very long name indeed, longer than any that a person gives",
 ];
-
-/// Files of every kind to which a scene can refer.
-struct Files {
-    folder: tempfile::TempDir,
-    volumes: Vec<String>,
-    meshes: Vec<String>,
-    labels: Vec<String>,
-    fields: Vec<String>,
-    maps: Vec<String>,
-    points: Vec<String>,
-}
-
-impl Files {
-    fn new() -> Self {
-        let folder = tempfile::tempdir().unwrap();
-        let f = folder.path();
-        let text = |name: &str, content: &str| {
-            std::fs::write(f.join(name), content).unwrap();
-            name.to_owned()
-        };
-        let nrrd = |name: &str, header: &str, values: &[u8]| {
-            let mut bytes = format!("NRRD0004\nencoding: raw\nspace: left-posterior-superior\n{header}\n\n").into_bytes();
-            bytes.extend_from_slice(values);
-            std::fs::write(f.join(name), bytes).unwrap();
-            name.to_owned()
-        };
-        let directions = "space directions: (4,0,0) (0,4,0) (0,0,4)\nspace origin: (-46,-46,-46)";
-        let at = |n: usize| glam::Vec3::new((n % 24) as f32, (n / 24 % 24) as f32, (n / 576) as f32) - 11.5;
-        let bytes: Vec<u8> = (0..13_824).map(|n| (255.0 - 20.0 * at(n).length()).clamp(0.0, 255.0) as u8).collect();
-        let regions: Vec<u8> =
-            (0..13_824).map(|n| if at(n).length() < 10.0 { 1 + u8::from(at(n).x > 0.0) + 2 * u8::from(at(n).z > 3.0) } else { 0 }).collect();
-        let odd: Vec<u8> = (0..13_824)
-            .flat_map(|n| {
-                if n % 7 == 0 {
-                    f32::NAN
-                } else if n % 11 == 0 {
-                    f32::INFINITY
-                } else {
-                    1e9 * at(n).x
-                }
-                .to_le_bytes()
-            })
-            .collect();
-        let vectors: Vec<u8> =
-            (0..13_824).flat_map(|n| [8.0 * (at(n).y * 0.3).sin(), 2.0, 0.5 * at(n).x].into_iter().flat_map(f32::to_le_bytes)).collect();
-        let plain = format!("type: uchar\ndimension: 3\nsizes: 24 24 24\n{directions}");
-        let volumes = vec![
-            nrrd("ball.nrrd", &plain, &bytes),
-            nrrd("odd.nrrd", &format!("type: float\nendian: little\ndimension: 3\nsizes: 24 24 24\n{directions}"), &odd),
-            nrrd(
-                "thin.nrrd",
-                "type: uchar\ndimension: 3\nsizes: 64 48 1\nspace directions: (1,0.2,0) (0,1,0) (0,0,9)\nspace origin: (0,0,0)",
-                &[200; 3072],
-            ),
-            nrrd("one.nrrd", "type: uchar\ndimension: 3\nsizes: 1 1 1\nspace directions: (1,0,0) (0,1,0) (0,0,1)\nspace origin: (0,0,0)", &[7]),
-            nrrd(
-                "flat.nrrd",
-                "type: uchar\ndimension: 3\nsizes: 16 16 16\nspace directions: (1,0,0) (0,1,0) (0,0,1)\nspace origin: (5e6,0,0)",
-                &[3; 4096],
-            ),
-            nrrd(
-                "colors.nrrd",
-                "type: uchar\ndimension: 4\nsizes: 3 16 16 16\nkinds: RGB-color domain domain domain\nspace directions: none (2,0,0) (0,2,0) (0,0,2)\nspace origin: (0,0,0)",
-                &bytes[..12_288],
-            ),
-        ];
-        let labels = vec![
-            nrrd("regions.nrrd", &plain, &regions),
-            nrrd("far.nrrd", &plain.replace("(-46,", "(9000,"), &regions),
-            "phantom:octants:size=16".into(),
-        ];
-        let fields = vec![
-            nrrd(
-                "field.nrrd",
-                &format!(
-                    "type: float\nendian: little\ndimension: 4\nsizes: 3 24 24 24\nkinds: vector domain domain domain\n{}",
-                    directions.replace(": (4", ": none (4")
-                ),
-                &vectors,
-            ),
-            text(
-                "affine.tfm",
-                "#Insight Transform File V1.0\n#Transform 0\nTransform: AffineTransform_double_3_3\nParameters: 0.9 0.1 0 0 1.1 0 0 0 1 4 0 -3\nFixedParameters: 0 0 0\n",
-            ),
-        ];
-        let points = vec![
-            text("pairs.csv", "0,0,40,0,0,60\n30,0,0,45,5,0\n-30,0,0,-30,0,0\n0,30,10,0,20,0\n"),
-            text("some.csv", "0,0,40\n10,0,40\n20,10,30\n"),
-        ];
-        let meshes = vec![
-            text(
-                "box.obj",
-                "v -30 -30 -30\nv 30 -30 -30\nv 30 30 -30\nv -30 30 -30\nv -30 -30 30\nv 30 -30 30\nv 30 30 30\nv -30 30 30\nf 4 3 2 1\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n",
-            ),
-            text("sheet.obj", "v 0 0 0\nv 40 0 0\nv 40 40 0\nv 0 40 0\nf 1 2 3 4\n"),
-            text("open.obj", "v -30 -30 -30\nv 30 -30 -30\nv 30 30 -30\nv -30 30 -30\nv 0 0 40\nf 1 2 5\nf 2 3 5\nf 3 4 5\n"),
-            text("tiny.obj", "v 0 0 0\nv 1e-5 0 0\nv 0 1e-5 0\nv 0 0 1e-5\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"),
-        ];
-        let made = std::process::Command::new(env!("CARGO_BIN_EXE_incise"))
-            .current_dir(f)
-            .args(["map", "twist", "-o", "twist.nrrd", "--resolution", "16"])
-            .output()
-            .unwrap();
-        assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
-        Self { folder, volumes, meshes, labels, fields, maps: vec!["twist.nrrd".into()], points }
-    }
-
-    fn path(&self) -> &Path {
-        self.folder.path()
-    }
-}
 
 /// Generates scenes.
 struct Maker<'a> {
@@ -498,78 +387,25 @@ impl Maker<'_> {
     }
 }
 
-/// The outcome of a scene.
-enum Outcome {
-    Picture { assets: Box<Assets>, scene: Box<Scene>, rendered: Rendered },
-    Refused(String),
-}
-
-fn run(text: &str, folder: &Path) -> Outcome {
-    let attempt = || -> Result<Outcome> {
-        let mut scene = Scene::from_toml(text).map_err(|problem| incise::Error::value("scene", problem))?;
-        scene.folder = folder.to_owned();
-        let assets = Assets::load(&scene)?;
-        let prepared = Prepared::new(&scene, &assets)?;
-        let rendered = cpu::render(&prepared);
-        drop(prepared);
-        Ok(Outcome::Picture { assets: Box::new(assets), scene: Box::new(scene), rendered })
-    };
-    attempt().unwrap_or_else(|error| Outcome::Refused(error.printable().to_string()))
-}
-
-/// What is wrong with an outcome; none if nothing is.
-fn complaint(outcome: &Outcome) -> Option<String> {
-    match outcome {
-        Outcome::Refused(message) if message.trim().is_empty() || message.trim().lines().count() != 1 => Some(format!("the message is {message:?}")),
-        Outcome::Refused(message) if message.contains("Texts(") || message.contains("Number(") || message.contains("Some(") => {
-            Some(format!("the message speaks of the program's insides: {message}"))
-        }
-        Outcome::Refused(_) => None,
-        Outcome::Picture { rendered, .. } => {
-            let picture: &Picture = &rendered.picture;
-            if let Some(bad) = picture.pixels.iter().find(|p| !p.iter().all(|v| v.is_finite() && (-0.01..=1.01).contains(v))) {
-                return Some(format!("a pixel is {bad:?}"));
-            }
-            (picture.is_blank() && rendered.notices.is_empty()).then(|| "the picture is empty, and nothing is said".to_owned())
-        }
-    }
-}
-
-/// Compares the GPU's picture with the CPU's; none without a GPU.
-#[cfg(feature = "gpu")]
-fn on_a_gpu(scene: &Scene, assets: &Assets, picture: &Picture) -> Option<std::result::Result<(), String>> {
-    if !crate::parity::has_renderer() {
-        return None;
-    }
-    let rendered = crate::parity::with_renderer(|renderer| {
-        let prepared = Prepared::with(scene, assets, &PrepareOptions::on(renderer))?;
-        renderer.render(&prepared, false, &Watch::NONE)
-    });
-    let rendered = match rendered {
-        Ok(rendered) => rendered,
-        Err(error) => return Some(Err(format!("the GPU says: {error}"))),
-    };
-    let difference = match difference(picture, &rendered.picture) {
-        Ok(difference) => difference,
-        // Both are empty.
-        Err(_) if picture.is_blank() && rendered.picture.is_blank() => return Some(Ok(())),
-        Err(problem) => return Some(Err(problem)),
-    };
-    let agrees = difference.mean <= STEP && difference.within_4 >= 0.99;
-    Some(if agrees {
-        Ok(())
-    } else {
-        Err(format!("the GPU's picture differs: mean {:.2}/255, {:.2} % within 4/255", difference.mean / STEP, 100.0 * difference.within_4))
-    })
-}
-
-#[cfg(not(feature = "gpu"))]
-fn on_a_gpu(_: &Scene, _: &Assets, _: &Picture) -> Option<std::result::Result<(), String>> {
-    None
-}
-
 fn number_from(variable: &str, otherwise: u64) -> u64 {
     std::env::var(variable).ok().map_or(otherwise, |v| v.parse().unwrap())
+}
+
+/// Watches the number of the current scene, `u64::MAX` if there is none. Reports a hung scene and exits.
+fn exit_if_a_scene_hangs(current_scene: &'static AtomicU64) {
+    std::thread::spawn(move || {
+        let (mut last, mut since) = (u64::MAX, Instant::now());
+        loop {
+            std::thread::sleep(Duration::from_secs(1));
+            let current = current_scene.load(Ordering::Relaxed);
+            if current != last {
+                (last, since) = (current, Instant::now());
+            } else if current != u64::MAX && since.elapsed() > HANGS {
+                eprintln!("scene {current} does not end; run it again with INCISE_FUZZ_FIRST={current} INCISE_FUZZ_SCENES=1");
+                std::process::exit(101);
+            }
+        }
+    });
 }
 
 pub fn random_scenes_do_no_harm() {
@@ -579,21 +415,8 @@ pub fn random_scenes_do_no_harm() {
     let (mut pictures, mut blank, mut compared, mut slowest) = (0u64, 0u64, 0u64, (0.0f64, 0u64));
     let mut complaints: Vec<String> = Vec::new();
     let mut refusals = std::collections::BTreeMap::<String, u64>::new();
-    // A hung scene is reported before the process exits.
     static CURRENT: AtomicU64 = AtomicU64::new(u64::MAX);
-    std::thread::spawn(|| {
-        let (mut last, mut since) = (u64::MAX, Instant::now());
-        loop {
-            std::thread::sleep(Duration::from_secs(1));
-            let current = CURRENT.load(Ordering::Relaxed);
-            if current != last {
-                (last, since) = (current, Instant::now());
-            } else if current != u64::MAX && since.elapsed() > HANGS {
-                eprintln!("scene {current} does not end; run it again with INCISE_FUZZ_FIRST={current} INCISE_FUZZ_SCENES=1");
-                std::process::exit(101);
-            }
-        }
-    });
+    exit_if_a_scene_hangs(&CURRENT);
     let keep: Option<PathBuf> = std::env::var_os("INCISE_FUZZ_KEEP").map(PathBuf::from);
     for n in first..first + count {
         let mut random = Random(n.wrapping_mul(0x2545_f491_4f6c_dd1d) ^ 0x1234_5678);

@@ -2,19 +2,24 @@
 
 use crate::metrics::{STEP, difference};
 use crate::scenes;
-use glam::{Affine3A, Mat3, Vec3};
+use glam::{Mat3, Vec3};
 use incise::Watch;
 use incise::cpu::surface::{HitSide, normal, trace};
 use incise::deform::{DisplacementMap, PlacedMap, Placement, Storage, TexelSample};
-use incise::math::Bounds;
 use incise::mesh::field::{FieldSettings, MeshField};
-use incise::mesh::{Mesh, load, shapes};
+use incise::mesh::{Mesh, shapes};
 use incise::picture::Picture;
 use incise::prepare::{Assets, PrepareOptions, Prepared};
 use incise::scene::surface::{CutModel, MeshSource, ShapeSource, Steps};
 use incise::scene::{Deformation, Mode, Projection, Scene};
 use incise::transfer::{Blend, ControlPoint};
 use std::path::{Path, PathBuf};
+
+mod fields;
+mod formats;
+
+pub use fields::*;
+pub use formats::*;
 
 fn field(mesh: &Mesh, settings: FieldSettings) -> MeshField {
     MeshField::new(mesh, &settings, &Watch::NONE).unwrap_or_else(|e| panic!("{e}"))
@@ -28,99 +33,6 @@ fn grid_points(f: &MeshField) -> impl Iterator<Item = (Vec3, f32)> {
         .iter()
         .enumerate()
         .map(move |(n, d)| (place.transform_point3(Vec3::new((n % nx) as f32, (n / nx % ny) as f32, (n / (nx * ny)) as f32)), *d))
-}
-
-/// The meshes approximate the shapes to within a hundredth of a cell; boxes are exact.
-pub fn distances_of_closed_forms() {
-    let torus = |p: Vec3| 3.0 - ((p.truncate().length() - 10.0).powi(2) + p.z * p.z).sqrt();
-    let half = Vec3::new(9.0, 6.0, 4.0);
-    let cuboid = |p: Vec3| {
-        let d = p.abs() - half;
-        -(d.max(Vec3::ZERO).length() + d.max_element().min(0.0))
-    };
-    type SettingFormat<'a> = (&'a str, Mesh, &'a dyn Fn(Vec3) -> f32);
-    let forms: [SettingFormat; 3] = [
-        ("sphere", shapes::sphere(10.0, 250), &|p: Vec3| 10.0 - p.length()),
-        ("torus", shapes::torus(10.0, 3.0, 250), &torus),
-        ("box", shapes::cuboid(half), &cuboid),
-    ];
-    for (name, mesh, want) in forms {
-        let turn = Affine3A::from_rotation_x(0.3) * Affine3A::from_rotation_z(0.5);
-        let back = turn.inverse();
-        let f = field(&mesh.transformed(&turn), FieldSettings { resolution: 64, ..FieldSettings::default() });
-        let cell = f.grid.spacing_mm();
-        let (mut band, mut beyond, mut wrong) = (0.0f32, 0.0f32, 0);
-        for (p, d) in grid_points(&f) {
-            let want = want(back.transform_point3(p));
-            let error = (d - want).abs() / cell;
-            // Slightly inside the band's edge, where the mesh's own error determines which points
-            // belong to it.
-            if want.abs() < 2.45 * cell {
-                band = band.max(error)
-            } else {
-                beyond = beyond.max(error)
-            }
-            wrong += usize::from((d > 0.0) != (want > 0.0) && want.abs() > 0.02 * cell);
-        }
-        println!("{name}: largest error {band:.4} cells in the band, {beyond:.3} beyond; {wrong} wrong signs; residual {:?}", f.eikonal);
-        assert!(band <= 0.05 && beyond < 0.5 && wrong == 0, "{name}");
-    }
-    let exact = field(&shapes::sphere(10.0, 200), FieldSettings { resolution: 40, exact: true, ..FieldSettings::default() });
-    let worst = grid_points(&exact).map(|(p, d)| (d - (10.0 - p.length())).abs()).fold(0.0, f32::max) / exact.grid.spacing_mm();
-    assert!(worst <= 0.05, "exact everywhere: {worst}");
-}
-
-/// Meshes with holes, unwelded soups and inconsistently oriented triangles have the correct inside,
-/// and nothing leaks to the grid's faces.
-pub fn broken_meshes_keep_their_inside() {
-    let ball = || shapes::sphere(10.0, 60);
-    let mut holes = ball();
-    let mut n = 0;
-    holes.triangles.retain(|_| {
-        n += 1;
-        n % 12 != 0
-    });
-    let mut soup = Mesh::default();
-    let whole = ball();
-    for (t, triangle) in whole.triangles.iter().enumerate() {
-        let first = soup.positions.len() as u32;
-        let p = triangle.map(|v| whole.positions[v as usize]);
-        soup.positions.extend(p.map(|q| q * (1.0 + 1e-3 * (t % 3) as f32)));
-        soup.triangles.push([first, first + 1, first + 2]);
-    }
-    let mut turned = ball();
-    turned.triangles.iter_mut().enumerate().filter(|(n, _)| n % 5 < 2).for_each(|(_, t)| t.swap(0, 1));
-    let mut inward = ball();
-    inward.triangles.iter_mut().for_each(|t| t.swap(0, 1));
-    for (name, mesh) in [("holes", holes), ("soup", soup), ("contradicting", turned), ("inward", inward)] {
-        let f = field(&mesh, FieldSettings { resolution: 48, ..FieldSettings::default() });
-        let cell = f.grid.spacing_mm();
-        let (mut wrong, mut all) = (0, 0);
-        for (p, d) in grid_points(&f) {
-            let want = 10.0 - p.length();
-            if want.abs() > 0.5 * cell {
-                all += 1;
-                wrong += usize::from((d > 0.0) != (want > 0.0));
-            }
-            let at = f.grid.grid_from_world.transform_point3(p).round();
-            let top = Vec3::from(f.grid.size.map(|n| (n - 1) as f32));
-            assert!(d < 0.0 || !(at.cmple(Vec3::ZERO).any() || at.cmpge(top).any()), "{name} leaks");
-        }
-        println!("{name}: {wrong} of {all} signs wrong, doubtful {:.3}", f.doubtful);
-        assert!(wrong * 200 < all, "{name}: {wrong} of {all}");
-    }
-}
-
-/// The field of a region equals that region of the whole field.
-pub fn a_part_is_part_of_the_whole() {
-    let mesh = shapes::torus(10.0, 3.0, 100);
-    let whole = field(&mesh, FieldSettings { resolution: 96, ..FieldSettings::default() });
-    let region = Bounds::new(Vec3::new(4.0, -6.0, -4.0), Vec3::new(14.0, 6.0, 4.0));
-    let part = field(&mesh, FieldSettings { resolution: 96, region: Some(region), ..FieldSettings::default() });
-    assert!(part.grid.distance_mm.len() * 3 < whole.grid.distance_mm.len());
-    for (p, d) in grid_points(&part) {
-        assert!((d - whole.grid.sample(p)).abs() < 0.06 * part.grid.spacing_mm() || d.abs() > 2.0 * part.grid.spacing_mm(), "{p}: {d}");
-    }
 }
 
 fn with_shape(kind: &str, radius: f32) -> MeshSource {
@@ -137,43 +49,6 @@ fn with_shape(kind: &str, radius: f32) -> MeshSource {
         wall: None,
     };
     MeshSource { shape: vec![shape], ..MeshSource::default() }
-}
-
-/// A flat sheet can be rendered and deformed; an open mesh that faces inwards is reoriented
-/// wherever it lies.
-pub fn thin_flat_and_far_things() {
-    let mut half = shapes::sphere(10.0, 40);
-    half.triangles.retain(|t| t.iter().all(|v| half.positions[*v as usize].z > -0.1));
-    half.triangles.iter_mut().for_each(|t| t.swap(0, 1));
-    for z in [0.0, -100.0] {
-        let moved = half.clone().transformed(&Affine3A::from_translation(Vec3::Z * z));
-        let f = field(&moved, FieldSettings { resolution: 40, ..FieldSettings::default() });
-        assert!(f.grid.sample(Vec3::new(0.0, 0.0, z + 6.0)) > 0.0 && f.inside > 0.1, "{z}: {}", f.inside);
-    }
-    // A region far from every surface still has correct distances.
-    let part = FieldSettings { cell_mm: Some(0.5), region: Some(Bounds::new(Vec3::splat(-1.0), Vec3::splat(1.0))), ..FieldSettings::default() };
-    let f = field(&shapes::sphere(10.0, 60), part);
-    assert!(grid_points(&f).all(|(p, d)| (d - (10.0 - p.length())).abs() < 0.05));
-    let folder = tempfile::tempdir().unwrap();
-    let sheet = write_off(
-        folder.path(),
-        "sheet.off",
-        &Mesh::new(vec![Vec3::ZERO, Vec3::X * 50.0, Vec3::new(50.0, 50.0, 0.0), Vec3::Y * 50.0], vec![[0, 1, 2], [0, 2, 3]], vec![]),
-    );
-    let mut scene = Scene::of_mesh(sheet.to_str().unwrap());
-    scene.mesh[0].tessellate = Some(0.2);
-    scene.mesh[0].deformer = vec![incise::scene::surface::DeformerSource {
-        kind: "wave".into(),
-        center: None,
-        size: None,
-        rotate: None,
-        progress: None,
-        points: vec![],
-        numbers: std::collections::BTreeMap::new(),
-    }];
-    scene.render.size = [64, 64];
-    scene.camera.view = "20,40".parse().unwrap();
-    assert!(silhouette(&render(&scene)).iter().filter(|p| **p).count() > 300);
 }
 
 /// A scene of a solid ball of 50 mm.
@@ -531,204 +406,6 @@ pub fn volumes_inside_meshes() {
     scene.volume.as_mut().unwrap().inside = Some(incise::scene::InsideMesh { path: path.to_str().unwrap().into(), ..Default::default() });
     let error = Prepared::new(&scene, &assets).err().map(|e| e.to_string()).unwrap_or_default();
     assert!(error.contains("open.off") && error.contains("not closed"), "{error}");
-}
-
-/// One mesh in every format is read as the same mesh.
-pub fn every_format_is_one_mesh() {
-    let mesh = shapes::torus(10.0, 3.0, 12);
-    let (v, f) = (&mesh.positions, &mesh.triangles);
-    let face = |t: &[u32; 3], base: u32| format!("{} {} {}", t[0] + base, t[1] + base, t[2] + base);
-    let lines = |items: Vec<String>| items.join("\n") + "\n";
-    let point = |p: &Vec3| format!("{} {} {}", p.x, p.y, p.z);
-    let floats = |p: &[Vec3]| p.iter().flat_map(|p| p.to_array()).flat_map(f32::to_le_bytes).collect::<Vec<u8>>();
-    let indices = f.iter().flatten().flat_map(|i| i.to_le_bytes()).collect::<Vec<u8>>();
-    let mut binary_stl = b"solid, but binary".to_vec();
-    binary_stl.resize(80, b' ');
-    binary_stl.extend((f.len() as u32).to_le_bytes());
-    for t in f {
-        binary_stl.extend([0u8; 12]);
-        binary_stl.extend(floats(&t.map(|i| v[i as usize])));
-        binary_stl.extend([0u8; 2]);
-    }
-    let text_stl = f.iter().map(|t| {
-        let corners = t.map(|i| format!("vertex {}", point(&v[i as usize]))).join("\n");
-        format!("facet normal 0 0 0\nouter loop\n{corners}\nendloop\nendfacet")
-    });
-    let text_stl = format!("solid torus\n{}endsolid torus\n", lines(text_stl.collect()));
-    let obj = lines(v.iter().map(|p| format!("v {}", point(p))).chain(f.iter().map(|t| format!("f {}", face(t, 1)))).collect());
-    let off = format!(
-        "OFF\n# a torus\n{} {} 0\n{}{}",
-        v.len(),
-        f.len(),
-        lines(v.iter().map(&point).collect()),
-        lines(f.iter().map(|t| format!("3 {}", face(t, 0))).collect())
-    );
-    let ply_head = |format: &str| {
-        format!(
-            "ply\nformat {format} 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\nelement face {}\nproperty list uchar int vertex_indices\nend_header\n",
-            v.len(),
-            f.len()
-        )
-    };
-    let text_ply = ply_head("ascii") + &lines(v.iter().map(&point).collect()) + &lines(f.iter().map(|t| format!("3 {}", face(t, 0))).collect());
-    let mut binary_ply = ply_head("binary_little_endian").into_bytes();
-    binary_ply.extend(floats(v));
-    for t in f {
-        binary_ply.push(3);
-        binary_ply.extend(t.iter().flat_map(|i| i.to_le_bytes()));
-    }
-    use base64::Engine;
-    let encode = |b: &[u8]| base64::engine::general_purpose::STANDARD.encode(b);
-    // Transformed by a node, as is common: half the size, then doubled.
-    let halved: Vec<Vec3> = v.iter().map(|p| *p * 0.5).collect();
-    let buffer = [floats(&halved), indices.clone()].concat();
-    let gltf = format!(
-        r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"children":[1],"scale":[2,2,2]}},{{"mesh":0}}],"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}},"indices":1}}]}}],
-        "accessors":[{{"bufferView":0,"componentType":5126,"count":{},"type":"VEC3","min":[-6.5,-6.5,-1.5],"max":[6.5,6.5,1.5]}},{{"bufferView":1,"componentType":5125,"count":{},"type":"SCALAR"}}],
-        "bufferViews":[{{"buffer":0,"byteOffset":0,"byteLength":{}}},{{"buffer":0,"byteOffset":{},"byteLength":{}}}],"buffers":[{{"byteLength":{},"uri":"data:application/octet-stream;base64,{}"}}]}}"#,
-        v.len(),
-        3 * f.len(),
-        12 * v.len(),
-        12 * v.len(),
-        indices.len(),
-        buffer.len(),
-        encode(&buffer)
-    );
-    // RAS: x and y change sign.
-    let ras: Vec<Vec3> = v.iter().map(|p| *p * Vec3::new(-1.0, -1.0, 1.0)).collect();
-    let gifti = |compress: bool| {
-        let pack = |b: &[u8]| {
-            if !compress {
-                return encode(b);
-            }
-            let mut z = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::fast());
-            std::io::Write::write_all(&mut z, b).unwrap();
-            encode(&z.finish().unwrap())
-        };
-        let array = |intent: &str, kind: &str, rows: usize, bytes: &[u8]| {
-            format!(
-                r#"<DataArray Intent="{intent}" DataType="{kind}" ArrayIndexingOrder="RowMajorOrder" Dimensionality="2" Dim0="{rows}" Dim1="3" Encoding="{}" Endian="LittleEndian"><Data>{}</Data></DataArray>"#,
-                if compress { "GZipBase64Binary" } else { "Base64Binary" },
-                pack(bytes)
-            )
-        };
-        format!(
-            "<?xml version=\"1.0\"?>\n<GIFTI Version=\"1.0\" NumberOfDataArrays=\"2\">{}{}</GIFTI>",
-            array("NIFTI_INTENT_POINTSET", "NIFTI_TYPE_FLOAT32", ras.len(), &floats(&ras)),
-            array("NIFTI_INTENT_TRIANGLE", "NIFTI_TYPE_INT32", f.len(), &indices)
-        )
-    };
-    let files: [(&str, &str, Vec<u8>); 9] = [
-        ("binary STL", "stl", binary_stl),
-        ("text STL", "stl", text_stl.into_bytes()),
-        ("OBJ", "obj", obj.into_bytes()),
-        ("OFF", "off", off.into_bytes()),
-        ("text PLY", "ply", text_ply.into_bytes()),
-        ("binary PLY", "ply", binary_ply),
-        ("glTF", "gltf", gltf.into_bytes()),
-        ("GIfTI", "gii", gifti(false).into_bytes()),
-        ("GIfTI, compressed", "gii", gifti(true).into_bytes()),
-    ];
-    for (name, ending, bytes) in &files {
-        let read = load::parse(bytes, ending, None).unwrap_or_else(|e| panic!("{name} {e}"));
-        let (a, b) = (read.topology(), mesh.topology());
-        assert!(a.watertight && a.orientation() == "outward" && a.components == 1, "{name}: {a:?}");
-        assert_eq!((read.triangles.len(), read.positions.len()), (f.len(), v.len()), "{name}");
-        assert!((a.volume / b.volume - 1.0).abs() < 1e-5, "{name}");
-        let (got, want) = (read.bounds(), mesh.bounds());
-        assert!(got.min.abs_diff_eq(want.min, 1e-4) && got.max.abs_diff_eq(want.max, 1e-4), "{name}: {got:?}");
-    }
-    // A file truncated anywhere, or with a byte changed, is read with a warning or refused.
-    let mut refused = 0;
-    for (_, ending, bytes) in &files {
-        for n in 0..60 {
-            let mut broken = bytes[..bytes.len() * n / 60].to_vec();
-            refused += usize::from(load::parse(&broken, ending, None).is_err());
-            broken = bytes.clone();
-            let at = n * 7919 % broken.len();
-            broken[at] = broken[at].wrapping_add(1 + n as u8);
-            let _read = load::parse(&broken, ending, None);
-        }
-    }
-    assert!(refused > 200, "{refused}");
-    let head = r#"{"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[0]}],"nodes":[{"mesh":0}],"#;
-    let data = r#""bufferViews":[{"buffer":0,"byteLength":36}],"buffers":[{"byteLength":36,"uri":"data:application/octet-stream;base64,AAAAAAAAAAAAAAAAAACAPwAAAAAAAAAAAAAAAAAAgD8AAAAA"}]}"#;
-    let nodes: Vec<String> = (0..60).map(|n| format!(r#"{{"children":[{},{}]}}"#, n + 1, n + 1)).collect();
-    for (what, text) in [
-        (
-            "not there",
-            format!(
-                r#"{head}"meshes":[{{"primitives":[{{"attributes":{{"POSITION":99}}}}]}}],"accessors":[{{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3"}}],{data}"#
-            ),
-        ),
-        (
-            "unsigned",
-            format!(
-                r#"{head}"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}},"indices":0}}]}}],"accessors":[{{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3"}}],{data}"#
-            ),
-        ),
-        (
-            "more elements",
-            format!(
-                r#"{head}"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}}}}]}}],"accessors":[{{"componentType":5126,"count":10000000000,"type":"VEC3"}}],{data}"#
-            ),
-        ),
-        (
-            "percent-encoded",
-            r#"{"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[]}],"buffers":[{"byteLength":3,"uri":"%FF.bin"}]}"#.to_owned(),
-        ),
-        ("too often", format!(r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{},{{}}]}}"#, nodes.join(","))),
-    ] {
-        let error = load::parse(text.as_bytes(), "gltf", Some(Path::new("."))).unwrap_err();
-        assert!(error.contains(what), "{what}: {error}");
-    }
-    // Files that other programs accept: an upper-case STL, a name in Latin-1, a cube whose face
-    // diagonals lie on the grid's lines.
-    let upper = "SOLID x\nFACET NORMAL 0 0 1\nOUTER LOOP\nVERTEX 0 0 0\nVERTEX 1 0 0\nVERTEX 0 1 0\nENDLOOP\nENDFACET\nENDSOLID x\n";
-    assert_eq!(load::parse(upper.as_bytes(), "stl", None).unwrap().triangles.len(), 1);
-    let latin = b"g K\xf6rper\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";
-    assert_eq!(load::parse(latin, "obj", None).unwrap().triangles.len(), 1);
-    let cube = field(&shapes::cuboid(Vec3::splat(10.0)), FieldSettings { resolution: 64, parity: true, ..FieldSettings::default() });
-    for (p, d) in grid_points(&cube) {
-        let want = 10.0 - p.abs().max_element();
-        assert!(want.abs() < 0.1 || (d > 0.0) == (want > 0.0), "{p}: {d}");
-    }
-    let huge = load::parse(b"OFF\n353535235358 6 0\n0 0 0\n", "off", None).unwrap_err();
-    assert!(huge.contains("353535235358"), "{huge}");
-    let huge = load::parse(b"ply\nformat ascii 1.0\nelement vertex 99999999999\nproperty float x\nend_header\n0\n", "ply", None).unwrap_err();
-    assert!(huge.contains("99999999999"), "{huge}");
-}
-
-/// Files from other sources, if available.
-pub fn shared_meshes_load_or_say_why() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/meshes");
-    if !folder.is_dir() {
-        println!("no shared meshes here: nothing was checked");
-        return;
-    }
-    let mut open: Vec<PathBuf> = vec![folder];
-    let (mut read, mut refused) = (0, Vec::new());
-    while let Some(path) = open.pop() {
-        if path.is_dir() {
-            open.extend(std::fs::read_dir(&path).unwrap().flatten().map(|e| e.path()));
-        } else {
-            match load::mesh(&path) {
-                Ok(mesh) => {
-                    assert!(!mesh.triangles.is_empty());
-                    read += 1;
-                }
-                Err(e) => {
-                    let text = e.to_string();
-                    let name = path.file_name().unwrap().to_string_lossy().into_owned();
-                    assert!(text.contains(&name), "{text}");
-                    refused.push(name);
-                }
-            }
-        }
-    }
-    refused.sort();
-    println!("{read} read; refused: {refused:?}");
-    assert_eq!(refused, ["OutOfMemory.off", "empty.obj", "empty.off", "empty.ply", "empty.stl", "invalid.off", "malformed.obj", "malformed2.obj"]);
 }
 
 /// A depth-map cube of a convex solid matches the solid, with a fraction of the memory.

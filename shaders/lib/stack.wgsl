@@ -1,4 +1,4 @@
-// Counterpart of src/deform/stack.rs and of the derivatives in src/deform/map.rs.
+// Counterpart of src/deform/stack.rs and of the derivatives in src/deform/map/derivatives.rs.
 
 struct NearestCut {
     // mm, positive where the volume is retained.

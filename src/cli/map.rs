@@ -3,7 +3,7 @@
 use super::arguments;
 use super::progress::TerminalProgress;
 use crate::deform::file_kinds::FILE_KINDS;
-use crate::deform::quality::CheckedField;
+use crate::deform::quality::{CheckedField, FieldQuality};
 use crate::deform::transform::{Transform, TransformContext, TransformStep, VectorField};
 use crate::deform::{PlacedMap, Storage, compose, invert, saved};
 use crate::export::protect;
@@ -109,34 +109,7 @@ pub fn run(arguments: &MapArguments) -> Result<()> {
     let name = what.split(':').next().unwrap_or_default();
     let is_kind = !input.exists() && (crate::deform::kinds::kind(name).is_ok() || FILE_KINDS.iter().any(|k| k.name == name));
     let placed = if is_kind {
-        let mut scene = match &arguments.volume {
-            Some(v) => Scene::of_input(v)?,
-            None => Scene::of_volume("phantom:ball:size=8"),
-        };
-        scene.deformation = vec![arguments::deformation(&what)?];
-        protect("--output", path, scene.files().iter().map(PathBuf::as_path))?;
-        if scene.deformation[0].resolution.is_none() && arguments.resolution.is_some() {
-            scene.deformation[0].resolution = arguments.resolution;
-        }
-        let assets = Assets::load(&scene)?;
-        let stack = Deformed::exact(&scene, &assets, false, &Watch::NONE)?.stack;
-        assets.library.notices().into_iter().for_each(note);
-        // A chain of transforms is several maps, but a file holds one.
-        let made = match stack.maps() {
-            [one] => one.clone(),
-            _ => {
-                let resolution = compose::Resolution::Within(0.05);
-                let composed = compose::stack(&stack, &assets.volume.bounds_in_world(), resolution, Storage::F32, &compose::evaluate)?
-                    .ok_or_else(|| Error::value(&what, "yields no map; choose another kind or file"))?;
-                if !composed.within {
-                    note(format!(
-                        "{what}: the transforms were composed into one map; its error is up to {:.2} mm (99th percentile: {:.2} mm)",
-                        composed.worst_mm, composed.p99_mm
-                    ));
-                }
-                composed.placed
-            }
-        };
+        let made = map_of_kind(&what, path, arguments, &note)?;
         if arguments.invert { inverse_of_map(&made, &note)? } else { made }
     } else {
         if !input.exists() && !what.contains(['/', '.']) {
@@ -157,6 +130,38 @@ pub fn run(arguments: &MapArguments) -> Result<()> {
         encode_field(&placed, format)?
     };
     output.finish(&bytes)
+}
+
+/// The map of a kind with its parameters, `what`, to be written to `path`.
+fn map_of_kind(what: &str, path: &Path, arguments: &MapArguments, note: &impl Fn(String)) -> Result<PlacedMap> {
+    let mut scene = match &arguments.volume {
+        Some(v) => Scene::of_input(v)?,
+        None => Scene::of_volume("phantom:ball:size=8"),
+    };
+    scene.deformation = vec![arguments::deformation(what)?];
+    protect("--output", path, scene.files().iter().map(PathBuf::as_path))?;
+    if scene.deformation[0].resolution.is_none() && arguments.resolution.is_some() {
+        scene.deformation[0].resolution = arguments.resolution;
+    }
+    let assets = Assets::load(&scene)?;
+    let stack = Deformed::exact(&scene, &assets, false, &Watch::NONE)?.stack;
+    assets.library.notices().into_iter().for_each(note);
+    // A chain of transforms is several maps, but a file holds one.
+    match stack.maps() {
+        [one] => Ok(one.clone()),
+        _ => {
+            let resolution = compose::Resolution::Within(0.05);
+            let composed = compose::stack(&stack, &assets.volume.bounds_in_world(), resolution, Storage::F32, &compose::evaluate)?
+                .ok_or_else(|| Error::value(what, "yields no map; choose another kind or file"))?;
+            if !composed.within {
+                note(format!(
+                    "{what}: the transforms were composed into one map; its error is up to {:.2} mm (99th percentile: {:.2} mm)",
+                    composed.worst_mm, composed.p99_mm
+                ));
+            }
+            Ok(composed.placed)
+        }
+    }
 }
 
 fn encode_field(placed: &PlacedMap, format: Format) -> Result<Vec<u8>> {
@@ -232,35 +237,11 @@ fn saved_map(path: &Path) -> Result<Option<PlacedMap>> {
     if load::image(path, &ReadOptions::default(), &Watch::NONE)?.displacement { saved::read(path, Storage::F32, 1.0).map(Some) } else { Ok(None) }
 }
 
+/// Runs `map check`.
 fn run_check(arguments: &CheckArguments) -> Result<()> {
     let path = &arguments.file;
-    let read = || arguments.volume.as_deref().into_iter().chain([path.as_path()]);
-    for (option, written) in [("--csv", &arguments.csv), ("--picture", &arguments.picture)] {
-        if let Some(written) = written {
-            protect(option, written, read())?;
-        }
-    }
-    if let (Some(csv), Some(picture)) = (&arguments.csv, &arguments.picture) {
-        check_distinct(csv, "--picture", picture)?;
-    }
-    let csv = arguments.csv.as_deref().map(OutputFile::create_or_standard).transpose()?;
-    let picture = arguments.picture.as_deref().map(OutputFile::create_or_standard).transpose()?;
-    let to_standard_output = [&csv, &picture].into_iter().flatten().filter(|o| o.is_standard_output()).count();
-    if to_standard_output + usize::from(arguments.json) > 1 {
-        return Err(Error::value("--csv, --picture, --json", "only one of them can go to standard output; write the others to files"));
-    }
-    let (examined, warnings) = match saved_map(path)? {
-        Some(map) => (CheckedField::of_map(&map), Vec::new()),
-        None => {
-            let (transform, bounds) = load_transform(path, arguments.volume.as_deref(), arguments.convention.as_deref())?;
-            let warnings = transform.warnings.clone();
-            match <[TransformStep; 1]>::try_from(transform.steps) {
-                Ok([TransformStep::Field(field)]) => (whole(field), warnings),
-                Ok(steps) => (sampled(Transform { steps: steps.into(), warnings: Vec::new() }, &bounds)?, warnings),
-                Err(steps) => (sampled(Transform { steps, warnings: Vec::new() }, &bounds)?, warnings),
-            }
-        }
-    };
+    let CheckOutputs { csv, picture, to_standard_output } = CheckOutputs::open(arguments)?;
+    let (examined, warnings) = checked_field(arguments)?;
     let health = examined.health(!arguments.no_inverse);
     if let Some(file) = csv {
         file.finish(examined.csv().as_bytes())?;
@@ -274,7 +255,63 @@ fn run_check(arguments: &CheckArguments) -> Result<()> {
     if arguments.json {
         return super::print(&format!("{report:#}"));
     }
-    let mut out = format!("{} on {} x {} x {} points\n", path.display(), grid.size[0], grid.size[1], grid.size[2]);
+    let out = report_as_text(path, grid.size, &health, &warnings);
+    if to_standard_output == 0 {
+        return super::print(out.trim_end());
+    }
+    super::print_to_stderr(out.trim_end());
+    Ok(())
+}
+
+/// The output files of a check.
+struct CheckOutputs {
+    csv: Option<OutputFile>,
+    picture: Option<OutputFile>,
+    /// Number of these files that are standard output.
+    to_standard_output: usize,
+}
+
+impl CheckOutputs {
+    /// Opens the files; an error if one of them is an input or another output.
+    fn open(arguments: &CheckArguments) -> Result<Self> {
+        let read = || arguments.volume.as_deref().into_iter().chain([arguments.file.as_path()]);
+        for (option, written) in [("--csv", &arguments.csv), ("--picture", &arguments.picture)] {
+            if let Some(written) = written {
+                protect(option, written, read())?;
+            }
+        }
+        if let (Some(csv), Some(picture)) = (&arguments.csv, &arguments.picture) {
+            check_distinct(csv, "--picture", picture)?;
+        }
+        let csv = arguments.csv.as_deref().map(OutputFile::create_or_standard).transpose()?;
+        let picture = arguments.picture.as_deref().map(OutputFile::create_or_standard).transpose()?;
+        let to_standard_output = [&csv, &picture].into_iter().flatten().filter(|o| o.is_standard_output()).count();
+        if to_standard_output + usize::from(arguments.json) > 1 {
+            return Err(Error::value("--csv, --picture, --json", "only one of them can go to standard output; write the others to files"));
+        }
+        Ok(Self { csv, picture, to_standard_output })
+    }
+}
+
+/// The field of a file, and the notices of its transform.
+fn checked_field(arguments: &CheckArguments) -> Result<(CheckedField, Vec<String>)> {
+    match saved_map(&arguments.file)? {
+        Some(map) => Ok((CheckedField::of_map(&map), Vec::new())),
+        None => {
+            let (transform, bounds) = load_transform(&arguments.file, arguments.volume.as_deref(), arguments.convention.as_deref())?;
+            let warnings = transform.warnings.clone();
+            match <[TransformStep; 1]>::try_from(transform.steps) {
+                Ok([TransformStep::Field(field)]) => Ok((whole(field), warnings)),
+                Ok(steps) => Ok((sampled(Transform { steps: steps.into(), warnings: Vec::new() }, &bounds)?, warnings)),
+                Err(steps) => Ok((sampled(Transform { steps, warnings: Vec::new() }, &bounds)?, warnings)),
+            }
+        }
+    }
+}
+
+/// The statistics of the field in a file as text, one figure per line.
+fn report_as_text(path: &Path, size: [usize; 3], health: &FieldQuality, warnings: &[String]) -> String {
+    let mut out = format!("{} on {} x {} x {} points\n", path.display(), size[0], size[1], size[2]);
     let mut line = |name: &str, text: String| out.push_str(&format!("  {name:<22} {text}\n"));
     line("det J", format!("{:.4} to {:.4}, mean {:.4}", health.det_min, health.det_max, health.det_mean));
     line("folds (det J <= 0)", format!("{:.3} % of the points", health.folds_percent));
@@ -287,14 +324,10 @@ fn run_check(arguments: &CheckArguments) -> Result<()> {
     if let Some(r) = &health.inverse {
         line("inverse", format!("residual 99th percentile {:.4} mm, largest {:.4} mm; {} points without a source", r.p99_mm, r.max_mm, r.not_found));
     }
-    for w in &warnings {
+    for w in warnings {
         line("note", w.clone());
     }
-    if to_standard_output == 0 {
-        return super::print(out.trim_end());
-    }
-    super::print_to_stderr(out.trim_end());
-    Ok(())
+    out
 }
 
 /// A field without cut points.

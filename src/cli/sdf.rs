@@ -7,14 +7,14 @@ use crate::files::OutputFile;
 use crate::math::Bounds;
 use crate::math::flat;
 use crate::mesh::field::{FieldSettings, MeshField};
-use crate::mesh::load;
+use crate::mesh::{Mesh, load};
 use crate::volume::load::ScalarType;
 use crate::volume::save::{Content, Format, Writer};
 use crate::volume::{GridGeometry, Rescale};
 use crate::{Error, Result};
 use clap::Args;
 use glam::{DAffine3, DMat3, Vec3};
-use serde_json::json;
+use serde_json::{Value, json};
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -75,6 +75,19 @@ pub fn run(arguments: &SdfArguments) -> Result<()> {
     let field = MeshField::new(&mesh, &settings, &watch).map_err(|problem| Error::file(&arguments.mesh, problem))?;
     let field_ms = start.elapsed().as_secs_f64() * 1e3;
     bar.finish();
+    write_field(&field, format, arguments, output)?;
+    if !arguments.quiet {
+        print_orientation_notices(&field, arguments);
+    }
+    if arguments.json {
+        let report = report(&mesh, &field, arguments.exact, [read_ms, field_ms]);
+        super::print(&format!("{report:#}"))?;
+    }
+    Ok(())
+}
+
+/// Writes the distances, mm, with the geometry of their grid.
+fn write_field(field: &MeshField, format: Format, arguments: &SdfArguments, output: OutputFile) -> Result<()> {
     let m = field.grid.world_from_grid;
     let linear = DMat3::from_cols(m.matrix3.x_axis.as_dvec3(), m.matrix3.y_axis.as_dvec3(), m.matrix3.z_axis.as_dvec3());
     let geometry = GridGeometry { size: field.grid.size, world_from_voxel: DAffine3::from_mat3_translation(linear, m.translation.as_dvec3()) };
@@ -84,44 +97,48 @@ pub fn run(arguments: &SdfArguments) -> Result<()> {
         writer.push(bytemuck::cast_slice(flat(&field.grid.distance_mm))).map_err(|e| Error::io(&arguments.output, "writing", e))?;
         writer.finish().map_err(|e| Error::io(&arguments.output, "writing", e))?;
         Ok(())
-    })?;
+    })
+}
+
+/// Prints a notice if the mesh is not watertight, and if triangles were flipped.
+fn print_orientation_notices(field: &MeshField, arguments: &SdfArguments) {
     let t = &field.topology;
-    if !arguments.quiet {
-        if !t.watertight {
-            super::print_to_stderr(format_args!(
-                "{}: not watertight ({} open edges, {} with more than two triangles); the inside is where the winding number is above 1/2, doubtful at {:.1} % of the points near the surface",
-                arguments.mesh.display(),
-                t.open_edges,
-                t.non_manifold_edges,
-                100.0 * field.doubtful
-            ));
-        }
-        if field.turned > 0 {
-            super::print_to_stderr(format_args!(
-                "{}: {} triangles were flipped to make the orientation consistent",
-                arguments.mesh.display(),
-                field.turned
-            ));
-        }
+    if !t.watertight {
+        super::print_to_stderr(format_args!(
+            "{}: not watertight ({} open edges, {} with more than two triangles); the inside is where the winding number is above 1/2, doubtful at {:.1} % of the points near the surface",
+            arguments.mesh.display(),
+            t.open_edges,
+            t.non_manifold_edges,
+            100.0 * field.doubtful
+        ));
     }
-    if arguments.json {
-        let report = json!({
-            "size": field.grid.size,
-            "cell_mm": field.grid.spacing_mm(),
-            "triangles": mesh.triangles.len(),
-            "open_edges": t.open_edges,
-            "non_manifold_edges": t.non_manifold_edges,
-            "turned_triangles": field.turned,
-            "inside_fraction": field.inside,
-            "eikonal_residual": { "mean": field.eikonal[0], "p99": field.eikonal[1] },
-            "winding_numbers": field.windings,
-            "doubtful_sign_fraction": field.doubtful,
-            "exact_everywhere": arguments.exact,
-            "milliseconds": { "read": read_ms, "field": field_ms },
-        });
-        super::print(&format!("{report:#}"))?;
+    if field.turned > 0 {
+        super::print_to_stderr(format_args!(
+            "{}: {} triangles were flipped to make the orientation consistent",
+            arguments.mesh.display(),
+            field.turned
+        ));
     }
-    Ok(())
+}
+
+/// The report: size, topology and accuracy of the field, and the times of reading the mesh and of
+/// computing the field, ms.
+fn report(mesh: &Mesh, field: &MeshField, exact: bool, [read_ms, field_ms]: [f64; 2]) -> Value {
+    let t = &field.topology;
+    json!({
+        "size": field.grid.size,
+        "cell_mm": field.grid.spacing_mm(),
+        "triangles": mesh.triangles.len(),
+        "open_edges": t.open_edges,
+        "non_manifold_edges": t.non_manifold_edges,
+        "turned_triangles": field.turned,
+        "inside_fraction": field.inside,
+        "eikonal_residual": { "mean": field.eikonal[0], "p99": field.eikonal[1] },
+        "winding_numbers": field.windings,
+        "doubtful_sign_fraction": field.doubtful,
+        "exact_everywhere": exact,
+        "milliseconds": { "read": read_ms, "field": field_ms },
+    })
 }
 
 fn corners(text: &str) -> Result<Bounds> {

@@ -21,173 +21,19 @@
 //! *How to call it*: a [`Plan`], [`Assets`] loaded for [`Plan::loading`], [`open_gpu`] for a GPU,
 //! then [`run`].
 
+pub use super::plan::{Plan, REFERENCE_STEP, modes_of};
+
 use super::metrics::difference;
 use super::report::{Protocol, Report};
 use super::run::{Run, Times, mode_name, owned, run as timed_run};
 use crate::engine::{Backend, Engine, EngineOptions, RenderRequest};
-use crate::picture::{MAX_PICTURE_EDGE, MAX_PIXELS};
 use crate::prepare::{Assets, Prepared};
-use crate::scene::{Camera, Mode, Scene};
+use crate::scene::{Mode, RenderSettings, Scene};
 use crate::{Error, Result, Watch};
 use std::collections::BTreeSet;
 
-/// Step of references, voxels.
-pub const REFERENCE_STEP: f32 = 1.0 / 16.0;
-/// Steps that a scene can have, voxels.
-const STEPS: std::ops::RangeInclusive<f32> = 0.01..=100.0;
-/// Most repetitions of a run.
-const MAX_REPETITIONS: usize = 1000;
-/// Most pixels of all pictures together: each takes 16 bytes, and they stay in memory until the
-/// report is written.
-const MAX_TOTAL_PIXELS: u64 = 1 << 28;
 /// Relative work of a repetition on a GPU, compared to the CPU, for progress.
 const GPU_SHARE: f32 = 0.2;
-
-/// The plan of a comparison: every combination of modes, steps, sizes and cameras on every backend.
-#[derive(Clone, Debug)]
-pub struct Plan {
-    /// The scene; the fields below override its own settings.
-    pub scene: Scene,
-    /// Modes.
-    pub modes: Vec<Mode>,
-    /// Steps, voxels (of the smallest spacing).
-    pub steps: Vec<f32>,
-    /// Sizes of pictures, pixels.
-    pub sizes: Vec<[u32; 2]>,
-    /// Cameras.
-    pub cameras: Vec<Camera>,
-    /// How often each run is timed.
-    pub repeat: usize,
-    /// Step of the references, voxels; `None` for no references.
-    pub reference: Option<f32>,
-    /// Whether runs are rendered on the CPU; references always are.
-    pub on_cpu: bool,
-    /// Whether a run that the GPU cannot render is an error; otherwise it is skipped with a notice.
-    pub gpu_is_required: bool,
-}
-
-/// The modes that apply to a scene.
-pub fn modes_of(scene: &Scene) -> Vec<Mode> {
-    let volume = scene.volume.is_some().then_some([Mode::Slice, Mode::Raycast]);
-    let has_surface = scene.mesh.iter().any(|m| !m.hidden) || scene.surface.iso.is_some() || scene.render.mode == Mode::Surface;
-    volume.into_iter().flatten().chain(has_surface.then_some(Mode::Surface)).collect()
-}
-
-impl Plan {
-    /// A plan with the scene's own step, size and camera, on the CPU.
-    pub fn of(scene: Scene) -> Self {
-        Self {
-            modes: modes_of(&scene),
-            steps: vec![scene.render.step],
-            sizes: vec![scene.render.size],
-            cameras: vec![scene.camera.clone()],
-            repeat: 3,
-            reference: Some(REFERENCE_STEP),
-            on_cpu: true,
-            gpu_is_required: false,
-            scene,
-        }
-    }
-
-    /// The scene for which the assets must be loaded: all modes share them, and the camera.
-    pub fn loading(&self) -> Scene {
-        let mut scene = self.scene.clone();
-        if self.modes.contains(&Mode::Surface) {
-            scene.render.mode = Mode::Surface;
-        }
-        scene
-    }
-
-    /// Checks that all of the plan can be carried out; `backends` is the number of backends. Errors
-    /// name the options of `incise compare`.
-    ///
-    /// # Errors
-    /// Empty lists, settings out of range, a reference no finer than the runs it judges, more
-    /// pictures than fit into memory.
-    pub fn check(&self, backends: usize) -> Result<()> {
-        let empty = [("--modes", self.modes.is_empty()), ("--steps", self.steps.is_empty()), ("--sizes", self.sizes.is_empty())];
-        let empty = empty.into_iter().chain([("--cameras", self.cameras.is_empty()), ("--backend", backends == 0)]);
-        if let Some((option, _)) = empty.into_iter().find(|e| e.1) {
-            return Err(Error::value(option, "leaves nothing to compare; name at least one"));
-        }
-        if let Some(mode) = self.modes.iter().find(|m| **m != Mode::Surface && self.scene.volume.is_none()) {
-            return Err(Error::value(format!("--modes {}", mode_name(*mode)), "shows a volume, and the scene has none; use --modes surface"));
-        }
-        if let Some(step) = self.steps.iter().find(|s| !STEPS.contains(*s)) {
-            return Err(Error::value("--steps", format!("{step} is outside {} to {} voxels", STEPS.start(), STEPS.end())));
-        }
-        if let Some([w, h]) = self.sizes.iter().find(|s| s.iter().any(|n| !(1..=MAX_PICTURE_EDGE).contains(n))) {
-            return Err(Error::value("--sizes", format!("{w}x{h} is out of range; each edge must be 1 to {MAX_PICTURE_EDGE} pixels")));
-        }
-        let antialias = self.scene.render.antialias.clamp(1, 4);
-        let too_large = |[w, h]: &&[u32; 2]| {
-            let [w, h] = [w.saturating_mul(antialias), h.saturating_mul(antialias)];
-            w.max(h) > MAX_PICTURE_EDGE || u64::from(w) * u64::from(h) > MAX_PIXELS
-        };
-        if let Some([w, h]) = self.sizes.iter().find(too_large) {
-            let sampled =
-                if antialias > 1 { format!(", and {antialias} by {antialias} samples a pixel (--antialias) count as pixels") } else { String::new() };
-            return Err(Error::value(
-                "--sizes",
-                format!("{w}x{h} cannot be made; an edge is at most {MAX_PICTURE_EDGE} pixels, a picture {MAX_PIXELS}{sampled}"),
-            ));
-        }
-        if !(1..=MAX_REPETITIONS).contains(&self.repeat) {
-            return Err(Error::value("--repeat", format!("{} is outside 1 to {MAX_REPETITIONS}", self.repeat)));
-        }
-        if let Some(reference) = self.reference {
-            let finest = self.steps.iter().copied().fold(f32::INFINITY, f32::min);
-            if !STEPS.contains(&reference) {
-                return Err(Error::value("--reference", format!("{reference} is outside {} to {} voxels", STEPS.start(), STEPS.end())));
-            }
-            if reference > 0.5 * finest {
-                return Err(Error::value(
-                    "--reference",
-                    format!(
-                        "a reference step of {reference} is too coarse for a step of {finest}; use {} or less, coarser --steps, or --no-reference",
-                        0.5 * finest
-                    ),
-                ));
-            }
-        }
-        let kinds = BTreeSet::from_iter(self.modes.iter().map(|m| *m == Mode::Surface)).len();
-        let pictures = (self.modes.len() * self.steps.len() * backends + if self.reference.is_some() { kinds } else { 0 }) * self.cameras.len();
-        let pixels = self.sizes.iter().map(|[w, h]| u64::from(*w) * u64::from(*h)).sum::<u64>().saturating_mul(pictures as u64);
-        if pixels > MAX_TOTAL_PIXELS {
-            return Err(Error::value(
-                "--sizes",
-                format!(
-                    "{} pictures have {pixels} pixels together, of {MAX_TOTAL_PIXELS} that are kept at once; compare less in one go",
-                    pictures * self.sizes.len()
-                ),
-            ));
-        }
-        Ok(())
-    }
-
-    /// One scene of the sweep.
-    fn at(&self, mode: Mode, step: f32, size: [u32; 2], camera: &Camera) -> Scene {
-        let mut scene = Scene { camera: camera.clone(), ..self.scene.clone() };
-        (scene.render.mode, scene.render.step, scene.render.size) = (mode, step, size);
-        scene
-    }
-
-    /// A name that distinguishes a run from all others: mode and backend, and the settings that the
-    /// plan varies.
-    fn name(&self, head: &str, scene: &Scene, names_step: bool) -> String {
-        let mut name = head.to_owned();
-        if names_step && self.steps.len() > 1 {
-            name += &format!(" step {}", scene.render.step);
-        }
-        if self.sizes.len() > 1 {
-            name += &format!(" {}x{}", scene.render.size[0], scene.render.size[1]);
-        }
-        if self.cameras.len() > 1 {
-            name += &format!(" {}", String::from(scene.camera.view));
-        }
-        name
-    }
-}
 
 /// Opens a GPU to compare, software ones included, which also reports its own timings.
 ///
@@ -203,82 +49,110 @@ pub fn open_gpu() -> Result<Engine> {
 /// # Errors
 /// As [`Plan::check`]; any setting that cannot be used, by name; GPU errors, if the GPU is
 /// required.
-pub fn run(plan: &Plan, assets: &Assets, mut gpu: Option<Engine>, title: &str, progress: &(dyn Fn(&'static str, f32) + Sync)) -> Result<Report> {
+pub fn run(plan: &Plan, assets: &Assets, gpu: Option<Engine>, title: &str, progress: &(dyn Fn(&'static str, f32) + Sync)) -> Result<Report> {
     plan.check(usize::from(plan.on_cpu) + usize::from(gpu.is_some()))?;
-    let mut progress = SweepProgress { progress, done: 0.0, all: work(plan, gpu.is_some()) };
-    let mut notices = Vec::new();
-    let mut runs: Vec<Run> = Vec::new();
+    let progress = SweepProgress { progress, done: 0.0, all: work(plan, gpu.is_some()) };
+    let gpu_name = gpu.as_ref().map(gpu_name);
     let first_preparation = first_preparation(plan, assets)?;
+    let mut sweep = Sweep { plan, assets, gpu, progress, notices: Vec::new(), runs: Vec::new() };
     for camera in &plan.cameras {
         for &size in &plan.sizes {
-            let first = runs.len();
+            let first = sweep.runs.len();
             for &mode in &plan.modes {
                 for &step in &plan.steps {
-                    let scene = plan.at(mode, step, size, camera);
-                    let repetition = area(size) / step;
-                    // Gradients, which a live view computes for its second picture, are computed
-                    // outside the timing.
-                    Prepared::new(&scene, assets)?.make_gradients();
-                    if plan.on_cpu {
-                        let part = progress.part(mode_name(mode), repetition * plan.repeat as f32);
-                        let measured = on_cpu(plan, &scene, assets, &part)?;
-                        progress.done = part.end;
-                        notices.extend(measured.notices.iter().cloned());
-                        runs.push(measured);
-                    }
-                    if let Some(gpu) = &mut gpu {
-                        let part = progress.part(mode_name(mode), GPU_SHARE * repetition * (plan.repeat + 2) as f32);
-                        let measured = on_gpu(plan, &scene, assets, gpu, &part);
-                        progress.done = part.end;
-                        match measured {
-                            Ok(measured) => {
-                                notices.extend(measured.notices.iter().cloned());
-                                runs.push(measured);
-                            }
-                            Err(error) if plan.gpu_is_required => return Err(error),
-                            Err(error) => {
-                                notices.push(format!("{} is left out: {error}", plan.name(&format!("{} gpu", mode_name(mode)), &scene, true)))
-                            }
-                        }
-                    }
+                    sweep.time_backends(&plan.at(mode, step, size, camera))?;
                 }
             }
             if let Some(step) = plan.reference {
-                for surface in [false, true] {
-                    let judged: Vec<usize> = (first..runs.len()).filter(|n| !runs[*n].is_reference && runs[*n].shown.surface == surface).collect();
-                    if judged.is_empty() {
-                        continue;
-                    }
-                    let mode = if surface { Mode::Surface } else { Mode::Raycast };
-                    let scene = plan.at(mode, step, size, camera);
-                    let part = progress.part("reference", area(size) / step);
-                    let name = plan.name(&format!("{} reference", mode_name(mode)), &scene, false);
-                    Prepared::new(&scene, assets)?;
-                    let share = |share: f32| part.report(share);
-                    let request = RenderRequest { watch: Watch::reporting(&share), ..RenderRequest::default() };
-                    let reference = Run { is_reference: true, ..timed_run(&mut Engine::cpu(), &scene, assets, &name, &request)? };
-                    progress.done = part.end;
-                    for n in judged {
-                        runs[n].error = Some(difference(&runs[n].picture, &reference.picture)?);
-                    }
-                    runs.push(reference);
+                for mode in [Mode::Raycast, Mode::Surface] {
+                    sweep.judge(first, &plan.at(mode, step, size, camera))?;
                 }
             }
         }
     }
+    let Sweep { mut notices, runs, .. } = sweep;
     let mut seen = BTreeSet::new();
     notices.retain(|n| seen.insert(n.clone()));
     let pairs = pairs_of(&runs);
     let mut report = Report::of_pairs(title, plan.scene.to_toml()?, plan.scene.render.background, runs, pairs)?;
     report.protocol = Some(Protocol {
         cpu: format!("{}, {} threads", std::env::consts::ARCH, rayon::current_num_threads()),
-        gpu: gpu.as_ref().map(gpu_name),
+        gpu: gpu_name,
         repeat: plan.repeat,
         reference_step: plan.reference,
         first_preparation,
         notices,
     });
     Ok(report)
+}
+
+/// A comparison in progress: its inputs, and the runs so far.
+struct Sweep<'a> {
+    plan: &'a Plan,
+    assets: &'a Assets,
+    gpu: Option<Engine>,
+    progress: SweepProgress<'a>,
+    notices: Vec<String>,
+    runs: Vec<Run>,
+}
+
+impl Sweep<'_> {
+    /// Adds the timed run of a scene on each backend. A run that the GPU cannot render is an error
+    /// if the plan requires the GPU, otherwise a notice.
+    fn time_backends(&mut self, scene: &Scene) -> Result<()> {
+        let plan = self.plan;
+        let mode = mode_name(scene.render.mode);
+        let repetition = area(scene.render.size) / scene.render.step;
+        // Gradients, which a live view computes for its second picture, are computed outside the
+        // timing.
+        Prepared::new(scene, self.assets)?.make_gradients();
+        if plan.on_cpu {
+            let part = self.progress.part(mode, repetition * plan.repeat as f32);
+            let measured = on_cpu(plan, scene, self.assets, &part)?;
+            self.progress.done = part.end;
+            self.add(measured);
+        }
+        if let Some(gpu) = &mut self.gpu {
+            let part = self.progress.part(mode, GPU_SHARE * repetition * (plan.repeat + 2) as f32);
+            let measured = on_gpu(plan, scene, self.assets, gpu, &part);
+            self.progress.done = part.end;
+            match measured {
+                Ok(measured) => self.add(measured),
+                Err(error) if plan.gpu_is_required => return Err(error),
+                Err(error) => self.notices.push(format!("{} is left out: {error}", plan.name(&format!("{mode} gpu"), scene, true))),
+            }
+        }
+        Ok(())
+    }
+
+    /// Adds a run, with its notices.
+    fn add(&mut self, run: Run) {
+        self.notices.extend(run.notices.iter().cloned());
+        self.runs.push(run);
+    }
+
+    /// Renders a reference, and sets the errors of the runs from `first` on that show the same
+    /// content. Without such runs there is no reference.
+    fn judge(&mut self, first: usize, scene: &Scene) -> Result<()> {
+        let RenderSettings { mode, step, size, .. } = scene.render;
+        let is_judged = |run: &Run| !run.is_reference && run.shown.surface == (mode == Mode::Surface);
+        let judged: Vec<usize> = (first..self.runs.len()).filter(|n| is_judged(&self.runs[*n])).collect();
+        if judged.is_empty() {
+            return Ok(());
+        }
+        let part = self.progress.part("reference", area(size) / step);
+        let name = self.plan.name(&format!("{} reference", mode_name(mode)), scene, false);
+        Prepared::new(scene, self.assets)?;
+        let share = |share: f32| part.report(share);
+        let request = RenderRequest { watch: Watch::reporting(&share), ..RenderRequest::default() };
+        let reference = Run { is_reference: true, ..timed_run(&mut Engine::cpu(), scene, self.assets, &name, &request)? };
+        self.progress.done = part.end;
+        for n in judged {
+            self.runs[n].error = Some(difference(&self.runs[n].picture, &reference.picture)?);
+        }
+        self.runs.push(reference);
+        Ok(())
+    }
 }
 
 /// Stages of preparing a plan's modes with empty caches.
@@ -409,35 +283,5 @@ mod tests {
             Run { shown: ViewKey { camera: "left".into(), size: [1, 1], surface: false }, ..run("f", Mode::Raycast, "cpu", 1.0, 1.0, 1.0) },
         ];
         assert_eq!(pairs_of(&runs), [[0, 2], [0, 3], [0, 5], [1, 5], [2, 3], [2, 5], [3, 5]]);
-    }
-
-    #[test]
-    fn plans_that_cannot_be_are_named() {
-        let good = || Plan { steps: vec![0.5, 1.0], ..Plan::of(Scene::of_volume("phantom:ball:size=12")) };
-        assert!(good().check(1).is_ok() && good().check(2).is_ok());
-        assert_eq!(good().modes, [Mode::Slice, Mode::Raycast]);
-        assert_eq!(Plan::of(Scene::of_mesh("a.stl")).modes, [Mode::Surface]);
-        let cases: [(&str, Plan); 10] = [
-            ("--modes", Plan { modes: Vec::new(), ..good() }),
-            ("--modes slice", Plan { modes: vec![Mode::Slice], ..Plan::of(Scene::of_mesh("a.stl")) }),
-            ("--steps", Plan { steps: vec![f32::NAN], ..good() }),
-            ("--steps", Plan { steps: vec![0.001], ..good() }),
-            ("--sizes", Plan { sizes: vec![[0, 5]], ..good() }),
-            ("--sizes", Plan { sizes: vec![[9000, 9000]], ..good() }),
-            ("--cameras", Plan { cameras: Vec::new(), ..good() }),
-            ("--repeat", Plan { repeat: 0, ..good() }),
-            ("--reference", Plan { reference: Some(0.4), ..good() }),
-            ("--reference", Plan { reference: Some(f32::NAN), ..good() }),
-        ];
-        for (option, plan) in cases {
-            let message = plan.check(1).unwrap_err().to_string();
-            assert!(message.starts_with(option), "{message}");
-        }
-        assert!(good().check(0).is_err());
-        // Names state only the settings that vary.
-        let plan = Plan { sizes: vec![[8, 6], [16, 12]], ..good() };
-        let scene = plan.at(Mode::Slice, 0.5, [8, 6], &plan.cameras[0]);
-        assert_eq!(plan.name("slice cpu", &scene, true), "slice cpu step 0.5 8x6");
-        assert_eq!(Plan::of(scene.clone()).name("slice cpu", &scene, true), "slice cpu");
     }
 }

@@ -18,6 +18,7 @@ mod folder;
 pub mod lab;
 mod metrics;
 mod page;
+mod plan;
 pub mod plot;
 mod report;
 mod run;

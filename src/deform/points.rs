@@ -58,94 +58,28 @@ impl Interpolant {
     /// # Errors
     /// No pairs, or two that contradict each other at one point.
     pub fn new(pairs: &[PointPair], method: Method, width_mm: Option<f64>) -> Result<(Self, Option<String>)> {
-        let mut distinct: Vec<PointPair> = Vec::with_capacity(pairs.len());
-        for (n, p) in pairs.iter().enumerate() {
-            if !(p.from.is_finite() && p.to.is_finite()) {
-                return Err(Error::value("pairs", format!("pair {} is not finite", n + 1)));
-            }
-            match distinct.iter().find(|k| k.to.distance(p.to) < MIN_POINT_DISTANCE_MM) {
-                Some(k) if k.from.distance(p.from) < MIN_POINT_DISTANCE_MM => {}
-                Some(k) => {
-                    return Err(Error::value(
-                        "pairs",
-                        format!(
-                            "pair {} has the same target {} as another pair, but their sources {} and {} differ; remove one",
-                            n + 1,
-                            p.to,
-                            k.from,
-                            p.from
-                        ),
-                    ));
-                }
-                None if distinct.len() == MAX_PAIRS => {
-                    return Err(Error::value("pairs", format!("are more than {MAX_PAIRS}, the most that can be interpolated")));
-                }
-                None => distinct.push(*p),
-            }
-        }
-        if distinct.is_empty() {
-            return Err(Error::value("pairs", "are missing; give at least one pair of points"));
-        }
-        let points: Vec<DVec3> = distinct.iter().map(|p| p.to).collect();
-        let values: Vec<DVec3> = distinct.iter().map(|p| p.from - p.to).collect();
-        let extent = points.iter().copied().reduce(DVec3::max).unwrap_or_default() - points.iter().copied().reduce(DVec3::min).unwrap_or_default();
-        let apart = (extent.length() / (points.len() as f64).cbrt()).max(1.0);
-        let plain = |method, scale, weights| Self { points: points.clone(), weights, affine: (DMat3::ZERO, DVec3::ZERO), method, scale };
-        let gaussian = |scale: f64| {
-            let n = points.len();
-            let mut system = vec![vec![0.0; n]; n];
-            for (i, row) in system.iter_mut().enumerate() {
-                for (j, v) in row.iter_mut().enumerate() {
-                    *v = (-(points[i].distance_squared(points[j]) / (scale * scale))).exp();
-                }
-            }
-            solve(system, values.clone()).map(|weights| plain(Method::Gaussian, scale, weights))
-        };
-        let wanted = width_mm.unwrap_or(1.2 * apart);
+        let scattered = ScatteredDisplacements::of(&distinct(pairs)?);
+        let wanted = width_mm.unwrap_or(1.2 * scattered.spacing());
         match method {
-            Method::InverseDistance => Ok((plain(method, 1.0, values), None)),
-            Method::Gaussian => match gaussian(wanted) {
+            Method::InverseDistance => Ok((scattered.inverse_distance(), None)),
+            Method::Gaussian => match scattered.gaussians(wanted) {
                 Some(i) => Ok((i, None)),
                 None => Ok((
-                    plain(Method::InverseDistance, 1.0, values),
+                    scattered.inverse_distance(),
                     Some("the Gaussians are too wide for points this close together; inverse distance weighting is used instead".into()),
                 )),
             },
             Method::ThinPlate => {
-                let n = points.len();
-                let center = points.iter().sum::<DVec3>() / n as f64;
-                let scale = points.iter().map(|p| p.distance(center)).fold(0.0, f64::max).max(1.0);
-                let at = |p: DVec3| (p - center) / scale;
-                let mut system = vec![vec![0.0; n + 4]; n + 4];
-                for i in 0..n {
-                    for j in 0..n {
-                        system[i][j] = at(points[i]).distance(at(points[j]));
-                    }
-                    for (c, v) in [1.0, at(points[i]).x, at(points[i]).y, at(points[i]).z].into_iter().enumerate() {
-                        system[i][n + c] = v;
-                        system[n + c][i] = v;
-                    }
+                if let Some(i) = scattered.thin_plate() {
+                    return Ok((i, None));
                 }
-                let mut right = values.clone();
-                right.resize(n + 4, DVec3::ZERO);
-                let solved = if n >= 4 { solve(system, right) } else { None };
-                match solved {
-                    Some(w) => {
-                        // Σ in normalised coordinates; the affine part in world coordinates.
-                        let linear = DMat3::from_cols(w[n + 1], w[n + 2], w[n + 3]) * (1.0 / scale);
-                        let affine = (linear, w[n] - linear * center);
-                        Ok((Self { points, weights: w[..n].to_vec(), affine, method, scale }, None))
-                    }
+                let n = scattered.points.len();
+                let why = if n < 4 { format!("{n} points are too few") } else { "the points are too close to coplanar".into() };
+                let notice = format!("{why} for a thin-plate spline; Gaussians {wanted:.0} mm wide are used");
+                match scattered.gaussians(wanted) {
+                    Some(i) => Ok((i, Some(notice))),
                     None => {
-                        let why = if n < 4 { format!("{n} points are too few") } else { "the points are too close to coplanar".into() };
-                        let notice = format!("{why} for a thin-plate spline; Gaussians {wanted:.0} mm wide are used");
-                        match gaussian(wanted) {
-                            Some(i) => Ok((i, Some(notice))),
-                            None => Ok((
-                                plain(Method::InverseDistance, 1.0, values),
-                                Some(format!("{why} for a thin-plate spline; inverse distance weighting is used instead")),
-                            )),
-                        }
+                        Ok((scattered.inverse_distance(), Some(format!("{why} for a thin-plate spline; inverse distance weighting is used instead"))))
                     }
                 }
             }
@@ -181,6 +115,114 @@ impl Interpolant {
                 sum + self.affine.0 * p + self.affine.1
             }
         }
+    }
+}
+
+/// The pairs, each target once.
+///
+/// # Errors
+/// No pairs, too many, or two that contradict each other at one point.
+fn distinct(pairs: &[PointPair]) -> Result<Vec<PointPair>> {
+    let mut distinct: Vec<PointPair> = Vec::with_capacity(pairs.len());
+    for (n, p) in pairs.iter().enumerate() {
+        if !(p.from.is_finite() && p.to.is_finite()) {
+            return Err(Error::value("pairs", format!("pair {} is not finite", n + 1)));
+        }
+        match distinct.iter().find(|k| k.to.distance(p.to) < MIN_POINT_DISTANCE_MM) {
+            Some(k) if k.from.distance(p.from) < MIN_POINT_DISTANCE_MM => {}
+            Some(k) => {
+                return Err(Error::value(
+                    "pairs",
+                    format!(
+                        "pair {} has the same target {} as another pair, but their sources {} and {} differ; remove one",
+                        n + 1,
+                        p.to,
+                        k.from,
+                        p.from
+                    ),
+                ));
+            }
+            None if distinct.len() == MAX_PAIRS => {
+                return Err(Error::value("pairs", format!("are more than {MAX_PAIRS}, the most that can be interpolated")));
+            }
+            None => distinct.push(*p),
+        }
+    }
+    if distinct.is_empty() {
+        return Err(Error::value("pairs", "are missing; give at least one pair of points"));
+    }
+    Ok(distinct)
+}
+
+/// Displacements given at points, to be interpolated.
+struct ScatteredDisplacements {
+    points: Vec<DVec3>,
+    values: Vec<DVec3>,
+}
+
+impl ScatteredDisplacements {
+    /// The displacements of pairs at their targets.
+    fn of(pairs: &[PointPair]) -> Self {
+        Self { points: pairs.iter().map(|p| p.to).collect(), values: pairs.iter().map(|p| p.from - p.to).collect() }
+    }
+
+    /// Typical distance of neighbouring points, at least 1 mm.
+    fn spacing(&self) -> f64 {
+        let points = &self.points;
+        let extent = points.iter().copied().reduce(DVec3::max).unwrap_or_default() - points.iter().copied().reduce(DVec3::min).unwrap_or_default();
+        (extent.length() / (points.len() as f64).cbrt()).max(1.0)
+    }
+
+    /// An interpolant without affine part.
+    fn without_affine(&self, method: Method, scale: f64, weights: Vec<DVec3>) -> Interpolant {
+        Interpolant { points: self.points.clone(), weights, affine: (DMat3::ZERO, DVec3::ZERO), method, scale }
+    }
+
+    /// Interpolates with inverse-distance weights.
+    fn inverse_distance(&self) -> Interpolant {
+        self.without_affine(Method::InverseDistance, 1.0, self.values.clone())
+    }
+
+    /// Interpolates with Gaussians of a width, mm; none if their system is singular.
+    fn gaussians(&self, scale: f64) -> Option<Interpolant> {
+        let points = &self.points;
+        let n = points.len();
+        let mut system = vec![vec![0.0; n]; n];
+        for (i, row) in system.iter_mut().enumerate() {
+            for (j, v) in row.iter_mut().enumerate() {
+                *v = (-(points[i].distance_squared(points[j]) / (scale * scale))).exp();
+            }
+        }
+        solve(system, self.values.clone()).map(|weights| self.without_affine(Method::Gaussian, scale, weights))
+    }
+
+    /// Interpolates with a thin-plate spline; none if the points do not span space.
+    fn thin_plate(&self) -> Option<Interpolant> {
+        let points = &self.points;
+        let n = points.len();
+        if n < 4 {
+            return None;
+        }
+        let center = points.iter().sum::<DVec3>() / n as f64;
+        let scale = points.iter().map(|p| p.distance(center)).fold(0.0, f64::max).max(1.0);
+        let at = |p: DVec3| (p - center) / scale;
+        let mut system = vec![vec![0.0; n + 4]; n + 4];
+        for i in 0..n {
+            for j in 0..n {
+                system[i][j] = at(points[i]).distance(at(points[j]));
+            }
+            for (c, v) in [1.0, at(points[i]).x, at(points[i]).y, at(points[i]).z].into_iter().enumerate() {
+                system[i][n + c] = v;
+                system[n + c][i] = v;
+            }
+        }
+        let mut right = self.values.clone();
+        right.resize(n + 4, DVec3::ZERO);
+        let w = solve(system, right)?;
+        // Σ in normalised coordinates; the affine part in world coordinates.
+        let linear = DMat3::from_cols(w[n + 1], w[n + 2], w[n + 3]) * (1.0 / scale);
+        let affine = (linear, w[n] - linear * center);
+        Some(Interpolant { points: points.clone(), weights: w[..n].to_vec(), affine, method: Method::ThinPlate, scale })
     }
 }
 

@@ -1,6 +1,8 @@
 //! Baking: resamples the deformed scene into a volume, or the composed displacement into a field
 //! (\[RVD01\] section 5), slab by slab, so that only the source and a few slabs are in memory.
 
+mod slabs;
+
 use super::rows::{BakeRow, BakeRows};
 use crate::deform::{Stack, StackAndCuts};
 use crate::math::Bounds;
@@ -11,13 +13,8 @@ use crate::volume::save::{Content, Format, Writer};
 use crate::volume::{GridGeometry, Rescale, Volume, Voxels};
 use crate::{Error, Result};
 use glam::{DAffine3, DVec3, Vec3};
-use rayon::prelude::*;
+use slabs::slabs;
 use std::io::Write;
-use std::sync::mpsc;
-use std::thread;
-
-/// Size of a slab: about 4 MiB, so that a slab is still in the cache when it is written.
-const SLAB_BYTES: usize = 1 << 22;
 
 /// Interpolation between voxels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -211,45 +208,6 @@ fn cubic_convolution_weights(t: f64) -> [f64; 4] {
     [-0.5 * t + t2 - 0.5 * t3, 1.0 - 2.5 * t2 + 1.5 * t3, 0.5 * t + 2.0 * t2 - 1.5 * t3, -0.5 * t2 + 0.5 * t3]
 }
 
-/// Rows of voxels in slabs, each handed to `write` in order.
-fn slabs(
-    grid: &GridGeometry,
-    bytes_per_voxel: usize,
-    row: impl Fn(usize, usize, &mut Vec<u8>) + Sync,
-    mut write: impl FnMut(&[u8]) -> Result<()>,
-    progress: &dyn Fn(f32),
-) -> Result<()> {
-    let [nx, ny, nz] = grid.size;
-    let layers = (SLAB_BYTES / (nx * ny * bytes_per_voxel).max(1)).clamp(1, nz);
-    let row = &row;
-    // The next slab is computed while one is written.
-    let (made, slabs) = mpsc::sync_channel(1);
-    thread::scope(|scope| {
-        scope.spawn(move || {
-            for first in (0..nz).step_by(layers) {
-                let last = (first + layers).min(nz);
-                let rows: Vec<Vec<u8>> = (first * ny..last * ny)
-                    .into_par_iter()
-                    .map(|n| {
-                        let mut bytes = Vec::with_capacity(nx * bytes_per_voxel);
-                        row(n % ny, n / ny, &mut bytes);
-                        bytes
-                    })
-                    .collect();
-                if made.send((last, rows)).is_err() {
-                    // Writing has failed.
-                    break;
-                }
-            }
-        });
-        for (last, rows) in slabs {
-            rows.iter().try_for_each(|r| write(r))?;
-            progress(last as f32 / nz as f32);
-        }
-        Ok(())
-    })
-}
-
 /// The type for a volume's data values if the format cannot state the rescale: integers if the
 /// rescale is integral, else floating point.
 fn data_type(volume: &Volume, stored: ScalarType) -> (ScalarType, Rescale) {
@@ -269,6 +227,54 @@ fn data_type(volume: &Volume, stored: ScalarType) -> (ScalarType, Rescale) {
         _ => ScalarType::F64,
     };
     (scalar, Rescale::NONE)
+}
+
+/// The rows of a baked volume.
+struct VolumeRows<'a> {
+    stored: StoredInterpolator<'a>,
+    deformation: &'a StackAndCuts<'a>,
+    grid: &'a GridGeometry,
+    /// World to voxels of the source.
+    voxel_from_world: DAffine3,
+    /// The type written.
+    scalar: ScalarType,
+    /// From the interpolated to the written values.
+    in_data: Rescale,
+    /// The stored value outside the volume and in cuts.
+    fill: f64,
+}
+
+impl VolumeRows<'_> {
+    /// Appends the row of the grid at `j` and `k`, in the bytes of the type.
+    fn append(&self, j: usize, k: usize, bytes: &mut Vec<u8>) {
+        let Self { stored, voxel_from_world, .. } = self;
+        let Self { deformation, grid, scalar, in_data, fill, .. } = *self;
+        let at = |i: usize| grid.world_from_voxel.transform_point3(DVec3::new(i as f64, j as f64, k as f64));
+        let [first, step] = [at(0), grid.world_from_voxel.matrix3.x_axis];
+        let as_stored = in_data == Rescale::NONE && scalar == scalar_of(&stored.volume.voxels);
+        if let Some(values) = stored.row(deformation, voxel_from_world, [first, step], grid.size[0], as_stored) {
+            if as_stored {
+                with_simd(Whole { out: bytes, scalar, values: &values, fill: fill.round() as f32 });
+            } else {
+                for v in values {
+                    let v = if v.is_nan() { fill } else { f64::from(v) };
+                    put(bytes, scalar, v * in_data.slope + in_data.intercept);
+                }
+            }
+            return;
+        }
+        let deformed: Vec<Vec3> = (0..grid.size[0]).map(|i| at(i).as_vec3()).collect();
+        for (i, (source, alpha)) in deformation.stack.sources_and_alphas(&deformed).into_iter().enumerate() {
+            let seen = alpha >= 0.5 && deformation.cuts.signed_distance_mm(deformed[i]) >= 0.0;
+            let value = seen.then(|| {
+                // The walk gives the displacement in single precision; the point itself stays in
+                // double precision.
+                let exact = at(i) + (source - deformed[i]).as_dvec3();
+                stored.sample(voxel_from_world.transform_point3(exact))
+            });
+            put(bytes, scalar, value.flatten().unwrap_or(fill) * in_data.slope + in_data.intercept);
+        }
+    }
 }
 
 /// Writes the deformed volume on `grid`, in the source's type and scale.
@@ -294,36 +300,16 @@ pub fn volume(
     let content = if volume.declared_labels && written == Rescale::NONE { Content::Labels(scalar) } else { Content::Scalar(scalar, written) };
     let in_data = if written == volume.rescale { Rescale::NONE } else { volume.rescale };
     let mut writer = Writer::new(out, format, grid, content).map_err(fail)?;
-    let stored = StoredInterpolator { volume, interpolation };
-    let voxel_from_world = volume.world_from_voxel.inverse();
-    let fill = (fill - volume.rescale.intercept) / volume.rescale.slope;
-    let row = |j: usize, k: usize, bytes: &mut Vec<u8>| {
-        let at = |i: usize| grid.world_from_voxel.transform_point3(DVec3::new(i as f64, j as f64, k as f64));
-        let [first, step] = [at(0), grid.world_from_voxel.matrix3.x_axis];
-        let as_stored = in_data == Rescale::NONE && scalar == scalar_of(&volume.voxels);
-        if let Some(values) = stored.row(deformation, &voxel_from_world, [first, step], grid.size[0], as_stored) {
-            if as_stored {
-                with_simd(Whole { out: bytes, scalar, values: &values, fill: fill.round() as f32 });
-            } else {
-                for v in values {
-                    let v = if v.is_nan() { fill } else { f64::from(v) };
-                    put(bytes, scalar, v * in_data.slope + in_data.intercept);
-                }
-            }
-            return;
-        }
-        let deformed: Vec<Vec3> = (0..grid.size[0]).map(|i| at(i).as_vec3()).collect();
-        for (i, (source, alpha)) in deformation.stack.sources_and_alphas(&deformed).into_iter().enumerate() {
-            let seen = alpha >= 0.5 && deformation.cuts.signed_distance_mm(deformed[i]) >= 0.0;
-            let value = seen.then(|| {
-                // The walk gives the displacement in single precision; the point itself stays in
-                // double precision.
-                let exact = at(i) + (source - deformed[i]).as_dvec3();
-                stored.sample(voxel_from_world.transform_point3(exact))
-            });
-            put(bytes, scalar, value.flatten().unwrap_or(fill) * in_data.slope + in_data.intercept);
-        }
+    let rows = VolumeRows {
+        stored: StoredInterpolator { volume, interpolation },
+        deformation,
+        grid,
+        voxel_from_world: volume.world_from_voxel.inverse(),
+        scalar,
+        in_data,
+        fill: (fill - volume.rescale.intercept) / volume.rescale.slope,
     };
+    let row = |j: usize, k: usize, bytes: &mut Vec<u8>| rows.append(j, k, bytes);
     slabs(grid, scalar.bytes(), row, |b| writer.push(b).map_err(|e| fail(e.to_string())), progress)?;
     writer.finish().map(drop).map_err(|e| fail(e.to_string()))
 }

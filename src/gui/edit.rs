@@ -1,7 +1,7 @@
 //! Carries out actions and tools.
 
 use super::state::action::Action;
-use super::state::document::Selection;
+use super::state::document::{Document, Selection};
 use super::state::files::{ClipForm, ClipMotion, Dialog, NextStep};
 use super::state::layout::Panel;
 use super::state::log::LogLevel;
@@ -103,7 +103,7 @@ impl Workstation {
             Action::BeforeAfter => self.before = !self.before,
             Action::StackToMap => self.dialog = Some(Dialog::SaveMap { name: "stack".into(), stack: true }),
             Action::SaveMap => {
-                if let Some(d) = self.doc.as_mut().and_then(super::state::document::Document::deformation) {
+                if let Some(d) = self.doc.as_mut().and_then(Document::deformation) {
                     let name = d.name.clone().unwrap_or_else(|| words(&d.kind));
                     self.dialog = Some(Dialog::SaveMap { name, stack: false });
                 }
@@ -113,6 +113,7 @@ impl Workstation {
         }
     }
 
+    /// Carries out an action that changes the scene.
     fn perform_edit(&mut self, action: Action) {
         let Some(doc) = &mut self.doc else { return };
         match action {
@@ -123,48 +124,6 @@ impl Workstation {
             Action::Redo => {
                 self.history.redo(&mut doc.scene);
                 doc.check_selection();
-            }
-            Action::Delete => {
-                doc.delete();
-            }
-            Action::Duplicate => {
-                doc.duplicate();
-            }
-            Action::Mute => match doc.selected {
-                Selection::Mesh(n) => {
-                    if let Some(mesh) = doc.scene.mesh.get_mut(n) {
-                        mesh.hidden = !mesh.hidden;
-                    }
-                }
-                _ => {
-                    if let Some(d) = doc.deformation() {
-                        d.enabled = !d.enabled;
-                    }
-                }
-            },
-            Action::Solo => {
-                if let Some(n) = doc.deformation_index() {
-                    doc.solo = if doc.solo == Some(n) { None } else { Some(n) };
-                }
-            }
-            Action::MoveUp | Action::MoveDown => {
-                if let Some(n) = doc.deformation_index() {
-                    let to = if action == Action::MoveUp { n.checked_sub(1) } else { Some(n + 1) };
-                    to.map(|to| doc.reorder(n, to));
-                }
-            }
-            Action::Less | Action::More => {
-                if let Some(d) = doc.deformation() {
-                    let by = if action == Action::More { PROGRESS_STEP } else { -PROGRESS_STEP };
-                    let to = d.progress.unwrap_or(1.0) + by;
-                    d.progress = Some(((to * 100.0).round() / 100.0).clamp(0.0, 1.0));
-                }
-            }
-            Action::SelectNext => {
-                let count = doc.scene.deformation.len();
-                if count > 0 {
-                    doc.selected = Selection::Deformation(doc.deformation_index().map_or(0, |n| (n + 1) % count));
-                }
             }
             Action::Opposite => {
                 let view = &mut doc.scene.camera.view;
@@ -202,7 +161,7 @@ impl Workstation {
                 self.tool = Tool::BrushPush;
                 self.show_panel(Panel::MapEditor);
             }
-            _ => {}
+            _ => edit_selection(doc, action),
         }
     }
 
@@ -466,5 +425,54 @@ impl Workstation {
                 app.report(level, text);
             }))
         });
+    }
+}
+
+/// Changes the selected object, or which one is selected.
+fn edit_selection(doc: &mut Document, action: Action) {
+    match action {
+        Action::Delete => {
+            doc.delete();
+        }
+        Action::Duplicate => {
+            doc.duplicate();
+        }
+        Action::Mute => match doc.selected {
+            Selection::Mesh(n) => {
+                if let Some(mesh) = doc.scene.mesh.get_mut(n) {
+                    mesh.hidden = !mesh.hidden;
+                }
+            }
+            _ => {
+                if let Some(d) = doc.deformation() {
+                    d.enabled = !d.enabled;
+                }
+            }
+        },
+        Action::Solo => {
+            if let Some(n) = doc.deformation_index() {
+                doc.solo = if doc.solo == Some(n) { None } else { Some(n) };
+            }
+        }
+        Action::MoveUp | Action::MoveDown => {
+            if let Some(n) = doc.deformation_index() {
+                let to = if action == Action::MoveUp { n.checked_sub(1) } else { Some(n + 1) };
+                to.map(|to| doc.reorder(n, to));
+            }
+        }
+        Action::Less | Action::More => {
+            if let Some(d) = doc.deformation() {
+                let by = if action == Action::More { PROGRESS_STEP } else { -PROGRESS_STEP };
+                let to = d.progress.unwrap_or(1.0) + by;
+                d.progress = Some(((to * 100.0).round() / 100.0).clamp(0.0, 1.0));
+            }
+        }
+        Action::SelectNext => {
+            let count = doc.scene.deformation.len();
+            if count > 0 {
+                doc.selected = Selection::Deformation(doc.deformation_index().map_or(0, |n| (n + 1) % count));
+            }
+        }
+        _ => {}
     }
 }

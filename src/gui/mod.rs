@@ -23,6 +23,7 @@ mod edit;
 mod exports;
 pub mod files;
 pub mod gizmos;
+mod keys;
 pub mod panels;
 mod pictures;
 pub mod projector;

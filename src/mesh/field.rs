@@ -15,49 +15,27 @@
 //! crosses; those points, with the tangent planes through them, seed the same sweeps. The sign is
 //! that of the value.
 
+mod iso;
+mod lattice;
+mod sweep;
+
+pub use iso::of_iso_value;
+pub use lattice::{FieldSettings, MARGIN, MAX_POINTS, cell_of};
+
 use super::{Mesh, Topology, TriangleBvh};
 use crate::Watch;
+use crate::math::DistanceGrid;
 use crate::math::arrays::shaped;
-use crate::math::{Bounds, DistanceGrid, normalize_or, to_f32, trilinear};
-use crate::volume::Volume;
-use glam::{Affine3A, Mat3, Vec3};
+use glam::{Mat3, Vec3};
+use lattice::{BAND, FieldLattice};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use sweep::sweep;
 
-/// Half width of the narrow band of exact distances, cells.
-const BAND: f32 = 2.5;
-/// Cells left free around the mesh on every side.
-pub const MARGIN: f32 = 3.0;
 /// Edge of the blocks that are decided as a whole, points.
 const BLOCK: usize = 16;
 /// A winding number this close to 1/2 is not certain.
 const DOUBT: f32 = 0.2;
-/// Number of times that the foot of a point slides along an interpolated surface.
-const SLIDES: usize = 3;
-/// Maximum number of points of a field.
-pub const MAX_POINTS: usize = 1 << 29;
-
-/// The settings of a mesh's field.
-#[derive(Clone, Copy, Debug)]
-pub struct FieldSettings {
-    /// Points along the longest axis; `cell_mm` takes precedence.
-    pub resolution: usize,
-    /// Distance between points, mm.
-    pub cell_mm: Option<f32>,
-    /// Restricts the field to this region (\[DS07\] section 3), mm.
-    pub region: Option<Bounds>,
-    /// Exact distances everywhere, not only in the band.
-    pub exact: bool,
-    /// Inside is where a line has crossed the mesh an odd number of times: for closed meshes of
-    /// nested walls.
-    pub parity: bool,
-}
-
-impl Default for FieldSettings {
-    fn default() -> Self {
-        Self { resolution: 128, cell_mm: None, region: None, exact: false, parity: false }
-    }
-}
 
 /// A field and its statistics.
 pub struct MeshField {
@@ -75,55 +53,6 @@ pub struct MeshField {
     pub inside: f64,
     /// | |∇f| - 1 | in the band: its mean and its 99th percentile.
     pub eikonal: [f64; 2],
-}
-
-/// Distance between the points of a mesh's field at a given resolution, mm.
-pub fn cell_of(bounds: &Bounds, resolution: usize) -> f32 {
-    bounds.size().max_element() / (resolution.max(8) as f32 - 1.0 - 2.0 * MARGIN).max(1.0)
-}
-
-/// The lattice of a field over a box.
-struct FieldLattice {
-    size: [usize; 3],
-    origin: Vec3,
-    cell: f32,
-}
-
-impl FieldLattice {
-    fn over(bounds: &Bounds, settings: &FieldSettings) -> Result<Self, String> {
-        let cell = match settings.cell_mm {
-            Some(cell) if cell.is_finite() && cell > 0.0 => cell,
-            Some(cell) => return Err(format!("a cell of {cell} mm cannot be used")),
-            None => cell_of(bounds, settings.resolution),
-        };
-        let part = match settings.region {
-            Some(region) => bounds.grown(MARGIN * cell).intersection(&region),
-            None => bounds.grown(MARGIN * cell),
-        };
-        if part.is_empty() {
-            return Err("no part of the mesh lies in the box".into());
-        }
-        let size = (part.size() / cell - 1e-3).ceil().max(Vec3::ONE).to_array().map(|n| (n as usize).saturating_add(1));
-        let points = size.iter().try_fold(1usize, |p, &n| p.checked_mul(n)).unwrap_or(usize::MAX);
-        if points > MAX_POINTS {
-            return Err(format!("a field of {} x {} x {} points is too large; make its cells larger", size[0], size[1], size[2]));
-        }
-        // The extent added by rounding is split between both sides.
-        let more = Vec3::from(size.map(|n| (n - 1) as f32)) * cell - part.size();
-        Ok(Self { size, origin: part.min - more * 0.5, cell })
-    }
-
-    fn point(&self, i: usize, j: usize, k: usize) -> Vec3 {
-        self.origin + Vec3::new(i as f32, j as f32, k as f32) * self.cell
-    }
-
-    fn len(&self) -> usize {
-        self.size.iter().product()
-    }
-
-    fn world_from_grid(&self) -> Affine3A {
-        Affine3A::from_translation(self.origin) * Affine3A::from_scale(Vec3::splat(self.cell))
-    }
 }
 
 impl MeshField {
@@ -213,44 +142,6 @@ fn band(tree: &TriangleBvh, lattice: &FieldLattice, exact: bool, watch: &Watch) 
         (watch.progress)(0.6 * (done.fetch_add(1, Ordering::Relaxed) + 1) as f32 / slabs as f32);
     });
     if watch.is_cancelled() { Err(CANCELLED.into()) } else { Ok((distance, nearest)) }
-}
-
-/// Propagates nearest points to neighbours in the eight orders of three axes.
-fn sweep(distance: &mut [f32], nearest: &mut [Vec3], size: [usize; 3], origin: Vec3, world_from_index: Mat3) {
-    let [nx, ny, nz] = size;
-    let (dj, dk) = (nx as isize, (nx * ny) as isize);
-    for order in 0..8 {
-        let (fi, fj, fk) = (order & 1 == 0, order & 2 == 0, order & 4 == 0);
-        let neighbours = [if fi { -1 } else { 1 }, if fj { -dj } else { dj }, if fk { -dk } else { dk }];
-        for k in 0..nz {
-            let k = if fk { k } else { nz - 1 - k };
-            for j in 0..ny {
-                let j = if fj { j } else { ny - 1 - j };
-                let has = [false, if fj { j > 0 } else { j + 1 < ny }, if fk { k > 0 } else { k + 1 < nz }];
-                for i in 0..nx {
-                    let i = if fi { i } else { nx - 1 - i };
-                    let has = [if fi { i > 0 } else { i + 1 < nx }, has[1], has[2]];
-                    let n = (k * ny + j) * nx + i;
-                    let here = origin + world_from_index * Vec3::new(i as f32, j as f32, k as f32);
-                    for (step, has) in neighbours.into_iter().zip(has) {
-                        if !has {
-                            continue;
-                        }
-                        let m = (n as isize + step) as usize;
-                        // A neighbour that is no nearer to the surface than this point has nothing
-                        // better to offer.
-                        if distance[m] < distance[n] {
-                            let d = here.distance(nearest[m]);
-                            if d < distance[n] {
-                                distance[n] = d;
-                                nearest[n] = nearest[m];
-                            }
-                        }
-                    }
-                }
-            }
-        }
-    }
 }
 
 /// Gives the distances, positive on input, their sign; returns how many winding numbers were
@@ -393,141 +284,9 @@ fn eikonal(distance: &[f32], lattice: &FieldLattice) -> [f64; 2] {
     [mean, f64::from(off[at])]
 }
 
-/// The distance to the surface where a volume has a given value, positive where it is higher, on
-/// the volume's own grid (on every second or fourth voxel of a very large one). None if there is no
-/// such surface.
-pub fn of_iso_value(volume: &Volume, iso: f64) -> Option<DistanceGrid> {
-    let mut stride = 1;
-    while volume.size.iter().map(|n| n.div_ceil(stride)).product::<usize>() > MAX_POINTS / 8 {
-        stride *= 2;
-    }
-    let size = volume.size.map(|n| n.div_ceil(stride));
-    let [nx, ny, nz] = size;
-    let world_from_grid = to_f32(&volume.world_from_voxel) * Affine3A::from_scale(Vec3::splat(stride as f32));
-    let linear = Mat3::from(world_from_grid.matrix3);
-    let per_mm = linear.inverse().transpose();
-    let above = |i: usize, j: usize, k: usize| {
-        let v = (volume.value(i * stride, j * stride, k * stride) - iso) as f32;
-        if v.is_finite() { v } else { -1.0 }
-    };
-    let values: Vec<f32> = (0..nx * ny * nz).into_par_iter().map(|n| above(n % nx, n / nx % ny, n / (nx * ny))).collect();
-    if values.iter().all(|v| *v >= 0.0) || values.iter().all(|v| *v < 0.0) {
-        return None;
-    }
-    let strides = [1, nx, nx * ny];
-    let gradient = |n: usize, at: [usize; 3]| {
-        let d: [f32; 3] = std::array::from_fn(|a| {
-            let before = if at[a] > 0 { n - strides[a] } else { n };
-            let after = if at[a] + 1 < size[a] { n + strides[a] } else { n };
-            (values[after] - values[before]) / ((after - before) / strides[a]).max(1) as f32
-        });
-        per_mm * Vec3::from(d)
-    };
-    // The nearest crossing of the grid edges at a point: its distance from the plane through the
-    // crossing, and its foot on that plane.
-    let seeds: Vec<(f32, Vec3)> = (0..values.len())
-        .into_par_iter()
-        .map(|n| {
-            let at = [n % nx, n / nx % ny, n / (nx * ny)];
-            let here = linear * Vec3::from(at.map(|c| c as f32));
-            let inside = values[n] >= 0.0;
-            let mut best = (f32::INFINITY, Vec3::NAN);
-            let mut own = None;
-            for a in 0..3 {
-                for m in [(at[a] > 0).then(|| n - strides[a]), (at[a] + 1 < size[a]).then(|| n + strides[a])].into_iter().flatten() {
-                    if (values[m] >= 0.0) == inside {
-                        continue;
-                    }
-                    let along = values[n] / (values[n] - values[m]);
-                    let there = [m % nx, m / nx % ny, m / (nx * ny)];
-                    let crossing = linear * Vec3::from(std::array::from_fn(|c| at[c] as f32 + (there[c] as f32 - at[c] as f32) * along));
-                    let near = *own.get_or_insert_with(|| gradient(n, at));
-                    let normal = normalize_or(near + (gradient(m, there) - near) * along, Vec3::ZERO);
-                    let foot = here + normal * (crossing - here).dot(normal);
-                    // The plane approximates the surface well within about a cell around the
-                    // crossing, no farther.
-                    let reach = (crossing - here).length();
-                    let foot = if normal == Vec3::ZERO || foot.distance(crossing) > reach { crossing } else { foot };
-                    let d = foot.distance(here);
-                    if d < best.0 {
-                        best = (d, foot);
-                    }
-                }
-            }
-            best
-        })
-        .collect();
-    let (mut distance, mut nearest): (Vec<f32>, Vec<Vec3>) = seeds.into_iter().unzip();
-    sweep(&mut distance, &mut nearest, size, Vec3::ZERO, linear);
-    // Feet are a cell apart; near the surface each one slides to the foot of its own point on the
-    // interpolated values.
-    let (grid_from_linear, reach) = (linear.inverse(), BAND * linear.x_axis.length().max(linear.y_axis.length()).max(linear.z_axis.length()));
-    let value_at = |x: Vec3| trilinear(&values, size, grid_from_linear * x);
-    let slope_at = |x: Vec3| {
-        let g = grid_from_linear * x;
-        per_mm * Vec3::from(Vec3::AXES.map(|e| trilinear(&values, size, g + e * 0.5) - trilinear(&values, size, g - e * 0.5)))
-    };
-    distance.par_iter_mut().zip(&nearest).enumerate().filter(|(_, (d, _))| **d < reach).for_each(|(n, (d, foot))| {
-        let here = linear * Vec3::new((n % nx) as f32, (n / nx % ny) as f32, (n / (nx * ny)) as f32);
-        let mut x = *foot;
-        for _ in 0..SLIDES {
-            let g = slope_at(x);
-            let steep = g.length_squared();
-            if steep < 1e-20 {
-                return;
-            }
-            let along = here - x;
-            x += along - g * (along.dot(g) / steep);
-            let g = slope_at(x);
-            x -= g * (value_at(x) / g.length_squared().max(1e-20));
-        }
-        // A slide that diverged is discarded.
-        let found = x.distance(here);
-        if found.is_finite() && found < *d * 1.5 + 1e-3 {
-            *d = found;
-        }
-    });
-    distance.par_iter_mut().zip(&values).for_each(|(d, v)| {
-        if *v < 0.0 {
-            *d = -*d;
-        }
-    });
-    Some(DistanceGrid::new(shaped(size, distance), world_from_grid))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::volume::{Rescale, Volume};
-    use glam::{DAffine3, DVec3};
-
-    #[test]
-    fn an_iso_value_of_a_smooth_ball_is_a_sphere() {
-        let world_from_voxel = DAffine3::from_rotation_y(0.3) * DAffine3::from_scale(DVec3::new(1.0, 1.2, 0.9));
-        let size = [50usize, 44, 56];
-        let middle = world_from_voxel.transform_point3(DVec3::new(25.0, 22.0, 28.0));
-        let voxels: Vec<f32> = (0..size.iter().product::<usize>())
-            .map(|n| {
-                let v = DVec3::new((n % 50) as f64, (n / 50 % 44) as f64, (n / 2200) as f64);
-                (100.0 - world_from_voxel.transform_point3(v).distance(middle)) as f32
-            })
-            .collect();
-        let volume = Volume::new(crate::volume::Voxels::new(size, voxels), Rescale::NONE, world_from_voxel);
-        let field = of_iso_value(&volume, 85.0).unwrap_or_else(|| panic!());
-        let (mut worst_near, mut worst) = (0.0f32, 0.0f32);
-        for (n, d) in field.distance_mm.iter().enumerate() {
-            let v = Vec3::new((n % 50) as f32, (n / 50 % 44) as f32, (n / 2200) as f32);
-            let want = 15.0 - field.world_from_grid.transform_point3(v).distance(middle.as_vec3());
-            // The medial point of a ball is in no band.
-            worst = worst.max((d - want).abs());
-            if want.abs() < 2.0 {
-                worst_near = worst_near.max((d - want).abs());
-            }
-        }
-        // Swept distances exceed the true distance by less than half a cell.
-        assert!(worst_near < 0.05 && worst < 0.45, "{worst_near} near the surface, {worst} at worst");
-        assert!(of_iso_value(&volume, 1e9).is_none());
-    }
 
     #[test]
     fn work_can_be_cancelled() {

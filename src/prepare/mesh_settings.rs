@@ -53,20 +53,23 @@ pub fn deformers(sources: &[DeformerSource], bounds: &Bounds) -> Result<Vec<Defo
     sources.iter().map(|d| deformer(d, bounds)).collect()
 }
 
-fn deformer(d: &DeformerSource, bounds: &Bounds) -> Result<Deformer> {
-    const KINDS: [(&str, &[&str]); 7] = [
-        ("twist", &["angle"]),
-        ("bend", &["angle"]),
-        ("taper", &["factor"]),
-        ("shear", &["amount"]),
-        ("bulge", &["amount", "width"]),
-        ("wave", &["amplitude", "length", "phase"]),
-        ("lattice", &[]),
-    ];
-    let Some((kind, valid_names)) = KINDS.iter().find(|k| k.0 == d.kind) else {
+/// The kinds of deformers, with the names of their numbers.
+const DEFORMER_KINDS: [(&str, &[&str]); 7] = [
+    ("twist", &["angle"]),
+    ("bend", &["angle"]),
+    ("taper", &["factor"]),
+    ("shear", &["amount"]),
+    ("bulge", &["amount", "width"]),
+    ("wave", &["amplitude", "length", "phase"]),
+    ("lattice", &[]),
+];
+
+/// The kind of a deformer, after checks of its numbers and its progress.
+fn checked_kind(d: &DeformerSource) -> Result<&'static str> {
+    let Some(&(kind, valid_names)) = DEFORMER_KINDS.iter().find(|k| k.0 == d.kind) else {
         return Err(Error::value(
             format!("deformer \"{}\"", d.kind),
-            format!("there is no such deformer; {}", suggestion(&d.kind, KINDS.iter().map(|k| k.0))),
+            format!("there is no such deformer; {}", suggestion(&d.kind, DEFORMER_KINDS.iter().map(|k| k.0))),
         ));
     };
     if let Some(name) = d.numbers.keys().find(|n| !valid_names.contains(&n.as_str())) {
@@ -82,6 +85,12 @@ fn deformer(d: &DeformerSource, bounds: &Bounds) -> Result<Deformer> {
     if !(0.0..=1.0).contains(&progress) {
         return Err(Error::value(format!("{kind}: progress"), format!("{progress} is outside 0 to 1")));
     }
+    Ok(kind)
+}
+
+/// A deformer in numeric form; by default its box is that of the mesh.
+fn deformer(d: &DeformerSource, bounds: &Bounds) -> Result<Deformer> {
+    let kind = checked_kind(d)?;
     // A flat mesh also needs a box with a volume.
     let own = bounds.size().max(Vec3::splat(0.01 * bounds.size().max_element()));
     let size = d.size.map_or(own, Size::xyz);
@@ -89,12 +98,18 @@ fn deformer(d: &DeformerSource, bounds: &Bounds) -> Result<Deformer> {
     let placement = placement.map_err(|e| e.within(kind))?;
     let half = size * 0.5;
     let local_from_world = Affine3A::from_scale(size) * Affine3A::from_translation(Vec3::splat(-0.5)) * placement.map_from_world;
+    Ok(Deformer { deform: deformer_kind(d, kind, size)?, local_from_world, half })
+}
+
+/// The kind of a deformer with its numbers, for a box of this size.
+fn deformer_kind(d: &DeformerSource, kind: &str, size: Vec3) -> Result<DeformerKind> {
+    let progress = d.progress.unwrap_or(1.0);
     let number = |name: &str, default: f32| d.numbers.get(name).copied().unwrap_or(default);
     let positive = |name: &str, default: f32| match number(name, default) {
         v if v > 0.0 => Ok(v),
         v => Err(Error::value(format!("{kind}: {name}"), format!("{v} is not positive"))),
     };
-    let deform = match *kind {
+    Ok(match kind {
         "twist" => DeformerKind::Twist(progress * number("angle", 90.0).to_radians() / size.z),
         "bend" => DeformerKind::Bend(progress * number("angle", 60.0).to_radians() / size.z),
         "taper" => DeformerKind::Taper(1.0 + progress * (positive("factor", 0.4)? - 1.0)),
@@ -108,20 +123,22 @@ fn deformer(d: &DeformerSource, bounds: &Bounds) -> Result<Deformer> {
                 number("phase", 0.0).to_radians(),
             )
         }
-        _ => {
-            let mut offsets = [Vec3::ZERO; LATTICE * LATTICE * LATTICE];
-            for p in &d.points {
-                let index = [p[0], p[1], p[2]];
-                if !index.iter().all(|i| (0.0..LATTICE as f32).contains(i) && i.fract() == 0.0) || !p.iter().all(|v| v.is_finite()) {
-                    return Err(Error::value("lattice: points", format!("{p:?} is not three indices from 0 to 3 and an offset")));
-                }
-                let n = (index[2] as usize * LATTICE + index[1] as usize) * LATTICE + index[0] as usize;
-                offsets[n] = Vec3::new(p[3], p[4], p[5]) * progress;
-            }
-            DeformerKind::Lattice(Box::new(offsets))
+        _ => DeformerKind::Lattice(Box::new(lattice_offsets(&d.points, progress)?)),
+    })
+}
+
+/// The offsets of a lattice's control points, mm; x fastest.
+fn lattice_offsets(points: &[[f32; 6]], progress: f32) -> Result<[Vec3; LATTICE * LATTICE * LATTICE]> {
+    let mut offsets = [Vec3::ZERO; LATTICE * LATTICE * LATTICE];
+    for p in points {
+        let index = [p[0], p[1], p[2]];
+        if !index.iter().all(|i| (0.0..LATTICE as f32).contains(i) && i.fract() == 0.0) || !p.iter().all(|v| v.is_finite()) {
+            return Err(Error::value("lattice: points", format!("{p:?} is not three indices from 0 to 3 and an offset")));
         }
-    };
-    Ok(Deformer { deform, local_from_world, half })
+        let n = (index[2] as usize * LATTICE + index[1] as usize) * LATTICE + index[0] as usize;
+        offsets[n] = Vec3::new(p[3], p[4], p[5]) * progress;
+    }
+    Ok(offsets)
 }
 
 pub fn formula(shapes: &[ShapeSource]) -> Result<Formula> {

@@ -21,6 +21,7 @@ mod sampled;
 mod spacing;
 pub mod stack;
 pub mod surface_cells;
+mod visibility;
 mod volume;
 
 pub use accelerator::{Accelerator, CpuOnly};

@@ -14,7 +14,7 @@ use crate::mesh::Implicit;
 use crate::mesh::deformer::{Deformer, NormalMethod};
 use crate::mesh::field::{MARGIN, cell_of};
 use crate::scene::Scene;
-use crate::scene::surface::{CutModel, Look, MeshSource, Representation, Steps};
+use crate::scene::surface::{CutModel, Look, MeshSource, Representation, Steps, SurfaceSettings};
 use crate::{Result, Watch};
 use std::sync::{Arc, OnceLock};
 
@@ -89,6 +89,7 @@ impl Assets {
         Ok(Surfaces { objects: objects.collect::<Result<_>>()?, steps: general.steps, threshold: general.threshold })
     }
 
+    /// Resolves surface `n` of a scene. `slopes` are those of the stack, computed on first use.
     fn object<'a>(
         &self,
         scene: &Scene,
@@ -102,18 +103,10 @@ impl Assets {
         let look = source.appearance.resolve(&general.appearance)?;
         let only_triangles = source.representation() == Representation::Triangles;
         let untouched = source.rigid || (stack.is_empty() && cuts.is_empty());
-        // The inner wall of a thick skin is not part of the triangles: such a surface is rendered
-        // entirely by rays.
-        let both = general.two_stage && source.path.is_some() && source.representation() == Representation::Field && look.model != CutModel::Thick;
+        let both = has_two_stages(source, general, look.model);
         let triangles = if only_triangles || both { Some(self.objects.triangles(&self.library, source)?) } else { None };
-        // In two stages, the field is needed only where the boxes' content comes from.
-        let mut region = None;
-        if let (true, Some(t)) = (both && cuts.is_empty(), &triangles) {
-            let cell = cell_of(&t.mesh.bounds(), source.resolution.unwrap_or(general.resolution));
-            let part = stack.maps().iter().map(|m| stack.source_bounds(&m.bounds_in_world()).0).fold(Bounds::EMPTY, |a, b| a.union(&b));
-            let part = part.grown((4.0 + general.seam) * cell).intersection(&t.mesh.bounds().grown(0.99 * MARGIN * cell));
-            region = Some(part);
-        }
+        let in_boxes = triangles.as_ref().filter(|_| both && cuts.is_empty());
+        let region = in_boxes.map(|t| field_region(&t.mesh.bounds(), source, general, stack));
         let nothing_to_cast = both && (untouched || region.is_some_and(|r| r.is_empty()));
         let implicit = if only_triangles || nothing_to_cast {
             None
@@ -162,4 +155,20 @@ impl Assets {
             cells,
         })
     }
+}
+
+/// Whether a surface is drawn in two stages: as triangles outside the deformations' boxes, by rays
+/// within.
+fn has_two_stages(source: &MeshSource, general: &SurfaceSettings, model: CutModel) -> bool {
+    // The inner wall of a thick skin is not part of the triangles: such a surface is rendered
+    // entirely by rays.
+    general.two_stage && source.path.is_some() && source.representation() == Representation::Field && model != CutModel::Thick
+}
+
+/// The part of a mesh's box in which two stages need the field, mm: where the content of the
+/// deformations' boxes comes from.
+fn field_region(mesh: &Bounds, source: &MeshSource, general: &SurfaceSettings, stack: &Stack) -> Bounds {
+    let cell = cell_of(mesh, source.resolution.unwrap_or(general.resolution));
+    let part = stack.maps().iter().map(|m| stack.source_bounds(&m.bounds_in_world()).0).fold(Bounds::EMPTY, |a, b| a.union(&b));
+    part.grown((4.0 + general.seam) * cell).intersection(&mesh.grown(0.99 * MARGIN * cell))
 }

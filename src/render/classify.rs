@@ -2,13 +2,13 @@
 
 use super::context::Context;
 use super::maps::MapCache;
-use super::sample_map::{groups, storage};
+use super::sample_map::{MapBounds, groups, storage};
 use super::uniforms::{ClassificationUniform, MAP_LEVELS, NodeBounds, VALUE_LEVELS};
-use crate::deform::MAX_MAPS;
+use crate::deform::{MAX_MAPS, Stack};
 use crate::gpu::read_buffer;
 use crate::gpu::shaders::Program;
 use crate::prepare::{CellGrid, CellState, VisibilityCriteria};
-use crate::transfer::TABLE_ENTRIES;
+use crate::transfer::{TABLE_ENTRIES, TransferTable};
 use crate::volume::{VoxelGrid, VoxelGridValues};
 use crate::{Error, Result};
 use std::sync::{Mutex, PoisonError};
@@ -44,6 +44,8 @@ impl ValueBoundsCache {
         (buffer, levels)
     }
 
+    /// The states of the cells of a grid, x fastest; `None` for a scene whose levels or maps exceed
+    /// those of the shader.
     pub(super) fn classified(
         &self,
         context: &Context,
@@ -64,22 +66,9 @@ impl ValueBoundsCache {
         }
         let mut uniform = ClassificationUniform::new(cells, contents, &value_levels);
         let mut encoder = context.device.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        let all: u64 = bounds.iter().map(|b| b.nodes.size()).sum();
-        let map_nodes =
-            context.scratch_of("bounds of all maps", all.max(size_of::<NodeBounds>() as u64), BufferUsages::STORAGE | BufferUsages::COPY_DST);
-        let mut at = 0;
-        for (k, b) in bounds.iter().enumerate() {
-            uniform.set_map(k, &b.levels, (at / size_of::<NodeBounds>() as u64) as u32, stack.maps()[k].map.has_cuts());
-            encoder.copy_buffer_to_buffer(&b.nodes, 0, &map_nodes, at, b.nodes.size());
-            at += b.nodes.size();
-        }
-        let mut visible = Vec::with_capacity(TABLE_ENTRIES + 1);
-        visible.push(0u32);
-        for entry in contents.table.entries.iter().take(TABLE_ENTRIES) {
-            visible.push(visible[visible.len() - 1] + u32::from(entry[3] > 0.0));
-        }
+        let map_nodes = joined_map_bounds(context, &mut encoder, stack, &bounds, &mut uniform);
         let uniform = context.scratch("classification", bytemuck::bytes_of(&uniform), BufferUsages::UNIFORM);
-        let visible = context.scratch("visible entries", bytemuck::cast_slice(&visible), BufferUsages::STORAGE);
+        let visible = context.scratch("visible entries", bytemuck::cast_slice(&visible_entries(contents.table)), BufferUsages::STORAGE);
         let bytes = u64::from(cells.size.element_product()) * 4;
         let flags = context.scratch_of("flags", bytes, BufferUsages::STORAGE | BufferUsages::COPY_SRC);
         let back = context.scratch_of("flags, to read", bytes, BufferUsages::MAP_READ | BufferUsages::COPY_DST);
@@ -87,15 +76,7 @@ impl ValueBoundsCache {
             context.layout_of("classification", &[super::sample_map::uniform(false), storage(true), storage(true), storage(true), storage(false)]);
         let resources = [&uniform, &values, &map_nodes, &visible, &flags].map(|b| b.as_entire_binding());
         let group = context.bind_in_order("classification", &layout, &resources);
-        let key = (stack.maps().len(), contents.cuts.primitives().len(), context.strategy.exact_filter);
-        let pipeline = {
-            let mut cached = context.classify_pipelines.lock().unwrap_or_else(PoisonError::into_inner);
-            let make = || {
-                let constants = [("MAPS", key.0 as f64), ("CUTS", key.1 as f64), ("EXACT", f64::from(u8::from(key.2)))];
-                context.compute_pipeline_at(Program::Classify, "classify", false, &[&context.stack_layout(), &layout], &constants)
-            };
-            cached.entry(key).or_insert_with(make).clone()
-        };
+        let pipeline = classification_pipeline(context, contents, &layout);
         {
             let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
             pass.set_pipeline(&pipeline);
@@ -106,13 +87,59 @@ impl ValueBoundsCache {
         }
         encoder.copy_buffer_to_buffer(&flags, 0, &back, 0, bytes);
         context.device.queue.submit([encoder.finish()]);
-        let read = read_buffer(&context.device.device, &back)?;
-        let numbers: &[u32] = bytemuck::try_cast_slice(&read).map_err(|e| Error::Gpu(format!("reading back failed: {e}")))?;
-        let flag = |n: &u32| match n {
-            0 => CellState::Empty,
-            1 => CellState::Occupied,
-            _ => CellState::CutFree,
-        };
-        Ok(Some(numbers.iter().take(cells.size.element_product() as usize).map(flag).collect()))
+        read_states(context, &back, cells.size.element_product() as usize).map(Some)
     }
+}
+
+/// The bounds of all maps of a stack in one buffer. Records the copies, and writes the place of each
+/// map's levels into the uniform.
+fn joined_map_bounds(
+    context: &Context,
+    encoder: &mut wgpu::CommandEncoder,
+    stack: &Stack,
+    bounds: &[MapBounds],
+    uniform: &mut ClassificationUniform,
+) -> wgpu::Buffer {
+    let all: u64 = bounds.iter().map(|b| b.nodes.size()).sum();
+    let map_nodes = context.scratch_of("bounds of all maps", all.max(size_of::<NodeBounds>() as u64), BufferUsages::STORAGE | BufferUsages::COPY_DST);
+    let mut at = 0;
+    for (k, b) in bounds.iter().enumerate() {
+        uniform.set_map(k, &b.levels, (at / size_of::<NodeBounds>() as u64) as u32, stack.maps()[k].map.has_cuts());
+        encoder.copy_buffer_to_buffer(&b.nodes, 0, &map_nodes, at, b.nodes.size());
+        at += b.nodes.size();
+    }
+    map_nodes
+}
+
+/// The number of visible entries of a table before each entry, and in all of it.
+fn visible_entries(table: &TransferTable) -> Vec<u32> {
+    let mut visible = Vec::with_capacity(TABLE_ENTRIES + 1);
+    visible.push(0u32);
+    for entry in table.entries.iter().take(TABLE_ENTRIES) {
+        visible.push(visible[visible.len() - 1] + u32::from(entry[3] > 0.0));
+    }
+    visible
+}
+
+/// The pipeline for a scene's numbers of maps and cuts, compiled on first use.
+fn classification_pipeline(context: &Context, contents: &VisibilityCriteria, layout: &wgpu::BindGroupLayout) -> wgpu::ComputePipeline {
+    let key = (contents.stack.maps().len(), contents.cuts.primitives().len(), context.strategy.exact_filter);
+    let mut cached = context.classify_pipelines.lock().unwrap_or_else(PoisonError::into_inner);
+    let make = || {
+        let constants = [("MAPS", key.0 as f64), ("CUTS", key.1 as f64), ("EXACT", f64::from(u8::from(key.2)))];
+        context.compute_pipeline_at(Program::Classify, "classify", false, &[&context.stack_layout(), layout], &constants)
+    };
+    cached.entry(key).or_insert_with(make).clone()
+}
+
+/// Reads the states of `count` cells back.
+fn read_states(context: &Context, flags: &wgpu::Buffer, count: usize) -> Result<Vec<CellState>> {
+    let read = read_buffer(&context.device.device, flags)?;
+    let numbers: &[u32] = bytemuck::try_cast_slice(&read).map_err(|e| Error::Gpu(format!("reading back failed: {e}")))?;
+    let state = |n: &u32| match n {
+        0 => CellState::Empty,
+        1 => CellState::Occupied,
+        _ => CellState::CutFree,
+    };
+    Ok(numbers.iter().take(count).map(state).collect())
 }

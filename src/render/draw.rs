@@ -15,6 +15,7 @@ use crate::prepare::Prepared;
 use crate::transfer::Blend;
 use crate::{Result, Watch};
 use std::collections::VecDeque;
+use std::ops::Range;
 use wgpu::{BufferUsages, TextureFormat};
 
 /// Pixels per submission of rays: on hardware, and on a software driver, whose shorter bands allow
@@ -200,59 +201,32 @@ impl Renderer {
         let composite = scene.volume().blend == Blend::Composite;
         let projection_values = (!composite).then(|| self.targets.target(&self.context, "gathered", width, height, PROJECTION_FORMAT));
         let mask = composite.then(|| self.targets.target(&self.context, "opaque pixels", width, height, MASK));
-        let canvas = projection_values.as_ref().map_or(&draw.target.view, |t| &t.view);
+        let polygons = slices::slabs(&scene.frame, &scene.volume().macrocells, scene.proxy_mesh.as_deref());
+        let vertices = self.targets.slice_vertices(&self.context, bytemuck::cast_slice(&polygons.corners));
+        let targets = SliceTargets {
+            color: projection_values.as_ref().map_or(&draw.target.view, |t| &t.view),
+            mask: mask.as_ref().map(|m| &m.view),
+            vertices: &vertices,
+        };
         let empty = match scene.volume().blend {
             Blend::Composite | Blend::Average => wgpu::Color::TRANSPARENT,
             // Below every value; green stays 0 where nothing is drawn.
             Blend::Mip | Blend::Minip => wgpu::Color { r: -1e4, ..wgpu::Color::TRANSPARENT },
         };
-        let polygons = slices::slabs(&scene.frame, &scene.volume().macrocells, scene.proxy_mesh.as_deref());
-        let vertices = self.targets.slice_vertices(&self.context, bytemuck::cast_slice(&polygons.corners));
-        let seen = mask.as_ref().filter(|_| scene.settings.early_termination).map(|_| self.context.gathered_group(&draw.target.view));
-        let pipeline = &self.context.pipeline(draw.variant(&self.context, Program::Slice));
         let mut pending = PendingSubmissions::default();
         let mut encoder = self.context.encoder();
-        let depth = |load| mask.as_ref().map(|m| (&m.view, load));
-        Canvas { color: Some((canvas, wgpu::LoadOp::Clear(empty))), depth: depth(wgpu::LoadOp::Clear(1.0)) }.pass(draw.clock, &mut encoder, |_| {});
-        let samples_per_slab = u64::from(width) * u64::from(height) * if scene.proxy_mesh.is_some() { 1 } else { SLICES_PER_SLAB as u64 };
-        let (count, mut samples) = (polygons.slabs.len(), 0);
-        // For a mesh, polygons are single slices.
-        let slabs_at_once = if scene.proxy_mesh.is_some() { SLICES_PER_SLAB as usize } else { 1 };
-        let mut parts = polygons.slabs.chunks(slabs_at_once).map(|p| (p.len() as u64, p[0].start..p[p.len() - 1].end)).enumerate().peekable();
-        while let Some((n, (slabs, corners))) = parts.next() {
-            Canvas { color: Some((canvas, wgpu::LoadOp::Load)), depth: depth(wgpu::LoadOp::Load) }.pass(draw.clock, &mut encoder, |pass| {
-                pass.set_pipeline(pipeline);
-                draw.bind(pass);
-                pass.set_vertex_buffer(0, vertices.slice(..));
-                pass.draw(corners, 0..1);
-            });
-            // Only where the next slabs are.
-            if let (Some(seen), Some((_, (_, next)))) = (&seen, parts.peek()) {
-                Canvas { color: None, depth: depth(wgpu::LoadOp::Load) }.pass(draw.clock, &mut encoder, |pass| {
-                    pass.set_pipeline(&self.context.pipeline(draw.variant(&self.context, Program::Opaque)));
-                    pass.set_bind_group(0, draw.bindings, &[]);
-                    pass.set_bind_group(1, seen, &[]);
-                    pass.set_vertex_buffer(0, vertices.slice(..));
-                    pass.draw(next.clone(), 0..1);
-                });
-            }
-            samples += samples_per_slab * slabs;
-            if samples >= SAMPLES_PER_BATCH {
-                let share = ((n + 1) * slabs_at_once).min(count) as f32 / count as f32;
-                self.context.submit(std::mem::replace(&mut encoder, self.context.encoder()), share, &mut pending, draw.watch)?;
-                samples = 0;
-            }
-        }
+        targets.canvas(wgpu::LoadOp::Clear(empty), wgpu::LoadOp::Clear(1.0)).pass(draw.clock, &mut encoder, |_| {});
+        self.context.draw_slabs(draw, &targets, &polygons.slabs, &mut encoder, &mut pending)?;
         if composite {
             if draw.behind.is_some() {
-                Canvas::of(canvas, wgpu::LoadOp::Load).pass(draw.clock, &mut encoder, |pass| {
+                Canvas::of(targets.color, wgpu::LoadOp::Load).pass(draw.clock, &mut encoder, |pass| {
                     pass.set_pipeline(&self.context.pipeline(draw.variant(&self.context, Program::SurfacesBehind)));
                     pass.set_bind_group(0, draw.bindings, &[]);
                     pass.draw(0..3, 0..1);
                 });
             }
         } else {
-            let group = self.context.gathered_group(canvas);
+            let group = self.context.gathered_group(targets.color);
             Canvas::of(&draw.target.view, wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT)).pass(draw.clock, &mut encoder, |pass| {
                 pass.set_pipeline(&self.context.pipeline(draw.variant(&self.context, Program::Resolve)));
                 pass.set_bind_group(0, draw.bindings, &[]);
@@ -262,5 +236,70 @@ impl Renderer {
         }
         self.context.submit(encoder, 1.0, &mut pending, draw.watch)?;
         wait(&self.context.device.device)
+    }
+}
+
+/// The textures that slabs of slices are drawn into, and the corners of their polygons.
+struct SliceTargets<'a> {
+    /// The picture, or the values of a projection.
+    color: &'a wgpu::TextureView,
+    /// Depth 0 at opaque pixels; none for projections.
+    mask: Option<&'a wgpu::TextureView>,
+    vertices: &'a wgpu::Buffer,
+}
+
+impl<'a> SliceTargets<'a> {
+    /// The attachments of a pass that draws slabs.
+    fn canvas(&self, color: wgpu::LoadOp<wgpu::Color>, depth: wgpu::LoadOp<f32>) -> Canvas<'a> {
+        Canvas { color: Some((self.color, color)), depth: self.mask.map(|view| (view, depth)) }
+    }
+}
+
+impl Context {
+    /// Records slabs front to back, and submits them in batches except the last one. Between slabs,
+    /// pixels that have become opaque are masked.
+    fn draw_slabs(
+        &self,
+        draw: &Draw,
+        targets: &SliceTargets,
+        slabs: &[Range<u32>],
+        encoder: &mut wgpu::CommandEncoder,
+        pending: &mut PendingSubmissions,
+    ) -> Result<()> {
+        let scene = draw.scene;
+        let [width, height] = scene.frame.size;
+        let seen = targets.mask.filter(|_| scene.settings.early_termination).map(|_| self.gathered_group(&draw.target.view));
+        let pipeline = &self.pipeline(draw.variant(self, Program::Slice));
+        let canvas = targets.canvas(wgpu::LoadOp::Load, wgpu::LoadOp::Load);
+        let samples_per_slab = u64::from(width) * u64::from(height) * if scene.proxy_mesh.is_some() { 1 } else { SLICES_PER_SLAB as u64 };
+        let mut samples = 0;
+        // For a mesh, polygons are single slices.
+        let slabs_at_once = if scene.proxy_mesh.is_some() { SLICES_PER_SLAB as usize } else { 1 };
+        let mut parts = slabs.chunks(slabs_at_once).map(|p| (p.len() as u64, p[0].start..p[p.len() - 1].end)).enumerate().peekable();
+        while let Some((n, (count, corners))) = parts.next() {
+            canvas.pass(draw.clock, encoder, |pass| {
+                pass.set_pipeline(pipeline);
+                draw.bind(pass);
+                pass.set_vertex_buffer(0, targets.vertices.slice(..));
+                pass.draw(corners, 0..1);
+            });
+            // Only where the next slabs are.
+            if let (Some(seen), Some((_, (_, next)))) = (&seen, parts.peek()) {
+                Canvas { color: None, depth: canvas.depth }.pass(draw.clock, encoder, |pass| {
+                    pass.set_pipeline(&self.pipeline(draw.variant(self, Program::Opaque)));
+                    pass.set_bind_group(0, draw.bindings, &[]);
+                    pass.set_bind_group(1, seen, &[]);
+                    pass.set_vertex_buffer(0, targets.vertices.slice(..));
+                    pass.draw(next.clone(), 0..1);
+                });
+            }
+            samples += samples_per_slab * count;
+            if samples >= SAMPLES_PER_BATCH {
+                let share = ((n + 1) * slabs_at_once).min(slabs.len()) as f32 / slabs.len() as f32;
+                self.submit(std::mem::replace(encoder, self.encoder()), share, pending, draw.watch)?;
+                samples = 0;
+            }
+        }
+        Ok(())
     }
 }

@@ -78,10 +78,11 @@ use crate::transfer::Blend;
 use crate::{Error, Result, Watch};
 use cache::{SceneBindings, SceneCache};
 use context::Context;
+use counter::Counter;
 use draw::Draw;
 use pass_timer::PassTimer;
 use std::sync::Arc;
-use target::Targets;
+use target::{Layer, Targets};
 use wgpu::{Features, TextureFormat};
 
 /// Renders on one device.
@@ -176,19 +177,7 @@ impl Renderer {
     fn render_unchecked(&mut self, scene: &Prepared, counting: bool, watch: &Watch) -> Result<Rendered> {
         let mut stages = StageTimes::default();
         let [width, height] = scene.frame.size;
-        let limits = self.context.device.device.limits();
-        if width.max(height) > limits.max_texture_dimension_2d {
-            return Err(Error::GpuLimit(format!(
-                "this GPU renders pictures of at most {} pixels per edge; use a smaller size",
-                limits.max_texture_dimension_2d
-            )));
-        }
-        if scene.settings.mode == Mode::Slice
-            && scene.volume().blend != Blend::Composite
-            && !self.context.device.device.features().contains(Features::FLOAT32_BLENDABLE)
-        {
-            return Err(Error::GpuLimit("this GPU cannot blend 32-bit values, which projections by slices need (mode slice, not raycast)".into()));
-        }
+        self.check_limits(scene)?;
         let shows_volume = scene.settings.mode != Mode::Surface && !scene.frame.proxy.is_empty();
         if !shows_volume && scene.surfaces.objects.is_empty() {
             let pixels = vec![[0.0; 4]; width as usize * height as usize];
@@ -205,43 +194,12 @@ impl Renderer {
         let reduced: Vec<String> = self.scene.volume.texture.as_ref().and_then(|v| v.notice.clone()).filter(|_| shows_volume).into_iter().collect();
         let shared = stages.time("bind", || self.shared(scene))?;
         let counter = counting.then(|| self.targets.fresh_counter(&self.context));
-        let behind = if scene.surfaces.objects.is_empty() {
-            self.scene.surfaces.forget_large_fields();
-            None
-        } else {
-            self.restart_clock();
-            let drawn = stages.time("surfaces drawn", || self.draw_surfaces(scene, &shared, counter.as_ref(), watch))?;
-            if let Some(drawing) = self.clocked()? {
-                stages.divide("surfaces drawn", "surfaces drawn (GPU time)", drawing);
-            }
-            Some(drawn)
-        };
+        let inputs = PictureInputs { scene, shared: &shared, counter: counter.as_ref(), watch };
+        let behind = self.draw_surfaces_behind(&inputs, &mut stages)?;
         let target = if let (false, Some(layer)) = (shows_volume, &behind) {
             layer.color.clone()
         } else {
-            let bindings = self.scene.group(&self.context, &shared, behind.as_ref());
-            let target = self.targets.target(&self.context, "picture", width, height, TextureFormat::Rgba16Float);
-            stages.time("pipelines", || self.context.compile(scene, counting));
-            let clock = self.clock.clone();
-            let draw = Draw {
-                scene,
-                bindings: &bindings,
-                behind: behind.as_ref(),
-                counter: counter.as_ref(),
-                target: &target,
-                watch,
-                clock: clock.as_deref(),
-            };
-            self.restart_clock();
-            stages.time("draw", || match scene.settings.mode {
-                Mode::Raycast => self.draw_rays(&draw),
-                Mode::Slice => self.draw_slices(&draw),
-                Mode::Surface => Ok(()),
-            })?;
-            if let Some(drawing) = self.clocked()? {
-                stages.divide("draw", "draw (GPU time)", drawing);
-            }
-            target.texture
+            self.draw_volume(&inputs, behind.as_ref(), &mut stages)?
         };
         let pixels = stages.time("readback", || {
             let buffer = self.targets.readback(&self.context, texture_bytes(&target));
@@ -251,4 +209,68 @@ impl Renderer {
         let picture = Picture { width, height, pixels }.reduced(scene.settings.antialias);
         Ok(scene.rendered(picture, stats, stages, reduced))
     }
+
+    /// Checks that the device can render a scene.
+    fn check_limits(&self, scene: &Prepared) -> Result<()> {
+        let [width, height] = scene.frame.size;
+        let limits = self.context.device.device.limits();
+        if width.max(height) > limits.max_texture_dimension_2d {
+            return Err(Error::GpuLimit(format!(
+                "this GPU renders pictures of at most {} pixels per edge; use a smaller size",
+                limits.max_texture_dimension_2d
+            )));
+        }
+        if scene.settings.mode == Mode::Slice
+            && scene.volume().blend != Blend::Composite
+            && !self.context.device.device.features().contains(Features::FLOAT32_BLENDABLE)
+        {
+            return Err(Error::GpuLimit("this GPU cannot blend 32-bit values, which projections by slices need (mode slice, not raycast)".into()));
+        }
+        Ok(())
+    }
+
+    /// Draws the surfaces of a scene, if it has any, into the layer behind its volume.
+    fn draw_surfaces_behind(&mut self, inputs: &PictureInputs, stages: &mut StageTimes) -> Result<Option<Layer>> {
+        if inputs.scene.surfaces.objects.is_empty() {
+            self.scene.surfaces.forget_large_fields();
+            return Ok(None);
+        }
+        self.restart_clock();
+        let drawn = stages.time("surfaces drawn", || self.draw_surfaces(inputs.scene, inputs.shared, inputs.counter, inputs.watch))?;
+        if let Some(drawing) = self.clocked()? {
+            stages.divide("surfaces drawn", "surfaces drawn (GPU time)", drawing);
+        }
+        Ok(Some(drawn))
+    }
+
+    /// Draws the volume of a scene in front of a layer of surfaces, and returns the picture.
+    fn draw_volume(&mut self, inputs: &PictureInputs, behind: Option<&Layer>, stages: &mut StageTimes) -> Result<wgpu::Texture> {
+        let PictureInputs { scene, shared, counter, watch } = *inputs;
+        let [width, height] = scene.frame.size;
+        let bindings = self.scene.group(&self.context, shared, behind);
+        let target = self.targets.target(&self.context, "picture", width, height, TextureFormat::Rgba16Float);
+        stages.time("pipelines", || self.context.compile(scene, counter.is_some()));
+        let clock = self.clock.clone();
+        let draw = Draw { scene, bindings: &bindings, behind, counter, target: &target, watch, clock: clock.as_deref() };
+        self.restart_clock();
+        stages.time("draw", || match scene.settings.mode {
+            Mode::Raycast => self.draw_rays(&draw),
+            Mode::Slice => self.draw_slices(&draw),
+            Mode::Surface => Ok(()),
+        })?;
+        if let Some(drawing) = self.clocked()? {
+            stages.divide("draw", "draw (GPU time)", drawing);
+        }
+        Ok(target.texture)
+    }
+}
+
+/// The inputs of one picture.
+#[derive(Clone, Copy)]
+struct PictureInputs<'a> {
+    scene: &'a Prepared<'a>,
+    shared: &'a SceneBindings,
+    /// The counters, if samples are counted.
+    counter: Option<&'a Counter>,
+    watch: &'a Watch<'a>,
 }

@@ -60,6 +60,7 @@ impl Context {
         lock(&self.pipelines).entry(variant).or_insert_with(|| self.compiled(variant)).clone()
     }
 
+    /// Compiles the pipeline of a variant.
     fn compiled(&self, variant: Variant) -> wgpu::RenderPipeline {
         self.tally.count(ResourceKind::Pipeline);
         let device = &self.device.device;
@@ -69,26 +70,9 @@ impl Context {
         });
         let constants = overrides(&variant);
         let options = wgpu::PipelineCompilationOptions { constants: &constants, ..Default::default() };
-        // Front to back: new content is blended under the existing content.
-        let through = wgpu::BlendComponent {
-            src_factor: wgpu::BlendFactor::OneMinusDstAlpha,
-            dst_factor: wgpu::BlendFactor::One,
-            operation: wgpu::BlendOperation::Add,
-        };
-        let under = wgpu::BlendState { color: through, alpha: through };
-        let gather = |operation| {
-            let component = wgpu::BlendComponent { src_factor: wgpu::BlendFactor::One, dst_factor: wgpu::BlendFactor::One, operation };
-            wgpu::BlendState { color: component, alpha: component }
-        };
-        let (format, blend) = match (variant.program, variant.blend) {
-            (Program::Slice | Program::SurfacesBehind, Blend::Composite) => (TextureFormat::Rgba16Float, Some(under)),
-            (Program::Slice, Blend::Average) => (PROJECTION_FORMAT, Some(gather(wgpu::BlendOperation::Add))),
-            (Program::Slice, _) => (PROJECTION_FORMAT, Some(gather(wgpu::BlendOperation::Max))),
-            _ => (TextureFormat::Rgba16Float, None),
-        };
         let masked = matches!((variant.program, variant.blend), (Program::Slice, Blend::Composite) | (Program::Opaque, _));
         let has_corners = matches!(variant.program, Program::Slice | Program::Opaque);
-        let color = [Some(wgpu::ColorTargetState { format, blend, write_mask: wgpu::ColorWrites::ALL })];
+        let color = [Some(color_target(&variant))];
         let own_layout = match variant.program {
             Program::Resolve | Program::Opaque => Some(gathered_layout(device)),
             _ if variant.counting => Some(Counter::layout(device)),
@@ -133,6 +117,28 @@ impl Context {
             cache: None,
         })
     }
+}
+
+/// The format that a variant draws in, and how it blends.
+fn color_target(variant: &Variant) -> wgpu::ColorTargetState {
+    // Front to back: new content is blended under the existing content.
+    let through = wgpu::BlendComponent {
+        src_factor: wgpu::BlendFactor::OneMinusDstAlpha,
+        dst_factor: wgpu::BlendFactor::One,
+        operation: wgpu::BlendOperation::Add,
+    };
+    let under = wgpu::BlendState { color: through, alpha: through };
+    let gather = |operation| {
+        let component = wgpu::BlendComponent { src_factor: wgpu::BlendFactor::One, dst_factor: wgpu::BlendFactor::One, operation };
+        wgpu::BlendState { color: component, alpha: component }
+    };
+    let (format, blend) = match (variant.program, variant.blend) {
+        (Program::Slice | Program::SurfacesBehind, Blend::Composite) => (TextureFormat::Rgba16Float, Some(under)),
+        (Program::Slice, Blend::Average) => (PROJECTION_FORMAT, Some(gather(wgpu::BlendOperation::Add))),
+        (Program::Slice, _) => (PROJECTION_FORMAT, Some(gather(wgpu::BlendOperation::Max))),
+        _ => (TextureFormat::Rgba16Float, None),
+    };
+    wgpu::ColorTargetState { format, blend, write_mask: wgpu::ColorWrites::ALL }
 }
 
 pub(super) fn gathered_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {

@@ -20,7 +20,9 @@
 //! `progress` weakens the pushes, so that every intermediate state is invertible as well. It
 //! narrows the cuts; restoring strokes always act in full.
 
-use super::outline::Outline;
+mod path;
+mod silhouette;
+
 use super::{
     Backward, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, GapResolution, Kind, NO_CUT_DISTANCE_MM, Setting, SettingFormat,
     forward_numerically, lasso,
@@ -28,8 +30,10 @@ use super::{
 use crate::deform::{Argument, Arguments};
 use crate::math::{Bounds, redistance, smoothstep, trilinear};
 use crate::{Error, Result};
-use glam::{Affine3A, Vec2, Vec3, Vec3Swizzles, Vec4};
+use glam::{Affine3A, Vec3, Vec3Swizzles, Vec4};
+use path::{dabs, thinned, to_segment};
 use rayon::prelude::*;
+use silhouette::{Silhouette, box_of};
 use std::ops::Range;
 
 pub use crate::deform::stroke::{Lasso, Stroke, StrokeTool, parse};
@@ -40,8 +44,6 @@ const MAX_POINTS: usize = 200_000;
 const STEP: f32 = 0.25;
 /// Number of grid points that justify a thread.
 const WORTH_A_THREAD: usize = 8192;
-/// Maximum number of points of a silhouette along an axis.
-const MAX_OUTLINE_POINTS: usize = 512;
 
 pub(super) const KIND: Kind = Kind {
     name: "brush",
@@ -160,13 +162,6 @@ struct Painting {
     has_cuts: bool,
     /// Whether C may no longer be a distance.
     worn: bool,
-}
-
-/// One position of a brush along its path, and the step that led to it.
-#[derive(Clone, Copy)]
-struct Dab {
-    place: Vec3,
-    step: Vec3,
 }
 
 impl Painting {
@@ -371,92 +366,6 @@ fn carve(texel: &mut Vec4, outside: f32, restores: bool, far: f32) {
     texel.w = c.clamp(-far, far);
 }
 
-/// Distance to a segment, which may be a point.
-fn to_segment(p: Vec3, a: Vec3, b: Vec3) -> f32 {
-    let (ab, ap) = (b - a, p - a);
-    let length_squared = ab.length_squared();
-    let t = if length_squared > 0.0 { (ap.dot(ab) / length_squared).clamp(0.0, 1.0) } else { 0.0 };
-    ap.distance(ab * t)
-}
-
-/// A line without points closer together than `least`; its end points remain.
-fn thinned(line: &[Vec3], least: f32) -> Vec<Vec3> {
-    let mut decimated = line.to_vec();
-    decimated.dedup_by(|next, before| next.distance(*before) < least);
-    if let (Some(last), Some(end)) = (decimated.last().copied(), line.last().copied())
-        && last != end
-    {
-        decimated.push(end);
-    }
-    decimated
-}
-
-/// A brush's positions along a line: its first point, then steps of at most `longest`, limited to
-/// ±`room`.
-fn dabs(line: &[Vec3], longest: f32, room: Vec3) -> impl Iterator<Item = Dab> {
-    let first = line.first().map(|p| Dab { place: *p, step: Vec3::ZERO });
-    let further = line.windows(2).flat_map(move |w| {
-        let (a, b) = (w[0], w[1]);
-        let count = (a.distance(b) / longest).ceil().max(1.0);
-        let step = (b - a) / count;
-        let (enters, leaves) = share_within(a, b, room);
-        ((enters * count) as u32..(leaves * count).ceil() as u32).map(move |n| Dab { place: a + step * (n + 1) as f32, step })
-    });
-    first.into_iter().chain(further)
-}
-
-/// The fractions of the segment from a to b at which it enters and leaves ±`room`; both 0 if it
-/// misses.
-fn share_within(a: Vec3, b: Vec3, room: Vec3) -> (f32, f32) {
-    let (mut enters, mut leaves) = (0.0f32, 1.0f32);
-    for axis in 0..3 {
-        let (from, way, end) = (a[axis], b[axis] - a[axis], room[axis]);
-        if way != 0.0 {
-            let (t, u) = ((-end - from) / way, (end - from) / way);
-            (enters, leaves) = (enters.max(t.min(u)), leaves.min(t.max(u)));
-        } else if from.abs() > end {
-            return (0.0, 0.0);
-        }
-    }
-    if enters <= leaves { (enters, leaves) } else { (0.0, 0.0) }
-}
-
-/// The bounding rectangle of points, enlarged by `margin`.
-fn box_of(points: impl Iterator<Item = Vec2>, margin: f32) -> (Vec2, Vec2) {
-    let (low, high) = points.fold((Vec2::INFINITY, Vec2::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)));
-    (low - margin, high + margin)
-}
-
-/// Distances to an outline on a grid of its plane: the outline may have thousands of points, and
-/// the box millions.
-struct Silhouette {
-    low: Vec2,
-    step: f32,
-    size: [usize; 2],
-    /// Positive outside.
-    values: Vec<f32>,
-}
-
-impl Silhouette {
-    fn new(outline: &[Vec2], low: Vec2, high: Vec2, step: f32) -> Self {
-        let extent = high - low;
-        let step = step.max(extent.max_element() / (MAX_OUTLINE_POINTS - 1) as f32);
-        let size = extent.to_array().map(|e| (e / step).ceil() as usize + 1);
-        let place = |n: usize| low + Vec2::new((n % size[0]) as f32, (n / size[0]) as f32) * step;
-        let outline = Outline::new(outline.to_vec());
-        let values = (0..size[0] * size[1]).into_par_iter().with_min_len(64).map(|n| outline.signed_distance(place(n))).collect();
-        Self { low, step, size, values }
-    }
-
-    /// The distance at a point; none outside the grid.
-    fn sample(&self, at: Vec2) -> Option<f32> {
-        let p = (at - self.low) / self.step;
-        let top = Vec2::new((self.size[0] - 1) as f32, (self.size[1] - 1) as f32);
-        let inside = p.cmpge(Vec2::ZERO).all() && p.cmple(top).all();
-        inside.then(|| trilinear(&self.values, [self.size[0], self.size[1], 1], p.extend(0.0)))
-    }
-}
-
 struct Brush {
     /// None while nothing is painted.
     painting: Option<Painting>,
@@ -475,202 +384,4 @@ impl Field for Brush {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::super::Sampling;
-    use super::*;
-    use crate::deform::{Library, Storage};
-    use glam::Mat3;
-    use std::path::PathBuf;
-
-    const SIZE: Vec3 = Vec3::splat(80.0);
-
-    fn field_in(strokes: &[&str], progress: f32, world_from_local: Affine3A) -> Result<Box<dyn Field>> {
-        let library = Library::without_volume(PathBuf::new());
-        let mut settings = Arguments::default();
-        settings.insert("strokes", Argument::Texts(strokes.iter().map(|s| (*s).to_owned()).collect()));
-        let sampling = Sampling { resolution: None, storage: Storage::F16, min_ramp_mm: 3.0 };
-        KIND.field(&[], progress, SIZE, &sampling, &FieldInputs { settings: &settings, world_from_local, library: &library })
-    }
-
-    fn field(strokes: &[&str]) -> Box<dyn Field> {
-        field_in(strokes, 1.0, Affine3A::IDENTITY).unwrap()
-    }
-
-    /// Points spread evenly over the box.
-    fn points() -> impl Iterator<Item = Vec3> {
-        (0..6000).map(|i| {
-            let share = [0.819_172_5, 0.671_043_6, 0.549_700_5].map(|a: f64| (0.5 + a * f64::from(i)).fract() as f32 - 0.5);
-            Vec3::from(share) * SIZE
-        })
-    }
-
-    fn largest(field: &dyn Field) -> f32 {
-        points().map(|p| field.backward(p).source.distance(p)).fold(0.0, f32::max)
-    }
-
-    fn cut(field: &dyn Field, x: f32, y: f32, z: f32) -> f32 {
-        field.backward(Vec3::new(x, y, z)).cut_distance_mm
-    }
-
-    /// Smallest det J over the box, by central differences over half a texel.
-    fn min_determinant(field: &dyn Field) -> f32 {
-        let h = 0.6;
-        let column = |p: Vec3, e: Vec3| (field.backward(p + e * h).source - field.backward(p - e * h).source) / (2.0 * h);
-        points().map(|p| Mat3::from_cols(column(p, Vec3::X), column(p, Vec3::Y), column(p, Vec3::Z)).determinant()).fold(f32::INFINITY, f32::min)
-    }
-
-    #[test]
-    fn a_push_carries_matter_along() {
-        let field = field(&["push 15 1 -10 0 0 0 0 0 10 0 0"]);
-        let start = Vec3::new(-10.0, 0.0, 0.0);
-        let at_end = field.backward(Vec3::new(10.0, 0.0, 0.0)).source;
-        assert!(at_end.distance(start) < 3.0, "{at_end}");
-        let ahead = field.backward(Vec3::new(12.0, 0.0, 0.0)).source;
-        assert!(ahead.distance(start) < 6.0 && ahead.x > at_end.x, "{ahead}");
-        assert!(largest(field.as_ref()) <= 20.01, "moved further than the stroke is long");
-        let beside = Vec3::new(5.0, 17.5, 0.0);
-        assert_eq!(field.backward(beside).source, beside);
-    }
-
-    #[test]
-    fn pushes_do_not_fold() {
-        for stroke in [
-            "push 15 1 -10 0 0 0 0 0 10 0 0",
-            // Back and forth, around a corner, out through a face, and a brush as large as the box.
-            "push 12 1 -10 0 0 15 0 0 -10 3 0 -10 20 5",
-            "push 20 1 0 0 0 60 10 5",
-            "push 100 1 -10 0 0 20 5 0",
-        ] {
-            for progress in [0.4, 1.0] {
-                let field = field_in(&[stroke], progress, Affine3A::IDENTITY).unwrap();
-                assert!(largest(field.as_ref()) > 2.0, "{stroke} moves nothing");
-                let det = min_determinant(field.as_ref());
-                assert!(det > 0.0, "{stroke} at {progress}: {det}");
-                for p in points() {
-                    let on_face = Vec3::new(40.0, p.y, p.z);
-                    assert!(field.backward(on_face).source.distance(on_face) < 1e-3, "{stroke} moves {on_face}");
-                }
-            }
-        }
-    }
-
-    #[test]
-    fn cuts_travel_with_their_matter() {
-        let field = field(&["cut 5 1 -10 0 0", "push 18 1 -10 0 0 10 0 0"]);
-        assert!(cut(field.as_ref(), 10.0, 0.0, 0.0) < -1.0);
-        assert!(cut(field.as_ref(), -10.0, 0.0, 0.0) > 0.0, "what lies behind has filled the hole");
-    }
-
-    #[test]
-    fn a_tube_is_cut_where_it_says() {
-        let field = field(&["cut 6 1 -10 0 0 10 0 0 10 10 0"]);
-        for p in points() {
-            let corner = Vec3::new(10.0, 0.0, 0.0);
-            let want = to_segment(p, -corner, corner).min(to_segment(p, corner, corner + 10.0 * Vec3::Y)) - 6.0;
-            let got = field.backward(p).cut_distance_mm;
-            if want.abs() < 2.0 {
-                assert!((got - want).abs() < 0.35, "{got} for {want} at {p}");
-            } else {
-                assert_eq!(got < 0.0, want < 0.0, "{got} for {want} at {p}");
-            }
-        }
-        let halfway = field_in(&["cut 6 1 -10 0 0 10 0 0"], 0.5, Affine3A::IDENTITY).unwrap();
-        assert!(cut(halfway.as_ref(), 0.0, 2.0, 0.0) < 0.0 && cut(halfway.as_ref(), 0.0, 4.0, 0.0) > 0.0);
-    }
-
-    #[test]
-    fn what_is_put_back_leaves_no_trace() {
-        for strokes in [["cut 8 1 -10 3 0 12 0 5", "restore 8 1 -10 3 0 12 0 5"], ["cut 8 1 -10 3 0 12 0 5", "restore 20 1 -10 3 0 12 0 5"]] {
-            let field = field(&strokes);
-            for p in points() {
-                let cut = field.backward(p).cut_distance_mm;
-                assert!(cut == NO_CUT_DISTANCE_MM, "{strokes:?}: {cut} at {p}");
-            }
-        }
-        let in_part = field(&["cut 10 1 -15 0 0 15 0 0", "restore 5 1 0 0 0"]);
-        let at = |x| cut(in_part.as_ref(), x, 0.0, 0.0);
-        // At the centre of a small ball, first-order sweeps are too low: by h ln(R/h), 1.7 mm here.
-        assert!((3.0..5.5).contains(&at(0.0)) && at(4.0) > 0.0 && at(6.0) < 0.0 && at(10.0) < -3.0, "{} {} {}", at(0.0), at(6.0), at(10.0));
-    }
-
-    #[test]
-    fn outlines_are_cut_and_put_back() {
-        let square = "0 0 5 1 0 0 0 1 0 -10 -10 10 -10 10 10 -10 10";
-        let parallel = field(&[&format!("lasso-cut 0 {square}")]);
-        for z in [-38.0, 0.0, 38.0] {
-            assert!(cut(parallel.as_ref(), 0.0, 0.0, z) < 0.0 && cut(parallel.as_ref(), 9.0, 9.0, z) < 0.0, "{z}");
-            assert!((cut(parallel.as_ref(), 12.0, 0.0, z) - 2.0).abs() < 0.3, "{z}");
-            assert_eq!(cut(parallel.as_ref(), 25.0, 0.0, z), NO_CUT_DISTANCE_MM, "{z}");
-        }
-        // The eye is on the side of +z: the outline is wider behind its plane.
-        let conical = field(&["lasso-cut 100 0 0 0 1 0 0 0 1 0 -10 -10 10 -10 10 10 -10 10"]);
-        for (x, z, want) in [(12.0, -30.0, -1.0), (14.0, -30.0, 1.0), (8.0, 30.0, 1.0), (6.0, 30.0, -1.0)] {
-            assert!((cut(conical.as_ref(), x, 0.0, z) - want).abs() < 0.3, "{x} {z}: {}", cut(conical.as_ref(), x, 0.0, z));
-        }
-        let back = field(&[&format!("lasso-cut 0 {square}"), &format!("lasso-restore 0 {square}")]);
-        assert!(points().all(|p| back.backward(p).cut_distance_mm == NO_CUT_DISTANCE_MM));
-        // Half applied, it is narrower.
-        let halfway = field_in(&[&format!("lasso-cut 0 {square}")], 0.5, Affine3A::IDENTITY).unwrap();
-        assert!(cut(halfway.as_ref(), 4.0, 0.0, 0.0) < 0.0 && cut(halfway.as_ref(), 6.0, 0.0, 0.0) > 0.0);
-    }
-
-    #[test]
-    fn smoothing_evens_out() {
-        let pushed = field(&["push 12 1 -8 0 0 8 0 0"]);
-        let smoothed = field(&["push 12 1 -8 0 0 8 0 0", "smooth 20 1 -8 0 0 8 0 0"]);
-        let (before, after) = (largest(pushed.as_ref()), largest(smoothed.as_ref()));
-        assert!(after < 0.9 * before, "{before} {after}");
-        assert!(min_determinant(smoothed.as_ref()) > 0.0);
-    }
-
-    #[test]
-    fn nothing_is_done_without_strokes_or_strength() {
-        let strokes = ["push 15 1 -10 0 0 10 0 0", "cut 6 1 0 0 0", "smooth 9 1 0 0 0"];
-        for field in [field(&[]), field_in(&strokes, 0.0, Affine3A::IDENTITY).unwrap()] {
-            assert!(
-                points()
-                    .all(|p| field.backward(p).source == p && field.backward(p).cut_distance_mm == NO_CUT_DISTANCE_MM && field.forward(p) == Some(p))
-            );
-        }
-    }
-
-    #[test]
-    fn strokes_are_in_the_world() {
-        let world_from_local = Affine3A::from_translation(Vec3::new(100.0, 20.0, -5.0)) * Affine3A::from_rotation_z(0.7);
-        let field = field_in(&["cut 6 1 110 25 0", "push 10 1 95 20 -5 90 20 -5"], 1.0, world_from_local).unwrap();
-        let local = |x, y, z| world_from_local.inverse().transform_point3(Vec3::new(x, y, z));
-        assert!(field.backward(local(110.0, 25.0, 0.0)).cut_distance_mm < -4.0);
-        let at_end = world_from_local.transform_point3(field.backward(local(90.0, 20.0, -5.0)).source);
-        assert!(at_end.distance(Vec3::new(95.0, 20.0, -5.0)) < 1.0, "{at_end}");
-    }
-
-    #[test]
-    fn odd_strokes_give_finite_values() {
-        let field = field(&[
-            "push 0.001 1 0 0 0 9 9 9",
-            "push 200 1 -100000 0 0 100000 5 5",
-            "push 5 1 3 3 3 3 3 3",
-            "smooth 1000 1 99999 99999 99999",
-            "smooth 1000 1 1 2 3",
-            "cut 0.0001 1 1 1 1",
-            "cut 3 1 100000 0 0 -100000 0 0",
-            "restore 1000 0 900 0 0",
-            "lasso-cut 0.5 0 0 0 1 0 0 0 1 0 -10 -10 10 -10 10 10 -10 10",
-            "lasso-cut 10 0 0 0 5 0 0 1 5 0 0 0 20 20 20 0 0 20",
-            "lasso-restore 0 0 0 0 1 0 0 0 0 1 7 7 7 7 7 7",
-        ]);
-        for p in points() {
-            let b = field.backward(p);
-            assert!(b.source.is_finite() && b.cut_distance_mm.is_finite(), "{p}: {b:?}");
-        }
-    }
-
-    #[test]
-    fn refusals_name_the_stroke() {
-        let refusal = |strokes: &[&str]| field_in(strokes, 1.0, Affine3A::IDENTITY).err().map(|e| e.to_string()).unwrap_or_default();
-        assert!(refusal(&["cut 5 1 0 0 0", "ctu 5 1 0 0 0"]).contains("stroke 2: \"ctu\" is not a tool; did you mean \"cut\"?"));
-        assert!(refusal(&["cut 5 1 0 0 0"; MAX_STROKES + 1]).contains("at most 4096"));
-        let long = format!("cut 5 1{}", " 1 2 3".repeat(MAX_POINTS / 2));
-        assert!(refusal(&[&long, &long, "cut 5 1 0 0 0"]).contains("at most 200000"));
-    }
-}
+mod tests;

@@ -10,12 +10,14 @@ use super::{
     Backward, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, Kind, NO_CUT_DISTANCE_MM, Parameter, Setting, SettingFormat,
     forward_numerically,
 };
-use crate::deform::Argument;
 use crate::deform::elastic::{Grab, Incision, Setup, Solver};
 use crate::deform::invert;
+use crate::deform::{Argument, Arguments};
 use crate::math::Bounds;
+use crate::volume::Volume;
 use crate::{Error, Result};
-use glam::{DVec3, Mat3, Vec3};
+use glam::{Affine3A, DAffine3, DVec3, Mat3, Vec3};
+use std::sync::Arc;
 
 /// Maximum number of steps of the simulation.
 const MAX_STEPS: usize = 500;
@@ -68,45 +70,9 @@ fn example(bounds: &Bounds) -> Vec<(&'static str, Argument)> {
 }
 
 fn build(c: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
-    let settings = inputs.settings;
-    let local_from_world = inputs.world_from_local.inverse();
-    let rows = |name: &str, n: usize, what: &str| -> Result<Vec<Vec<f32>>> {
-        let numbers = settings.numbers(name)?.unwrap_or_default();
-        if numbers.len() % n != 0 {
-            return Err(Error::value(name, format!("has {} numbers, which is not a multiple of {n} ({what})", numbers.len())));
-        }
-        Ok(numbers.chunks_exact(n).map(<[f32]>::to_vec).collect())
-    };
-    let place = |v: &[f32]| local_from_world.transform_point3(Vec3::new(v[0], v[1], v[2]));
-    let way = |v: &[f32]| Mat3::from(local_from_world.matrix3) * Vec3::new(v[0], v[1], v[2]);
-    let grabs: Vec<Grab> = rows("grab", 7, "x,y,z,radius,dx,dy,dz")?
-        .iter()
-        .map(|v| Grab { center: place(v), radius: v[3], offset: way(&v[4..]) * c.progress })
-        .collect();
-    if grabs.is_empty() {
-        return Err(Error::value("grab", "is missing; specify what to drag and how far"));
-    }
-    let fixed: Vec<(Vec3, f32)> = rows("fixed", 4, "x,y,z,radius")?.iter().map(|v| (place(v), v[3])).collect();
-    let incisions = rows("incision", 7, "x,y,z,nx,ny,nz,radius")?
-        .iter()
-        .map(|v| {
-            let normal = way(&v[3..6]).try_normalize().ok_or_else(|| Error::value("incision", "has a zero-length normal"))?;
-            Ok(Incision { center: place(v), normal, radius: v[6] })
-        })
-        .collect::<Result<Vec<_>>>()?;
-    let by_label = rows("stiffness", 2, "label,stiffness")?;
-    let labels = if by_label.is_empty() { None } else { Some(inputs.library.labels(settings)?) };
-    let voxel_from_world = labels.as_ref().map(|l| l.world_from_voxel.inverse());
-    let stiffness = |p: Vec3| {
-        let (Some(volume), Some(voxel_from_world)) = (&labels, voxel_from_world) else { return 1.0 };
-        let v = voxel_from_world.transform_point3(inputs.world_from_local.transform_point3(p).as_dvec3()).round();
-        let size = volume.size;
-        if (0..3).any(|a| v[a] < 0.0 || v[a] >= size[a] as f64) {
-            return 1.0;
-        }
-        let label = volume.value(v.x as usize, v.y as usize, v.z as usize);
-        by_label.iter().find(|r| f64::from(r[0]) == label).map_or(1.0, |r| r[1])
-    };
+    let Regions { grabs, fixed, incisions } = Regions::read(c, inputs)?;
+    let labels = LabelStiffness::read(inputs)?;
+    let stiffness = |p: Vec3| labels.at(p);
     let longest = c.size_mm.max_element();
     let count = c.value("nodes").round();
     let nodes = c.size_mm.to_array().map(|s| ((s / longest * count).round() as usize).max(4));
@@ -125,6 +91,83 @@ fn build(c: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
         ));
     }
     Ok(Box::new(Elastic { solver, h: 0.25 * f64::from(c.texel_mm), texel: c.texel_mm, acts: c.progress > 0.0, half: c.half() }))
+}
+
+/// The rows of `n` numbers of a setting; `what` names the columns.
+fn rows(settings: &Arguments, name: &str, n: usize, what: &str) -> Result<Vec<Vec<f32>>> {
+    let numbers = settings.numbers(name)?.unwrap_or_default();
+    if numbers.len() % n != 0 {
+        return Err(Error::value(name, format!("has {} numbers, which is not a multiple of {n} ({what})", numbers.len())));
+    }
+    Ok(numbers.chunks_exact(n).map(<[f32]>::to_vec).collect())
+}
+
+/// The regions that are dragged, held or cut, in the box's local millimetres.
+struct Regions {
+    grabs: Vec<Grab>,
+    /// Centre and radius.
+    fixed: Vec<(Vec3, f32)>,
+    incisions: Vec<Incision>,
+}
+
+impl Regions {
+    /// Reads the regions from the settings; the grabs move as far as the progress allows.
+    fn read(c: &FieldContext, inputs: &FieldInputs) -> Result<Self> {
+        let settings = inputs.settings;
+        let local_from_world = inputs.world_from_local.inverse();
+        let place = |v: &[f32]| local_from_world.transform_point3(Vec3::new(v[0], v[1], v[2]));
+        let way = |v: &[f32]| Mat3::from(local_from_world.matrix3) * Vec3::new(v[0], v[1], v[2]);
+        let grabs: Vec<Grab> = rows(settings, "grab", 7, "x,y,z,radius,dx,dy,dz")?
+            .iter()
+            .map(|v| Grab { center: place(v), radius: v[3], offset: way(&v[4..]) * c.progress })
+            .collect();
+        if grabs.is_empty() {
+            return Err(Error::value("grab", "is missing; specify what to drag and how far"));
+        }
+        let fixed: Vec<(Vec3, f32)> = rows(settings, "fixed", 4, "x,y,z,radius")?.iter().map(|v| (place(v), v[3])).collect();
+        let incisions = rows(settings, "incision", 7, "x,y,z,nx,ny,nz,radius")?
+            .iter()
+            .map(|v| {
+                let normal = way(&v[3..6]).try_normalize().ok_or_else(|| Error::value("incision", "has a zero-length normal"))?;
+                Ok(Incision { center: place(v), normal, radius: v[6] })
+            })
+            .collect::<Result<Vec<_>>>()?;
+        Ok(Self { grabs, fixed, incisions })
+    }
+}
+
+/// The stiffness of the labels of a label map.
+struct LabelStiffness {
+    /// Rows of a label and its stiffness.
+    by_label: Vec<Vec<f32>>,
+    /// The label map, and its voxel indices from world millimetres; none if no label is given.
+    label_map: Option<(Arc<Volume>, DAffine3)>,
+    world_from_local: Affine3A,
+}
+
+impl LabelStiffness {
+    /// Reads the stiffness of each label, and the label map if any label is given.
+    fn read(inputs: &FieldInputs) -> Result<Self> {
+        let by_label = rows(inputs.settings, "stiffness", 2, "label,stiffness")?;
+        let labels = if by_label.is_empty() { None } else { Some(inputs.library.labels(inputs.settings)?) };
+        let label_map = labels.map(|volume| {
+            let voxel_from_world = volume.world_from_voxel.inverse();
+            (volume, voxel_from_world)
+        });
+        Ok(Self { by_label, label_map, world_from_local: inputs.world_from_local })
+    }
+
+    /// The stiffness at a point of the box, relative to 1.
+    fn at(&self, p: Vec3) -> f32 {
+        let Some((volume, voxel_from_world)) = &self.label_map else { return 1.0 };
+        let v = voxel_from_world.transform_point3(self.world_from_local.transform_point3(p).as_dvec3()).round();
+        let size = volume.size;
+        if (0..3).any(|a| v[a] < 0.0 || v[a] >= size[a] as f64) {
+            return 1.0;
+        }
+        let label = volume.value(v.x as usize, v.y as usize, v.z as usize);
+        self.by_label.iter().find(|r| f64::from(r[0]) == label).map_or(1.0, |r| r[1])
+    }
 }
 
 struct Elastic {

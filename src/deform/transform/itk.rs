@@ -17,6 +17,24 @@ struct ItkTransform {
     fixed: Vec<f64>,
 }
 
+impl ItkTransform {
+    /// The name of the type, and its precision and dimensions.
+    fn name_and_dimensions(&self) -> (&str, &str) {
+        self.kind.split_once('_').unwrap_or((&self.kind, ""))
+    }
+
+    /// Fails unless there are `n` parameters and at least `fixed` fixed ones.
+    fn require(&self, path: &Path, n: usize, fixed: usize) -> Result<()> {
+        let (p, f) = (&self.parameters, &self.fixed);
+        if p.len() == n && f.len() >= fixed {
+            Ok(())
+        } else {
+            let (name, _) = self.name_and_dimensions();
+            Err(Error::file(path, format!("has a {name} with {} parameters and {} fixed ones; it needs {n} and {fixed}", p.len(), f.len())))
+        }
+    }
+}
+
 /// Reads the text format.
 pub(super) fn read_text(path: &Path, text: &str) -> Result<Transform> {
     let mut entries: Vec<ItkTransform> = Vec::new();
@@ -74,8 +92,8 @@ fn rows(v: &[f64]) -> DMat3 {
 }
 
 /// x -> m (x - center) + translation + center.
-fn about(m: DMat3, center: DVec3, translation: DVec3) -> TransformStep {
-    TransformStep::Affine(DAffine3 { matrix3: m, translation: translation + center - m * center })
+fn about(m: DMat3, center: DVec3, translation: DVec3) -> DAffine3 {
+    DAffine3 { matrix3: m, translation: translation + center - m * center }
 }
 
 /// Size, origin, spacing and direction from ITK's fixed parameters of grids.
@@ -95,35 +113,39 @@ fn grid(path: &Path, fixed: &[f64]) -> Result<GridGeometry> {
     Ok(GridGeometry { size: size.map(|n| n as usize), world_from_voxel: DAffine3 { matrix3, translation: vec3(&fixed[3..6]) } })
 }
 
+/// The step that an entry of a file describes.
 fn step(path: &Path, entry: &ItkTransform) -> Result<TransformStep> {
-    let (p, f) = (&entry.parameters, &entry.fixed);
-    let (name, rest) = entry.kind.split_once('_').unwrap_or((&entry.kind, ""));
-    let needs = |n: usize, fixed: usize| {
-        if p.len() == n && f.len() >= fixed {
-            Ok(())
-        } else {
-            Err(Error::file(path, format!("has a {name} with {} parameters and {} fixed ones; it needs {n} and {fixed}", p.len(), f.len())))
-        }
-    };
-    if !rest.is_empty() && !rest.ends_with("_3_3") && !rest.ends_with("_3") {
+    let (name, dimensions) = entry.name_and_dimensions();
+    if !dimensions.is_empty() && !dimensions.ends_with("_3_3") && !dimensions.ends_with("_3") {
         return Err(Error::file(path, format!("holds a {}, which is not three-dimensional", entry.kind)));
     }
-    let made = match name {
-        "IdentityTransform" => TransformStep::Affine(DAffine3::IDENTITY),
+    match name {
+        "BSplineTransform" => bspline(path, entry).map(TransformStep::BSpline),
+        "DisplacementFieldTransform" => displacement_field(path, entry).map(TransformStep::Field),
+        _ => affine(path, entry).map(TransformStep::Affine),
+    }
+}
+
+/// An affine transform, of any of ITK's types.
+fn affine(path: &Path, entry: &ItkTransform) -> Result<DAffine3> {
+    let (p, f) = (&entry.parameters, &entry.fixed);
+    let (name, _) = entry.name_and_dimensions();
+    let affine = match name {
+        "IdentityTransform" => DAffine3::IDENTITY,
         "AffineTransform" | "MatrixOffsetTransformBase" => {
-            needs(12, 3)?;
+            entry.require(path, 12, 3)?;
             about(rows(p), vec3(f), vec3(&p[9..]))
         }
         "TranslationTransform" => {
-            needs(3, 0)?;
-            TransformStep::Affine(DAffine3::from_translation(vec3(p)))
+            entry.require(path, 3, 0)?;
+            DAffine3::from_translation(vec3(p))
         }
         "ScaleTransform" => {
-            needs(3, 3)?;
+            entry.require(path, 3, 3)?;
             about(DMat3::from_diagonal(vec3(p)), vec3(f), DVec3::ZERO)
         }
         "Euler3DTransform" => {
-            needs(6, 3)?;
+            entry.require(path, 6, 3)?;
             let [x, y, z] = [DMat3::from_rotation_x(p[0]), DMat3::from_rotation_y(p[1]), DMat3::from_rotation_z(p[2])];
             // The fourth fixed parameter selects the order ZYX instead of ZXY.
             let rotation = if f.get(3).is_some_and(|&v| v != 0.0) { z * y * x } else { z * x * y };
@@ -131,39 +153,42 @@ fn step(path: &Path, entry: &ItkTransform) -> Result<TransformStep> {
         }
         "VersorRigid3DTransform" | "Similarity3DTransform" => {
             let similar = name.starts_with("Similarity");
-            needs(if similar { 7 } else { 6 }, 3)?;
+            entry.require(path, if similar { 7 } else { 6 }, 3)?;
             let v = vec3(p);
             let rotation = DMat3::from_quat(DQuat::from_xyzw(v.x, v.y, v.z, (1.0 - v.length_squared()).max(0.0).sqrt()));
             about(rotation * if similar { p[6] } else { 1.0 }, vec3(f), vec3(&p[3..]))
         }
-        "BSplineTransform" => {
-            let grid = grid(path, f)?;
-            if grid.size.iter().any(|&n| n < 4) {
-                return Err(Error::file(path, format!("has a B-spline grid of {:?} points; cubic splines need 4 along each axis", grid.size)));
-            }
-            let n = grid.size.iter().product::<usize>();
-            needs(3 * n, 18)?;
-            // All x, then all y, then all z.
-            let coefficients = (0..n).map(|i| Vec3::new(p[i] as f32, p[n + i] as f32, p[2 * n + i] as f32)).collect();
-            TransformStep::BSpline(BSplineGrid::new(grid, coefficients))
-        }
-        "DisplacementFieldTransform" => {
-            let grid = grid(path, f)?;
-            needs(3 * grid.size.iter().product::<usize>(), 18)?;
-            let vectors: Vec<Vec3> = p.chunks_exact(3).map(|v| vec3(v).as_vec3()).collect();
-            if vectors.iter().any(|v| !v.is_finite()) {
-                return Err(Error::file(path, "holds vectors that are NaN or infinite"));
-            }
-            TransformStep::Field(VectorField::new(grid, vectors))
-        }
         _ => return Err(Error::file(path, format!("holds a {}, which cannot be read; save it as an affine or a displacement field", entry.kind))),
     };
-    if let TransformStep::Affine(m) = &made
-        && !(m.is_finite() && m.matrix3.determinant().abs() > 1e-9)
-    {
+    if !(affine.is_finite() && affine.matrix3.determinant().abs() > 1e-9) {
         return Err(Error::file(path, format!("holds a {name} with a singular matrix")));
     }
-    Ok(made)
+    Ok(affine)
+}
+
+/// A grid of cubic B-splines.
+fn bspline(path: &Path, entry: &ItkTransform) -> Result<BSplineGrid> {
+    let p = &entry.parameters;
+    let grid = grid(path, &entry.fixed)?;
+    if grid.size.iter().any(|&n| n < 4) {
+        return Err(Error::file(path, format!("has a B-spline grid of {:?} points; cubic splines need 4 along each axis", grid.size)));
+    }
+    let n = grid.size.iter().product::<usize>();
+    entry.require(path, 3 * n, 18)?;
+    // All x, then all y, then all z.
+    let coefficients = (0..n).map(|i| Vec3::new(p[i] as f32, p[n + i] as f32, p[2 * n + i] as f32)).collect();
+    Ok(BSplineGrid::new(grid, coefficients))
+}
+
+/// A displacement field.
+fn displacement_field(path: &Path, entry: &ItkTransform) -> Result<VectorField> {
+    let grid = grid(path, &entry.fixed)?;
+    entry.require(path, 3 * grid.size.iter().product::<usize>(), 18)?;
+    let vectors: Vec<Vec3> = entry.parameters.chunks_exact(3).map(|v| vec3(v).as_vec3()).collect();
+    if vectors.iter().any(|v| !v.is_finite()) {
+        return Err(Error::file(path, "holds vectors that are NaN or infinite"));
+    }
+    Ok(VectorField::new(grid, vectors))
 }
 
 /// Reads a MATLAB level 4 file, if it is one: ANTs' `0GenericAffine.mat`.

@@ -5,27 +5,27 @@
 //! path nearest to the ray through the pointer, and that point's value. A grabbed handle thus stays
 //! under the pointer in any view.
 
+mod draw;
 mod paths;
+mod placement;
+mod points;
 
 pub use paths::{HandlePath, path_of, progress_path};
+pub use placement::BoxPlacement;
+pub use points::{control_points, set_point};
 
 use super::projector::Projector;
-use super::state::tool::{angles_of, matrix_of, tidy};
-use super::theme::{AXES, ON_CANVAS, SELECTED};
-use super::views::text;
-use crate::deform::Argument;
+use super::state::tool::{angles_of, tidy};
 use crate::deform::kinds::{self, DefaultSize, Kind, Unit};
 use crate::math::Bounds;
 use crate::scene::{Deformation, Size};
-use eframe::egui::{Align2, Color32, Painter, Pos2, Shape, Stroke, pos2, vec2};
+use eframe::egui::{Pos2, vec2};
 use glam::{Mat3, Vec3};
 
 /// Segments of a ring.
 const RING: usize = 48;
 /// A handle can be grabbed within this distance, points.
 const REACH: f32 = 11.0;
-/// Most control points of a lattice that are shown.
-const MAX_POINTS: usize = 216;
 
 /// The set of handles shown.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -58,43 +58,6 @@ pub enum Handle {
     Parameter(usize),
     /// A control point.
     Point(usize),
-}
-
-/// The placement of a deformation's box.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct BoxPlacement {
-    /// Its centre, mm.
-    pub center: Vec3,
-    /// Its extents, mm.
-    pub size: Vec3,
-    /// Its axes, as columns.
-    pub turn: Mat3,
-}
-
-impl BoxPlacement {
-    /// The placement of a deformation, in a scene with the given box.
-    pub fn of(d: &Deformation, kind: &Kind, scene_box: &Bounds) -> Self {
-        // A size from a file may be invalid; the error is reported elsewhere.
-        let size = d.size.map_or_else(|| kind.default_size(scene_box), Size::xyz);
-        let size = if size.is_finite() { size.abs().max(Vec3::splat(1e-3)) } else { Vec3::ONE };
-        Self { center: d.center.map_or_else(|| scene_box.center(), Vec3::from), size, turn: d.rotate.map_or(Mat3::IDENTITY, |r| matrix_of(r.into())) }
-    }
-
-    /// World point of a point in the box's local millimetres.
-    pub fn world(&self, local: Vec3) -> Vec3 {
-        self.center + self.turn * local
-    }
-
-    /// The inverse of [`Self::world`].
-    pub fn local(&self, world: Vec3) -> Vec3 {
-        self.turn.transpose() * (world - self.center)
-    }
-
-    /// The bounds of the box in the world.
-    pub fn bounds(&self) -> Bounds {
-        let half = (self.turn.x_axis.abs() * self.size.x + self.turn.y_axis.abs() * self.size.y + self.turn.z_axis.abs() * self.size.z) / 2.0;
-        Bounds::new(self.center - half, self.center + half)
-    }
 }
 
 /// A drag in progress.
@@ -131,90 +94,6 @@ pub fn parameter(d: &Deformation, kind: &Kind, n: usize, size: Vec3) -> (f32, [f
     let [default, min, max] = [p.default, p.min, p.max].map(|a| a.resolve(size));
     let value = d.parameters.number(p.name).ok().flatten().unwrap_or(default);
     (value, [min, max], default)
-}
-
-/// Positions of the draggable control points, mm.
-pub fn control_points(d: &Deformation, place: &BoxPlacement) -> Vec<Vec3> {
-    let numbers = |name: &str| d.parameters.numbers(name).ok().flatten().unwrap_or_default();
-    match d.kind.as_str() {
-        "points" => numbers("pairs").chunks_exact(6).map(|p| Vec3::new(p[3], p[4], p[5])).collect(),
-        "elastic" => numbers("grab").chunks_exact(7).map(|g| Vec3::new(g[0] + g[4], g[1] + g[5], g[2] + g[6])).collect(),
-        "lattice" => {
-            let counts = lattice_size(d);
-            let moved = numbers("offsets");
-            let count: usize = counts.iter().product();
-            if count > MAX_POINTS {
-                return Vec::new();
-            }
-            (0..count)
-                .map(|n| {
-                    let index = lattice_index(counts, n);
-                    let at = Vec3::from(std::array::from_fn(|a| index[a] as f32 / (counts[a] - 1).max(1) as f32 - 0.5));
-                    let row = moved.chunks_exact(6).find(|r| (0..3).all(|a| r[a] == index[a] as f32));
-                    let offset = row.map_or(Vec3::ZERO, |r| Vec3::new(r[3], r[4], r[5]));
-                    place.world(at * place.size + offset)
-                })
-                .collect()
-        }
-        _ => Vec::new(),
-    }
-}
-
-fn lattice_size(d: &Deformation) -> [usize; 3] {
-    let stated = d.parameters.whole("lattice").ok().flatten().unwrap_or_default();
-    <[usize; 3]>::try_from(stated).ok().filter(|c| c.iter().all(|n| (2..=8).contains(n))).unwrap_or([4; 3])
-}
-
-fn lattice_index(counts: [usize; 3], n: usize) -> [usize; 3] {
-    [n % counts[0], n / counts[0] % counts[1], n / counts[0] / counts[1]]
-}
-
-/// Position of a control point before any drag, mm.
-fn origin_of(d: &Deformation, n: usize) -> Option<Vec3> {
-    let numbers = |name: &str| d.parameters.numbers(name).ok().flatten().unwrap_or_default();
-    match d.kind.as_str() {
-        "points" => numbers("pairs").chunks_exact(6).nth(n).map(|p| Vec3::new(p[0], p[1], p[2])),
-        "elastic" => numbers("grab").chunks_exact(7).nth(n).map(|g| Vec3::new(g[0], g[1], g[2])),
-        _ => None,
-    }
-}
-
-/// Moves a control point.
-pub fn set_point(d: &mut Deformation, place: &BoxPlacement, n: usize, to: Vec3) {
-    let numbers = |d: &Deformation, name: &str| d.parameters.numbers(name).ok().flatten().unwrap_or_default();
-    match d.kind.as_str() {
-        "points" => {
-            let mut pairs = numbers(d, "pairs");
-            if let Some(pair) = pairs.chunks_exact_mut(6).nth(n) {
-                pair[3..].copy_from_slice(&tidy(to));
-                d.parameters.insert("pairs", Argument::Numbers(pairs));
-            }
-        }
-        "elastic" => {
-            let mut grabs = numbers(d, "grab");
-            if let Some(grab) = grabs.chunks_exact_mut(7).nth(n) {
-                let moved = tidy(to - Vec3::new(grab[0], grab[1], grab[2]));
-                grab[4..].copy_from_slice(&moved);
-                d.parameters.insert("grab", Argument::Numbers(grabs));
-            }
-        }
-        "lattice" => {
-            let counts = lattice_size(d);
-            let index = lattice_index(counts, n);
-            let at = Vec3::from(std::array::from_fn(|a| index[a] as f32 / (counts[a] - 1).max(1) as f32 - 0.5));
-            let offset = tidy(place.local(to) - at * place.size);
-            let mut rows = numbers(d, "offsets");
-            match rows.chunks_exact_mut(6).find(|r| (0..3).all(|a| r[a] == index[a] as f32)) {
-                Some(row) => row[3..].copy_from_slice(&offset),
-                None => {
-                    rows.extend(index.map(|i| i as f32));
-                    rows.extend(offset);
-                }
-            }
-            d.parameters.insert("offsets", Argument::Numbers(rows));
-        }
-        _ => {}
-    }
 }
 
 impl Gizmo<'_> {
@@ -404,103 +283,6 @@ impl Gizmo<'_> {
             Handle::Point(n) => format!("point {}", n + 1),
         }
     }
-
-    /// Draws the box and handles; `hot` is hovered or dragged.
-    pub fn draw(&self, painter: &Painter, hot: Option<Handle>) {
-        let place = self.place();
-        let p = &self.projector;
-        if self.deformation.matrix.is_some() {
-            return;
-        }
-        if self.has_size() {
-            self.draw_box(painter, &place);
-        }
-        let rim = Stroke::new(3.5, Color32::from_black_alpha(170));
-        let line = |from: Vec3, to: Vec3, color: Color32, width: f32| {
-            if let (Some(a), Some(b)) = (p.screen(from), p.screen(to)) {
-                painter.line_segment([a, b], rim);
-                painter.line_segment([a, b], Stroke::new(width, color));
-            }
-        };
-        for (handle, at) in self.handles() {
-            let is_hot = hot == Some(handle);
-            let color = |base: Color32| if is_hot { Color32::WHITE } else { base };
-            match handle {
-                Handle::Ring(axis) => {
-                    let points = self.ring(axis);
-                    painter.add(Shape::line(points.clone(), rim));
-                    painter.add(Shape::line(points, Stroke::new(if is_hot { 3.0 } else { 2.0 }, color(AXES[axis]))));
-                    continue;
-                }
-                Handle::Axis(axis) => line(place.center, at, color(AXES[axis]), 2.5),
-                Handle::Parameter(n) => {
-                    let path = path_of(self.kind, n);
-                    let (value, range, _) = parameter(self.deformation, self.kind, n, place.size);
-                    self.draw_path(painter, &path, [range[0], value], range, &place);
-                }
-                Handle::Progress => {
-                    let path = progress_path(self.kind.name);
-                    self.draw_path(painter, &path, [0.0, 1.0], [0.0, 1.0], &place);
-                }
-                Handle::Point(n) => {
-                    if let Some(origin) = origin_of(self.deformation, n) {
-                        line(origin, at, ON_CANVAS, 1.5);
-                        if let Some(o) = p.screen(origin) {
-                            painter.circle_stroke(o, 4.0, Stroke::new(1.5, ON_CANVAS));
-                        }
-                    }
-                }
-                Handle::Center | Handle::Face(..) => {}
-            }
-            let Some(s) = p.screen(at) else { continue };
-            let radius = if is_hot { 7.0 } else { 5.5 };
-            let dark = Stroke::new(2.0, Color32::from_black_alpha(220));
-            match handle {
-                Handle::Center => {
-                    painter.circle(s, radius, color(SELECTED), dark);
-                }
-                Handle::Face(axis, _) | Handle::Axis(axis) => {
-                    let square = eframe::egui::Rect::from_center_size(s, vec2(2.0, 2.0) * (radius - 0.5));
-                    painter.rect(square, 1.0, color(AXES[axis]), dark, eframe::egui::StrokeKind::Outside);
-                }
-                Handle::Progress => {
-                    let r = radius + 1.5;
-                    let diamond = vec![s + vec2(0.0, -r), s + vec2(r, 0.0), s + vec2(0.0, r), s + vec2(-r, 0.0)];
-                    painter.add(Shape::convex_polygon(diamond, color(Color32::from_rgb(255, 190, 90)), dark));
-                }
-                _ => {
-                    painter.circle(s, radius, color(ON_CANVAS), dark);
-                }
-            }
-            if is_hot {
-                text(painter, pos2(s.x + 12.0, s.y - 10.0), Align2::LEFT_BOTTOM, self.words(handle), 13.5, Color32::WHITE);
-            }
-        }
-    }
-
-    fn draw_box(&self, painter: &Painter, place: &BoxPlacement) {
-        let corner = |n: usize| {
-            let s = Vec3::new((n & 1) as f32, (n >> 1 & 1) as f32, (n >> 2 & 1) as f32) - 0.5;
-            self.projector.screen(place.world(s * place.size))
-        };
-        for a in 0..8usize {
-            for bit in [1, 2, 4] {
-                if a & bit == 0
-                    && let (Some(p), Some(q)) = (corner(a), corner(a | bit))
-                {
-                    painter.line_segment([p, q], Stroke::new(2.5, Color32::from_black_alpha(90)));
-                    painter.line_segment([p, q], Stroke::new(1.0, SELECTED.gamma_multiply(0.75)));
-                }
-            }
-        }
-    }
-
-    fn draw_path(&self, painter: &Painter, path: &HandlePath, [from, to]: [f32; 2], range: [f32; 2], place: &BoxPlacement) {
-        let points: Vec<Pos2> =
-            (0..=24).filter_map(|n| self.projector.screen(place.world(path.at(from + (to - from) * n as f32 / 24.0, range, place.size)))).collect();
-        painter.add(Shape::line(points.clone(), Stroke::new(3.0, Color32::from_black_alpha(120))));
-        painter.add(Shape::line(points, Stroke::new(1.2, ON_CANVAS.gamma_multiply(0.8))));
-    }
 }
 
 /// The kind of a deformation, if it has handles.
@@ -512,7 +294,7 @@ pub fn kind_of(d: &Deformation) -> Option<&'static Kind> {
 mod tests {
     use super::*;
     use crate::scene::Camera;
-    use eframe::egui::Rect;
+    use eframe::egui::{Rect, pos2};
 
     fn projector(scene_box: &Bounds, view: &str) -> Projector {
         let camera = Camera { view: view.parse().unwrap(), ..Camera::default() };

@@ -18,30 +18,8 @@ impl MapEditor {
     pub(in crate::gui) fn ui(&mut self, state: &Workstation, ui: &mut Ui) -> Requests {
         let mut requests = Requests::default();
         heading(ui, "Paint");
-        ui.horizontal_wrapped(|ui| {
-            for (tool, word, symbol) in [
-                (Tool::BrushPush, "Push", icon::HAND_POINTING),
-                (Tool::BrushSmooth, "Smooth", icon::WAVES),
-                (Tool::BrushCut, "Cut", icon::SCISSORS),
-                (Tool::BrushRestore, "Restore", icon::ERASER),
-                (Tool::LassoCut, "Lasso cut", icon::LASSO),
-                (Tool::LassoRestore, "Lasso restore", icon::LASSO),
-            ] {
-                if tool_button(ui, symbol, word, state.tool == tool, &tool.hint()).clicked() {
-                    requests.perform(Action::Arm(tool));
-                }
-            }
-        });
-        ui.spacing_mut().slider_width = (ui.available_width() - 128.0).max(60.0);
-        let mut brush = state.brush;
-        let largest = state.doc.as_ref().map_or(100.0, |d| 0.5 * d.bounds().size().max_element());
-        ui.add(
-            Slider::new(&mut brush.radius, 1.0..=largest.max(2.0)).clamping(egui::SliderClamping::Edits).text("radius").suffix(" mm").max_decimals(1),
-        );
-        ui.add(Slider::new(&mut brush.strength, 0.05..=1.0).clamping(egui::SliderClamping::Edits).text("strength").max_decimals(2));
-        if brush != state.brush {
-            requests.0.push(Request::SetBrush(brush));
-        }
+        show_paint_tools(state, ui, &mut requests);
+        show_brush(state, ui, &mut requests);
         ui.label(
             RichText::new("Brush on a slice, or on the surface in the 3D view. Strokes go into the painted map at the end of the stack.").weak(),
         );
@@ -55,23 +33,7 @@ impl MapEditor {
             }
         });
         heading(ui, "Primitives");
-        ui.horizontal_wrapped(|ui| {
-            for name in ["pull", "bulge", "twist", "bend", "slab", "explode", "sphere", "box", "lattice", "points", "elastic"] {
-                if let Ok(kind) = crate::deform::kinds::kind(name) {
-                    let tool = Tool::Place(Placed(kind));
-                    let word = if name == "points" { "Control points" } else { &words(name) };
-                    let button = tool_button(ui, symbol(name), word, state.tool == tool, kind.about);
-                    button.interact(egui::Sense::drag()).dnd_set_drag_payload(Placed(kind));
-                    if button.clicked() {
-                        if name == "points" {
-                            add_control_points(&mut requests);
-                        } else {
-                            requests.perform(Action::Arm(tool));
-                        }
-                    }
-                }
-            }
-        });
+        show_primitives(state, ui, &mut requests);
         heading(ui, "Library");
         ui.horizontal_wrapped(|ui| {
             if ui.button("Save the selected one").on_hover_text("The selected deformation, as a map of its own").clicked() {
@@ -84,6 +46,57 @@ impl MapEditor {
         show_library(ui, state, &mut requests);
         requests
     }
+}
+
+/// Buttons for the brushes and lassos.
+fn show_paint_tools(state: &Workstation, ui: &mut Ui, requests: &mut Requests) {
+    ui.horizontal_wrapped(|ui| {
+        for (tool, word, symbol) in [
+            (Tool::BrushPush, "Push", icon::HAND_POINTING),
+            (Tool::BrushSmooth, "Smooth", icon::WAVES),
+            (Tool::BrushCut, "Cut", icon::SCISSORS),
+            (Tool::BrushRestore, "Restore", icon::ERASER),
+            (Tool::LassoCut, "Lasso cut", icon::LASSO),
+            (Tool::LassoRestore, "Lasso restore", icon::LASSO),
+        ] {
+            if tool_button(ui, symbol, word, state.tool == tool, &tool.hint()).clicked() {
+                requests.perform(Action::Arm(tool));
+            }
+        }
+    });
+}
+
+/// Radius and strength of the brush.
+fn show_brush(state: &Workstation, ui: &mut Ui, requests: &mut Requests) {
+    ui.spacing_mut().slider_width = (ui.available_width() - 128.0).max(60.0);
+    let mut brush = state.brush;
+    let largest = state.doc.as_ref().map_or(100.0, |d| 0.5 * d.bounds().size().max_element());
+    ui.add(Slider::new(&mut brush.radius, 1.0..=largest.max(2.0)).clamping(egui::SliderClamping::Edits).text("radius").suffix(" mm").max_decimals(1));
+    ui.add(Slider::new(&mut brush.strength, 0.05..=1.0).clamping(egui::SliderClamping::Edits).text("strength").max_decimals(2));
+    if brush != state.brush {
+        requests.0.push(Request::SetBrush(brush));
+    }
+}
+
+/// Buttons for the kinds that maps are made of; each can also be dragged onto the view.
+fn show_primitives(state: &Workstation, ui: &mut Ui, requests: &mut Requests) {
+    ui.horizontal_wrapped(|ui| {
+        for name in ["pull", "bulge", "twist", "bend", "slab", "explode", "sphere", "box", "lattice", "points", "elastic"] {
+            if let Ok(kind) = crate::deform::kinds::kind(name) {
+                let tool = Tool::Place(Placed(kind));
+                let word = if name == "points" { "Control points" } else { &words(name) };
+                let button = tool_button(ui, symbol(name), word, state.tool == tool, kind.about);
+                button.interact(egui::Sense::drag()).dnd_set_drag_payload(Placed(kind));
+                if button.clicked() {
+                    if name == "points" {
+                        add_control_points(requests);
+                    } else {
+                        requests.perform(Action::Arm(tool));
+                    }
+                }
+            }
+        }
+    });
 }
 
 /// Adds an empty set of control points over the whole scene.

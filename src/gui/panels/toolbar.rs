@@ -22,66 +22,92 @@ pub fn ui(state: &Workstation, ui: &mut Ui) -> Requests {
             ui.menu_button(format!("{} Menu", icon::LIST), |ui| show_menu(state, ui, &mut requests))
                 .response
                 .widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, "Menu"));
-            let button = |ui: &mut Ui, symbol: &str, word: &str, action: Action, about: &str, selected: bool, requests: &mut Requests| {
-                if tool_button(ui, symbol, word, selected, &state.tip(action, about)).clicked() {
-                    requests.perform(action);
-                }
-            };
-            button(ui, icon::FOLDER_OPEN, "Open", Action::Open, "Open a scene, volume or mesh", false, &mut requests);
+            OPEN.show(state, ui, &mut requests);
             if state.doc.is_some() {
-                button(ui, icon::FLOPPY_DISK, "Save", Action::Save, "Save the scene", false, &mut requests);
+                SAVE.show(state, ui, &mut requests);
                 ui.separator();
-                let armed = state.tool;
-                let is = |tool: Tool| armed == tool;
-                button(ui, "", "Orbit", Action::Arm(Tool::Navigate), "Orbit the camera; drag handles", is(Tool::Navigate), &mut requests);
-                button(ui, "", "Probe", Action::Arm(Tool::Probe), "Read the value at a point", is(Tool::Probe), &mut requests);
-                let measure = Tool::Measure(MeasureKind::Distance);
-                button(ui, icon::RULER, "Measure", Action::Arm(measure), "Measure a distance", is(measure), &mut requests);
-                ui.separator();
-                for (kind, word) in [("half-space", "Plane"), ("box", "Box"), ("knife", "Knife"), ("wedge", "Wedge")] {
-                    kind_button(state, ui, kind, word, &mut requests);
-                }
-                button(
-                    ui,
-                    icon::LASSO,
-                    "Lasso",
-                    Action::Arm(Tool::LassoCut),
-                    "Draw around the region to cut away",
-                    is(Tool::LassoCut),
-                    &mut requests,
-                );
-                ui.separator();
-                for (kind, word) in [("peel", "Peel"), ("pull", "Pull"), ("twist", "Twist")] {
-                    kind_button(state, ui, kind, word, &mut requests);
-                }
-                let more = ui.menu_button(format!("More {}", icon::CARET_DOWN), |ui| show_kinds(state, ui, &mut requests));
-                more.response.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, "More deformations"));
-                ui.separator();
-                let (undo, redo) =
-                    state.doc.as_ref().map_or((false, false), |d| (state.history.has_undo(&d.scene), state.history.has_redo(&d.scene)));
-                for (works, symbol, word, action) in
-                    [(undo, icon::ARROW_U_UP_LEFT, "Undo", Action::Undo), (redo, icon::ARROW_U_UP_RIGHT, "Redo", Action::Redo)]
-                {
-                    let response = ui.add_enabled(works, egui::Button::new(symbol));
-                    labelled(&response, word, false);
-                    if response.on_hover_text(state.tip(action, word)).clicked() {
-                        requests.perform(action);
-                    }
+                for button in &TOOLS {
+                    button.show(state, ui, &mut requests);
                 }
                 ui.separator();
-                let mode = state.doc.as_ref().map(|d| d.scene.render.mode);
-                for (m, word, about) in [
-                    (Mode::Slice, "Slice", "View-aligned slices"),
-                    (Mode::Raycast, "Ray", "Ray casting"),
-                    (Mode::Surface, "Surface", "Surfaces by their distance fields"),
-                ] {
-                    button(ui, "", word, Action::SetMode(m), about, mode == Some(m), &mut requests);
+                show_deformations(state, ui, &mut requests);
+                ui.separator();
+                show_undo(state, ui, &mut requests);
+                ui.separator();
+                for button in &RENDERERS {
+                    button.show(state, ui, &mut requests);
                 }
-                button(ui, icon::ARROWS_LEFT_RIGHT, "Compare", Action::Compare, "Compare renderers", false, &mut requests);
             }
         });
     });
     requests
+}
+
+/// A button that performs an action.
+struct ActionButton {
+    /// Its icon; empty for none.
+    symbol: &'static str,
+    word: &'static str,
+    about: &'static str,
+    action: Action,
+}
+
+const OPEN: ActionButton = ActionButton { symbol: icon::FOLDER_OPEN, word: "Open", about: "Open a scene, volume or mesh", action: Action::Open };
+const SAVE: ActionButton = ActionButton { symbol: icon::FLOPPY_DISK, word: "Save", about: "Save the scene", action: Action::Save };
+/// The tools that do not deform.
+const TOOLS: [ActionButton; 3] = [
+    ActionButton { symbol: "", word: "Orbit", about: "Orbit the camera; drag handles", action: Action::Arm(Tool::Navigate) },
+    ActionButton { symbol: "", word: "Probe", about: "Read the value at a point", action: Action::Arm(Tool::Probe) },
+    ActionButton { symbol: icon::RULER, word: "Measure", about: "Measure a distance", action: Action::Arm(Tool::Measure(MeasureKind::Distance)) },
+];
+const LASSO: ActionButton =
+    ActionButton { symbol: icon::LASSO, word: "Lasso", about: "Draw around the region to cut away", action: Action::Arm(Tool::LassoCut) };
+/// The renderers, and their comparison.
+const RENDERERS: [ActionButton; 4] = [
+    ActionButton { symbol: "", word: "Slice", about: "View-aligned slices", action: Action::SetMode(Mode::Slice) },
+    ActionButton { symbol: "", word: "Ray", about: "Ray casting", action: Action::SetMode(Mode::Raycast) },
+    ActionButton { symbol: "", word: "Surface", about: "Surfaces by their distance fields", action: Action::SetMode(Mode::Surface) },
+    ActionButton { symbol: icon::ARROWS_LEFT_RIGHT, word: "Compare", about: "Compare renderers", action: Action::Compare },
+];
+
+impl ActionButton {
+    /// Shows it, selected if its tool is armed or its renderer is in use.
+    fn show(&self, state: &Workstation, ui: &mut Ui, requests: &mut Requests) {
+        let selected = match self.action {
+            Action::Arm(tool) => state.tool == tool,
+            Action::SetMode(mode) => state.doc.as_ref().is_some_and(|d| d.scene.render.mode == mode),
+            _ => false,
+        };
+        if tool_button(ui, self.symbol, self.word, selected, &state.tip(self.action, self.about)).clicked() {
+            requests.perform(self.action);
+        }
+    }
+}
+
+/// Shows the most frequent cuts and displacements, and the menu of all kinds.
+fn show_deformations(state: &Workstation, ui: &mut Ui, requests: &mut Requests) {
+    for (kind, word) in [("half-space", "Plane"), ("box", "Box"), ("knife", "Knife"), ("wedge", "Wedge")] {
+        kind_button(state, ui, kind, word, requests);
+    }
+    LASSO.show(state, ui, requests);
+    ui.separator();
+    for (kind, word) in [("peel", "Peel"), ("pull", "Pull"), ("twist", "Twist")] {
+        kind_button(state, ui, kind, word, requests);
+    }
+    let more = ui.menu_button(format!("More {}", icon::CARET_DOWN), |ui| show_kinds(state, ui, requests));
+    more.response.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, "More deformations"));
+}
+
+/// Shows the buttons for undo and redo, greyed out without a step to take.
+fn show_undo(state: &Workstation, ui: &mut Ui, requests: &mut Requests) {
+    let (undo, redo) = state.doc.as_ref().map_or((false, false), |d| (state.history.has_undo(&d.scene), state.history.has_redo(&d.scene)));
+    for (works, symbol, word, action) in [(undo, icon::ARROW_U_UP_LEFT, "Undo", Action::Undo), (redo, icon::ARROW_U_UP_RIGHT, "Redo", Action::Redo)] {
+        let response = ui.add_enabled(works, egui::Button::new(symbol));
+        labelled(&response, word, false);
+        if response.on_hover_text(state.tip(action, word)).clicked() {
+            requests.perform(action);
+        }
+    }
 }
 
 /// A button for a kind: a click arms it, and it can be dragged onto the view.

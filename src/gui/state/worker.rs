@@ -5,14 +5,19 @@
 //! drag keeps receiving pictures. A second thread picks the point under the pointer, so that
 //! picking never waits for a picture. Coarse pictures and slices leave one core to the interface.
 
+mod pool;
+mod probe;
+
+pub use pool::quiet_pool;
+pub use probe::{ProbePurpose, ProbeRequest, ProbeResult, Prober};
+
 use super::log::LogLevel;
 use super::slice_paint::{self, Overlay, SliceStyle};
-use crate::cpu::pick::{self, Pick};
 use crate::cpu::section::{self, Section, SectionPlane};
 use crate::engine::{Backend, DeviceInfo, Engine, EngineOptions, Quality, RenderRequest, ScenePicture};
 use crate::picture::{Picture, RenderStats};
 use crate::prepare::measure::Quantity;
-use crate::prepare::{Assets, Deformed, Prepared};
+use crate::prepare::{Assets, Deformed};
 use crate::scene::measure::Measure;
 use crate::scene::{Scene, ViewFrame};
 use crate::{Error, Result, Watch};
@@ -298,32 +303,38 @@ impl Drop for Worker {
     }
 }
 
-/// A thread pool for work that must not slow down the interface: all cores but one.
-pub fn quiet_pool() -> Option<rayon::ThreadPool> {
-    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-    rayon::ThreadPoolBuilder::new().num_threads(cores.saturating_sub(1).max(1)).build().ok()
+/// A job taken from the queue, and how to carry it out.
+struct StartedJob {
+    job: Job,
+    cancel: Arc<AtomicBool>,
+    backend: Backend,
+    /// The device must be given up first.
+    lose: bool,
 }
 
+/// Waits for a job and takes the most urgent one; none once the queue is closed.
+fn next_job(shared: &WorkerState) -> Option<StartedJob> {
+    let mut queue = lock(&shared.queue);
+    loop {
+        if queue.closed {
+            return None;
+        }
+        if let Some(n) = (0..queue.jobs.len()).min_by_key(|n| queue.jobs[*n].target.urgency()) {
+            let job = queue.jobs.remove(n);
+            let cancel = Arc::new(AtomicBool::new(false));
+            queue.running = Some(Running { target: job.target, cancel: cancel.clone(), dropped: false });
+            let lose = std::mem::take(&mut queue.lose);
+            return Some(StartedJob { job, cancel, backend: queue.backend, lose });
+        }
+        queue = shared.wake.wait(queue).unwrap_or_else(PoisonError::into_inner);
+    }
+}
+
+/// Carries out jobs until the queue is closed.
 fn run(shared: &WorkerState, send: &Sender<FinishedJob>, log: &Sender<(LogLevel, String)>, ctx: &egui::Context) {
     let pool = quiet_pool();
     let mut renderer = Renderer { engine: None, log: log.clone() };
-    loop {
-        let (job, cancel, backend, lose) = {
-            let mut queue = lock(&shared.queue);
-            loop {
-                if queue.closed {
-                    return;
-                }
-                if let Some(n) = (0..queue.jobs.len()).min_by_key(|n| queue.jobs[*n].target.urgency()) {
-                    let job = queue.jobs.remove(n);
-                    let cancel = Arc::new(AtomicBool::new(false));
-                    queue.running = Some(Running { target: job.target, cancel: cancel.clone(), dropped: false });
-                    let lose = std::mem::take(&mut queue.lose);
-                    break (job, cancel, queue.backend, lose);
-                }
-                queue = shared.wake.wait(queue).unwrap_or_else(PoisonError::into_inner);
-            }
-        };
+    while let Some(StartedJob { job, cancel, backend, lose }) = next_job(shared) {
         shared.progress.store(0, Ordering::Relaxed);
         if let (true, Ok(engine)) = (lose, renderer.engine(backend)) {
             engine.lose_device();
@@ -463,131 +474,5 @@ fn measured_in(measure: &Measure, assets: &Assets, deformed: &Deformed) -> Measu
         quantities: measure.quantities(assets, deformed).map_err(|e| e.to_string()),
         seen: measure.points.iter().map(|p| deformed.forward(Vec3::from(*p))).collect(),
         measure: measure.clone(),
-    }
-}
-
-/// The purpose of picking the point under the pointer.
-#[derive(Clone, Debug, PartialEq)]
-pub enum ProbePurpose {
-    /// To show it in the status bar.
-    Hover,
-    /// To centre the view on it.
-    Center,
-    /// To apply a tool there.
-    Tool,
-    /// To add a point to a brush stroke.
-    Brush {
-        /// The stroke ends with this point.
-        last: bool,
-    },
-}
-
-/// A request to pick a point of the 3D view.
-pub struct ProbeRequest {
-    /// The scene at the view's size.
-    pub scene: Arc<Scene>,
-    /// Its assets.
-    pub assets: Arc<Assets>,
-    /// Picture coordinates in -1..1, v upwards.
-    pub at: [f32; 2],
-    /// The purpose.
-    pub purpose: ProbePurpose,
-}
-
-/// The result of picking.
-pub struct ProbeResult {
-    /// The position.
-    pub at: [f32; 2],
-    /// The purpose.
-    pub purpose: ProbePurpose,
-    /// The picked point.
-    pub pick: Result<Option<Pick>>,
-    /// The assets in which it was picked.
-    pub assets: Arc<Assets>,
-}
-
-/// The thread that picks the point under the pointer.
-pub struct Prober {
-    ask: Option<Sender<ProbeRequest>>,
-    answers: Receiver<ProbeResult>,
-    thread: Option<std::thread::JoinHandle<()>>,
-    /// Number of pending requests.
-    pub open: usize,
-}
-
-impl Prober {
-    /// Starts the thread.
-    pub fn new(ctx: &egui::Context) -> Self {
-        let (ask, questions) = channel::<ProbeRequest>();
-        let (answer, answers) = channel();
-        let ctx = ctx.clone();
-        let thread = std::thread::Builder::new().name("prober".into()).spawn(move || probe(&questions, &answer, &ctx)).ok();
-        Self { ask: Some(ask), answers, thread, open: 0 }
-    }
-
-    /// Submits a request.
-    pub fn ask(&mut self, question: ProbeRequest) {
-        if self.ask.as_ref().is_some_and(|a| a.send(question).is_ok()) {
-            self.open += 1;
-        }
-    }
-
-    /// The next result, if any.
-    pub fn poll(&mut self) -> Option<ProbeResult> {
-        let answer = self.answers.try_recv().ok()?;
-        self.open = self.open.saturating_sub(1);
-        Some(answer)
-    }
-}
-
-impl Drop for Prober {
-    fn drop(&mut self) {
-        self.ask = None;
-        if let Some(thread) = self.thread.take() {
-            let _ended = thread.join();
-        }
-    }
-}
-
-fn probe(questions: &Receiver<ProbeRequest>, answer: &Sender<ProbeResult>, ctx: &egui::Context) {
-    let pool = quiet_pool();
-    let mut next: Option<ProbeRequest> = None;
-    while let Some(question) = next.take().or_else(|| questions.recv().ok()) {
-        let (scene, assets) = (question.scene.clone(), question.assets.clone());
-        let prepare = || Prepared::new(&scene, &assets);
-        let fault = || Error::value("picking", "failed because of an internal error; the scene is intact");
-        let prepared = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| match &pool {
-            Some(pool) => pool.install(prepare),
-            None => prepare(),
-        }))
-        .unwrap_or_else(|_| Err(fault()));
-        let reply = |question: ProbeRequest, pick: Result<Option<Pick>>| {
-            let sent = answer.send(ProbeResult { at: question.at, purpose: question.purpose, pick, assets: question.assets }).is_ok();
-            ctx.request_repaint();
-            sent
-        };
-        let prepared = match prepared {
-            Ok(prepared) => prepared,
-            Err(error) => {
-                if !reply(question, Err(error)) {
-                    return;
-                }
-                continue;
-            }
-        };
-        let range = assets.volume.range;
-        let mut current = Some(question);
-        while let Some(question) = current.take() {
-            let [u, v] = question.at;
-            let found = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| pick::at(&prepared, range, u, v)));
-            if !reply(question, found.map_err(|_| fault())) {
-                return;
-            }
-            match questions.recv() {
-                Ok(q) if Arc::ptr_eq(&q.assets, &assets) && (Arc::ptr_eq(&q.scene, &scene) || q.scene == scene) => current = Some(q),
-                Ok(q) => next = Some(q),
-                Err(_) => return,
-            }
-        }
     }
 }

@@ -70,34 +70,18 @@ impl View3d {
             return requests;
         }
         drop_on_view(&response, &projector, &mut requests);
-        self.handle_input(state, ui, &response, &projector, hot, &mut requests);
+        let on = ViewInput { response: &response, projector: &projector, hot };
+        self.handle_input(state, ui, &on, &mut requests);
         requests
     }
 
     /// Handles what the pointer does.
-    fn handle_input(
-        &mut self,
-        state: &Workstation,
-        ui: &Ui,
-        response: &Response,
-        projector: &Projector,
-        hot: Option<Handle>,
-        requests: &mut Requests,
-    ) {
+    fn handle_input(&mut self, state: &Workstation, ui: &Ui, on: &ViewInput, requests: &mut Requests) {
+        let ViewInput { response, projector, hot } = *on;
         let pos = response.interact_pointer_pos().or_else(|| response.hover_pos());
         let modifiers = ui.input(|i| i.modifiers);
         if response.hovered() {
-            let scroll = ui.input(|i| i.smooth_scroll_delta.y + 300.0 * (i.zoom_delta() - 1.0));
-            if scroll != 0.0 {
-                requests.0.push(Request::Zoom((scroll * 0.0025).exp()));
-            }
-            let cursor = match state.tool {
-                _ if hot.is_some() => CursorIcon::Grab,
-                Tool::Navigate => CursorIcon::Default,
-                _ => CursorIcon::Crosshair,
-            };
-            ui.ctx().set_cursor_icon(cursor);
-            self.request_hover(state, projector, response.hover_pos(), requests);
+            self.handle_hover(state, ui, on, requests);
         }
         if response.double_clicked() && state.tool == Tool::Navigate && hot.is_none() {
             if let Some(pos) = pos {
@@ -132,8 +116,37 @@ impl View3d {
             click(state, pos, modifiers, projector, requests);
         }
         let Some(pos) = pos else { return };
-        let delta = response.drag_delta();
-        match &gesture {
+        self.continue_drag(state, on, gesture.as_ref(), pos, requests);
+        if response.drag_stopped() {
+            requests.0.push(Request::SetGesture(None));
+            match gesture {
+                Some(Gesture::Lasso) => requests.0.push(Request::FinishLasso),
+                Some(Gesture::Brush) => requests.ask(projector.at(pos), ProbePurpose::Brush { last: true }),
+                _ => {}
+            }
+        }
+    }
+
+    /// Zooms by the wheel, chooses the cursor, and asks for the point under the pointer.
+    fn handle_hover(&mut self, state: &Workstation, ui: &Ui, on: &ViewInput, requests: &mut Requests) {
+        let scroll = ui.input(|i| i.smooth_scroll_delta.y + 300.0 * (i.zoom_delta() - 1.0));
+        if scroll != 0.0 {
+            requests.0.push(Request::Zoom((scroll * 0.0025).exp()));
+        }
+        let cursor = match state.tool {
+            _ if on.hot.is_some() => CursorIcon::Grab,
+            Tool::Navigate => CursorIcon::Default,
+            _ => CursorIcon::Crosshair,
+        };
+        ui.ctx().set_cursor_icon(cursor);
+        self.request_hover(state, on.projector, on.response.hover_pos(), requests);
+    }
+
+    /// Follows the pointer during a drag.
+    fn continue_drag(&mut self, state: &Workstation, on: &ViewInput, gesture: Option<&Gesture>, pos: Pos2, requests: &mut Requests) {
+        let projector = on.projector;
+        let delta = on.response.drag_delta();
+        match gesture {
             Some(Gesture::Orbit) => requests.0.push(Request::Orbit(delta)),
             Some(Gesture::Pan) => requests.0.push(Request::Pan(delta, self.rect)),
             Some(Gesture::Zoom) => requests.0.push(Request::Zoom((-delta.y * 0.01).exp())),
@@ -145,7 +158,7 @@ impl View3d {
                 requests.0.push(Request::Roll(wrapped.to_degrees()));
             }
             Some(Gesture::Gizmo(drag)) => {
-                if let Some(moved) = self.gizmo(state, gesture.as_ref(), projector).and_then(|g| g.dragged(drag, pos)) {
+                if let Some(moved) = self.gizmo(state, gesture, projector).and_then(|g| g.dragged(drag, pos)) {
                     self.dragged = Some(moved.clone());
                     requests.change(move |doc| {
                         if let Some(d) = doc.deformation() {
@@ -160,14 +173,6 @@ impl View3d {
                 requests.ask(projector.at(pos), ProbePurpose::Brush { last: false });
             }
             _ => {}
-        }
-        if response.drag_stopped() {
-            requests.0.push(Request::SetGesture(None));
-            match gesture {
-                Some(Gesture::Lasso) => requests.0.push(Request::FinishLasso),
-                Some(Gesture::Brush) => requests.ask(projector.at(pos), ProbePurpose::Brush { last: true }),
-                _ => {}
-            }
         }
     }
 
@@ -301,6 +306,14 @@ impl View3d {
             text(painter, pos2(rect.left() + 12.0, rect.top() + 10.0), Align2::LEFT_TOP, hint, 13.5, ON_CANVAS);
         }
     }
+}
+
+/// What the pointer does on the view.
+struct ViewInput<'a> {
+    response: &'a Response,
+    projector: &'a Projector,
+    /// The handle under the pointer.
+    hot: Option<Handle>,
 }
 
 /// Handles a kind that was dragged from the palette and dropped on the view.

@@ -157,31 +157,12 @@ impl Header {
         let mut warnings = Vec::new();
         let dim = self.dimensions().map_err(&fail)?;
         let size = [dim[0], dim[1], dim[2]];
-        let intent = self.intent();
-        // Vectors are stored along the fifth axis; those of FSL's warps and directions along the
-        // fourth.
-        let fsl = (2006..=2009).contains(&intent);
-        let colors_by_axis = INTENT_RGB.contains(&intent) && (3..=4).contains(&dim[3]);
-        let (components, frames) = if (fsl || colors_by_axis) && dim[4] == 1 { (dim[3], 1) } else { (dim[4], dim[3] * dim[5] * dim[6]) };
-        if frames > 1 && components > 1 {
-            return Err(fail(format!(
-                "has {components} values per voxel at {frames} time points; only one time point is supported; split it by time"
-            )));
-        }
+        let (components, frames) = self.components_and_frames(&dim).map_err(&fail)?;
         let time = choice.time_of(frames)?;
         if frames > 1 && choice.time.is_none() {
             warnings.push(format!("holds {frames} volumes; the first is used (--time chooses another)"));
         }
-        let datatype = self.integer(70, 12, 2) as i16;
-        let (scalar, colors) = match datatype {
-            128 => (ScalarType::U8, 3),
-            2304 => (ScalarType::U8, 4),
-            code => (
-                scalar_type(code)
-                    .ok_or_else(|| fail(format!("stores {}, which cannot be rendered; convert it to a real scalar type", datatype_name(code))))?,
-                1,
-            ),
-        };
+        let (scalar, colors) = self.value_type().map_err(&fail)?;
         if colors > 1 && components > 1 {
             return Err(fail(format!("holds {components} colours per voxel; a single one is needed")));
         }
@@ -196,31 +177,69 @@ impl Header {
         if time + 1 == frames {
             check_end(path, source.reader)?;
         }
-        let meaning = match intent {
-            _ if colors > 1 => Meaning::Color,
-            // Floating-point colours are directions.
-            i if INTENT_RGB.contains(&i) && components == 3 && matches!(scalar, ScalarType::F32 | ScalarType::F64) => Meaning::Vectors,
-            i if INTENT_RGB.contains(&i) && (3..=4).contains(&components) => Meaning::Color,
-            INTENT_LABEL => Meaning::Labels(Vec::new()),
-            i if INTENT_VECTOR.contains(&i) || fsl => Meaning::Vectors,
-            _ => Meaning::Unstated,
-        };
-        let format = match (self.version, self.paired) {
-            (Version::Analyze, _) => "Analyze 7.5",
-            (Version::One, false) => "NIfTI-1",
-            (Version::One, true) => "NIfTI-1 pair",
-            (Version::Two, false) => "NIfTI-2",
-            (Version::Two, true) => "NIfTI-2 pair",
-        };
         let (rescale, world_from_voxel) = (self.rescale(&mut warnings), self.geometry(&mut warnings));
-        let mut image = Image::new(format, voxels, size, world_from_voxel);
-        (image.components, image.meaning, image.rescale, image.intent) = (components * colors, meaning, rescale, intent);
+        let mut image = Image::new(self.format_name(), voxels, size, world_from_voxel);
+        (image.components, image.rescale, image.intent) = (components * colors, rescale, self.intent());
+        image.meaning = if colors > 1 { Meaning::Color } else { self.meaning(components, scalar) };
         image.layout = if colors > 1 { Layout::Interleaved } else { Layout::Planar };
         image.warnings = warnings;
         if frames > 1 {
             image.details.push(("time_points", json!(frames)));
         }
         Ok(image)
+    }
+
+    /// Whether this is a warp or a direction map of FSL.
+    fn is_fsl(&self) -> bool {
+        (2006..=2009).contains(&self.intent())
+    }
+
+    /// Numbers of values per voxel and of time points.
+    fn components_and_frames(&self, dim: &[usize; 7]) -> Result<(usize, usize), String> {
+        // Vectors are stored along the fifth axis; those of FSL's warps and directions along the
+        // fourth.
+        let colors_by_axis = INTENT_RGB.contains(&self.intent()) && (3..=4).contains(&dim[3]);
+        let along_fourth = (self.is_fsl() || colors_by_axis) && dim[4] == 1;
+        let (components, frames) = if along_fourth { (dim[3], 1) } else { (dim[4], dim[3] * dim[5] * dim[6]) };
+        if frames > 1 && components > 1 {
+            return Err(format!("has {components} values per voxel at {frames} time points; only one time point is supported; split it by time"));
+        }
+        Ok((components, frames))
+    }
+
+    /// Type of a value, and number of values of that type in each: 3 or 4 for colours.
+    fn value_type(&self) -> Result<(ScalarType, usize), String> {
+        match self.integer(70, 12, 2) as i16 {
+            128 => Ok((ScalarType::U8, 3)),
+            2304 => Ok((ScalarType::U8, 4)),
+            code => match scalar_type(code) {
+                Some(scalar) => Ok((scalar, 1)),
+                None => Err(format!("stores {}, which cannot be rendered; convert it to a real scalar type", datatype_name(code))),
+            },
+        }
+    }
+
+    /// The meaning of the values, by the intent.
+    fn meaning(&self, components: usize, scalar: ScalarType) -> Meaning {
+        match self.intent() {
+            // Floating-point colours are directions.
+            i if INTENT_RGB.contains(&i) && components == 3 && matches!(scalar, ScalarType::F32 | ScalarType::F64) => Meaning::Vectors,
+            i if INTENT_RGB.contains(&i) && (3..=4).contains(&components) => Meaning::Color,
+            INTENT_LABEL => Meaning::Labels(Vec::new()),
+            i if INTENT_VECTOR.contains(&i) || self.is_fsl() => Meaning::Vectors,
+            _ => Meaning::Unstated,
+        }
+    }
+
+    /// Name of the format.
+    fn format_name(&self) -> &'static str {
+        match (self.version, self.paired) {
+            (Version::Analyze, _) => "Analyze 7.5",
+            (Version::One, false) => "NIfTI-1",
+            (Version::One, true) => "NIfTI-1 pair",
+            (Version::Two, false) => "NIfTI-2",
+            (Version::Two, true) => "NIfTI-2 pair",
+        }
     }
 
     /// Offset of the voxels in their file, after `passed` bytes of header or none.

@@ -6,42 +6,30 @@
 //! space, unless a `measurement frame` is given. Source: the NRRD format definition (Kindlmann,
 //! teem 1.11).
 
+mod geometry;
+mod header;
+mod values;
+
 use super::super::StoredValues;
 use super::super::colors::Label;
 use super::ReadOptions;
 use super::ScalarType;
 use super::image::{Image, Layout, Meaning};
-use super::source::{
-    BZIP2_LIMIT, ConcatenatedFiles, DEFLATE_LIMIT, OpenPiece, ValueReader, buffered, check_end, check_held, count, open_file, read_error,
-    sibling_file, skip, usable,
-};
+use super::source::{buffered, count, sibling_file};
 use crate::{Error, Result, Watch};
-use bzip2::read::MultiBzDecoder;
-use flate2::read::MultiGzDecoder;
-use glam::{DAffine3, DMat3, DVec3};
+use geometry::geometry;
+use header::{LIST_KEY, header, required, words};
 use ndarray::{Axis, IxDyn};
 use serde_json::json;
 use std::collections::HashMap;
-use std::fs::File;
-use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
+use values::Data;
+pub(super) use values::last_bytes;
 
-/// Maximum header length, bytes: a file without an empty line is not NRRD.
-const MAX_HEADER_BYTES: u64 = 1 << 20;
 /// Maximum number of data files of a detached header.
 const MAX_FILES: usize = 100_000;
 /// Key that identifies this program's displacement maps.
 const MAP_KEY: &str = "incise";
-
-/// The encoding of the values.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Encoding {
-    Raw,
-    Gzip,
-    Bzip2,
-    Text,
-    Hex,
-}
 
 /// The role of each axis.
 struct Axes {
@@ -53,46 +41,14 @@ struct Axes {
 
 /// Reads an image.
 pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
-    let fail = |problem: String| Error::file(path, problem);
     let (mut reader, file_bytes) = buffered(path)?;
     let fields = header(path, &mut reader)?;
-    let get = |name: &str| fields.get(name).map(String::as_str);
-    let need = |name: &str| get(name).ok_or_else(|| fail(format!("has no field \"{name}\" in its header; it is damaged")));
-    let whole = |text: &str| text.split_whitespace().map(|w| w.parse::<usize>().ok().filter(|&n| n > 0)).collect::<Option<Vec<_>>>();
-    let sizes =
-        whole(need("sizes")?).ok_or_else(|| fail(format!("has the sizes \"{}\", which are not positive numbers", get("sizes").unwrap_or(""))))?;
-    if need("dimension")?.trim().parse() != Ok(sizes.len()) || !(1..=5).contains(&sizes.len()) {
-        return Err(fail(format!("has {} axes; images of 1 to 3, one axis of components and one of time can be read", sizes.len())));
-    }
-    let scalar = scalar_type(need("type")?).ok_or_else(|| fail(format!("has the type \"{}\", which is not supported", get("type").unwrap_or(""))))?;
-    let axes = axes(&fields, sizes).map_err(&fail)?;
+    let (axes, scalar) = axes_and_type(path, &fields)?;
     let total = count(path, &axes.sizes, scalar)?;
     let mut warnings = Vec::new();
-    let (world_from_voxel, frame) = geometry(&fields, &axes.spatial, axes.sizes.len(), &mut warnings).map_err(&fail)?;
-    let encoding = match need("encoding")?.trim().to_ascii_lowercase().as_str() {
-        "raw" => Encoding::Raw,
-        "gzip" | "gz" => Encoding::Gzip,
-        "bzip2" | "bz2" => Encoding::Bzip2,
-        "ascii" | "text" | "txt" => Encoding::Text,
-        "hex" => Encoding::Hex,
-        other => return Err(fail(format!("is encoded as \"{other}\", which cannot be read; save it as raw or gzip"))),
-    };
-    let swap = scalar.bytes() > 1
-        && match need("endian").map(str::trim) {
-            Ok("little") => cfg!(target_endian = "big"),
-            Ok("big") => cfg!(target_endian = "little"),
-            Ok(other) => return Err(fail(format!("has the byte order \"{other}\"; it must be little or big"))),
-            Err(e) if encoding != Encoding::Text => return Err(e),
-            Err(_) => false,
-        };
-    let number = |names: [&str; 2]| {
-        let text = get(names[0]).or(get(names[1]));
-        text.map_or(Ok(0i64), |t| t.trim().parse()).map_err(|_| fail(format!("has a {} that is not a number", names[0])))
-    };
-    let (line_skip, byte_skip) = (number(["line skip", "lineskip"])?, number(["byte skip", "byteskip"])?);
-    if line_skip < 0 || byte_skip < -1 {
-        return Err(fail("skips a negative number of lines or bytes; its header is damaged".into()));
-    }
+    let (world_from_voxel, frame) =
+        geometry(&fields, &axes.spatial, axes.sizes.len(), &mut warnings).map_err(|problem| Error::file(path, problem))?;
+    let data = Data::new(path, &fields, scalar, total, watch)?;
 
     // If the time axis is the slowest, other times are skipped while reading; otherwise they are
     // removed afterwards.
@@ -100,9 +56,7 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let time = choice.time_of(frames)?;
     let slowest = axes.time.is_some_and(|t| t + 1 == axes.sizes.len());
     let (stored, ahead) = if slowest { (total / frames, total / frames * time) } else { (total, 0) };
-    let data = Data { path, scalar, swap, encoding, line_skip: line_skip as u64, byte_skip, whole: total, watch };
-    let pieces = data_files(path, &fields, &axes)?;
-    let voxels = match pieces {
+    let voxels = match data_files(path, &fields, &axes)? {
         None => data.read(path, reader, file_bytes, [ahead, stored], slowest && time + 1 < frames)?,
         Some(files) if files.len() == 1 => {
             let (reader, file_bytes) = buffered(&files[0])?;
@@ -114,7 +68,7 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let size: [usize; 3] = std::array::from_fn(|a| axes.spatial.get(a).map_or(1, |&s| axes.sizes[s]));
     let mut image = Image::new("NRRD", voxels, size, world_from_voxel);
     (image.components, image.layout, image.frame) = (components, layout, Some(frame));
-    image.displacement = get(MAP_KEY) == Some("displacement map 1");
+    image.displacement = fields.get(MAP_KEY).map(String::as_str) == Some("displacement map 1");
     image.meaning = meaning(&fields, &axes);
     if frames > 1 {
         if choice.time.is_none() {
@@ -124,145 +78,6 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     }
     image.warnings = warnings;
     Ok(image)
-}
-
-/// How to read the values.
-struct Data<'a> {
-    path: &'a Path,
-    scalar: ScalarType,
-    swap: bool,
-    encoding: Encoding,
-    line_skip: u64,
-    byte_skip: i64,
-    /// Number of values of all times.
-    whole: usize,
-    watch: &'a Watch<'a>,
-}
-
-impl Data<'_> {
-    /// Reads `[ahead, count]`: skips values and reads values, from the reader's position.
-    fn read(&self, path: &Path, mut reader: BufReader<File>, file_bytes: u64, [ahead, count]: [usize; 2], more: bool) -> Result<StoredValues> {
-        let size = self.scalar.bytes() as u64;
-        let (before, bytes) = (ahead as u64 * size, count as u64 * size);
-        skip_lines(path, &mut reader, self.line_skip)?;
-        let byte_skip = self.byte_skip.max(0) as u64;
-        match self.encoding {
-            Encoding::Raw => {
-                check_held(path, before.saturating_add(bytes), file_bytes)?;
-                if self.byte_skip < 0 {
-                    // Located at the file's end.
-                    let all = self.whole as u64 * size;
-                    check_held(path, all, file_bytes)?;
-                    reader.seek(SeekFrom::End(-(all as i64))).map_err(|e| read_error(path, e))?;
-                }
-                skip(path, &mut reader, byte_skip.saturating_add(before))?;
-                self.source(path, reader, count).read_as(self.scalar)
-            }
-            Encoding::Gzip | Encoding::Bzip2 => {
-                let limit = if self.encoding == Encoding::Gzip { DEFLATE_LIMIT } else { BZIP2_LIMIT };
-                check_held(path, before.saturating_add(bytes), file_bytes.saturating_mul(limit))?;
-                let mut decoder: Box<dyn Read + Send> =
-                    if self.encoding == Encoding::Gzip { Box::new(MultiGzDecoder::new(reader)) } else { Box::new(MultiBzDecoder::new(reader)) };
-                skip(path, &mut decoder, byte_skip.saturating_add(before))?;
-                let mut source = self.source(path, decoder, count);
-                let voxels = source.read_as(self.scalar)?;
-                if !more {
-                    check_end(path, source.reader)?;
-                }
-                Ok(voxels)
-            }
-            Encoding::Text => {
-                skip(path, &mut reader, byte_skip)?;
-                // A value and its separator take at least two bytes.
-                check_held(path, (ahead as u64 + count as u64).saturating_mul(2).saturating_sub(1), file_bytes)?;
-                super::text::values(path, reader, [ahead, count], self.scalar, self.watch)
-            }
-            Encoding::Hex => {
-                skip(path, &mut reader, byte_skip)?;
-                check_held(path, before.saturating_add(bytes).saturating_mul(2), file_bytes)?;
-                let mut hex = Hex { reader };
-                skip(path, &mut hex, before)?;
-                self.source(path, hex, count).read_as(self.scalar)
-            }
-        }
-    }
-
-    /// Reads values divided evenly among many files.
-    fn read_pieces(&self, files: Vec<PathBuf>, total: usize, [ahead, count]: [usize; 2]) -> Result<StoredValues> {
-        let fail = |problem: String| Error::file(self.path, problem);
-        if !total.is_multiple_of(files.len()) {
-            return Err(fail(format!("names {} data files, which cannot hold equal parts of its {total} values", files.len())));
-        }
-        if self.line_skip > 0 || self.byte_skip > 0 || matches!(self.encoding, Encoding::Text | Encoding::Hex) {
-            return Err(fail("has several data files that are not raw, gzip or bzip2 from their first byte on; join them into one".into()));
-        }
-        let size = self.scalar.bytes() as u64;
-        let piece = (total / files.len()) as u64 * size;
-        let mut most = 0u64;
-        for file in &files {
-            most = most.saturating_add(open_file(file)?.1);
-        }
-        let (open, limit): (OpenPiece, u64) = match (self.encoding, self.byte_skip) {
-            (Encoding::Gzip, _) => (|p, _| Ok(Box::new(MultiGzDecoder::new(buffered(p)?.0))), DEFLATE_LIMIT),
-            (Encoding::Bzip2, _) => (|p, _| Ok(Box::new(MultiBzDecoder::new(buffered(p)?.0))), BZIP2_LIMIT),
-            (_, -1) => (last_bytes, 1),
-            _ => (|p, _| Ok(Box::new(buffered(p)?.0)), 1),
-        };
-        check_held(self.path, total as u64 * size, most.saturating_mul(limit))?;
-        let mut chain = ConcatenatedFiles::new(files, piece, open);
-        skip(self.path, &mut chain, ahead as u64 * size)?;
-        self.source(self.path, chain, count).read_as(self.scalar)
-    }
-
-    fn source<'b, R: Read>(&'b self, path: &'b Path, reader: R, count: usize) -> ValueReader<'b, R> {
-        ValueReader { path, reader, swap: self.swap, count, watch: self.watch }
-    }
-}
-
-/// The last `bytes` of a file.
-pub(super) fn last_bytes(path: &Path, bytes: u64) -> Result<Box<dyn Read + Send>> {
-    let (mut reader, length) = buffered(path)?;
-    check_held(path, bytes, length)?;
-    reader.seek(SeekFrom::Start(length - bytes)).map_err(|e| read_error(path, e))?;
-    Ok(Box::new(reader))
-}
-
-/// Skips whole lines.
-fn skip_lines(path: &Path, reader: &mut impl BufRead, lines: u64) -> Result<()> {
-    for _ in 0..lines {
-        if reader.skip_until(b'\n').map_err(|e| read_error(path, e))? == 0 {
-            return Err(read_error(path, std::io::ErrorKind::UnexpectedEof.into()));
-        }
-    }
-    Ok(())
-}
-
-/// Bytes written as two hexadecimal digits each; white space is ignored.
-struct Hex<R> {
-    reader: BufReader<R>,
-}
-
-impl<R: Read> Read for Hex<R> {
-    fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
-        let mut digit = || -> std::io::Result<Option<u8>> {
-            loop {
-                let Some(&byte) = self.reader.fill_buf()?.first() else { return Ok(None) };
-                self.reader.consume(1);
-                if !byte.is_ascii_whitespace() {
-                    let digit = char::from(byte).to_digit(16).ok_or_else(|| std::io::Error::new(std::io::ErrorKind::InvalidData, "no hex digit"))?;
-                    return Ok(Some(digit as u8));
-                }
-            }
-        };
-        let mut done = 0;
-        while done < bytes.len() {
-            let Some(high) = digit()? else { break };
-            let low = digit()?.ok_or(std::io::ErrorKind::UnexpectedEof)?;
-            bytes[done] = high << 4 | low;
-            done += 1;
-        }
-        Ok(done)
-    }
 }
 
 /// Files with the values, if the header is detached: one, a list, or a pattern with numbers.
@@ -363,50 +178,19 @@ fn meaning(fields: &HashMap<String, String>, axes: &Axes) -> Meaning {
     }
 }
 
-/// Key of the lines after `data file: LIST`.
-const LIST_KEY: &str = "\n";
-
-/// The fields of the header, with names in lower case; leaves the reader after the empty line that
-/// ends the header.
-fn header(path: &Path, reader: &mut impl BufRead) -> Result<HashMap<String, String>> {
-    let mut fields = HashMap::new();
-    let mut reader = reader.take(MAX_HEADER_BYTES);
-    let mut line = Vec::new();
-    let (mut first, mut list) = (true, false);
-    loop {
-        line.clear();
-        let read = reader.read_until(b'\n', &mut line).map_err(|e| read_error(path, e))?;
-        let text = String::from_utf8_lossy(&line);
-        let text = text.trim_end_matches(['\n', '\r']);
-        if first {
-            if !text.starts_with("NRRD000") {
-                return Err(Error::file(path, "is not an NRRD file (it does not start with NRRD000)"));
-            }
-            first = false;
-            continue;
-        }
-        if text.is_empty() {
-            if read == 0 && !fields.contains_key("data file") && !fields.contains_key("datafile") {
-                return Err(Error::file(path, "ends within its header: the file is truncated; copy or download it again"));
-            }
-            return Ok(fields);
-        }
-        if list {
-            let files = fields.entry(LIST_KEY.to_owned()).or_default();
-            files.push_str(text);
-            files.push('\n');
-            continue;
-        }
-        if text.starts_with('#') {
-            continue;
-        }
-        if let Some((name, value)) = text.split_once(":=").or_else(|| text.split_once(": ")) {
-            let name = name.trim().to_ascii_lowercase();
-            // Nothing else follows a list of files.
-            list = matches!(name.as_str(), "data file" | "datafile") && value.trim().starts_with("LIST");
-            fields.insert(name, value.trim().to_owned());
-        }
+/// The axes and the type of the values, from the header.
+fn axes_and_type(path: &Path, fields: &HashMap<String, String>) -> Result<(Axes, ScalarType)> {
+    let fail = |problem: String| Error::file(path, problem);
+    let get = |name: &str| fields.get(name).map(String::as_str);
+    let need = |name: &str| required(path, fields, name);
+    let whole = |text: &str| text.split_whitespace().map(|w| w.parse::<usize>().ok().filter(|&n| n > 0)).collect::<Option<Vec<_>>>();
+    let sizes =
+        whole(need("sizes")?).ok_or_else(|| fail(format!("has the sizes \"{}\", which are not positive numbers", get("sizes").unwrap_or(""))))?;
+    if need("dimension")?.trim().parse() != Ok(sizes.len()) || !(1..=5).contains(&sizes.len()) {
+        return Err(fail(format!("has {} axes; images of 1 to 3, one axis of components and one of time can be read", sizes.len())));
     }
+    let scalar = scalar_type(need("type")?).ok_or_else(|| fail(format!("has the type \"{}\", which is not supported", get("type").unwrap_or(""))))?;
+    Ok((axes(fields, sizes).map_err(fail)?, scalar))
 }
 
 fn scalar_type(name: &str) -> Option<ScalarType> {
@@ -460,130 +244,4 @@ fn axes(fields: &HashMap<String, String>, sizes: Vec<usize>) -> Result<Axes, Str
         return Err("has no spatial axis; its kinds are damaged".into());
     }
     Ok(Axes { sizes, spatial, components, time })
-}
-
-fn vector(text: &str) -> Option<DVec3> {
-    let inner = text.trim().strip_prefix('(')?.strip_suffix(')')?;
-    let v: Vec<f64> = inner.split(',').map_while(|c| c.trim().parse().ok()).collect();
-    match v[..] {
-        [x, y, z] => Some(DVec3::new(x, y, z)),
-        [x, y] => Some(DVec3::new(x, y, 0.0)),
-        _ => None,
-    }
-}
-
-/// Splits `(a,b,c) (d, e, f) none` into words.
-fn words(text: &str) -> Vec<String> {
-    let mut out = Vec::new();
-    let mut rest = text.trim();
-    while !rest.is_empty() {
-        let end =
-            if rest.starts_with('(') { rest.find(')').map_or(rest.len(), |e| e + 1) } else { rest.find(char::is_whitespace).unwrap_or(rest.len()) };
-        out.push(rest[..end].to_owned());
-        rest = rest[end..].trim_start();
-    }
-    out
-}
-
-/// World from voxel, and world (LPS) from the axes of the vectors.
-fn geometry(fields: &HashMap<String, String>, spatial: &[usize], axes: usize, warnings: &mut Vec<String>) -> Result<(DAffine3, DMat3), String> {
-    let space = fields.get("space").map(|s| s.to_ascii_lowercase());
-    let lps_from_space = match space.as_deref() {
-        Some("left-posterior-superior" | "lps" | "left-posterior-superior-time" | "lpst") => DVec3::ONE,
-        Some("right-anterior-superior" | "ras" | "right-anterior-superior-time" | "rast") => DVec3::new(-1.0, -1.0, 1.0),
-        Some("left-anterior-superior" | "las" | "left-anterior-superior-time" | "last") => DVec3::new(1.0, -1.0, 1.0),
-        Some("3d-right-handed" | "scanner-xyz") => DVec3::ONE,
-        Some(other) => {
-            warnings.push(format!("its space \"{other}\" is not a patient space; left, posterior, superior axes are assumed"));
-            DVec3::ONE
-        }
-        None => {
-            if !fields.contains_key("space dimension") {
-                warnings.push("has no orientation; left, posterior, superior axes are assumed".into());
-            }
-            DVec3::ONE
-        }
-    };
-    let units = fields.get("space units").map(|u| u.split_whitespace().map(|w| mm_of(w.trim_matches('"'))).collect::<Vec<_>>());
-    let mm = DVec3::from_array(std::array::from_fn(|a| units.as_ref().and_then(|u| u.get(a).copied().flatten()).unwrap_or(1.0)));
-    let lps_from_space = DMat3::from_diagonal(lps_from_space * mm);
-    let mut linear = DMat3::IDENTITY;
-    if let Some(directions) = fields.get("space directions") {
-        let all = words(directions);
-        for (n, &axis) in spatial.iter().enumerate() {
-            *linear.col_mut(n) =
-                all.get(axis).and_then(|w| vector(w)).ok_or_else(|| format!("has the space directions \"{directions}\", which cannot be read"))?;
-        }
-        // A plane or line in space: the missing directions are perpendicular to it.
-        match spatial.len() {
-            2 => linear.z_axis = linear.x_axis.cross(linear.y_axis).normalize_or(DVec3::Z),
-            1 => {
-                let (y, z) = linear.x_axis.normalize_or(DVec3::X).any_orthonormal_pair();
-                (linear.y_axis, linear.z_axis) = (y, z);
-            }
-            _ => {}
-        }
-    }
-    let mut origin = DVec3::ZERO;
-    if !fields.contains_key("space directions") {
-        let numbers = |name: &str| fields.get(name).map(|t| t.split_whitespace().map(|w| w.parse().unwrap_or(f64::NAN)).collect::<Vec<f64>>());
-        let unit = |axis: usize| fields.get("units").and_then(|u| mm_of(words(u).get(axis)?.trim_matches('"'))).unwrap_or(1.0);
-        let cell = |axis: usize| fields.get("centers").or(fields.get("centerings")).is_some_and(|c| c.split_whitespace().nth(axis) == Some("cell"));
-        let (mins, maxs, sizes) = (numbers("axis mins"), numbers("axis maxs"), numbers("sizes").unwrap_or_default());
-        for (n, &axis) in spatial.iter().enumerate() {
-            let min = mins.as_ref().and_then(|m| m.get(axis)).copied().filter(|v| v.is_finite());
-            let max = maxs.as_ref().and_then(|m| m.get(axis)).copied().filter(|v| v.is_finite());
-            if let (Some(min), Some(max), Some(&size)) = (min, max, sizes.get(axis))
-                && !fields.contains_key("spacings")
-            {
-                let steps = if cell(axis) { size } else { size - 1.0 };
-                if steps >= 1.0 && max != min {
-                    *linear.col_mut(n) *= (max - min) / steps * unit(axis);
-                }
-            }
-            let shift = if cell(axis) { 0.5 } else { 0.0 };
-            let spacing = numbers("spacings").and_then(|s| s.get(axis).copied()).filter(|s| s.is_finite()).unwrap_or(linear.col(n)[n] / unit(axis));
-            origin[n] = min.map_or(0.0, |m| (m + shift * spacing) * unit(axis));
-        }
-    }
-    if !fields.contains_key("space directions")
-        && let Some(spacings) = fields.get("spacings")
-    {
-        let all: Vec<f64> = spacings.split_whitespace().map(|w| w.parse().unwrap_or(f64::NAN)).collect();
-        if all.len() != axes {
-            return Err(format!("has the spacings \"{spacings}\" for {axes} axes"));
-        }
-        for (n, &axis) in spatial.iter().enumerate() {
-            if all[axis].is_finite() && all[axis] != 0.0 {
-                let unit = fields.get("units").and_then(|u| mm_of(words(u).get(axis)?.trim_matches('"'))).unwrap_or(1.0);
-                *linear.col_mut(n) *= all[axis] * unit;
-            }
-        }
-    }
-    let origin = fields.get("space origin").map_or(Some(origin), |o| vector(o)).ok_or("has a space origin that cannot be read")?;
-    let affine = DAffine3 { matrix3: lps_from_space * linear, translation: lps_from_space * origin };
-    if !usable(&affine) {
-        return Err("has singular space directions; its geometry cannot be used".into());
-    }
-    let frame = match fields.get("measurement frame") {
-        Some(text) => {
-            let columns: Vec<DVec3> = words(text).iter().filter_map(|w| vector(w)).collect();
-            let [x, y, z] = columns[..] else { return Err(format!("has the measurement frame \"{text}\", which cannot be read")) };
-            DMat3::from_cols(x, y, z)
-        }
-        None => DMat3::IDENTITY,
-    };
-    Ok((affine, lps_from_space * frame))
-}
-
-/// Millimetres per unit of length; none if it is not a unit of length.
-fn mm_of(unit: &str) -> Option<f64> {
-    Some(match unit.to_ascii_lowercase().as_str() {
-        "mm" | "millimeter" | "millimeters" | "millimetre" => 1.0,
-        "um" | "µm" | "μm" | "micron" | "microns" | "micrometer" | "micrometers" => 1e-3,
-        "nm" | "nanometer" | "nanometers" => 1e-6,
-        "cm" | "centimeter" | "centimeters" => 10.0,
-        "m" | "meter" | "meters" => 1000.0,
-        _ => return None,
-    })
 }

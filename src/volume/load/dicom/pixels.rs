@@ -7,7 +7,9 @@
 //! registry.
 
 use super::super::source::{RawScalar, read_error};
-use super::scan::{Frame, Object, PixelFormat, one_line, open, whole};
+use super::dataset::{one_line, open, whole};
+use super::frames::{Frame, PixelFormat};
+use super::scan::Object;
 use super::syntax::{JPEG, JPEG_2000, max_compression_ratio, syntax_name};
 use crate::panic_guard::catch_panic;
 use crate::{Error, Result};
@@ -22,6 +24,7 @@ use dicom_transfer_syntax_registry::TransferSyntaxRegistry;
 use jpeg_decoder::{ColorTransform, PixelFormat as JpegFormat};
 use std::borrow::Cow;
 use std::io::ErrorKind;
+use std::path::Path;
 
 /// The pixel bytes of an object.
 pub enum Pixels {
@@ -53,11 +56,93 @@ pub fn check_syntax(object: &Object) -> Result<()> {
     }
 }
 
+/// Whether the pixels of an object are compressed.
+fn is_packed(object: &Object) -> bool {
+    let uid = object.syntax.as_str();
+    JPEG.contains(&uid)
+        || JPEG_2000.contains(&uid)
+        || matches!(TransferSyntaxRegistry.get(uid).map(|s| s.codec()), Some(Codec::EncapsulatedPixelData(..)))
+}
+
+/// The pixel data element of an object.
+#[derive(Default)]
+struct PixelElement {
+    /// Offsets of compressed frames; none before the first item has been read.
+    table: Option<Vec<u32>>,
+    /// Bytes in order: one fragment if they are uncompressed.
+    fragments: Vec<Vec<u8>>,
+}
+
+impl PixelElement {
+    /// Adds the value of an item: the first one holds the offsets of frames.
+    fn add(&mut self, bytes: Vec<u8>) {
+        match self.table {
+            None => self.table = Some(bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()),
+            Some(_) => self.fragments.push(bytes),
+        }
+    }
+}
+
+/// Reads the pixel data element of an object, of which at most `most` bytes are unpacked.
+fn pixel_element(object: &Object, most: u64, packed: bool) -> Result<PixelElement> {
+    let path = object.source.path();
+    let damaged = |e: String| damaged(path, &e);
+    let (mut tokens, end) = open(&object.source, most)?.tokens().map_err(|e| damaged(e.to_string()))?;
+    let (mut element, mut in_pixels) = (PixelElement::default(), false);
+    let mut depth = 0usize;
+    while let Some(token) = tokens.advance() {
+        // Data after the pixels may be truncated.
+        let token = match token {
+            Ok(token) => token,
+            Err(_) if !element.fragments.is_empty() && !packed => break,
+            Err(e) => return Err(damaged(one_line(&e))),
+        };
+        let here = |len: u32, at: u64| {
+            if u64::from(len) > end.saturating_sub(at) { Err(read_error(path, ErrorKind::UnexpectedEof.into())) } else { Ok(()) }
+        };
+        match token {
+            // Pixels in a sequence belong to an icon.
+            LazyDataToken::PixelSequenceStart if depth == 0 => in_pixels = true,
+            LazyDataToken::SequenceStart { .. } | LazyDataToken::PixelSequenceStart => depth += 1,
+            LazyDataToken::SequenceEnd if in_pixels => break,
+            LazyDataToken::SequenceEnd => depth = depth.saturating_sub(1),
+            LazyDataToken::LazyValue { header, decoder } => {
+                let len = header.length().0;
+                here(len, decoder.position())?;
+                if header.tag == tags::PIXEL_DATA && depth == 0 {
+                    let mut bytes = Vec::new();
+                    decoder.read_to_vec(len, &mut bytes).map_err(|e| damaged(one_line(&e)))?;
+                    element.fragments.push(bytes);
+                    break;
+                }
+                decoder.skip_bytes(len).map_err(|e| damaged(one_line(&e)))?;
+            }
+            LazyDataToken::LazyItemValue { len, decoder } => {
+                here(len, decoder.position())?;
+                if !in_pixels {
+                    decoder.skip_bytes(len).map_err(|e| damaged(one_line(&e)))?;
+                    continue;
+                }
+                let mut bytes = Vec::new();
+                decoder.read_to_vec(len, &mut bytes).map_err(|e| damaged(one_line(&e)))?;
+                element.add(bytes);
+            }
+            // An item without a value.
+            LazyDataToken::ItemStart { len: Length(0) } if in_pixels => element.add(Vec::new()),
+            _ => {}
+        }
+    }
+    Ok(element)
+}
+
+fn damaged(path: &Path, problem: &str) -> Error {
+    Error::file(path, format!("its pixels cannot be read ({problem}); copy or export it again"))
+}
+
 /// Reads the pixels of an object.
 pub fn read(object: &Object) -> Result<Pixels> {
     let path = object.source.path();
-    let damaged = |e: String| Error::file(path, format!("its pixels cannot be read ({e}); copy or export it again"));
-    let ended = || damaged("the file is damaged".into());
+    let ended = || damaged(path, "the file is damaged");
     let frames = object.frames.len();
     let native_bytes =
         if object.format.allocated == 1 { (object.format.values() * frames).div_ceil(8) } else { object.format.frame_bytes() * frames };
@@ -67,78 +152,20 @@ pub fn read(object: &Object) -> Result<Pixels> {
         let bytes = element(tags::FLOAT_PIXEL_DATA).or_else(|| element(tags::DOUBLE_FLOAT_PIXEL_DATA)).ok_or_else(ended)?;
         return native(path, bytes, native_bytes, cfg!(target_endian = "big"));
     }
-    let read = catch_panic(|| -> Result<(Vec<u32>, Vec<Vec<u8>>, bool)> {
-        let uid = object.syntax.as_str();
-        let packed = JPEG.contains(&uid)
-            || JPEG_2000.contains(&uid)
-            || matches!(TransferSyntaxRegistry.get(&object.syntax).map(|s| s.codec()), Some(Codec::EncapsulatedPixelData(..)));
-        // A deflated object is unpacked up to the end of its pixels.
-        let opened = open(&object.source, (native_bytes as u64).saturating_add(64 << 20))?;
-        let (mut tokens, end) = opened.tokens().map_err(|e| damaged(e.to_string()))?;
-        let (mut table, mut fragments, mut in_pixels) = (None, Vec::new(), false);
-        let mut depth = 0usize;
-        while let Some(token) = tokens.advance() {
-            // Data after the pixels may be truncated.
-            let token = match token {
-                Ok(token) => token,
-                Err(_) if !fragments.is_empty() && !packed => break,
-                Err(e) => return Err(damaged(one_line(&e))),
-            };
-            let here = |len: u32, at: u64| {
-                if u64::from(len) > end.saturating_sub(at) { Err(read_error(path, ErrorKind::UnexpectedEof.into())) } else { Ok(()) }
-            };
-            match token {
-                // Pixels in a sequence belong to an icon.
-                LazyDataToken::PixelSequenceStart if depth == 0 => in_pixels = true,
-                LazyDataToken::SequenceStart { .. } | LazyDataToken::PixelSequenceStart => depth += 1,
-                LazyDataToken::SequenceEnd if in_pixels => break,
-                LazyDataToken::SequenceEnd => depth = depth.saturating_sub(1),
-                LazyDataToken::LazyValue { header, decoder } => {
-                    let len = header.length().0;
-                    here(len, decoder.position())?;
-                    if header.tag == tags::PIXEL_DATA && depth == 0 {
-                        let mut bytes = Vec::new();
-                        decoder.read_to_vec(len, &mut bytes).map_err(|e| damaged(one_line(&e)))?;
-                        fragments.push(bytes);
-                        break;
-                    }
-                    decoder.skip_bytes(len).map_err(|e| damaged(one_line(&e)))?;
-                }
-                LazyDataToken::LazyItemValue { len, decoder } => {
-                    here(len, decoder.position())?;
-                    if !in_pixels {
-                        decoder.skip_bytes(len).map_err(|e| damaged(one_line(&e)))?;
-                        continue;
-                    }
-                    let mut bytes = Vec::new();
-                    decoder.read_to_vec(len, &mut bytes).map_err(|e| damaged(one_line(&e)))?;
-                    match table {
-                        // The first item holds the offsets of frames.
-                        None => table = Some(bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()),
-                        Some(_) => fragments.push(bytes),
-                    }
-                }
-                // An item without a value.
-                LazyDataToken::ItemStart { len: Length(0) } if in_pixels => match table {
-                    None => table = Some(Vec::new()),
-                    Some(_) => fragments.push(Vec::new()),
-                },
-                _ => {}
-            }
-        }
-        let table = table.unwrap_or_default();
-        Ok((table, fragments, packed))
-    });
-    let (table, mut fragments, packed) = read.ok_or_else(ended)??;
+    let packed = is_packed(object);
+    // A deflated object is unpacked up to the end of its pixels.
+    let most = (native_bytes as u64).saturating_add(64 << 20);
+    let PixelElement { table, mut fragments } = catch_panic(|| pixel_element(object, most, packed)).ok_or_else(ended)??;
     if !packed {
         let big = TransferSyntaxRegistry.get(&object.syntax).is_some_and(|s| s.endianness() == Endianness::Big);
         let bytes = if fragments.is_empty() { Vec::new() } else { fragments.swap_remove(0) };
         return native(path, bytes, native_bytes, big);
     }
-    Ok(Pixels::Packed(frames_of(&table, fragments, frames).ok_or_else(|| damaged(format!("its fragments do not form {frames} frames")))?))
+    let assembled = frames_of(&table.unwrap_or_default(), fragments, frames);
+    Ok(Pixels::Packed(assembled.ok_or_else(|| damaged(path, &format!("its fragments do not form {frames} frames")))?))
 }
 
-fn native(path: &std::path::Path, bytes: Vec<u8>, needed: usize, big: bool) -> Result<Pixels> {
+fn native(path: &Path, bytes: Vec<u8>, needed: usize, big: bool) -> Result<Pixels> {
     if bytes.is_empty() {
         return Err(Error::file(path, "holds no pixels: it is truncated, or only a header; copy or export it again"));
     }

@@ -1,0 +1,114 @@
+//! How the picture is made: sampling, shading, light, camera.
+
+use super::rows::choice;
+use crate::gui::panels::heading;
+use crate::gui::state::document::Document;
+use crate::gui::state::request::Requests;
+use crate::scene::surface::SurfaceSettings;
+use crate::scene::{CutFaces, Light, Mode, Normals, Projection, RenderSettings, Scene};
+use crate::volume::{GradientFilter, Volume};
+use eframe::egui::{self, DragValue, Slider, Ui};
+use std::ops::RangeInclusive;
+
+/// How the picture is made: sampling, shading, light, camera.
+pub(super) fn show_picture_settings(ui: &mut Ui, doc: &Document, requests: &mut Requests) {
+    let volume = &doc.assets.volume;
+    let has_volume = doc.assets.has_volume;
+    let mut scene = doc.scene.clone();
+    ui.spacing_mut().slider_width = (ui.available_width() - 128.0).max(60.0);
+    show_sampling(ui, &mut scene.render);
+    if has_volume {
+        show_shading(ui, &mut scene.render, volume);
+    }
+    if scene.render.mode == Mode::Surface && has_volume {
+        show_iso_value(ui, &mut scene.surface, volume);
+    }
+    show_light(ui, &mut scene.light);
+    show_camera(ui, &mut scene);
+    if scene != doc.scene {
+        requests.change(move |doc| doc.scene = scene);
+    }
+}
+
+/// A slider with its name and a tip.
+fn slider(ui: &mut Ui, v: &mut f32, range: RangeInclusive<f32>, word: &str, tip: &str) {
+    ui.add(Slider::new(v, range).clamping(egui::SliderClamping::Edits).text(word).max_decimals(2)).on_hover_text(tip);
+}
+
+/// Step length and antialiasing.
+fn show_sampling(ui: &mut Ui, render: &mut RenderSettings) {
+    ui.add(Slider::new(&mut render.step, 0.1..=4.0).clamping(egui::SliderClamping::Edits).logarithmic(true).text("step").max_decimals(2))
+        .on_hover_text("Step length: distance between samples, in voxels");
+    let mut antialias = render.antialias;
+    ui.add(Slider::new(&mut antialias, 1..=4).clamping(egui::SliderClamping::Edits).text("antialias"))
+        .on_hover_text("Samples averaged along each edge of a pixel");
+    render.antialias = antialias;
+}
+
+/// Shading of the volume: normals, gradients, cut faces, iso-surface.
+fn show_shading(ui: &mut Ui, render: &mut RenderSettings, volume: &Volume) {
+    choice(
+        ui,
+        "Shading",
+        &mut render.normals,
+        &[
+            (Normals::Blended, "gradients, blended into cut normals"),
+            (Normals::Transformed, "transformed gradients"),
+            (Normals::Source, "source gradients"),
+            (Normals::None, "none (unshaded)"),
+        ],
+    );
+    choice(ui, "Gradients", &mut render.gradient, &[(GradientFilter::Central, "central differences"), (GradientFilter::Sobel, "Sobel")]);
+    choice(ui, "Cut faces", &mut render.cut_faces, &[(CutFaces::Lit, "shaded by the transfer function"), (CutFaces::Grey, "grey values, unshaded")]);
+    let mut iso = render.iso.is_some();
+    ui.horizontal(|ui| {
+        if ui.checkbox(&mut iso, "Iso-surface at").changed() {
+            render.iso = iso.then(|| volume.body_threshold());
+        }
+        if let Some(v) = &mut render.iso {
+            let speed = (volume.range[1] - volume.range[0]) / 400.0;
+            ui.add(DragValue::new(v).speed(speed).max_decimals(2));
+        }
+    });
+    ui.checkbox(&mut render.exact_cuts, "Exact cuts").on_hover_text("Cuts at the end of the stack as formulas instead of masks");
+}
+
+/// The iso-value of the surface that is shown in place of the volume.
+fn show_iso_value(ui: &mut Ui, surface: &mut SurfaceSettings, volume: &Volume) {
+    ui.horizontal(|ui| {
+        ui.label("Iso-value");
+        let mut v = surface.iso.unwrap_or_else(|| volume.body_threshold());
+        if ui.add(DragValue::new(&mut v).max_decimals(2)).changed() {
+            surface.iso = Some(v);
+        }
+    });
+}
+
+/// Strength of ambient, diffuse and specular light, and where it comes from.
+fn show_light(ui: &mut Ui, light: &mut Light) {
+    heading(ui, "Light");
+    slider(ui, &mut light.ambient, 0.0..=1.0, "ambient", "Ambient light");
+    slider(ui, &mut light.diffuse, 0.0..=1.0, "diffuse", "Diffuse reflection of the light");
+    slider(ui, &mut light.specular, 0.0..=1.0, "specular", "Strength of the specular highlight");
+    slider(ui, &mut light.shininess, 1.0..=200.0, "shininess", "Specular exponent; higher is tighter");
+    ui.checkbox(&mut light.follows_camera, "Headlight (moves with the camera)");
+}
+
+/// Projection, field of view and background.
+fn show_camera(ui: &mut Ui, scene: &mut Scene) {
+    heading(ui, "Camera");
+    choice(ui, "Projection", &mut scene.camera.projection, &[(Projection::Perspective, "perspective"), (Projection::Orthographic, "orthographic")]);
+    slider(ui, &mut scene.camera.field_of_view, 5.0..=100.0, "field of view", "Vertical field of view in degrees");
+    ui.horizontal(|ui| {
+        ui.label("Background");
+        let [r, g, b, a] = scene.render.background;
+        let mut color = [r, g, b];
+        if ui.color_edit_button_rgb(&mut color).changed() {
+            scene.render.background = [color[0], color[1], color[2], a];
+        }
+        let mut clear = a < 1.0;
+        if ui.checkbox(&mut clear, "transparent").changed() {
+            scene.render.background[3] = if clear { 0.0 } else { 1.0 };
+        }
+    });
+}
